@@ -267,7 +267,12 @@ def load(path: Path) -> Settings:
         "store": settings.store.in_folder(folder),
         "audit": Audit(key_file=key_file, anchor=_absolute(folder, audit.anchor)),
         "notify": settings.notify.in_folder(folder),
-        "backup": settings.backup.model_copy(update={"folder": _absolute(folder, settings.backup.folder)}),
+        "backup": settings.backup.model_copy(
+            update={
+                "folder": _absolute(folder, settings.backup.folder),
+                "key_file": _absolute(folder, settings.backup.key_file),
+            }
+        ),
     }
     loaded = settings.model_copy(update=absolute)
     loaded._file = path.resolve()

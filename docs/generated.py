@@ -19,7 +19,15 @@ SUFFIX = {"counter": "_total", "info": "_info"}
 """What Prometheus adds to the name of a metric of a type."""
 COMMAND_LINE = """# The command line
 
-`lineside --version` prints the release. Each command explains itself with `--help`.
+`lineside --version` prints the release. Each command explains itself with `-h` or `--help`; each that prints
+facts prints them with `--json` for programs. The shell completes commands and options after one line in its
+start file:
+
+| shell | file | line |
+|---|---|---|
+| bash | `~/.bashrc` | `eval "$(_LINESIDE_COMPLETE=bash_source lineside)"` |
+| zsh | `~/.zshrc` | `eval "$(_LINESIDE_COMPLETE=zsh_source lineside)"` |
+| fish | `~/.config/fish/config.fish` | `_LINESIDE_COMPLETE=fish_source lineside | source` |
 """
 METRICS = """# Metrics
 

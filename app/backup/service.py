@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import shutil
 import sys
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -14,9 +13,8 @@ from zoneinfo import ZoneInfo
 import structlog
 
 from app.audit.log import EventLog
-from app.backup.schedule import NAME, name_of, next_after, too_many
+from app.backup.schedule import NAME, name_of, next_due, too_many
 from app.backup.settings import BackupSettings
-from app.database.private import make_folder
 from app.errors import system_error
 from bus.errors import LinesideError
 from bus.instants import Clock, UnixTime, unix_now
@@ -49,19 +47,30 @@ class Backups:
         self._config, self._zone, self._events = config, zone, events
         self._write = write or self._by_command
         self._clock = clock
-        self.newest: UnixTime | None = None if settings.folder is None else clock()
-        """When the newest backup was made, or since when there is to be one; None: there are to be none."""
+        self._is_wanted = settings.folder is not None
+        self._since = _last_change(config) or clock()
+        self._written: UnixTime | None = None
+        self._failed: UnixTime | None = None
+
+    @property
+    def newest(self) -> UnixTime | None:
+        """When the newest backup was begun; while there is none, when the configuration that requests it was
+        last changed. None: there are to be none."""
+        return (self._written or self._since) if self._is_wanted else None
+
+    def next_due(self, now: UnixTime) -> UnixTime:
+        """When the next backup is due; not after ``now`` where it is to begin."""
+        return next_due(now, self._written, self._failed, self._at, self._zone)
 
     async def follow(self) -> None:
-        """Write a backup whenever one is due, without end; at once where that of last night is missing."""
-        self.newest = await asyncio.to_thread(self._newest_file) or self._clock()
-        due = next_after(self.newest, self._at, self._zone)
+        """Write a backup whenever one is due, without end: at once where there is none, or that of last night
+        is missing; an hour later where one failed."""
+        self._written = await asyncio.to_thread(newest_in, self._folder, self._clock())
         while True:
             await asyncio.sleep(LOOK_S)
             now = self._clock()
-            if now >= due:
+            if now >= self.next_due(now):
                 await self.back_up()
-            due = next_after(now, self._at, self._zone)
 
     async def back_up(self) -> None:
         """Write one now; its result is an event."""
@@ -70,38 +79,27 @@ class Backups:
         try:
             await asyncio.to_thread(self._prepare)
             await self._write(file)
-            await asyncio.to_thread(self._complete, file)
+            await asyncio.to_thread(self._remove_older, file)
         except (LinesideError, OSError) as error:
             reason = error.message if isinstance(error, LinesideError) else system_error(error)
             log.error("backup failed", file=str(file), reason=str(reason))
+            self._failed = begun
             await self._record("event_backup_failed", file, reason)
             return
-        self.newest = begun
+        self._written, self._failed = begun, None
         await self._record("event_backup_written", file)
 
     async def _record(self, code: str, file: Path, reason: Message | str = "") -> None:
         await self._events.record(kind="server", what=Message.of(code, file=file.name), message=reason)
 
     def _prepare(self) -> None:
-        make_folder(self._folder)
+        """A folder that is not there is not made: it may be that of a disk that is not mounted."""
+        if not self._folder.is_dir():
+            raise BackupError(Message.of("backup_folder_missing", folder=str(self._folder)))
 
-    def _complete(self, file: Path) -> None:
-        """Beside the stores their configuration; then the oldest file gives way."""
-        if self._config is not None:
-            beside = file.with_suffix(".toml")
-            shutil.copyfile(self._config, beside)
-            beside.chmod(0o600)
-        for name in too_many((path.name for path in self._folder.iterdir()), self._keep):
-            for old in (self._folder / name, (self._folder / name).with_suffix(".toml")):
-                with suppress(FileNotFoundError):
-                    old.unlink()
-
-    def _newest_file(self) -> UnixTime | None:
-        """When the newest backup of the folder was written."""
-        with suppress(OSError):
-            times = [path.stat().st_mtime for path in self._folder.iterdir() if NAME.fullmatch(path.name)]
-            return UnixTime(max(times)) if times else None
-        return None
+    def _remove_older(self, file: Path) -> None:
+        for name in too_many((path.name for path in self._folder.iterdir()), self._keep, file.name):
+            (self._folder / name).unlink(missing_ok=True)
 
     async def _by_command(self, file: Path) -> None:
         """By ``lineside backup-store``. Raises BackupError with what it complained of."""
@@ -129,3 +127,18 @@ class Backups:
         if process.returncode:
             text = complaint.decode(errors="replace").strip().removeprefix("lineside: ")
             raise BackupError(Message.of("system_error", error=text or f"exit code {process.returncode}"))
+
+
+def newest_in(folder: Path, now: UnixTime) -> UnixTime | None:
+    """When the newest backup of a folder was written. One of the future is of a clock that was wrong."""
+    with suppress(OSError):
+        backups = (path for path in folder.iterdir() if NAME.fullmatch(path.name))
+        times = (UnixTime(path.stat().st_mtime) for path in backups)
+        return max((written for written in times if written <= now), default=None)
+    return None
+
+
+def _last_change(config: Path | None) -> UnixTime | None:
+    with suppress(OSError):
+        return None if config is None else UnixTime(config.stat().st_mtime)
+    return None

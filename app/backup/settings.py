@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from bus.messages import Message
 from bus.settings import StrictModel
 
 CLOCK = r"^([01]\d|2[0-3]):[0-5]\d$"
@@ -24,9 +23,5 @@ class BackupSettings(StrictModel):
     keep: Annotated[int, Field(strict=True, ge=1, le=1000)] = 14
     """So many files; the oldest is deleted once another is written."""
     key_file: Path | None = None
-
-    @field_validator("key_file")
-    @classmethod
-    def _is_not_encrypted(cls, written: Path | None) -> None:
-        if written is not None:
-            raise ValueError(Message("setting_backup_key"))
+    """Encrypts the secret files of a backup, which else are not in it. Relative to the configuration,
+    absolute once loaded; not made by Lineside."""

@@ -9,9 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from types import ModuleType, SimpleNamespace
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import click
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "init": ("init", "Write a commented lineside.toml to start from."),
@@ -24,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check": ("check", "Check the configuration and list its faults."),
     "install-service": ("install_service", "Install the dashboard as a service of systemd."),
     "status": ("status", "Show whether the dashboard of a configuration runs."),
+    "report": ("report", "Show the hand-over report of a shift."),
     "support-bundle": ("support_bundle", "Write what helps to find a fault into one file, without secrets."),
     "user": ("accounts", "Manage users: add, list, password, remove."),
     "token": ("accounts", "Manage tokens of programs: create, list, revoke."),
@@ -70,6 +74,14 @@ class Lazy(click.Group):
             module = import_module(f"app.cli.{COMMANDS[cmd_name][0]}")
         named = getattr(module, cmd_name.replace("-", "_"))
         return named if isinstance(named, click.Command) else command_of(named, cmd_name)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """The commands that begin so, each with its line in the help; no module is imported for it."""
+        from click.shell_completion import CompletionItem
+
+        found = [(name, words) for name, (_, words) in COMMANDS.items() if name.startswith(incomplete)]
+        options = click.Command.shell_complete(self, ctx, incomplete)
+        return [*(CompletionItem(name, help=words) for name, words in found), *options]
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command, and end in words."""

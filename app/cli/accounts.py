@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import sys
 from collections.abc import Callable, Coroutine
 from pathlib import Path
@@ -11,9 +12,11 @@ from typing import Annotated, Any, TypeVar
 import click
 
 from app.auth.accounts import Accounts
+from app.auth.store import Token, User, tokens, users
 from app.cli.config_option import LINESIDE_TOML, Config
-from app.cli.options import Argument, CommandGroup, Option
+from app.cli.options import Argument, AsJson, CommandGroup, Option
 from app.cli.site_log import console, site_log
+from app.cli.site_reading import reading_site
 from app.settings import load
 from app.web.access import PEOPLE_ROLES, Role, role_named
 from bus.messages import Message
@@ -50,9 +53,14 @@ def add_user(
 
 
 @user.add("list")
-def list_users(config: Config = LINESIDE_TOML) -> None:
+def list_users(config: Config = LINESIDE_TOML, as_json: AsJson = False) -> None:
     """List every user: name, role, and whether it is a panel or disabled."""
-    for each in with_accounts(config, lambda accounts: accounts.users()):
+    with reading_site(load(config)) as connection:
+        found = users(connection)
+    if as_json:
+        click.echo(json.dumps({"users": [_user_shown(each) for each in found]}))
+        return
+    for each in found:
         states = (("user_is_panel", each.panel), ("user_is_disabled", each.disabled))
         marks = [str(Message(code)) for code, is_so in states if is_so]
         click.echo("\t".join([each.name, each.role, *marks]))
@@ -90,6 +98,20 @@ def break_glass(
         asyncio.run(work)
 
 
+def _user_shown(each: User) -> dict[str, Any]:
+    return {"name": each.name, "role": each.role, "panel": each.panel, "disabled": each.disabled}
+
+
+def _token_shown(each: Token) -> dict[str, Any]:
+    return {
+        "name": each.name,
+        "role": each.role,
+        "created_by": each.created_by,
+        "bus": each.bus,
+        "last_day": each.last_day or None,
+    }
+
+
 def _password(from_input: bool) -> str:
     """Whether it may be chosen is judged where it is stored, for the pages alike. A terminal is prompted in
     any case: it must not wait without a prompt."""
@@ -120,9 +142,14 @@ def create_token(
 
 
 @token.add("list")
-def list_tokens(config: Config = LINESIDE_TOML) -> None:
+def list_tokens(config: Config = LINESIDE_TOML, as_json: AsJson = False) -> None:
     """List every token: name, role, creator, bus of a worker, day on which it expires."""
-    for each in with_accounts(config, lambda accounts: accounts.tokens()):
+    with reading_site(load(config)) as connection:
+        found = tokens(connection)
+    if as_json:
+        click.echo(json.dumps({"tokens": [_token_shown(each) for each in found]}))
+        return
+    for each in found:
         expires = str(Message.of("token_expires", day=each.last_day)) if each.last_day else ""
         columns = (each.name, each.role, each.created_by, each.bus or "", expires)
         click.echo("\t".join(columns).rstrip())

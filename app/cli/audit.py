@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
+
+import click
 
 from app.audit.anchor import Anchors, joined_heads, read_anchor_file, read_key_anchor, refuse_forged
 from app.audit.chain import ROTATED, Head, newest_of, origin_of
@@ -14,13 +17,15 @@ from app.audit.store import heads_of, prove
 from app.audit.walk import AuditVerification, ChainVerification
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
-from app.cli.options import CommandGroup, Option
+from app.cli.options import AsJson, CommandGroup, Option
 from app.cli.serve import check_store
 from app.cli.site_log import record, site_log
-from app.database.opening import examining_main, main_presence
+from app.cli.site_reading import has_store
+from app.database.opening import examining_main
 from app.errors import StoreError
 from app.handover.signatures import missing_signatures
 from app.settings import Settings, load
+from app.web.shape import message_shown
 from bus.messages import Message, in_english, joined
 
 audit = CommandGroup(help="Verify the event log, or begin a new key.")
@@ -30,10 +35,14 @@ AnchorFile = Annotated[
 
 
 @audit.add("verify")
-def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
+def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None, as_json: AsJson = False) -> None:
     """Verify every chain of the log, its seals and anchors, and that the store has the signatures of shifts
     that the log names. Exit 0 when all is intact, 1 with the first altered entry of each chain."""
-    for line in proof_of(load(config), anchor):
+    proof = proof_of(load(config), anchor)
+    if as_json:
+        click.echo(json.dumps({"intact": True, "messages": [message_shown(line) for line in proof]}))
+        return
+    for line in proof:
         report(line)
 
 
@@ -60,7 +69,7 @@ def _verdict(settings: Settings, anchor: Path | None) -> tuple[AuditVerification
     """Verify the files as they are: nothing is migrated, nothing is written."""
     check_store(settings)
     file = None if settings.store.url else settings.server.store
-    if main_presence(settings.store, settings.server.store) in ("missing", "vacant"):
+    if not has_store(settings):
         raise StoreError(Message.of("store_missing", path=settings.store_name))
     with examining_main(settings.store, settings.server.store) as connection:
         ring = _ring(settings.key_files, file, heads_of(connection))

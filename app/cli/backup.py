@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import stat
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +13,7 @@ import click
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import Dashboard, DashboardError, dashboard
 from app.cli.ending import report
-from app.cli.options import Option
+from app.cli.options import AsJson, Option
 from app.database.private import write_file
 from app.sets.document import write_document
 from app.sets.model import ParameterSet, UnitRows
@@ -28,13 +27,12 @@ MAX_AT_ONCE = 4
 
 Url = Annotated[str, Option(help="Address of the dashboard.", envvar="LINESIDE_URL")]
 Bus = Annotated[str, Option(help="Name of the bus.")]
-AsJson = Annotated[bool, Option("--json", help="Machine-readable result on standard output.")]
 
 
 def backup(
     url: Url,
     bus: Bus,
-    out: Annotated[Path, Option(help="The TOML file to write.")],
+    out: Annotated[Path, Option(help="The TOML file to write; it must not exist yet.")],
     token: TokenOption = "",
     token_file: TokenFile = None,
     unit: Annotated[int | None, Option(help="One unit; without it, every unit of the bus.")] = None,
@@ -53,12 +51,11 @@ def backup(
 
 
 def _check_place(out: Path) -> None:
-    """Raises CallerError where no file can be put, or something else than a file would be replaced: for root
-    /dev/null too."""
+    """Raises CallerError where no file can be put, or something is there already: for root /dev/null too."""
     if not out.parent.is_dir():
         raise CallerError(Message.of("folder_missing", folder=str(out.parent), file=out.name))
-    if os.path.lexists(out) and not stat.S_ISREG(out.lstat().st_mode):
-        raise CallerError(Message.of("file_not_regular", file=str(out)))
+    if os.path.lexists(out):
+        raise CallerError(Message.of("backup_exists", file=str(out)))
 
 
 def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows], dict[int, Message]]:

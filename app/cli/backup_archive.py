@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import stat
 import tarfile
 from collections.abc import Iterator, Mapping
@@ -22,7 +21,9 @@ from typing import Annotated
 
 import msgspec
 
+from app.cli.backup_files import ENCRYPTED, IN_CLEAR, MAX_BYTES
 from app.database.private import FILE_MODE
+from app.database.reserve import free_bytes
 from app.errors import StoreError
 from app.handover.pictures import FILE as PICTURES
 from app.history.service import FILE as HISTORY
@@ -54,10 +55,17 @@ class ArchiveError(LinesideError):
 
 
 class Manifest(msgspec.Struct):
-    """``stores``: the SHA-256 of each by its name, hexadecimal; ``time``: Unix time of the backup."""
+    """``stores``: the SHA-256 of each by its name, hexadecimal; ``files``: the same of the member that has
+    the files of the site; ``time``: Unix time of the backup."""
 
     time: Annotated[float, msgspec.Meta(ge=0, lt=2**37)]
     stores: Annotated[dict[str, _Digest], msgspec.Meta(min_length=1)]
+    files: Annotated[dict[str, _Digest], msgspec.Meta(max_length=1)] = {}
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """Of every other member."""
+        return {**self.stores, **self.files}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +78,11 @@ class Extent:
 
 @dataclass(frozen=True, slots=True)
 class BackupArchive:
-    """An open backup whose members and manifest are as they should be; the stores are not read yet."""
+    """An open backup whose members and manifest are as they should be; none is read yet."""
 
     file: BufferedReader
     path: Path
-    stores: Mapping[str, Extent]
+    members: Mapping[str, Extent]
     manifest: Manifest
 
     @property
@@ -87,27 +95,38 @@ class BackupArchive:
 
     def unpack(self, folder: Path) -> list[Path]:
         """Write the stores into an empty folder; each is what was backed up. Raises StoreError."""
-        needed, free = sum(extent.size for extent in self.stores.values()), free_bytes(folder)
+        stores = sorted(self.manifest.stores)
+        needed, free = sum(self.members[name].size for name in stores), free_bytes(folder)
         if needed > free:
             raise StoreError(Message.of("backup_needs_space", file=str(self.path), needed=needed, free=free))
-        return [self._unpack_one(name, folder / name) for name in sorted(self.stores)]
+        return [self._unpack_one(name, folder / name) for name in stores]
+
+    def files(self) -> tuple[str, bytes]:
+        """The member that has the files of the site: its name and its content. Raises StoreError."""
+        for name in self.manifest.files:
+            if self.members[name].size > MAX_BYTES:
+                raise ArchiveError("archive_too_large", most=MAX_BYTES)
+            content = b"".join(_chunks(self.file, self.members[name]))
+            self._compare(name, hashlib.sha256(content).hexdigest())
+            return name, content
+        raise ArchiveError("archive_without_files")
 
     def verify(self) -> None:
-        """Read every store as it is in the file. Raises StoreError where it is not what was backed up."""
-        for name, extent in self.stores.items():
+        """Read every member as it is in the file. Raises StoreError where it is not what was backed up."""
+        for name, extent in self.members.items():
             digest = hashlib.sha256()
             for chunk in _chunks(self.file, extent):
                 digest.update(chunk)
             self._compare(name, digest.hexdigest())
 
     def _compare(self, name: str, digest: str) -> None:
-        if digest != self.manifest.stores[name]:
+        if digest != self.manifest.digests[name]:
             raise StoreError(Message.of("backup_damaged", file=str(self.path), store=name))
 
     def _unpack_one(self, name: str, place: Path) -> Path:
         digest, flags = hashlib.sha256(), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         with os.fdopen(os.open(place, flags, FILE_MODE), "wb") as target:
-            for chunk in _chunks(self.file, self.stores[name]):
+            for chunk in _chunks(self.file, self.members[name]):
                 digest.update(chunk)
                 target.write(chunk)
         self._compare(name, digest.hexdigest())
@@ -126,11 +145,6 @@ def open_archive(path: Path) -> Iterator[BackupArchive]:
             raise StoreError(Message.of("backup_malformed", file=str(path), error=error.message)) from error
 
 
-def free_bytes(folder: Path) -> int:
-    """What the disk of a folder can still take."""
-    return shutil.disk_usage(folder).free
-
-
 def _read(file: BufferedReader, path: Path) -> BackupArchive:
     found = os.fstat(file.fileno())
     if not stat.S_ISREG(found.st_mode):
@@ -139,7 +153,7 @@ def _read(file: BufferedReader, path: Path) -> BackupArchive:
         raise ArchiveError("archive_too_large", most=MAX_ARCHIVE_BYTES)
     members = _members(file, found.st_size)
     manifest = _manifest(file, members.pop(MANIFEST, None))
-    if manifest.stores.keys() != members.keys():
+    if manifest.digests.keys() != members.keys() or not manifest.stores.keys() <= {*STORES}:
         raise ArchiveError("archive_manifest_differs")
     return BackupArchive(file, path, members, manifest)
 
@@ -174,7 +188,7 @@ def _check(info: tarfile.TarInfo, of_all: Mapping[str, str]) -> None:
     """Raises ArchiveError for a member that backup-store does not write. ``of_all``: what a header states for
     all members."""
     is_plain = info.type in (tarfile.REGTYPE, tarfile.AREGTYPE) and info.sparse is None
-    is_known = info.name in (MANIFEST, *STORES)
+    is_known = info.name in (MANIFEST, *STORES, IN_CLEAR, ENCRYPTED)
     if of_all or not is_plain or not is_known or info.pax_headers.keys() - _EXTENDED:
         raise ArchiveError("archive_foreign")
 

@@ -1,26 +1,35 @@
-"""``lineside backup-store``: every store of a dashboard in one file.
+"""``lineside backup-store``: every store of a dashboard, and the files of its site, in one file.
 
 A copy is taken while the dashboard runs: SQLite gives each store as it is at one instant.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
+import os
+import shutil
 import sqlite3
 import tarfile
 import tempfile
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
+import click
+
 from app.cli.backup_archive import MANIFEST, STORES, open_archive
+from app.cli.backup_files import SiteFiles, files_of
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
-from app.cli.options import Argument
+from app.cli.options import Argument, AsJson
 from app.database.connection import open_for_reading
+from app.database.copies import COMPANIONS
 from app.database.opening import require_files
-from app.database.private import make_file, write_file
+from app.database.private import make_file, sync_folder, write_file
+from app.database.reserve import free_bytes
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import load
@@ -28,39 +37,100 @@ from app.version import VERSION
 from bus.instants import unix_now
 from bus.messages import Message
 
+WORKING = ".lineside-backup-"
+"""Begins the name of the folder in which a backup is made."""
+
 
 def backup_store(
     file: Annotated[Path, Argument(help="The file to write; it must not exist yet.")],
     config: Config = LINESIDE_TOML,
+    as_json: AsJson = False,
 ) -> None:
-    """Copy every store (events, users, sets, history) of this configuration into one file while it runs."""
+    """Copy every store (events, users, sets, history, pictures) of this configuration into one file while the
+    dashboard runs, with the configuration; with [backup] key_file also, encrypted, the key of the audit log,
+    certificates and files of passwords."""
     settings = load(config)
     require_files(settings.store, "pg_dump")
-    names = write_backup(settings.server.data, file)
+    files = files_of(settings)
+    names = write_backup(settings.server.data, file, files)
+    if as_json:
+        click.echo(json.dumps({"file": str(file), "stores": names, "left_out": files.left_out}))
+        return
     report(Message.of("stores_backed_up", file=str(file), names=[*names]))
+    if files.left_out:
+        report(Message.of("backup_leaves_out", files=[*files.left_out]))
 
 
-def write_backup(data: Path, file: Path) -> list[str]:
-    """Copy the stores of a data folder; gives their names. Raises StoreError, also where a store is damaged:
-    it could not be put back; then there is no file."""
+def write_backup(data: Path, file: Path, files: SiteFiles | None = None) -> list[str]:
+    """Copy the stores of a data folder, and the files of its site; gives the names of the stores. Raises
+    StoreError, also where a store is damaged: it could not be put back; then there is no file."""
     present = [store for name in STORES if (store := data / name).exists()]
     if not present:
         raise StoreError(Message.of("stores_missing", folder=str(data)))
     if file.exists():
         raise StoreError(Message.of("backup_exists", file=str(file)))
-    with in_words(file), tempfile.TemporaryDirectory(dir=file.absolute().parent) as folder:
-        copies = [_copy(store, Path(folder)) for store in present]
-        about = {"lineside": VERSION, "time": unix_now(), "stores": dict(map(_digest, copies))}
-        manifest, tar_file = Path(folder) / MANIFEST, Path(folder) / "complete.tar"
+    with in_words(file):
+        _refuse_small_disk(present, file)
+    with in_words(file), _working_folder(file.absolute().parent) as folder:
+        copies = [_copy(store, folder) for store in present]
+        beside = [] if files is None else [folder / files.member]
+        for place in beside:
+            write_file(place, b"" if files is None else files.content)
+        about = {
+            "lineside": VERSION,
+            "time": unix_now(),
+            "stores": dict(map(_digest, copies)),
+            "files": dict(map(_digest, beside)),
+        }
+        manifest, tar_file = folder / MANIFEST, folder / "complete.tar"
         write_file(manifest, json.dumps(about, indent=1).encode())
         make_file(tar_file)
-        with tarfile.open(tar_file, "w") as archive:
-            for part in (manifest, *copies):
-                archive.add(part, part.name)
+        with tar_file.open("wb") as target:
+            with tarfile.open(fileobj=target, mode="w") as archive:
+                for part in (manifest, *copies, *beside):
+                    archive.add(part, part.name)
+            target.flush()
+            os.fsync(target.fileno())
         with open_archive(tar_file) as written:
             written.verify()
+        if file.exists():
+            raise StoreError(Message.of("backup_exists", file=str(file)))
         tar_file.rename(file)
+        sync_folder(file.absolute().parent)
     return [store.name for store in present]
+
+
+@contextmanager
+def _working_folder(beside: Path) -> Iterator[Path]:
+    """A folder on the disk of the backup, which is locked while it is used: one whose process was killed is
+    known by that, and removed by the next backup."""
+    for left in beside.glob(f"{WORKING}*"):
+        with suppress(OSError), _locked(left):
+            shutil.rmtree(left, ignore_errors=True)
+    with tempfile.TemporaryDirectory(prefix=WORKING, dir=beside) as name, _locked(Path(name)):
+        yield Path(name)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def space_needed(stores: Iterable[Path]) -> int:
+    """The bytes that a backup of these stores takes while it is made: its copies, and the archive of them."""
+    files = (store.with_name(store.name + suffix) for store in stores for suffix in ("", *COMPANIONS))
+    return 2 * sum(file.stat().st_size for file in files if file.exists())
+
+
+def _refuse_small_disk(stores: Sequence[Path], file: Path) -> None:
+    needed, free = space_needed(stores), free_bytes(file.absolute().parent)
+    if needed > free:
+        raise StoreError(Message.of("backup_disk_full", file=str(file), needed=needed, free=free))
 
 
 def _copy(store: Path, folder: Path) -> Path:

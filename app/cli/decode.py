@@ -11,7 +11,7 @@ from typing import Annotated
 import click
 
 from app.cli.ending import complain
-from app.cli.options import Argument, Option
+from app.cli.options import Argument, AsJson, Option
 from app.commands.api.trace_file import is_trace_line, parse_trace_line
 from bus.contract import Frame
 from bus.errors import CallerError
@@ -30,7 +30,7 @@ def decode(
         list[str] | None, Argument(metavar="HEX…", help="Bytes as hex; - reads standard input.")
     ] = None,
     file: Annotated[Path | None, Option(help="A trace file, or a file of hex.")] = None,
-    as_json: Annotated[bool, Option("--json", help="A list of frames as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Decode frames. Exit 0, 1 when no frame is valid, 2 when the bytes are not hex."""
     found = decode_text(_given_text(hex_bytes or [], file))

@@ -8,10 +8,9 @@ from typing import Annotated, Any
 
 import click
 
-from app.cli.backup import AsJson
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
-from app.cli.options import Argument, Option
+from app.cli.options import Argument, AsJson, Option
 from app.errors import system_error
 from app.sets.compare import ParameterDifference, differences
 from app.sets.document import MAX_DOCUMENT, read_document

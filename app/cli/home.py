@@ -13,7 +13,8 @@ import click
 
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
-from app.cli.options import Argument, CommandGroup, Option
+from app.cli.options import Argument, AsJson, CommandGroup, Option
+from app.cli.site_reading import has_store, reading_site
 from app.database import Database
 from app.database.opening import open_database
 from app.home.lease import HomeRow
@@ -34,7 +35,7 @@ class HomeNotTakenError(LinesideError):
 
 def show(
     config: Config = LINESIDE_TOML,
-    as_json: Annotated[bool, Option("--json", help="The result as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show which server is the home of each bus, its epoch, and until when."""
     settings = load(config)
@@ -107,10 +108,10 @@ def _person() -> str:
 
 def _known(settings: Settings) -> Beat:
     """The rows; none where there is no store yet."""
-    if not settings.store.url and not settings.server.store.exists():
+    if not has_store(settings):
         return Beat(unix_now(), {}, {})
-    with closing(open_database(settings.store, settings.server.store)) as database:
-        return database.read_now(read_homes)
+    with reading_site(settings) as connection:
+        return read_homes(connection)
 
 
 def _is_held(row: HomeRow, beat: Beat) -> bool:

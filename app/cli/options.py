@@ -65,6 +65,9 @@ class Argument:
         )
 
 
+AsJson = Annotated[bool, Option("--json", help="The result as JSON.")]
+
+
 def command_of(function: Callable[..., Any], name: str | None = None) -> click.Command:
     """The command that calls ``function``; its docstring is the help."""
     return click.Command(

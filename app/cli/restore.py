@@ -9,12 +9,12 @@ from typing import Annotated, Any
 
 import click
 
-from app.cli.backup import AsJson, Bus, Url
+from app.cli.backup import Bus, Url
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import Dashboard, dashboard
 from app.cli.diff import load, rows_for
 from app.cli.ending import complain, report
-from app.cli.options import Argument, Option
+from app.cli.options import Argument, AsJson, Option
 from app.sets.document import write_document
 from app.sets.model import ParameterSet
 from bus.messages import Message, ParamValue

@@ -20,6 +20,7 @@ from app.audit.keys import find_key_file
 from app.audit.store import heads_of
 from app.auth.withheld import Present, Withheld, read_present, withhold
 from app.cli.backup_archive import STORES, open_archive
+from app.cli.backup_files import place_files
 from app.cli.backup_store import fault_of
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
@@ -31,6 +32,7 @@ from app.database.connection import open_for_reading
 from app.database.copies import COMPANIONS
 from app.database.migrating import is_store
 from app.database.opening import require_files
+from app.database.presence import examining
 from app.database.private import make_private, refuse_link
 from app.database.words import in_words
 from app.errors import StoreError
@@ -44,9 +46,22 @@ def restore_store(
     file: Annotated[Path, Argument(help="A file of backup-store.")],
     config: Config = LINESIDE_TOML,
     yes: Annotated[bool, Option("--yes", help="Skip the confirmation.")] = False,
+    files_to: Annotated[
+        Path | None,
+        Option(help="Restore no store: write the configuration and the other files into this new folder."),
+    ] = None,
+    key_file: Annotated[
+        Path | None, Option(help="The key of [backup] that the files are encrypted with, for --files-to.")
+    ] = None,
 ) -> None:
     """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
     must not run. Every session ends. Tokens and users revoked or disabled since the backup stay so."""
+    if files_to is not None:
+        with in_words(file), open_archive(file) as archive:
+            placed = place_files(*archive.files(), key_file, files_to)
+        for path in placed:
+            report(Message.of("backup_file_placed", path=str(path)))
+        return
     settings = load(config)
     require_files(settings.store, "pg_restore")
     server = settings.server
@@ -113,7 +128,7 @@ def _anchors_put_aside(key_files: Sequence[Path], anchor: Path | None) -> tuple[
 
 def _prove(store: Path, file: Path) -> None:
     """A store of a backup is sound, and one that Lineside made."""
-    with in_words(store), closing(open_for_reading(store)) as connection:
+    with examining(store) as connection:
         fault: str | Message = fault_of(connection)
         if not fault and not is_store(connection):
             fault = Message("store_is_foreign")

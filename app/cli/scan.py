@@ -12,7 +12,7 @@ import click
 
 from app.cli.bus_table import bus_table
 from app.cli.ending import complain, ending, report, wrong_option
-from app.cli.options import Option
+from app.cli.options import AsJson, Option
 from app.web.shape import message_shown
 from bus.line.scan.found import Found, conclude, settings_seen
 from bus.line.scan.passes import PASSES, no_response_s
@@ -42,7 +42,7 @@ def scan(
     every_baud: Annotated[
         bool, Option("--every-baud", help="Scan at all six baud rates, even after a response.")
     ] = False,
-    as_json: Annotated[bool, Option("--json", help="The result as JSON.")] = False,
+    as_json: AsJson = False,
     as_toml: Annotated[
         bool, Option("--toml", help="The result as a [[bus]] to paste into lineside.toml.")
     ] = False,

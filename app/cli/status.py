@@ -1,10 +1,10 @@
-"""``lineside status``: whether the dashboard of a configuration runs, and how its buses are."""
+"""``lineside status``: a site on one screen: dashboard, buses, stores, disk, certificates, backups."""
 
 from __future__ import annotations
 
 import json
 import ssl
-from typing import Annotated, Any
+from typing import Any
 
 import click
 import httpx
@@ -14,10 +14,14 @@ from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
 from app.cli.ending import report
 from app.cli.listening import url_of
-from app.cli.options import Option
+from app.cli.options import AsJson
+from app.cli.status_lines import facts_json, facts_lines, site_facts
 from app.settings import Settings, load
+from app.version import VERSION
 from bus.errors import LinesideError
-from bus.messages import Message
+from bus.instants import unix_now
+from bus.messages import Message, number
+from bus.settings import BusSettings
 
 WITHIN_S = 5.0
 NO_CHECK_TIME = 0x200000
@@ -28,10 +32,11 @@ def status(
     config: Config = LINESIDE_TOML,
     token: TokenOption = "",
     token_file: TokenFile = None,
-    as_json: Annotated[bool, Option("--json", help="The result as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Show whether the dashboard serves and, with a token of any role but worker, the state of each bus and
-    what is degraded of the server: history, audit log, disk, notification, clock, certificates.
+    """Show whether the dashboard serves, the version, the stores with their sizes, for how long the disk is
+    enough, the ends of certificates, and the newest and the next backup; with a token of any role but worker
+    also the state of each bus and what is degraded of the server.
 
     Exit 0 when it serves, else 1.
     """
@@ -40,16 +45,20 @@ def status(
     url = url_of(settings.server.host, settings.server.port, "http" if own is None else "https")
     serves = is_serving(url, own)
     buses, degraded = _state(url, bearer, own) if serves and bearer else (None, None)
+    facts = site_facts(settings, unix_now())
     if as_json:
         shown = {"serving": serves, "url": url, "store": settings.store_name, "buses": buses}
-        click.echo(json.dumps({**shown, "degraded": degraded}))
-    elif serves:
-        report(Message.of("dashboard_serves", site=settings.site.name, url=url))
-        report(Message.of("dashboard_store", path=settings.store_name))
-        for bus in buses or ():
-            report(_line(bus))
+        click.echo(json.dumps({**shown, "degraded": degraded, **facts_json(settings, facts)}))
+    else:
+        code = "dashboard_serves" if serves else "dashboard_is_off"
+        report(Message.of(code, site=settings.site.name, url=url, version=VERSION))
+        lines = map(_configured, settings.bus) if buses is None else map(_line, buses)
+        for line in (*lines, *facts_lines(settings, facts)):
+            click.echo(f"  {line}")
         for fault in degraded or ():
             report(Message.of("site_degraded", fault=fault["message"]))
+        if serves and not bearer:
+            report(Message("status_needs_token"))
     if not serves:
         raise LinesideError(Message.of("not_serving", url=url, config=str(config)))
 
@@ -95,7 +104,7 @@ def _state(
 
 
 def _bus(bus: dict[str, Any]) -> dict[str, Any]:
-    shown = ("name", "worker", "link", "link_cause")
+    shown = ("name", "worker", "link", "link_cause", "scan_hz")
     return {
         **{name: bus.get(name) for name in shown},
         "units": len(bus["units"]),
@@ -103,8 +112,14 @@ def _bus(bus: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _configured(bus: BusSettings) -> Message:
+    return Message.of("check_bus", bus=bus.name, n=len(bus.unit), port=bus.port, baud=bus.baud)
+
+
 def _line(bus: dict[str, Any]) -> Message:
     units = {"bus": bus["name"], "online": bus["units_online"], "units": bus["units"], "link": bus["link"]}
     if bus["link_cause"]:
         return Message("bus_not_open", {**units, "cause": bus["link_cause"]["detail"]})
+    if bus["scan_hz"]:
+        return Message("bus_scanned", {**units, "hz": number(f"{bus['scan_hz']:.1f}")})
     return Message("bus_open", units)

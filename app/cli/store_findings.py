@@ -8,13 +8,13 @@ from pathlib import Path
 
 from app.audit.keys import find_key_file
 from app.cli.findings import Finding, existing_part, fault, is_read_only, is_visible
-from app.database.migrating import is_unfinished
-from app.database.opening import main_presence, require_finished_database
+from app.database.migrating import is_store, is_unfinished
+from app.database.opening import main_presence, refuse_newer, require_finished_database
 from app.database.presence import examining, presence_of, refusal_to_start
 from app.database.unfinished import refuse_unfinished
 from app.errors import StoreError, TooCostlyError
 from app.history.intake.upkeep import DiskReserve, space
-from app.settings import Settings
+from app.settings import STORE_FILE, Settings
 from bus.instants import monotonic_now
 from bus.messages import Message
 
@@ -80,6 +80,8 @@ def _store(store: Path) -> Finding:
             end = monotonic_now() + MAX_EXAMINED_S
             connection.set_progress_handler(lambda: monotonic_now() > end, STEPS)
             refuse_unfinished(str(store), has_ledger=is_unfinished(connection))
+            if store.name == STORE_FILE and is_store(connection):
+                refuse_newer(connection, str(store))
             (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     except TooCostlyError:
         verdict = "ok"

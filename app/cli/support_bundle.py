@@ -1,7 +1,8 @@
 """``lineside support-bundle``: what helps to find a fault from afar, and no secret.
 
-The configuration is as in its record in the audit log, of which each setting leaves out what is secret. Of
-events there is neither who nor a value; of files there are names and sizes.
+The configuration is as in its record in the audit log, of which each setting leaves out what is secret; of
+one that cannot be read there are the faults, without what was written. Of events there is neither who nor a
+value; of files there are names and sizes. Every URL is without its user and password.
 """
 
 from __future__ import annotations
@@ -9,23 +10,24 @@ from __future__ import annotations
 import io
 import json
 import platform
+import re
 import subprocess
 import sys
 import tarfile
 import time
-from collections.abc import Iterator
-from contextlib import closing
+from collections.abc import Iterable, Iterator
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Annotated, Any
 
+from app.cli.backup_findings import backup_findings
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.findings import findings
 from app.cli.options import Option
 from app.cli.service_unit import UNIT_FILE
 from app.cli.store_findings import store_findings
-from app.database.connection import open_for_reading
+from app.database.presence import examining
 from app.database.private import fresh_file
 from app.database.reserve import free_bytes
 from app.database.words import in_words
@@ -48,6 +50,10 @@ JOURNAL = (
     "short-iso",
 )
 WITHIN_S = 10.0
+MASK = "…"
+WRITTEN = frozenset(("text", "value"))
+"""Params of a fault of the configuration that hold what was written there."""
+_CREDENTIALS = re.compile(rb"(://)[^\s/\"'\\]+@")
 _EVENTS = "SELECT id, time, kind, bus, unit, what, outcome FROM events ORDER BY id DESC LIMIT ?"
 
 
@@ -71,7 +77,8 @@ def parts(config: Path) -> Iterator[tuple[str, bytes]]:
     try:
         settings = load(config)
     except ConfigurationError as error:
-        yield "configuration.txt", f"{error}\n".encode()
+        faults = (str(_masked(fault)) for fault in error.faults)
+        yield "configuration.txt", "".join(f"{line}\n" for line in dict.fromkeys(faults)).encode()
     else:
         yield "configuration.json", _json(settings.model_dump(mode="json"))
         yield "findings.txt", "".join(f"{line}\n" for line in _found(settings)).encode()
@@ -80,15 +87,25 @@ def parts(config: Path) -> Iterator[tuple[str, bytes]]:
     yield "log.txt", _log()
 
 
-def bundle(files: Iterator[tuple[str, bytes]]) -> bytes:
+def bundle(files: Iterable[tuple[str, bytes]]) -> bytes:
     """The files as a packed archive."""
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:gz") as archive:
-        for name, content in files:
+        for name, written in files:
+            content = _CREDENTIALS.sub(rf"\1{MASK}@".encode(), written)
             entry = tarfile.TarInfo(f"lineside-support/{name}")
             entry.size, entry.mode, entry.mtime = len(content), 0o600, int(time.time())
             archive.addfile(entry, io.BytesIO(content))
     return packed.getvalue()
+
+
+def _masked(fault: Message) -> Message:
+    """A fault of the configuration without what was written in the file."""
+    params = {
+        name: MASK if name in WRITTEN else _masked(value) if isinstance(value, Message) else value
+        for name, value in fault.params.items()
+    }
+    return Message(fault.code, params)
 
 
 def _about() -> dict[str, Any]:
@@ -103,7 +120,11 @@ def _about() -> dict[str, Any]:
 
 def _found(settings: Settings) -> Iterator[Message]:
     try:
-        for finding in (*findings(settings), *store_findings(settings)):
+        for finding in (
+            *findings(settings),
+            *store_findings(settings),
+            *backup_findings(settings.backup, settings.server.data),
+        ):
             yield finding.message
     except (LinesideError, OSError) as error:
         yield Message.of("system_error", error=str(error))
@@ -123,7 +144,7 @@ def _events(settings: Settings) -> list[dict[str, Any]] | str:
     if settings.store.url or not store.exists():
         return "no store in files"
     try:
-        with in_words(store), closing(open_for_reading(store)) as connection:
+        with examining(store) as connection:
             rows = connection.execute(_EVENTS, (MAX_EVENTS,)).fetchall()
     except StoreError as error:
         return str(error)

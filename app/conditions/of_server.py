@@ -34,8 +34,9 @@ def token_expires(
 
 
 def backup_is_overdue(newest: UnixTime | None, now: UnixTime) -> bool:
-    """Whether the backup of a night is missing; ``newest``: None where there are to be no backups."""
-    return newest is not None and now - newest > BACKUP_S
+    """Whether the backup of a night is missing; ``newest``: None where there are to be no backups. A time in
+    the future is of a clock that was wrong, and proves as little as one long past."""
+    return newest is not None and abs(now - newest) > BACKUP_S
 
 
 HISTORY_DEGRADED: Condition[StatePredicate] = Condition(
@@ -103,7 +104,9 @@ BACKUP_OVERDUE: Condition[Callable[[UnixTime | None, UnixTime], bool]] = Conditi
     "backup_overdue",
     ("major", "shift"),
     holds=backup_is_overdue,
-    means="the newest backup of `[backup]` is older than 26 hours",
+    means="the newest backup of `[backup]` is older than 26 hours, or there is none so long after the last"
+    " change of the configuration",
+    tuning=Tuning(on_delay_s=600),  # of a start, which first makes up for a night that was missed
 )
 
 OF_SERVER = (

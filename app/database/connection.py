@@ -55,8 +55,26 @@ def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> WritingCo
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
     """A connection that cannot write. Raises StoreError for a link."""
+    return _opened(path, "mode=ro")
+
+
+def open_unchanged(path: Path) -> sqlite3.Connection:
+    """A connection that reads and leaves no file, also on a read-only disk. Where no process has the store
+    open and none left a log, SQLite would make both for a reader. Raises StoreError for a link."""
+    log, shared = (path.with_name(path.name + companion) for companion in ("-wal", "-shm"))
+    if not log.exists():
+        return _opened(path, "mode=ro&immutable=1")
+    if shared.exists():
+        return _opened(path, "mode=ro")
+    # A copy, or what a power failure left: no process has it open. The index of the log is made in memory.
+    connection = _opened(path, "mode=ro&vfs=unix-none")
+    connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+    return connection
+
+
+def _opened(path: Path, how: str) -> sqlite3.Connection:
     refuse_link(path)
-    uri = f"{path.absolute().as_uri()}?mode=ro"
+    uri = f"{path.absolute().as_uri()}?{how}"
     connection = sqlite3.connect(uri, uri=True, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
     connection.row_factory = sqlite3.Row
     # SQLite takes any bytes for text. One row that is no UTF-8 must not make all the others unreadable.

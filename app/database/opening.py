@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
 from app.database.availability import Availability
-from app.database.connection import SqliteDatabase, Synchronous, open_for_reading
+from app.database.connection import SqliteDatabase, Synchronous
 from app.database.database import Database
-from app.database.migration import MIGRATIONS
-from app.database.presence import Presence, presence_of
+from app.database.migration import MIGRATIONS, Migration, missing_in
+from app.database.presence import Presence, examining, presence_of
 from app.database.reserve import Reserve
 from app.database.settings import StoreSettings
 from app.database.store_connection import StoreConnection
-from app.database.words import in_words
 from app.errors import StoreError
 from bus.messages import Message
 
@@ -72,17 +71,30 @@ def require_finished_database(store: StoreSettings) -> None:
 
 
 @contextmanager
-def examining_main(store: StoreSettings, file: Path) -> Iterator[StoreConnection]:
-    """Read the main store as it is; nothing is brought up to date. Raises StoreError in words."""
+def examining_main(store: StoreSettings, file: Path, schema: str = MAIN) -> Iterator[StoreConnection]:
+    """Read the main store, or that of another ``schema``, as it is; nothing is brought up to date. Raises
+    StoreError in words."""
     if not store.url:
-        with in_words(file), closing(open_for_reading(file)) as connection:
+        with examining(file) as connection:
             yield connection
         return
     require_driver()
-    from app.database.postgresql.examination import examining
+    from app.database.postgresql import examination
 
-    with examining(store, MAIN) as examined:
+    with examination.examining(store, schema) as examined:
         yield examined
+
+
+def require_version(connection: StoreConnection, store: str) -> None:
+    """Raises StoreError for a main store of an earlier or a newer version. ``store`` names it."""
+    if refuse_newer(connection, store):
+        raise StoreError(Message.of("store_of_earlier_version", path=store))
+
+
+def refuse_newer(connection: StoreConnection, store: str) -> list[Migration]:
+    """The steps that a main store has not taken. Raises StoreError for one of a newer version."""
+    applied = dict(map(tuple, connection.execute("SELECT number, name FROM migrations")))
+    return missing_in(applied, MIGRATIONS, store)
 
 
 def require_driver() -> None:

@@ -8,9 +8,8 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Literal
 
-from app.database.connection import STEPS, open_for_reading
+from app.database.connection import STEPS, open_unchanged
 from app.database.engine import is_intact
-from app.database.private import refuse_link
 from app.database.words import in_words
 from app.errors import DamagedStoreError
 from bus.messages import Message
@@ -62,13 +61,3 @@ def proves_intact(store: Path, stop: Callable[[], bool]) -> bool:
             return is_intact(connection)
     except DamagedStoreError:
         return False
-
-
-def open_unchanged(store: Path) -> sqlite3.Connection:
-    """A connection that reads and leaves no file. Where no process has the store open and none left a log,
-    SQLite would make both for a reader."""
-    if store.with_name(f"{store.name}-wal").exists():
-        return open_for_reading(store)
-    refuse_link(store)
-    uri = f"{store.absolute().as_uri()}?mode=ro&immutable=1"
-    return sqlite3.connect(uri, uri=True)

@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from app.audit.log import EventLog
-from app.backup import service
-from app.backup.schedule import name_of, next_after, too_many
-from app.backup.service import Backups
+from app.backup.schedule import RETRY_S, name_of, next_after, next_due, too_many
+from app.backup.service import Backups, newest_in
 from app.backup.settings import BackupSettings
 from app.cli.backup_store import write_backup
+from app.conditions.of_server import backup_is_overdue
 from app.errors import StoreError
 from app.settings import Settings, load
 from bus.instants import UnixTime
@@ -55,12 +55,56 @@ def test_the_next_one_is_within_a_day_and_an_hour(now: float, at: str) -> None:
     assert now < float(due) <= now + 25 * 3600
 
 
+NOW = moment("2026-11-26T12:00")
+YEAR = 365 * 86_400.0
+
+
+@pytest.mark.parametrize(
+    ("newest", "failed", "due"),
+    [
+        ("2026-11-26T02:30", None, "2026-11-27T02:30"),
+        ("2026-11-25T02:30", None, "2026-11-26T02:30"),
+        (None, None, "2026-11-26T12:00"),
+        ("2027-11-26T02:30", None, "2026-11-26T12:00"),  # the clock was a year ahead
+        (None, "2026-11-26T11:30", "2026-11-26T12:30"),
+        ("2026-11-25T02:30", "2026-11-26T11:30", "2026-11-26T12:30"),
+        ("2026-11-25T02:30", "2027-11-26T11:30", "2026-11-26T02:30"),
+    ],
+)
+def test_one_is_due_at_once_where_none_is_there_and_an_hour_after_one_that_failed(
+    newest: str | None, failed: str | None, due: str
+) -> None:
+    known, lost = (None if each is None else moment(each) for each in (newest, failed))
+    assert next_due(NOW, known, lost, "02:30", BERLIN) == moment(due)
+
+
 def test_the_oldest_files_are_too_many_and_no_other_file_is() -> None:
     names = [name_of(moment(f"2026-11-{day:02}T02:30"), BERLIN) for day in (9, 10, 11, 12)]
     assert names == sorted(names)
-    assert too_many(["notes.tar", *reversed(names), "lineside.tar"], 2) == names[:2]
-    assert too_many(names, 4) == []
-    assert too_many([], 1) == []
+    assert too_many(["notes.tar", *reversed(names), "lineside.tar"], 2, names[-1]) == names[:2]
+    assert too_many(names, 4, names[-1]) == []
+    assert too_many([], 1, names[-1]) == []
+
+
+def test_what_was_just_written_stays_and_files_of_the_future_go_first() -> None:
+    names = [name_of(moment(f"{year}-11-26T02:30"), BERLIN) for year in (2024, 2025, 2026, 2027, 2028)]
+    assert too_many(names, 1, names[2]) == [names[3], names[4], names[0], names[1]]
+    assert too_many(names, 3, names[2]) == names[3:]
+
+
+@given(st.lists(st.integers(2000, 2099), unique=True, min_size=1), st.integers(1, 9), st.data())
+def test_the_one_just_written_is_never_too_many(years: list[int], keep: int, data: st.DataObject) -> None:
+    names = [f"lineside-{year}-11-26-023000.tar" for year in years]
+    written = data.draw(st.sampled_from(names))
+    assert len(set(names) - set(too_many(names, keep, written)) | {written}) == min(keep, len(names))
+
+
+@pytest.mark.parametrize(
+    ("newest", "overdue"),
+    [(None, False), (NOW - 3600, False), (NOW - 27 * 3600, True), (NOW + 3600, False), (NOW + YEAR, True)],
+)
+def test_a_backup_of_a_time_far_away_is_missing(newest: UnixTime | None, overdue: bool) -> None:
+    assert backup_is_overdue(newest, NOW) is overdue
 
 
 class Recorded:
@@ -82,10 +126,18 @@ class Night:
         self.now, self.events = moment("2026-11-26T02:29"), Recorded()
         self.config = folder / "lineside.toml"
         self.config.write_text("[site]\n")
+        os.utime(self.config, (0, float(moment("2026-11-01T12:00"))))
         self.folder = folder / "backups"
+        self.folder.mkdir()
         settings = BackupSettings(folder=self.folder, keep=keep)
         events = cast(EventLog, self.events)
-        self.backups = Backups(settings, self.config, BERLIN, events, write, lambda: self.now)
+        self.tick_s = 0.0
+        """By how much the clock goes on at each look at it."""
+        self.backups = Backups(settings, self.config, BERLIN, events, write, self._clock)
+
+    def _clock(self) -> UnixTime:
+        self.now += self.tick_s
+        return self.now
 
     def files(self) -> list[str]:
         return sorted(path.name for path in self.folder.iterdir())
@@ -95,17 +147,14 @@ async def write_one(file: Path) -> None:
     await asyncio.to_thread(file.write_text, "a backup")
 
 
-async def test_a_backup_has_its_configuration_and_the_oldest_gives_way(tmp_path: Path) -> None:
+async def test_the_oldest_backup_gives_way(tmp_path: Path) -> None:
     night = Night(tmp_path, write_one)
     for day in (26, 27, 28):
         night.now = moment(f"2026-11-{day}T02:30")
         await night.backups.back_up()
         assert night.backups.newest == night.now
-    assert night.files() == [
-        f"lineside-2026-11-{day}-023000.{kind}" for day in (27, 28) for kind in ("tar", "toml")
-    ]
+    assert night.files() == [f"lineside-2026-11-{day}-023000.tar" for day in (27, 28)]
     assert night.events.codes == ["event_backup_written"] * 3
-    assert (night.folder / "lineside-2026-11-28-023000.toml").stat().st_mode & 0o077 == 0
 
 
 async def test_one_that_fails_deletes_nothing_and_is_an_event_with_its_reason(tmp_path: Path) -> None:
@@ -117,66 +166,105 @@ async def test_one_that_fails_deletes_nothing_and_is_an_event_with_its_reason(tm
     newest, night.now = night.backups.newest, moment("2026-11-27T02:30")
     night.backups._write = fail
     await night.backups.back_up()
-    assert (len(night.files()), night.backups.newest) == (2, newest)
+    assert (len(night.files()), night.backups.newest) == (1, newest)
     assert night.events.codes[-1] == "event_backup_failed"
     assert "disk is full" in night.events.reasons[-1]
 
 
-async def test_a_folder_that_cannot_be_made_is_a_failed_backup(tmp_path: Path) -> None:
+async def test_a_folder_that_is_not_there_is_a_failed_backup_and_is_not_made(tmp_path: Path) -> None:
     night = Night(tmp_path, write_one)
-    night.folder.write_text("a file")
+    night.folder.rmdir()
     await night.backups.back_up()
     assert night.events.codes == ["event_backup_failed"]
+    assert "mount its disk" in night.events.reasons[0]
+    assert not night.folder.exists()
+
+
+def test_without_a_backup_the_configuration_states_since_when_there_is_to_be_one(tmp_path: Path) -> None:
+    night = Night(tmp_path, write_one)
+    assert night.backups.newest == moment("2026-11-01T12:00")
+    assert newest_in(night.folder, night.now) is None
+
+
+async def looks_at(night: Night, monkeypatch: pytest.MonkeyPatch, *times: str) -> None:
+    """Let the backups look at the clock at these times."""
+    looked, left, former = asyncio.Event(), iter(times), ""
+    night.tick_s = 0.001
+
+    async def sleep(_seconds: float) -> None:
+        nonlocal former
+        if (now := next(left, None)) is None:
+            looked.set()
+            await asyncio.Event().wait()
+        elif now != former:
+            night.now, former = moment(now), now
+
+    monkeypatch.setattr("app.backup.service.asyncio.sleep", sleep)
+    following = asyncio.create_task(night.backups.follow())
+    looking = asyncio.create_task(looked.wait())
+    await asyncio.wait((following, looking), return_when=asyncio.FIRST_COMPLETED)
+    assert not following.done(), following.exception()
+    following.cancel()
 
 
 @pytest.mark.parametrize(
     ("former", "after", "written"),
     [
-        (None, "2026-11-26T02:29:40", 0),
-        (None, "2026-11-26T02:31", 1),
+        (None, "2026-11-26T02:29:40", 1),
         ("2026-11-25T02:30", "2026-11-26T02:29:40", 0),
+        ("2026-11-25T02:30", "2026-11-26T02:31", 1),
         ("2026-11-24T02:30", "2026-11-26T02:29:40", 1),
+        ("2027-11-25T02:30", "2026-11-26T02:29:40", 1),
     ],
 )
 async def test_it_is_written_at_its_time_and_a_missed_one_is_made_up_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, former: str | None, after: str, written: int
 ) -> None:
-    looked = asyncio.Event()
-    looks = 0
-
-    async def sleep(_seconds: float) -> None:
-        nonlocal looks
-        looks += 1
-        night.now = moment(after)
-        if looks == 3:
-            looked.set()
-            await asyncio.Event().wait()
-
     night = Night(tmp_path, write_one)
     if former is not None:
-        night.folder.mkdir()
         file = night.folder / name_of(moment(former), BERLIN)
         file.touch()
         os.utime(file, (float(moment(former)), float(moment(former))))
-    monkeypatch.setattr(service.asyncio, "sleep", sleep)
-    following = asyncio.create_task(night.backups.follow())
-    await looked.wait()
-    following.cancel()
+    await looks_at(night, monkeypatch, after, after, after)
     assert night.events.codes == ["event_backup_written"] * written
+
+
+async def test_one_that_failed_is_tried_again_each_hour(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    night = Night(tmp_path, write_one)
+    night.folder.rmdir()
+    times = [f"2026-11-26T{time}" for time in ("12:00", "12:30", "12:59", "13:01", "13:02", "14:02")]
+    await looks_at(night, monkeypatch, *times)
+    assert night.events.codes == ["event_backup_failed"] * 3
+    due = night.backups.next_due(night.now)
+    assert float(due) == pytest.approx(float(moment("2026-11-26T14:02") + RETRY_S), abs=1)
+
+
+async def test_a_clock_that_jumps_by_a_year_and_back_ends_no_backups(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    night = Night(tmp_path, write_one)
+    times = ("2026-11-26T12:00", "2027-11-26T12:00", "2026-11-26T12:10", "2025-11-26T12:10")
+    await looks_at(night, monkeypatch, *times, "2025-11-26T12:11")
+    assert night.events.codes == ["event_backup_written"] * 4
+    newest = night.backups.newest
+    assert newest is not None
+    assert float(newest) == pytest.approx(float(moment("2025-11-26T12:10")), abs=1)
 
 
 async def test_the_command_writes_what_restore_store_takes(tmp_path: Path) -> None:
     config = tmp_path / "lineside.toml"
     config.write_text('[server]\ndata = "./data"\n[backup]\nfolder = "copies"\n')
     await asyncio.to_thread(add_people, config)
+    (tmp_path / "copies").mkdir()
     settings, events = load(config), Recorded()
     backups = Backups(settings.backup, config, BERLIN, cast(EventLog, events))
     await backups.back_up()
     assert events.codes == ["event_backup_written"], events.reasons
     [archive] = (tmp_path / "copies").glob("*.tar")
     assert archive.stat().st_mode & 0o077 == 0
-    broken = tmp_path / "none"
-    failing = Backups(BackupSettings(folder=broken), tmp_path / "no.toml", BERLIN, cast(EventLog, events))
+    failing = Backups(settings.backup, tmp_path / "no.toml", BERLIN, cast(EventLog, events))
     await failing.back_up()
     assert events.codes[-1] == "event_backup_failed"
     assert "no.toml" in events.reasons[-1]
@@ -194,7 +282,7 @@ def test_what_was_written_is_read_back(tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize(
     "text",
-    ['at = "24:00"', 'at = "2:30"', "keep = 0", "keep = 1.5", 'key_file = "backup.key"', 'fodler = "x"'],
+    ['at = "24:00"', 'at = "2:30"', "keep = 0", "keep = 1.5", 'fodler = "x"'],
 )
 def test_a_bad_setting_is_refused(text: str) -> None:
     with pytest.raises(ValidationError):

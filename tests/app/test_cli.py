@@ -9,10 +9,13 @@ import select
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
+from typing import cast
 
+import click
 import pytest
 from click.testing import CliRunner
 
@@ -60,6 +63,60 @@ def test_every_command_is_there_and_explains_itself() -> None:
 
 
 PRINT_LOADED = "print(*(name for name, module in sys.modules.items() if module is not None))"
+
+
+FACTS = (
+    *("scan", "decode", "check", "status", "report", "home", "user list", "token list", "audit verify"),
+    *("backup", "diff", "restore", "backup-store", "migrate-store", "install-service"),
+)
+"""Commands that print facts."""
+
+
+def every_command(group: click.Group, above: str = "") -> Iterator[tuple[str, click.Command]]:
+    for name in group.list_commands(click.Context(group)):
+        command = group.get_command(click.Context(group), name)
+        assert command is not None
+        yield f"{above}{name}", command
+        if isinstance(command, click.Group):
+            yield from every_command(command, f"{name} ")
+
+
+def test_options_are_the_same_in_every_command() -> None:
+    helps: dict[str, set[str]] = {}
+    with_json = set()
+    for words, command in every_command(cast(click.Group, cli)):
+        assert CliRunner().invoke(cli, [*words.split(), "-h"]).exit_code == 0
+        for option in command.params:
+            if option.opts[0] in ("--config", "--json", "--token", "--token-file"):
+                helps.setdefault(option.opts[0], set()).add(str(option.type.name))
+            with_json |= {words} if "--json" in option.opts else set()
+    assert with_json == {*FACTS}
+    assert {name: len(kinds) for name, kinds in helps.items()} == dict.fromkeys(helps, 1)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_completes_commands_and_options(shell: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def completed(words: str, last: str) -> str:
+        monkeypatch.setenv("COMP_WORDS", words)
+        monkeypatch.setenv("COMP_CWORD", last if shell == "fish" else str(len(words.split()) - bool(last)))
+        monkeypatch.setenv("_LINESIDE_COMPLETE", f"{shell}_complete")
+        return CliRunner().invoke(cli, prog_name="lineside").stdout
+
+    monkeypatch.setenv("_LINESIDE_COMPLETE", f"{shell}_source")
+    assert "_LINESIDE_COMPLETE" in CliRunner().invoke(cli, prog_name="lineside").stdout
+    found = completed("lineside st", "st")
+    assert ("status" in found, "serve" in found) == (True, False)
+    assert "list" in completed("lineside user ", "")
+    assert "--json" in completed("lineside status --j", "--j")
+
+
+def test_completing_a_command_imports_none() -> None:
+    program = (
+        "import sys, click; from app.cli import cli; cli.shell_complete(click.Context(cli), 'st');"
+        " print([name for name in sys.modules if name.startswith('app.cli.')])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 def test_it_prints_its_version() -> None:

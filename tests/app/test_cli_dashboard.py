@@ -164,7 +164,8 @@ def test_a_file_without_certificates_is_named(
 def calls(url: str, file: Path) -> list[list[str]]:
     """Each command that takes a token, as far as it needs one."""
     to = ["--url", url, "--bus", "dry-end", "--unit", "1"]
-    return [["backup", *to, "--out", str(file)], ["diff", *to, str(file)], ["restore", *to, str(file)]]
+    out = str(file.with_name("out.toml"))
+    return [["backup", *to, "--out", out], ["diff", *to, str(file)], ["restore", *to, str(file)]]
 
 
 @pytest.mark.parametrize("number", range(3))
@@ -189,16 +190,17 @@ def test_each_command_takes_its_token_from_a_file_or_the_environment(
 
 
 @pytest.mark.parametrize(
-    "make", [os.mkfifo, os.mkdir, partial(os.symlink, "/dev/null"), partial(os.symlink, "nowhere")]
+    "make",
+    [Path.touch, os.mkfifo, os.mkdir, partial(os.symlink, "/dev/null"), partial(os.symlink, "nowhere")],
 )
-def test_a_backup_replaces_no_device_folder_or_link(tmp_path: Path, make: Callable[[Path], None]) -> None:
+def test_a_backup_replaces_nothing_that_is_there(tmp_path: Path, make: Callable[[Path], None]) -> None:
     """As root, ``--out /dev/null`` made a file of it."""
     out = tmp_path / "out"
     make(out)
     before = out.lstat()
     with serving() as server:
         done = backup(server.url, "--token", "t", "--out", str(out))
-    assert (done.exit_code, "is not a regular file" in done.stderr, server.tokens) == (2, True, [])
+    assert (done.exit_code, "exists already" in done.stderr, server.tokens) == (2, True, [])
     assert (out.lstat().st_mode, out.lstat().st_ino) == (before.st_mode, before.st_ino)
 
 

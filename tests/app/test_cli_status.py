@@ -26,7 +26,7 @@ def config(tmp_path: Path) -> Path:
 
 def test_a_dashboard_that_is_not_there(config: Path) -> None:
     result = CliRunner().invoke(cli, ["status", "--config", str(config)])
-    assert (result.exit_code, result.stdout) == (1, "")
+    assert (result.exit_code, result.stdout.splitlines()[0][:19]) == (1, "Mill 7: not serving")
     assert "lineside: no dashboard responds at http://127.0.0.1:" in result.stderr
     as_json = CliRunner().invoke(cli, ["status", "--config", str(config), "--json"])
     assert as_json.exit_code == 1
@@ -93,7 +93,7 @@ def test_a_dashboard_that_serves(config: Path, play: Callable[[PlayedDashboard],
     assert words in result.stdout
     assert "degraded" not in result.stdout
     printed = json.loads(CliRunner().invoke(cli, [*call, "--json"]).stdout)
-    assert printed["buses"][0] == {**BUS, "units": 2, "units_online": 1}
+    assert printed["buses"][0] == {**BUS, "units": 2, "units_online": 1, "scan_hz": None}
     assert printed["degraded"] == []
 
 

@@ -62,7 +62,7 @@ def test_a_store_is_read_and_no_file_is_made(store: Path) -> None:
     before = files_beside(store)
     assert presence_of(store) == "sound"
     with examining(store) as connection:
-        assert connection.execute("SELECT count(*) FROM events").fetchone() == (0,)
+        assert connection.execute("SELECT count(*) FROM events").fetchone()[0] == 0
     assert files_beside(store) == before
 
 

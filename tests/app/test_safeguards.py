@@ -21,7 +21,7 @@ from app.errors import Problem
 from app.web.access import Person, Role
 from bus.contract import Command, Update
 from bus.instants import Monotonic, UnixTime
-from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged
+from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged, until
 from tests.stores import both_engines, open_store
 
 
@@ -179,8 +179,7 @@ async def test_a_read_only_bus_takes_no_command(stage: Stage) -> None:
     shown = (await stage.request("POST", "/read-only", body, role="admin")).json()
     assert (shown["on"], shown["reason"], shown["until"] > shown["since"]) == (True, "cable is open", True)
     assert sorted(notified) == sorted(stage.live.buses["dry-end"].units)
-    assert await speed(stage, 5) == (423, "blocked")
-    assert await speed(stage, 0) == (423, "blocked")
+    assert await speed(stage, 1500) == (423, "blocked")
     execute = await stage.request("POST", "/execute", {}, role="admin")
     assert (execute.status_code, execute.json()["code"]) == (423, "blocked")
     assert "cable is open" in execute.json()["detail"]
@@ -193,6 +192,41 @@ async def test_a_read_only_bus_takes_no_command(stage: Stage) -> None:
         ("read-only mode ended", "cable is open", None),
         ("bus set to read-only", None, "cable is open (for 30 min)"),
     ]
+
+
+async def test_a_read_only_bus_takes_what_makes_it_slower_and_nothing_else(stage: Stage) -> None:
+    worker = await obeying(stage)
+    assert await speed(stage, 500) == (200, "verified")
+    await stage.request("POST", "/read-only", {"on": True, "reason": "cable is open"})
+    assert await speed(stage, 501) == (423, "blocked")
+    assert await speed(stage, 400, execute=False) == (423, "blocked")
+    assert await speed(stage, 400) == (200, "verified")
+    assert await speed(stage, 0) == (200, "verified")
+    assert await speed(stage, 400) == (423, "blocked")
+    sent = [getattr(command.action, "raw", None) for command in worker.commands]
+    assert sent == [500, 400, 0]
+    await stage.request("POST", "/units/1/block", {"reason": "belt off"}, role="operator")
+    assert await speed(stage, 0) == (423, "blocked"), "a block of the unit is the operator's"
+
+
+async def test_a_speed_that_is_under_way_when_the_bus_becomes_read_only_goes_on_where_it_slows(
+    stage: Stage,
+) -> None:
+    worker = await obeying(stage)
+    assert await speed(stage, 500) == (200, "verified")
+    held = asyncio.Event()
+
+    async def play(command: Command) -> Sequence[Update]:
+        await held.wait()
+        raw = getattr(command.action, "raw", 0)
+        return [reading(1, raw), result_of(command, "verified", read_back=raw)]
+
+    worker.play = play
+    slower = asyncio.create_task(speed(stage, 100))
+    await until(lambda: len(worker.commands) == 2, "the slower speed is sent")
+    await stage.request("POST", "/read-only", {"on": True, "reason": "cable is open"})
+    held.set()
+    assert await slower == (200, "verified")
 
 
 @pytest.mark.parametrize(
@@ -221,7 +255,7 @@ async def test_read_only_ends_after_its_minutes_whatever_the_wall_clock_does(
     stage.guards.on_block(notified.append)
     real = time.monotonic
     monkeypatch.setattr(service, "unix_now", lambda: UnixTime(time.time() + 3600))
-    assert await speed(stage, 5) == (423, "blocked")
+    assert await speed(stage, 1500) == (423, "blocked")
     monkeypatch.setattr(service, "monotonic_now", lambda: Monotonic(real() + 61))
     assert await speed(stage, 5) == (200, "verified")
 

@@ -24,6 +24,7 @@ from app.commands.review import (
     ramp_parameters_missing,
 )
 from app.commands.rules.draw_changes import DrawChange, draw_changes
+from app.commands.rules.slowing import slows_all
 from app.commands.safeguards.limits import Limits
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
@@ -221,7 +222,7 @@ class BusPage(PageContext):
 
     def change(self, unit: int, raw: int) -> SetpointChange:
         """What a new setpoint means for a unit."""
-        block = self.guards.block_reason(unit)
+        block = self.guards.block_reason(unit, slows=slows_all({unit: raw}, self.bus))
         return change_of(self.bus, self.bus.units[unit], raw, self.limits(unit), unix_now(), block=block)
 
     def draws(self, setpoints: Mapping[int, int]) -> list[DrawChange]:

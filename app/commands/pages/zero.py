@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 
 from fastapi import APIRouter
 from starlette.responses import Response
@@ -56,7 +57,7 @@ def _longest_s(bus: BusLive, units: int) -> float:
 
 
 def _plan(page: BusPage) -> ZeroPlan:
-    return plan_zero(page.bus, page.guards.block_reason, unix_now())
+    return plan_zero(page.bus, partial(page.guards.block_reason, slows=True), unix_now())
 
 
 @router.post("", dependencies=[permitted(SET_LINE)])

@@ -1,4 +1,5 @@
-"""A read-only bus: it is sent no command, for a time or until an administrator ends that."""
+"""A read-only bus: it is sent no command but one that makes it slower, for a time or until an administrator
+ends that: who is at the line then, and may not end it, can still slow it down."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ class ReadOnly:
     until: UnixTime | None = None
 
     def refusal(self) -> Message:
-        """Why no command is sent to the bus."""
+        """Why a command is not sent to the bus."""
         return Message.of("bus_read_only", who=account_shown(self.set_by), reason=self.reason)
 
 

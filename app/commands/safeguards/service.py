@@ -89,9 +89,10 @@ class Safeguards:
         """Why no command is sent to the bus, and by whom that was set; None where commands are sent."""
         return self.read_only.of(monotonic_now())
 
-    def block_reason(self, unit: int) -> Message | None:
-        """Why a unit or its bus takes no command, and by whom; None where it does."""
-        block = self.read_only_now() or self.blocks.of(unit)
+    def block_reason(self, unit: int, *, slows: bool = False) -> Message | None:
+        """Why a unit or its bus takes no command, and by whom; None where it does. ``slows``: the command can
+        only make the unit slower, so that a read-only bus takes it."""
+        block = (None if slows else self.read_only_now()) or self.blocks.of(unit)
         return None if block is None else Message.of("block_by", reason=block.reason, who=block.set_by)
 
     async def set_limits(self, person: Person, unit: int, limits: Limits) -> None:
@@ -121,7 +122,8 @@ class Safeguards:
         await self._record(UNBLOCK, person, before.reason, None, unit)
 
     async def set_read_only(self, person: Person, reason: str, minutes: int | None) -> None:
-        """Refuse every write to every unit for so many minutes, or until it is ended. Raises Problem 403."""
+        """Refuse every write that could do more than slow a unit, for so many minutes, or until it is ended.
+        Raises Problem 403."""
         SET_READ_ONLY.check(person)
         before, now = self.read_only_now(), unix_now()
         until = None if minutes is None else now + 60 * minutes

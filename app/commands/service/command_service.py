@@ -190,7 +190,8 @@ class CommandService:
     def _apply_rules(self, action: Action, confirm: bool) -> None:
         self._record.refuse_unlogged(action, self._live)
         # A broadcast reaches units of which nothing is known to be staged, too.
-        mode = self._guards.read_only_now() if action.writes else None
+        slows = kind_of_command(action).only_slows(action, self._live)
+        mode = self._guards.read_only_now() if action.writes and not slows else None
         if mode is not None:
             raise objection("blocked", mode.refusal())
         context = RuleContext(
@@ -254,7 +255,8 @@ class CommandService:
             refusal = link.refusal
             return Result(id=request.id, at=unix_now(), outcome="bus_closed", message=refusal)
         # Storing the intent and what the unit was may have taken a while on a slow disk.
-        reason = await self._why_no_longer(request)
+        slows = kind_of_command(request.action).only_slows(request.action, self._live)
+        reason = await self._why_no_longer(request, slows=slows)
         if reason is not None:
             return Result(id=request.id, at=unix_now(), outcome="not_sent", message=reason)
         # This clock first: whatever stops this process between the two makes the deadline earlier.
@@ -262,13 +264,14 @@ class CommandService:
         command = Command(id=request.id, deadline=deadline, action=request.action)
         return await _while_permitted(
             self._channel.send(command),
-            lambda: self._why_no_longer(request),
+            lambda: self._why_no_longer(request, slows=slows),
             lambda: self._channel.cancel(request.id),
         )
 
-    async def _why_no_longer(self, request: CommandRequest) -> Message | None:
+    async def _why_no_longer(self, request: CommandRequest, *, slows: bool) -> Message | None:
         """Why a command must not be sent, or be given up; None while it may go on. A store that cannot be
-        read now ends nothing that is half done."""
+        read now ends nothing that is half done. ``slows``: it could only make units slower when it was
+        sent."""
         try:
             await self._rights.check(request.person)
         except Problem as problem:
@@ -277,7 +280,7 @@ class CommandService:
             return None
         if not request.action.writes:
             return None
-        if (mode := self._guards.read_only_now()) is not None:
+        if not slows and (mode := self._guards.read_only_now()) is not None:
             return mode.refusal()
         for unit in kind_of_command(request.action).units_written(request.action, self._live):
             block = self._guards.blocks.of(unit)

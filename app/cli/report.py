@@ -1,0 +1,154 @@
+"""``lineside report``: the hand-over report of a shift from the stores, whether the dashboard runs or not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack
+from datetime import datetime
+from typing import Annotated, Any
+from zoneinfo import ZoneInfo
+
+import click
+
+from app.cli.config_option import LINESIDE_TOML, Config
+from app.cli.options import AsJson, Option
+from app.cli.site_reading import reading_site
+from app.database import StoreConnection
+from app.database.engine import snapshot
+from app.database.opening import examining_main
+from app.handover.rules.shift_times import Shift, shift_at, site_time
+from app.handover.shift_report import UnitRun, shift_report
+from app.handover.signatures import signed_between
+from app.history.service import FILE as HISTORY
+from app.settings import Settings, load
+from app.web.shape import iso
+from bus.errors import CallerError
+from bus.instants import UnixTime, unix_now
+from bus.messages import Message, ParamValue, number
+
+MAX_LINES = 50
+"""Of a section of the printed report; all are in the JSON."""
+
+
+def report(
+    shift: Annotated[
+        str,
+        Option(
+            help="When the shift starts, such as 2026-11-26T06:00; or 'now', or 'last' for the one before."
+        ),
+    ] = "last",
+    config: Config = LINESIDE_TOML,
+    as_json: AsJson = False,
+) -> None:
+    """Show the report of a shift: run time, stops with their causes and length of each unit, alarms, changes
+    and notes. It is read from the stores of this machine, also from a copy of them."""
+    settings, now = load(config), unix_now()
+    with ExitStack() as opened:
+        connection = opened.enter_context(reading_site(settings))
+        history = _history(settings, opened)
+        opened.enter_context(snapshot(connection))
+        found = shift_report(connection, history, settings, _shift_of(connection, settings, shift, now), now)
+    if as_json:
+        click.echo(json.dumps(found, ensure_ascii=False))
+        return
+    for line in _lines(found, ZoneInfo(settings.site.zone)):
+        click.echo(line)
+
+
+def _history(settings: Settings, opened: ExitStack) -> StoreConnection | None:
+    file = settings.server.data / HISTORY
+    if not settings.store.url and not file.exists():
+        return None
+    return opened.enter_context(examining_main(settings.store, file, file.stem))
+
+
+def _shift_of(connection: StoreConnection, settings: Settings, named: str, now: UnixTime) -> Shift:
+    """Raises CallerError where no shift starts then, or it has not begun."""
+    starts, zone = settings.shift.minutes, ZoneInfo(settings.site.zone)
+    present = shift_at(now, starts, zone)
+    if named in ("now", "last"):
+        return present if named == "now" else shift_at(present.start - 1.0, starts, zone)
+    try:
+        written = datetime.fromisoformat(named)
+    except ValueError:
+        raise CallerError(Message.of("report_shift_malformed", text=named)) from None
+    at = UnixTime((written if written.tzinfo else written.replace(tzinfo=zone)).timestamp())
+    if not UnixTime(0.0) < at <= now:
+        raise CallerError(Message("shift_not_begun"))
+    if signed := signed_between(connection, at, at):
+        return signed[0]
+    shift = shift_at(at, starts, zone)
+    if shift.start != at:
+        raise CallerError(Message.of("shift_unknown", time=site_time(at, zone), start=iso(shift.start)))
+    return shift
+
+
+def _lines(found: dict[str, Any], zone: ZoneInfo) -> Iterator[str]:
+    def clock(instant: str) -> str:
+        return datetime.fromisoformat(instant).astimezone(zone).strftime("%H:%M")
+
+    start, until = (datetime.fromisoformat(found[each]).astimezone(zone) for each in ("start", "until"))
+    span = {"site": found["site"], "start": f"{start:%Y-%m-%d %H:%M}", "end": f"{until:%H:%M}"}
+    yield str(Message("report_head", {**span, "zone": found["time_zone"]}))
+    for unit in found["units"]:
+        yield from map(str, _unit_lines(unit, clock))
+    yield from _section("report_alarms", [_alarm(each, clock) for each in found["alarms"]])
+    yield from _section("report_standing", [_alarm(each, clock) for each in found["standing"]])
+    changes = [*found["limits"]["events"], *found["recipes"]["events"], *found["done"]["events"]]
+    changes.sort(key=lambda event: int(event["id"]))
+    yield from _section("report_changes", [_change(each, clock) for each in changes])
+    notes = [each for each in found["notes"] if each["corrected_by"] is None]
+    yield from _section(
+        "report_notes", [f"{clock(each['time'])} {each['who']}: {each['text']}" for each in notes]
+    )
+    yield from _section("report_omissions", [each["detail"] for each in found["omissions"]])
+
+
+def _section(code: str, lines: list[str]) -> Iterator[str]:
+    """The newest lines of a section; its head has how many there are."""
+    yield str(Message.of(code, n=len(lines)))
+    yield from (f"  {line}" for line in lines[-MAX_LINES:])
+
+
+def _unit_lines(unit: UnitRun, clock: Any) -> Iterator[Message]:
+    place: dict[str, ParamValue] = {"bus": unit["bus"], "unit": unit["unit"], "name": unit["name"]}
+    if "running_s" not in unit:
+        yield Message("report_unit_ratio", place)
+        return
+    stops = unit["stops"]
+    place |= {"ran": _hours(unit["running_s"]), "known": _hours(unit["known_s"]), "n": len(stops)}
+    if unit["length"] is None:
+        yield Message("report_unit", place)
+    else:
+        length = number(f"{unit['length']:.1f}")
+        yield Message(
+            "report_unit_length", place | {"length": length, "length_unit": unit["length_unit"] or ""}
+        )
+    for stop in stops[-MAX_LINES:]:
+        yield Message.of(
+            "report_stop",
+            start=clock(stop["start"]),
+            end=clock(stop["end"]),
+            lasted=_hours(stop["seconds"]),
+            cause=Message(f"report_stop_{stop['cause']}"),
+        )
+
+
+def _hours(seconds: float) -> str:
+    """Hours, minutes and seconds, such as 7:05:00."""
+    all_minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(all_minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}"
+
+
+def _alarm(each: dict[str, Any], clock: Any) -> str:
+    place = f"{each['bus']}/{each['unit']} " if each["unit"] is not None else f"{each['bus'] or ''} ".lstrip()
+    return f"{clock(each['time'])} {place}{each['name']} ({each['priority']})"
+
+
+def _change(event: dict[str, Any], clock: Any) -> str:
+    place = "/".join(str(each) for each in (event["bus"], event["unit"]) if each is not None)
+    values = " → ".join(each for each in (event["old"], event["new"]) if each)
+    parts = (clock(event["time"]) if event["time"] else "", event["who"], place, event["what"], values)
+    return " ".join(part for part in (*parts, event["outcome"] or "") if part)

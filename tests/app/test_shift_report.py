@@ -1,0 +1,215 @@
+"""``lineside report``: what each unit did in a shift, and what people have to know of it, from the stores
+alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.alarms.store import JournalEntry, write_alarms
+from app.cli import cli
+from app.database import SqliteDatabase
+from app.handover.notes import Note
+from app.handover.notes import add as add_note
+from app.handover.rules.shift_times import Shift
+from app.history.series.rollup import rollup
+from app.history.series.run_time import RunFigures, run_figures, runs_of_minutes
+from app.history.series.runs import MINUTE, SECOND, Run
+from bus.contract import Reading
+from bus.instants import UnixTime
+from tests.app.history_line import NOON, Shelf
+from tests.e2e.site import add_people
+
+SHIFT = "2026-11-21T06:00"
+"""It has NOON in it."""
+RUN, ESTOP_HEALTHY = 1, 2
+ON = RUN | ESTOP_HEALTHY
+
+
+def run(at: float, until: float, actual: int, *, commanded: int = 100, inputs: int = ON) -> Run:
+    readings = max(1, round((until - at) * 4))
+    return Run(round(at * SECOND), round(until * SECOND), readings, commanded, actual, 0, inputs)
+
+
+def figures(runs: Sequence[Run], start: float = 0, end: float = 100) -> RunFigures:
+    return run_figures(runs, round(start * SECOND), round(end * SECOND), 1, lambda _, raw: raw / 10)
+
+
+def test_it_runs_while_its_speed_is_not_zero_and_each_stop_has_its_cause() -> None:
+    found = figures(
+        [
+            run(0, 10, 50),
+            run(10.2, 20, 0, inputs=ESTOP_HEALTHY),
+            run(20.2, 30, 50),
+            run(30.2, 40, 0, inputs=RUN),
+            run(40.2, 50, 50),
+            run(50.2, 60, 0, commanded=0),
+            run(60.2, 70, 50),
+            run(70.2, 80, 0),
+            run(80.2, 100, 100),
+        ]
+    )
+    assert [stop.cause for stop in found.stops] == ["run_off", "estop", "speed_zero", "unknown"]
+    assert [(stop.at / SECOND, stop.until / SECOND) for stop in found.stops] == [
+        *((10.2, 20.2), (30.2, 40.2), (50.2, 60.2), (70.2, 80.2))
+    ]
+    assert found.known == 100 * SECOND
+    assert found.running == 60 * SECOND
+    assert found.travel == pytest.approx((5 * 40.2 + 10 * 19.8) * SECOND, rel=0.01)
+
+
+def test_a_hole_is_neither_running_nor_a_stop_and_a_stop_over_it_is_one() -> None:
+    found = figures([run(0, 10, 0), run(60, 70, 0), run(70.2, 80, 50)])
+    assert (found.known, found.running) == (30 * SECOND, round(9.8 * SECOND))
+    assert [(stop.at, stop.until) for stop in found.stops] == [(0, round(70.2 * SECOND))]
+
+
+def test_readings_outside_of_the_span_do_not_count() -> None:
+    found = figures([run(0, 30, 50), run(30.2, 60, 0), run(60.2, 90, 50)], start=10, end=40)
+    assert (found.known, found.running) == (30 * SECOND, round(20.2 * SECOND))
+    assert [stop.until for stop in found.stops] == [40 * SECOND]
+
+
+def test_nothing_known_is_nothing() -> None:
+    assert figures([]) == RunFigures()
+
+
+@given(st.lists(st.tuples(st.integers(1, 200), st.integers(0, 3)), max_size=40))
+def test_running_and_stops_fill_the_known_time(parts: list[tuple[int, int]]) -> None:
+    runs, at = [], 0
+    for lasting, actual in parts:
+        runs.append(run(at, at + lasting, actual))
+        at += lasting
+    found = figures(runs, end=10_000)
+    assert found.running + sum(stop.until - stop.at for stop in found.stops) == found.known == at * SECOND
+
+
+def test_minutes_whose_readings_are_given_up_count_as_minutes() -> None:
+    moved, stood = run(0, 59, 50), run(60, 119, 0, inputs=ESTOP_HEALTHY)
+    runs = runs_of_minutes([rollup([moved], 0), rollup([stood], MINUTE)])
+    found = figures(runs, end=120)
+    assert (found.known, found.running) == (120 * SECOND, 60 * SECOND)
+    assert [stop.cause for stop in found.stops] == ["run_off"]
+
+
+CONFIGURATION = """\
+[site]
+name = "Mill"
+time_zone = "UTC"
+[server]
+data = "data"
+[[bus]]
+name = "dry-end"
+port = "/dev/ttyUSB0"
+[[bus.unit]]
+id = 1
+name = "Unwind"
+[bus.unit.labels]
+unit = "m/min"
+[[bus.unit]]
+id = 2
+name = "Rewind"
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "lineside.toml"
+    path.write_text(CONFIGURATION)
+    add_people(path)
+    return path
+
+
+def unit_reading(at: float, actual: int) -> Reading:
+    return Reading(unit=1, at=UnixTime(at), commanded=actual, actual=actual, analog=0, outputs=0, inputs=ON)
+
+
+def called(config: Path, *more: str) -> Result:
+    return CliRunner().invoke(cli, ["report", "--config", str(config), *more])
+
+
+def report_of(config: Path, *more: str) -> dict[str, Any]:
+    done = called(config, "--json", *more)
+    assert done.exit_code == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_a_shift_has_the_run_time_stops_and_length_of_each_unit(config: Path) -> None:
+    shelf = Shelf(config.parent / "data" / "history.db")
+    shelf.keep([unit_reading(NOON + second / 4, 60 if second < 1200 else 0) for second in range(2400)])
+    shelf.close()
+    before = {path: path.read_bytes() for path in sorted(config.parent.rglob("*")) if path.is_file()}
+    found = report_of(config, "--shift", SHIFT)
+    assert {path: path.read_bytes() for path in sorted(config.parent.rglob("*")) if path.is_file()} == before
+    unwind, rewind = found["units"]
+    assert (unwind["name"], unwind["known_s"], unwind["running_s"]) == ("Unwind", 599.75, 300.0)
+    [stop] = unwind["stops"]
+    assert (stop["seconds"], stop["cause"]) == (299.75, "speed_zero")
+    assert (unwind["length"], unwind["length_unit"]) == (300.0, "m")
+    assert (rewind["known_s"], rewind["length"]) == (0, None)
+    shown = called(config, "--shift", SHIFT)
+    assert shown.exit_code == 0
+    assert "dry-end/1 Unwind: ran 0:05:00 of 0:10:00, 1 stop, 300.0 m" in shown.stdout
+    assert "0:05:00: commanded speed 0" in shown.stdout
+
+
+def test_without_history_there_are_the_events(config: Path) -> None:
+    found = report_of(config, "--shift", "now")
+    assert (found["site"], found["units"], found["alarms"], found["notes"]) == ("Mill", [], [], [])
+    assert found["omissions"]
+    assert "0 alarms came" in called(config, "--shift", "now").stdout
+    assert report_of(config)["end"] == found["start"], "without a name it is the last that ended"
+
+
+@pytest.mark.parametrize(
+    ("shift", "reason"),
+    [
+        ("yesterday", "is no start of a shift"),
+        ("2026-01-01T06:30", "No shift starts at 2026-01-01 06:30"),
+        ("2999-01-01T06:00", "has not begun"),
+    ],
+)
+def test_a_shift_that_is_none_is_wrong_use(config: Path, shift: str, reason: str) -> None:
+    done = called(config, "--shift", shift)
+    assert (done.exit_code, reason in done.stderr) == (2, True), done.stderr
+
+
+def test_it_has_the_alarms_that_came_changes_and_notes(config: Path) -> None:
+    came = JournalEntry(
+        alarm="dry-end.1.unit_offline",
+        code="unit_offline",
+        name="Unit is offline",
+        bus="dry-end",
+        unit=1,
+        occurrence=1,
+        priority="high",
+        at=UnixTime(NOON),
+        trigger="rise",
+        before="normal",
+        after="unack_active",
+    )
+    later = replace(came, at=UnixTime(NOON + 9000), occurrence=2)
+    shift = Shift(UnixTime(NOON - 21_600), UnixTime(NOON + 7200))
+    note = Note(UnixTime(NOON), UnixTime(NOON), "anna", "Belt is new", "dry-end", 1, None, None, "anna", None)
+    with closing(SqliteDatabase(config.parent / "data" / "lineside.db")) as database:
+        journal = [asdict(entry) for entry in (came, later)]
+        database.write_now(lambda store: write_alarms(store, {"journal": journal, "facts": []}, False))
+        database.write_now(lambda store: add_note(store, note, shift))
+    found = report_of(config, "--shift", SHIFT)
+    assert [(each["code"], each["unit"]) for each in found["alarms"]] == [("unit_offline", 1)]
+    assert [each["text"] for each in found["notes"]] == ["Belt is new"]
+    shown = called(config, "--shift", SHIFT).stdout
+    assert "  12:00 dry-end/1 Unit is offline (high)" in shown
+    assert "  12:00 anna: Belt is new" in shown
+    changes = [line for line in called(config, "--shift", "now").stdout.splitlines() if "change" in line]
+    assert changes == ["0 changes"], "users and tokens are in the audit log"
