@@ -1,6 +1,5 @@
-# make demo [PORT=8100] | test | soak | flaky [N=20] | coverage | setup | bench | check | docs | screenshots | lock | clean
+# make demo [PORT=8100] | test | soak | flaky [N=20] | coverage | setup | bench | check | docs | release | screenshots | lock | clean
 PYTHON ?= python3
-PORT ?= 8000
 N ?= 20
 VENV := .venv
 BIN := $(VENV)/bin
@@ -16,18 +15,20 @@ COVERAGE := COVERAGE_RCFILE=tests/coverage.toml $(BIN)/coverage
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
 
-.PHONY: demo free-port test browser-tests other-tests soak flaky coverage setup bench check docs screenshots lock clean development
+.PHONY: demo free-port test browser-tests other-tests soak flaky coverage setup bench check docs release screenshots lock clean development
 .DEFAULT_GOAL := demo
 # Without its cache of compiled modules, each of hundreds of processes in the tests compiles the whole program.
 unexport PYTHONDONTWRITEBYTECODE
 
 demo: free-port setup
-	$(BIN)/lineside demo --port $(PORT)
+	$(BIN)/lineside demo $(if $(PORT),--port $(PORT))
 
-# Before everything that a first set-up takes.
+# Before everything that a first set-up takes: whether a port that was chosen has another program. What else may be
+# wrong of it, `lineside demo` states. Without a choice it takes 8000, or the next that is free.
 free-port:
-	@$(PYTHON) -c 'import socket; socket.create_server(("127.0.0.1", $(PORT)))' 2>/dev/null || \
-		{ echo "Port $(PORT) is in use. End the program that has it, or choose another: make demo PORT=8100" >&2; exit 1; }
+	@case "$(PORT)" in *[!0-9]*) echo "PORT=$(PORT) is no number. Example: make demo PORT=8100" >&2; exit 1;; esac
+	@test -z "$(PORT)" || $(PYTHON) -c 'import socket, sys; sys.exit(3 * (socket.socket().connect_ex(("127.0.0.1", $(PORT))) == 0))' 2>/dev/null || \
+		test $$? -ne 3 || { echo "Port $(PORT) is in use. End the program that has it, or choose another: make demo PORT=8100" >&2; exit 1; }
 
 setup: $(VENV)/.lineside
 
@@ -67,6 +68,11 @@ bench: development
 # The handbook as files for a web server or a stick: build/docs/index.html.
 docs: setup
 	$(BIN)/python -m docs.site build/docs
+
+# What people install, in build/release: source archive, wheel, Debian package, bundle for machines without a network,
+# list of parts, checksums.
+release: development
+	$(BIN)/python -m release build/release
 
 screenshots: development
 	$(BIN)/python -m docs.screenshots

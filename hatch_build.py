@@ -97,7 +97,7 @@ def _install(root: Path, work: Path) -> Path:
     """Run npm away from the checkout, whose own node_modules also holds what the checks need."""
     npm = shutil.which("npm")
     if npm is None:
-        sys.exit("There is no npm. Building from a checkout needs Node 20 or newer; a wheel needs none.")
+        sys.exit("There is no npm. Building from a checkout needs Node 18 or newer; a wheel needs none.")
     for name in ("package.json", "package-lock.json"):
         shutil.copyfile(root / name, work / name)
     subprocess.run(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from copy import copy
-from importlib.metadata import version
 
 from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
@@ -49,6 +48,7 @@ from app.settings import Settings
 from app.sites import feature as sites
 from app.swap import feature as swap
 from app.tray import feature as tray
+from app.version import VERSION
 from app.web import feature as web
 from app.web import problems
 from app.web.anonymous import AnonymousLimiter
@@ -105,7 +105,7 @@ def create_app(
     app = FastAPI(
         title="Lineside",
         summary="Monitor and command a line of DIGIMAX IV drives",
-        version=version("lineside"),
+        version=VERSION,
         lifespan=_lifespan,
         openapi_url=None,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -11,3 +12,13 @@ def sizes(smallest: Any, *long: Any) -> list[Any]:
     """The values of a parameter, for ``pytest.mark.parametrize``."""
     soak = ((value if isinstance(value, tuple) else (value,)) for value in long)
     return [smallest, *(pytest.param(*values, marks=pytest.mark.soak) for values in soak)]
+
+
+def in_turn(values: Sequence[Any], others: Sequence[Any]) -> list[Any]:
+    """Every pair of both, for the parameters of a walk that takes long: ``make test`` has each value once,
+    with the others in turn, ``make soak`` the pairs that are left."""
+    return [
+        pytest.param(value, other, marks=[pytest.mark.soak] * (other != others[number % len(others)]))
+        for number, value in enumerate(values)
+        for other in others
+    ]

@@ -9,7 +9,8 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
-from tests.catalogs import wanted
+from app.messages.languages import catalogs
+from tests.catalogs import catalog_at, wanted
 
 ROOT = Path(__file__).resolve().parent.parent
 SOAK = "pytest.mark.soak"
@@ -25,8 +26,9 @@ def words_of(text: str) -> list[str]:
 
 @cache
 def texts() -> tuple[str, ...]:
-    """The words of every English text of pages and messages."""
-    found = ((text,) if isinstance(text, str) else text for text in wanted().values())
+    """The words of every text of pages and messages, in each language."""
+    translated = (message.string for path in catalogs().values() for message in catalog_at(path))
+    found = ((text,) if isinstance(text, str) else text for text in (*wanted().values(), *translated))
     return tuple(" ".join(words_of(text)) for forms in found for text in forms)
 
 

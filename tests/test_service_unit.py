@@ -95,10 +95,13 @@ def test_every_command_of_the_service_runs_as_its_user() -> None:
 
 def test_its_folders_are_those_of_the_configuration() -> None:
     service, settings = Unit(UNITS["lineside.service"]).service, tomllib.loads(CONFIGURATIONS[0])
-    assert settings["server"]["data"] == f"{STATE}/{service['StateDirectory']}"
+    state = f"{STATE}/{service['StateDirectory']}"
+    assert Path(settings["server"]["data"]).parent == Path(state), (
+        "the anchor of the audit log is beside the data"
+    )
     assert service["ReadWritePaths"] == CONFIGURATION
     made = {shlex.split(line)[-1] for line in COMMANDS if line.startswith(MAKE_FOLDER)}
-    assert made == {CONFIGURATION, settings["server"]["data"]}
+    assert made == {CONFIGURATION, state}
     assert "`LINESIDE_TOKEN=…`" in TEXT
     for unit in UNITS.values():
         called = shlex.split(Unit(unit).service["ExecStart"])
@@ -175,7 +178,7 @@ def test_the_service_serves_and_keeps_its_data_as_configured(root: Path) -> None
     port = free_port()
     text = below(root, CONFIGURATIONS[0]).replace("port = 8000", f"port = {port}")
     (root / "etc/lineside/lineside.toml").write_text(text)
-    assert f"data in {root}/var/lib/lineside\n" in typed(root, "check")
+    assert f"data in {root}/var/lib/lineside/data, created at the first start\n" in typed(root, "check")
     typed(root, "status", code=1)
     with running(root, "lineside.service"):
 
@@ -188,7 +191,7 @@ def test_the_service_serves_and_keeps_its_data_as_configured(root: Path) -> None
 
         eventually(serves, "the dashboard serves")
         assert f"serving at http://127.0.0.1:{port}, Lineside " in typed(root, "status")
-    assert (root / "var/lib/lineside/lineside.db").is_file()
+    assert (root / "var/lib/lineside/data/lineside.db").is_file()
     made = {path.name for path in (root / "etc").rglob("*") if path.is_file()}
     assert made <= {"lineside.toml", "lineside.audit.key", "lineside.audit.key.anchor"}
     readable = [path for path in (root / "var").rglob("*") if path.is_file() and path.stat().st_mode & 0o077]

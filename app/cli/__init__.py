@@ -98,9 +98,9 @@ class Lazy(click.Group):
 
 def _print_version(ctx: click.Context, _: click.Parameter, requested: bool) -> None:
     if requested:
-        from importlib.metadata import version
+        from app.version import VERSION
 
-        click.echo(f"lineside {version('lineside')}")
+        click.echo(f"lineside {VERSION}")
         ctx.exit()
 
 

@@ -15,7 +15,6 @@ import tarfile
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -34,6 +33,7 @@ from app.database.reserve import free_bytes
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import load
+from app.version import VERSION
 from bus.instants import unix_now
 from bus.messages import Message
 
@@ -77,7 +77,7 @@ def write_backup(data: Path, file: Path, files: SiteFiles | None = None) -> list
         for place in beside:
             write_file(place, b"" if files is None else files.content)
         about = {
-            "lineside": version("lineside"),
+            "lineside": VERSION,
             "time": unix_now(),
             "stores": dict(map(_digest, copies)),
             "files": dict(map(_digest, beside)),

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
-from app.cli.listening import listen
+from app.cli.listening import listen, listen_from
 from app.cli.options import Option
 from app.errors import StoreError
 from app.server.service_manager import ServiceManager
@@ -20,19 +20,23 @@ from bus.messages import Message
 from bus.settings import UnitSettings
 from bus.worker.parent import tied_environment
 
+HOST, PORT = "127.0.0.1", 8000
 CHOOSE = Message("choose_port_demo")
 
 
 def demo(
     units: Annotated[int, Option(min=1, max=255, help="Number of units.")] = 8,
-    port: Annotated[int, Option(min=0, max=65535, help="Port of the dashboard; 0 takes a free port.")] = 8000,
+    port: Annotated[
+        int | None,
+        Option(min=0, max=65535, help=f"Port of the dashboard; without it {PORT}, or the next that is free."),
+    ] = None,
 ) -> None:
     """Run a simulated line with a past and its dashboard until Ctrl-C. Its data is deleted afterwards."""
     with (
-        listen("127.0.0.1", port, CHOOSE) as listening,
+        listen_from(HOST, PORT, CHOOSE) if port is None else listen(HOST, port, CHOOSE) as listening,
         tempfile.TemporaryDirectory(prefix="lineside-demo-") as folder,
     ):
-        here = Path(folder)
+        here, taken = Path(folder), listening.getsockname()[1]
         with _simulator(units, here / "line") as begun:
             # The simulator begins in its own process while this one reads the rest.
             from app.cli.hosting import host
@@ -40,7 +44,7 @@ def demo(
             from bus.simulator.demo import demo_line
 
             line, config = demo_line(units), here / "lineside.toml"
-            config.write_text(configuration(here / "line", port, line.settings), encoding="utf-8")
+            config.write_text(configuration(here / "line", taken, line.settings), encoding="utf-8")
             settings = load(config)
             write_past(settings, line)
             begun()

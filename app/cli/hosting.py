@@ -16,6 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import structlog
 import uvloop
 from pydantic import BaseModel
 
@@ -29,6 +30,7 @@ from app.messages.languages import catalogs
 from app.messages.locales import locale_of
 from app.server.service_manager import ServiceManager
 from app.settings import Settings
+from app.version import VERSION
 from bus.errors import LinesideError
 from bus.messages import Message
 from bus.worker.log import configure_log
@@ -72,6 +74,7 @@ def host(
 ) -> None:
     """Serve at ``listening`` until SIGTERM or SIGINT. Raises HostingError and StoreError in words."""
     configure_log()
+    structlog.get_logger().info("lineside", version=VERSION)
     sys.setswitchinterval(SWITCH_S)
     # Its own workers never depend on a certificate: it may expire while they run.
     is_encrypted = settings.server.tls is not None

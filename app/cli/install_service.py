@@ -16,7 +16,7 @@ from typing import Annotated
 import click
 
 from app.cli.ending import report, wrong_option
-from app.cli.init import likely_port, starter
+from app.cli.init import USUAL_PORT, likely_port, starter
 from app.cli.options import Option
 from app.cli.service_unit import CONFIGURATION, DATA, UNIT_FILE, USER, ServiceUnit
 from app.errors import system_error
@@ -87,15 +87,20 @@ def carry_out(
 
 def write_configuration(unit: ServiceUnit) -> None:
     """A first configuration with the folder of the data; one that is there stays as it is."""
-    text = starter(unit.configuration, likely_port())
-    text = re.sub(r'^data = ".*"', f"data = {json.dumps(str(DATA))}", text, flags=re.M)
     try:
         with unit.configuration.open("x", encoding="utf-8") as file:
-            file.write(text)
+            file.write(first_configuration(unit.configuration, likely_port()))
     except FileExistsError:
         return
     unit.configuration.chmod(0o640)
     shutil.chown(unit.configuration, unit.user, unit.user)
+
+
+def first_configuration(path: Path, port: str = USUAL_PORT) -> str:
+    """The text of the configuration that a service begins with, at ``path``."""
+    # Below the folder that the service may write in: the anchor of the audit log is beside the data.
+    data = json.dumps(str(DATA / "data"))
+    return re.sub(r'^data = ".*"', f"data = {data}", starter(path, port), flags=re.M)
 
 
 def user_exists(name: str) -> bool:

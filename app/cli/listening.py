@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import socket
+from contextlib import suppress
 
 from app.errors import system_error
 from bus.errors import LinesideError
@@ -11,10 +12,23 @@ from bus.messages import Message
 
 BACKLOG = 512
 """Browsers of a plant reconnect at once after a restart."""
+NEXT_PORTS = 10
 
 
 class ListenError(LinesideError):
     """The dashboard's port cannot be taken; the text gives the reason and what to do."""
+
+
+class PortInUse(ListenError):
+    """Another program has the port."""
+
+
+def listen_from(host: str, first: int, choose: Message) -> socket.socket:
+    """Take ``first`` of ``host``, or else the next port that is free. Raises ListenError."""
+    for port in range(first, first + NEXT_PORTS):
+        with suppress(PortInUse):
+            return listen(host, port, choose)
+    return listen(host, first, choose)
 
 
 def listen(host: str, port: int, choose: Message) -> socket.socket:
@@ -24,7 +38,8 @@ def listen(host: str, port: int, choose: Message) -> socket.socket:
     try:
         return socket.create_server((host, port), family=family, backlog=BACKLOG, dualstack_ipv6=both)
     except (OSError, OverflowError) as error:
-        raise ListenError(_reason(host, port, choose, error)) from error
+        in_use = getattr(error, "errno", None) == errno.EADDRINUSE
+        raise (PortInUse if in_use else ListenError)(_reason(host, port, choose, error)) from error
 
 
 def _reason(host: str, port: int, choose: Message, error: Exception) -> Message:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import click
 
+from app.cli.bus_table import bus_table
 from app.cli.ending import complain, ending, report, wrong_option
 from app.cli.options import AsJson, Option
 from app.web.shape import message_shown
@@ -42,19 +43,15 @@ def scan(
         bool, Option("--every-baud", help="Scan at all six baud rates, even after a response.")
     ] = False,
     as_json: AsJson = False,
+    as_toml: Annotated[
+        bool, Option("--toml", help="The result as a [[bus]] to paste into lineside.toml.")
+    ] = False,
 ) -> None:
     """Poll every address, twice without a response; nothing is written to any unit.
 
     Exit 0 when a unit responded, 1 when none did, 130 when interrupted by Ctrl-C.
     """
-    try:
-        check_port(port)
-    except ValueError as error:
-        raise wrong_option("--port", "option_port_refused", port=repr(port), reason=error.args[0]) from error
-    if baud is not None and baud not in BAUDS:
-        raise wrong_option("--baud", "option_none_of", value=baud, known=list(BAUDS))
-    if first > last:
-        raise wrong_option("--first", "option_first_above_last", first=first, last=last)
+    _refuse_wrong_use(port, baud, first, last, as_json and as_toml)
     bauds = bauds_to_try(port, baud)
     addresses = range(first, last + 1)
     report(announcement(port, bauds, addresses, turnaround_ms / 1000, every_baud), err=True)
@@ -63,20 +60,36 @@ def scan(
     code = 0
     try:
         with ending():
-            asyncio.run(_scan(scans, port, bauds, addresses, turnaround_ms / 1000, every_baud))
+            asyncio.run(scan_bauds(scans, port, bauds, addresses, turnaround_ms / 1000, every_baud))
     except click.exceptions.Exit:
         if not any(done.found for done in scans):
             raise
         failure, code = Message("scan_port_lost"), 1
     except KeyboardInterrupt:
         failure, code = Message("scan_interrupted"), INTERRUPTED
-    _report(port, scans, as_json, turnaround_ms, complete=failure is None)
+    if as_toml:
+        click.echo(bus_table(port, units_of(scans), allowed_ms(scans)), nl=False)
+    else:
+        _report(port, scans, as_json, turnaround_ms, complete=failure is None)
     if failure is not None:
         complain(failure)
         raise click.exceptions.Exit(code)
     if not any(done.found for done in scans):
         complain(Message.of("scan_no_response", bauds=[done.baud for done in scans]))
         raise click.exceptions.Exit(1)
+
+
+def _refuse_wrong_use(port: str, baud: int | None, first: int, last: int, is_twofold: bool) -> None:
+    try:
+        check_port(port)
+    except ValueError as error:
+        raise wrong_option("--port", "option_port_refused", port=repr(port), reason=error.args[0]) from error
+    if baud is not None and baud not in BAUDS:
+        raise wrong_option("--baud", "option_none_of", value=baud, known=list(BAUDS))
+    if is_twofold:
+        raise wrong_option("--toml", "option_not_both", other="--json")
+    if first > last:
+        raise wrong_option("--first", "option_first_above_last", first=first, last=last)
 
 
 def bauds_to_try(port: str, baud: int | None) -> tuple[int, ...]:
@@ -111,7 +124,7 @@ def _duration(seconds: float) -> Message:
     return Message.of("duration_seconds", seconds=max(rest, 1))
 
 
-async def _scan(
+async def scan_bauds(
     scans: list[BaudScan],
     port: str,
     bauds: Sequence[int],
@@ -119,6 +132,8 @@ async def _scan(
     turnaround_s: float,
     every_baud: bool,
 ) -> None:
+    """Scan at one baud rate after another, by default until one has a unit; each adds to ``scans`` as it
+    begins, so that an early end leaves what was found. Raises WireError."""
     for baud in bauds:
         scans.append(BaudScan(baud, turnaround_s))
         length = PASSES * len(addresses)
@@ -128,23 +143,33 @@ async def _scan(
             break
 
 
+def units_of(scans: Sequence[BaudScan]) -> list[Found]:
+    """What responded, in the order of the scan."""
+    return [one for done in scans for one in done.found]
+
+
+def allowed_ms(scans: Sequence[BaudScan]) -> int:
+    """What units were allowed to take in the end."""
+    return max(round(1000 * done.turnaround_s) for done in scans)
+
+
 def _report(
     port: str, scans: Sequence[BaudScan], as_json: bool, turnaround_ms: float, *, complete: bool
 ) -> None:
-    found = [one for done in scans for one in done.found]
+    found = units_of(scans)
     remarks = conclude(found)
     if any(done.echoes for done in scans):
         remarks.append(Message("scan_echo"))
-    allowed_ms = max(round(1000 * done.turnaround_s) for done in scans)
-    if allowed_ms > turnaround_ms:
-        remarks.append(Message.of("scan_turnaround", value=allowed_ms))
+    needed_ms = allowed_ms(scans)
+    if needed_ms > turnaround_ms:
+        remarks.append(Message.of("scan_turnaround", value=needed_ms))
     if as_json:
         document = {
             "port": port,
             "bauds": [{"baud": done.baud, "seconds": round(done.seconds, 3)} for done in scans],
             "units": [_unit_json(one) for one in found],
             **_remarks(remarks),
-            "settings": {**settings_seen(found), "turnaround_ms": allowed_ms},
+            "settings": {**settings_seen(found), "turnaround_ms": needed_ms},
             "complete": complete,
         }
         click.echo(json.dumps(document))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import ssl
-from importlib.metadata import version
 from typing import Any
 
 import click
@@ -18,6 +17,7 @@ from app.cli.listening import url_of
 from app.cli.options import AsJson
 from app.cli.status_lines import facts_json, facts_lines, site_facts
 from app.settings import Settings, load
+from app.version import VERSION
 from bus.errors import LinesideError
 from bus.instants import unix_now
 from bus.messages import Message, number
@@ -51,7 +51,7 @@ def status(
         click.echo(json.dumps({**shown, "degraded": degraded, **facts_json(settings, facts)}))
     else:
         code = "dashboard_serves" if serves else "dashboard_is_off"
-        report(Message.of(code, site=settings.site.name, url=url, version=version("lineside")))
+        report(Message.of(code, site=settings.site.name, url=url, version=VERSION))
         lines = map(_configured, settings.bus) if buses is None else map(_line, buses)
         for line in (*lines, *facts_lines(settings, facts)):
             click.echo(f"  {line}")

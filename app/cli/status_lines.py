@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import version
 from typing import Any
 from zoneinfo import ZoneInfo
 
@@ -20,6 +19,7 @@ from app.cli.site_facts import (
 from app.handover.rules.shift_times import site_time
 from app.history.query.forecast import MAX_DAYS
 from app.settings import Settings
+from app.version import VERSION
 from app.web.shape import iso
 from bus.instants import UnixTime
 from bus.messages import Message, number
@@ -63,7 +63,7 @@ def facts_json(settings: Settings, facts: SiteFacts) -> dict[str, Any]:
     backup = facts.backup
     return {
         "site": settings.site.name,
-        "version": version("lineside"),
+        "version": VERSION,
         "configured": [
             {"name": bus.name, "port": bus.port, "baud": bus.baud, "units": len(bus.unit)}
             for bus in settings.bus

@@ -16,7 +16,7 @@ import sys
 import tarfile
 import time
 from collections.abc import Iterable, Iterator
-from importlib.metadata import distributions, version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,6 +33,7 @@ from app.database.reserve import free_bytes
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import Settings, load
+from app.version import VERSION
 from bus.configuration import ConfigurationError
 from bus.errors import LinesideError
 from bus.messages import Message
@@ -109,7 +110,7 @@ def _masked(fault: Message) -> Message:
 
 def _about() -> dict[str, Any]:
     return {
-        "lineside": version("lineside"),
+        "lineside": VERSION,
         "python": sys.version,
         "system": platform.platform(),
         "time": time.time(),

@@ -15,6 +15,7 @@ from app.errors import Problem
 from app.help.chapters import BY_NAME, CHAPTERS, Chapter
 from app.help.handbook import Handbook
 from app.help.reference import Call, calls_of
+from app.version import VERSION
 from app.web.access import Viewer
 from app.web.bounds import parse_apart
 from app.web.schema import rendered_once
@@ -35,7 +36,7 @@ async def help_page(request: Request, _: Viewer, typed: TypedHelp = "") -> Respo
     groups, hits = await parse_apart(
         lambda: (_chapters_by_group(handbook, language), handbook.search(typed, language))
     )
-    return render(request, "help/page.html", groups=groups, typed=typed, hits=hits)
+    return render(request, "help/page.html", groups=groups, typed=typed, hits=hits, version=VERSION)
 
 
 def _chapters_by_group(handbook: Handbook, language: str) -> list[tuple[Message, list[tuple[Chapter, str]]]]:

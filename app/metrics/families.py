@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from importlib.metadata import version
 from itertools import product
 
 from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
@@ -21,6 +20,7 @@ from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, speed_decimals
 from app.live.state.draw import draw_of
 from app.metrics.sources import MetricSources
+from app.version import VERSION
 from bus.instants import UnixTime, unix_now
 
 _COUNTED = {
@@ -49,7 +49,7 @@ class LineCollector(Collector):
         measured = self._measured
         buses = measured.live.here.items()
         build = "The release that runs"
-        yield InfoMetricFamily("lineside_build", build, value={"version": version("lineside")})
+        yield InfoMetricFamily("lineside_build", build, value={"version": VERSION})
         yield from _readings(buses, unix_now())
         yield from _of_units(buses)
         yield from _of_buses(buses)

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 
 from app.cli import cli
+from app.cli.accounts import with_accounts
 from app.cli.init import likely_port, starter
 from app.settings import load
+from tests.app.test_cli_scan import line, unit
+
+PASSWORD = "collect house bakery stable"
 
 
 def test_what_it_writes_passes_the_check(tmp_path: Path) -> None:
@@ -60,3 +65,36 @@ def test_it_takes_the_adapter_that_is_plugged_in(tmp_path: Path) -> None:
     config = tmp_path / "lineside.toml"
     config.write_text(starter(config, port))
     assert load(config).bus[0].port == port
+
+
+@pytest.fixture
+def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Prompts are read from the input of the runner."""
+    monkeypatch.setattr("app.cli.init.is_interactive", lambda: True)
+    monkeypatch.setattr("app.cli.init.ADDRESSES", range(1, 6))
+
+
+@pytest.mark.usefixtures("at_a_terminal")
+def test_at_a_terminal_it_scans_and_adds_the_first_admin(tmp_path: Path) -> None:
+    config = tmp_path / "lineside.toml"
+    with line(unit(2), unit(5)) as port:
+        typed = ("Paper machine 2", port, "y", "anna", *("too short",) * 2, "anna", *(PASSWORD,) * 2)
+        done = CliRunner().invoke(cli, ["init", "--config", str(config)], input="\n".join(typed) + "\n")
+    assert done.exit_code == 0, done.output
+    assert PASSWORD not in done.output + config.read_text()
+    settings = load(config)
+    [bus] = settings.bus
+    assert (settings.site.name, bus.port, bus.baud) == ("Paper machine 2", port, 9600)
+    assert [each.id for each in bus.unit] == [2, 5]
+    assert [each.name for each in with_accounts(config, lambda accounts: accounts.users())] == ["anna"]
+
+
+@pytest.mark.usefixtures("at_a_terminal")
+def test_a_port_that_is_not_there_leaves_a_configuration_to_change(tmp_path: Path) -> None:
+    config = tmp_path / "lineside.toml"
+    typed = "\n/dev/no-such-port\ny\n\n"
+    done = CliRunner().invoke(cli, ["init", "--config", str(config)], input=typed)
+    assert done.exit_code == 0, done.output
+    assert "/dev/no-such-port does not exist" in done.stderr
+    assert [each.id for each in load(config).bus[0].unit] == [1]
+    assert not (tmp_path / "data").exists()

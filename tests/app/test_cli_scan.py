@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -187,6 +188,16 @@ def test_a_line_with_unrequested_bytes_is_not_scanned() -> None:
         result = run(port, "--baud", "9600", "--last", "3")
     assert result.exit_code == 1
     assert "without a request" in result.stderr
+
+
+def test_toml_is_a_part_of_a_configuration() -> None:
+    with line(unit(2)) as port:
+        result = run(port, "--toml", "--baud", "9600", "--last", "3", "--turnaround-ms", PATIENCE_MS)
+        refused = run(port, "--toml", "--json")
+    assert (result.exit_code, refused.exit_code) == (0, 2)
+    assert result.stdout.startswith("[[bus]]\n")
+    [bus] = tomllib.loads(result.stdout)["bus"]
+    assert (bus["port"], bus["baud"], [each["id"] for each in bus["unit"]]) == (port, 9600, [2])
 
 
 def test_a_port_that_is_not_there() -> None:

@@ -56,7 +56,7 @@ def test_it_is_installed_in_order_and_again_without_a_change(tmp_path: Path, uni
     assert unit_file.read_text() == unit.text
     assert f"--config {unit.configuration}\n" in unit.text
     written = tomllib.loads(unit.configuration.read_text())
-    assert written["server"]["data"] == "/var/lib/lineside"
+    assert written["server"]["data"] == "/var/lib/lineside/data"
     unit.configuration.write_text("# mine\n")
     carry_out(unit, list(installation(unit, True)), record, unit_file=unit_file)
     assert unit.configuration.read_text() == "# mine\n"

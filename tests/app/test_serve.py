@@ -24,8 +24,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from app.cli import hosting
+from app.cli.demo import CHOOSE
 from app.cli.hosting import HostingError, only_one
-from app.cli.listening import ListenError, listen
+from app.cli.listening import NEXT_PORTS, ListenError, listen, listen_from
 from app.database import SqliteDatabase
 from app.server.service_manager import ServiceManager
 from app.settings import load
@@ -262,6 +263,26 @@ def test_a_demo_on_a_busy_port_names_its_option() -> None:
     assert made.returncode != 0
     assert made.stderr.startswith(f"Port {port} is in use."), "before everything else that make would do"
     assert "make demo PORT=8100" in made.stderr
+
+
+def test_a_demo_without_a_port_takes_the_next_that_is_free() -> None:
+    with listen("127.0.0.1", 0, CHOOSE) as taken:
+        first = taken.getsockname()[1]
+        with listen_from("127.0.0.1", first, CHOOSE) as found:
+            assert first < found.getsockname()[1] <= first + NEXT_PORTS
+    with pytest.raises(ListenError, match="no address of this machine"):
+        listen_from("192.0.2.1", first, CHOOSE)
+
+
+@pytest.mark.parametrize("port", ["abc", "80x"])
+def test_make_refuses_a_word_as_a_port(port: str) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
+    made = subprocess.run(
+        ["make", "free-port", f"PORT={port}"], capture_output=True, text=True, cwd=ROOT, env=environment
+    )
+    assert made.returncode != 0
+    assert f"PORT={port} is no number" in made.stderr
+    assert "in use" not in made.stderr
 
 
 @pytest.mark.parametrize(

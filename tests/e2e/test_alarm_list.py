@@ -11,6 +11,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.site import AT_REST, Site, eventually
+from tests.sizes import sizes
 
 PANEL = {"width": 1280, "height": 800}
 PHONE = {"width": 360, "height": 740}
@@ -203,7 +204,7 @@ def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, browse
 IS_CUT = "part => part.scrollWidth > part.clientWidth || part.scrollHeight > part.clientHeight + 1"
 
 
-@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
+@pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
 @pytest.mark.usefixtures("stopped")
 def test_the_head_of_a_phone_names_unit_and_alarm(site: Site, browser_page: OpensPages, locale: str) -> None:
     """Where the name of the unit is a long one, that gives way to the alarm."""

@@ -68,6 +68,7 @@ def test_sound_is_switched_on_tested_allowed_by_a_press_and_silenced(
         site.line.remote.do("input", unit=5, input="estop", on=False)
 
 
+@pytest.mark.soak
 @pytest.mark.provokes("WebSocket", "fetch", "ERR_")
 def test_a_lost_server_sounds_where_that_was_chosen_until_it_is_silenced(
     site: Site, browser_page: OpensPages

@@ -177,6 +177,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BalancedSite]:
         yield site
 
 
+@pytest.mark.soak
 def test_a_line_of_another_server_is_a_press_away(
     site: BalancedSite, browser_page: OpensPages, flaws: Callable[..., list[str]]
 ) -> None:
@@ -207,6 +208,7 @@ def _press(page: Page, link: Locator) -> None:
     page.keyboard.press("Enter")
 
 
+@pytest.mark.soak
 def test_two_servers_behind_haproxy(site: BalancedSite) -> None:
     """The last here, since it kills one of them."""
     browser = site.browser

@@ -41,6 +41,7 @@ def opened(page: Page, path: str) -> Page:
     return page
 
 
+@pytest.mark.soak
 @pytest.mark.provokes("503")
 def test_an_open_page_states_it_and_what_still_works(
     site: Site, postgresql: OwnPostgresql, browser_page: OpensPages, flaws: Callable[..., list[str]]

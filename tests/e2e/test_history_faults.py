@@ -96,6 +96,7 @@ def notice(site: Site) -> str:
     return str((response_of(site, "/line")["history"] or {"detail": ""})["detail"])
 
 
+@pytest.mark.soak
 def test_a_clock_that_is_set_back_and_forward_is_noticed_and_everything_goes_on(
     site: Site, clock: Path
 ) -> None:
@@ -175,6 +176,7 @@ def blocks(store: Path) -> int:
         return int(connection.execute("SELECT count(*) FROM raw").fetchone()[0])
 
 
+@pytest.mark.soak
 def test_a_history_that_is_read_only_at_the_start_is_reported(site: Site) -> None:
     store = site.folder / "data" / "history.db"
     site.stop()

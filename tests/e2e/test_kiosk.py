@@ -139,6 +139,7 @@ def test_a_panel_stays_awake_and_renews_the_lock_when_it_is_shown_again(panel: C
     eventually(lambda: page.evaluate("window.locks.length") == 2, "another wake lock")
 
 
+@pytest.mark.soak
 def test_full_screen_is_entered_and_left(panel: Callable[..., Page]) -> None:
     page = panel("wall", "/")
     button = page.locator("[data-full-screen]")
@@ -166,6 +167,7 @@ def test_the_first_touch_after_dark_only_wakes(site: Site, panel: Callable[..., 
     eventually(lambda: received_writes(site) == before + 1, "the second touch")
 
 
+@pytest.mark.soak
 def test_a_key_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> None:
     page = panel("first", HOME, clock=True)
     button = page.locator(".nudges button").nth(2)
@@ -200,6 +202,7 @@ def test_an_untouched_panel_goes_home_and_leaves_no_review_open(
     assert received_writes(site) == before
 
 
+@pytest.mark.soak
 def test_a_panel_with_an_active_condition_does_not_go_dark(site: Site, panel: Callable[..., Page]) -> None:
     page = panel("wall", HOME, clock=True)
     page.clock.fast_forward("11:00")
@@ -256,6 +259,7 @@ def test_without_a_network_it_shows_a_notice_and_comes_back(browser_page: OpensP
     expect(page.locator(LIVE)).to_be_attached()
 
 
+@pytest.mark.soak
 @pytest.mark.provokes("WebSocket", "fetch", "ERR_", "script")
 def test_a_form_pressed_as_the_server_dies_is_not_sent_again(site: Site, browser_page: OpensPages) -> None:
     page = browser_page(viewport=PANEL, service_workers="allow")

@@ -16,6 +16,7 @@ from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.limits import START_S
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
+from tests.sizes import in_turn
 
 OFFICE = {"width": 1280, "height": 800}
 
@@ -81,13 +82,17 @@ def test_a_unit_that_does_not_respond_is_shown_as_such_and_comes_back(
     eventually(lambda: site.unit(4)["link"] == "online", "unit 4 online")
 
 
-@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
 @pytest.mark.parametrize(
-    ("path", "role"), [("/login", None), ("/users", "admin"), ("/account", "viewer"), ("/nothing", "viewer")]
+    ("opened", "locale"),
+    in_turn(
+        [("/login", None), ("/users", "admin"), ("/account", "viewer"), ("/nothing", "viewer")],
+        (ENGLISH, GERMAN),
+    ),
 )
 def test_a_page_beside_the_line_is_accessible(
-    shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, role: str | None, locale: str
+    shared_page: OpensPages, flaws: Callable[..., list[str]], opened: tuple[str, str | None], locale: str
 ) -> None:
+    path, role = opened
     page = shared_page(role, locale=locale)
     page.goto(path)
     assert flaws(page, locale) == []
@@ -151,6 +156,7 @@ HIDDEN_TO_THE_SIDE = """() => [...document.querySelectorAll("main .table-wrap")]
   .filter((each) => each.scrollWidth > each.clientWidth + 1).map((each) => each.ariaLabel)"""
 
 
+@pytest.mark.soak
 def test_the_pages_around_the_line_fit_a_phone_in_a_glove(browser_page: OpensPages) -> None:
     page = browser_page("admin", viewport={"width": 360, "height": 740}, has_touch=True, is_mobile=True)
     for path in FOR_A_PHONE:

@@ -15,6 +15,7 @@ from tests.e2e.conftest import OpensPages, focus, rest
 from tests.e2e.limits import CALL_S, PROCEDURE_S
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
+from tests.sizes import sizes
 
 PANEL = {"width": 1280, "height": 800}
 LIVE = "body[data-link=live]"
@@ -142,6 +143,7 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPa
     assert received_writes(site) == before
 
 
+@pytest.mark.soak
 def test_control_is_taken_where_the_line_is_set_to_zero(shared_page: OpensPages) -> None:
     page = opened(shared_page("operator", viewport={"width": 360, "height": 740}), "/trends")
     page.get_by_role("button", name="Set line to zero").click()
@@ -298,6 +300,7 @@ def test_a_large_step_wants_a_review_on_every_path(
     assert setpoint(site, 1) == 650
 
 
+@pytest.mark.soak
 def test_a_block_holds_on_every_path(site: Site, holder: httpx.Client, staged_and_saved: int) -> None:
     api = "/api/v1/buses/line"
     assert holder.post(f"{api}/units/1/speed", json={"raw": 640, "execute": False}).status_code == 200
@@ -342,8 +345,9 @@ UNREACHABLE = """() => [...document.querySelectorAll(
     .map(element => element.outerHTML.slice(0, 120))"""
 
 
+@pytest.mark.parametrize("every", sizes(5, 1))
 def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by_keyboard(
-    site: Site, shared_page: OpensPages, pages: list[str]
+    site: Site, shared_page: OpensPages, pages: list[str], every: int
 ) -> None:
     page = opened(shared_page("admin", viewport=PANEL), "/units/line/1")
     with site.api("admin") as client:
@@ -354,7 +358,7 @@ def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by
     expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
     before = received_writes(site)
     unsaid = []
-    for path in pages:
+    for path in pages[::every]:
         opened(page, path)
         expect(page.locator(".verdict").first).to_contain_text("Commands blocked")
         if path != "/account" and "belt off since 14:20" not in page.locator("body").inner_text():
@@ -386,15 +390,17 @@ MAX_AT_ONCE = 7
 """All of them together leave a small machine no time."""
 
 
+@pytest.mark.parametrize("every", sizes(4, 1))
 @pytest.mark.provokes("WebSocket", "fetch")
 def test_every_page_is_covered_without_its_server_and_sends_nothing(
-    site: Site, browser_page: OpensPages, pages: list[str]
+    site: Site, browser_page: OpensPages, pages: list[str], every: int
 ) -> None:
     context = browser_page("admin", viewport=PANEL).context
     before = received_writes(site), newest_event(site)
-    opened_tabs = [context.new_page() for _ in range(MAX_AT_ONCE)]
-    for first in range(0, len(pages), MAX_AT_ONCE):
-        paths = pages[first : first + MAX_AT_ONCE]
+    walked = pages[::every]
+    opened_tabs = [context.new_page() for _ in walked[:MAX_AT_ONCE]]
+    for first in range(0, len(walked), MAX_AT_ONCE):
+        paths = walked[first : first + MAX_AT_ONCE]
         tabs = {path: opened(tab, path) for path, tab in zip(paths, opened_tabs, strict=False)}
         covered_while_the_server_stands(site, tabs)
         for path, tab in tabs.items():
@@ -474,6 +480,7 @@ def test_a_screen_reader_gets_the_verdict_and_no_figures(
     assert not any(re.search(r"\d\.\d|ramping", text) for text in spoken), spoken
 
 
+@pytest.mark.soak
 def test_focus_stays_while_a_unit_does_not_respond(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page("operator", viewport=PANEL), "/units/line/2")
     field = page.locator("#setpoint")
@@ -505,6 +512,7 @@ def test_focus_stays_in_the_row_that_was_written(shared_page: OpensPages, holder
     holder.post("/api/v1/buses/line/control/hand-over", json={"to": "admin-program"})
 
 
+@pytest.mark.soak
 def test_nothing_moves_with_reduced_motion(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PANEL, reduced_motion="reduce"), "/units/line/1")
     moving = "document.getAnimations().map(one => one.effect.target.className)"

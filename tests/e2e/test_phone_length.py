@@ -32,6 +32,7 @@ def site(line_server: Callable[..., Site]) -> Site:
     return made
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(
     "path",
     [

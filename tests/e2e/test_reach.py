@@ -10,6 +10,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.site import AT_REST, Site
+from tests.sizes import sizes
 
 WIDTHS = (360, 640, 768, 1000)
 PAGES = (
@@ -86,7 +87,7 @@ def test_nothing_lies_over_the_rows_of_a_restore(site: Site, shared_page: OpensP
         assert page.evaluate(COVERED) == [], width
 
 
-@pytest.mark.parametrize("width", [360, 700, 1280])
+@pytest.mark.parametrize("width", sizes(360, 700, 1280))
 def test_a_group_change_opens_at_its_head_and_its_result_at_the_verdict(
     shared_page: OpensPages, width: int
 ) -> None:
@@ -104,7 +105,7 @@ def test_a_group_change_opens_at_its_head_and_its_result_at_the_verdict(
     expect(page.locator("[data-review-done] [data-review-cancel]")).to_be_in_viewport(ratio=1)
 
 
-@pytest.mark.parametrize("width", [360, 820, 1280, 1920])
+@pytest.mark.parametrize("width", sizes(360, 820, 1280, 1920))
 def test_a_change_of_many_units_is_one_row_that_fits(shared_page: OpensPages, axe: Axe, width: int) -> None:
     page = opened(shared_page("viewer", viewport={"width": width, "height": 900}), "/events?kind=command")
     parts = page.locator(".event__parts", has_text="8 units: 8 verified").last

@@ -286,6 +286,7 @@ def test_a_file_that_is_too_long_and_a_unit_that_is_not_there(site: Site, tmp_pa
     assert runner.invoke(cli, ["diff", *to(site, 2), str(tmp_path / "none.toml")]).exit_code == 2
 
 
+@pytest.mark.soak
 def test_the_commands_in_a_cron_job_report_by_their_exit_codes(site: Site, tmp_path: Path) -> None:
     """Without a terminal there is no prompt: nothing is written unless --yes was given."""
     file = tmp_path / "unit2.toml"

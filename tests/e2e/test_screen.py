@@ -11,6 +11,7 @@ from playwright.sync_api import Page, WebSocketRoute, expect
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.limits import UNIT_MS
 from tests.e2e.site import Site, eventually
+from tests.sizes import in_turn
 
 PAGES = [
     "/",
@@ -46,8 +47,7 @@ def too_wide(page: Page) -> int:
     return found
 
 
-@pytest.mark.parametrize("path", PAGES)
-@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
+@pytest.mark.parametrize(("path", "locale"), in_turn(PAGES, (ENGLISH, GERMAN)))
 def test_a_page_is_accessible_and_fits_its_window(
     shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str
 ) -> None:
@@ -66,6 +66,7 @@ def test_a_cell_of_the_matrix_draws_what_its_unit_is_off_by(shared_page: OpensPa
     assert all("gradient" in image for image in drawn), drawn
 
 
+@pytest.mark.soak
 def test_response_figures_are_cards_on_a_phone_with_links_large_enough_for_gloves(
     browser_page: OpensPages,
 ) -> None:
@@ -212,6 +213,7 @@ def hold_messages(page: Page) -> Callable[[], None]:
     return release
 
 
+@pytest.mark.soak
 def test_the_view_is_chosen_and_remembered(shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/")
     expect(page.locator(".tile")).to_have_count(8)
@@ -267,6 +269,7 @@ def test_on_a_phone_the_faceplate_is_a_sheet_below_the_line(
     expect(page.locator("#faceplate")).to_be_hidden()
 
 
+@pytest.mark.soak
 def test_a_panel_is_cleaned_without_setting_anything(browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/")
     page.clock.install()

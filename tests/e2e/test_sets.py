@@ -15,6 +15,7 @@ from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.limits import PROCEDURE_MS, PROCEDURE_S
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
+from tests.sizes import in_turn
 
 OFFICE = {"width": 1280, "height": 900}
 PHONE = {"width": 360, "height": 740}
@@ -121,6 +122,7 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
     expect(status).not_to_contain_text("Coater")
 
 
+@pytest.mark.soak
 def test_the_list_of_drift_is_redrawn_automatically_and_keeps_the_focus(
     site: Site, browser_page: OpensPages
 ) -> None:
@@ -147,6 +149,7 @@ def test_the_list_of_drift_is_redrawn_automatically_and_keeps_the_focus(
     expect(restore).to_be_focused()
 
 
+@pytest.mark.soak
 def test_a_change_of_baud_is_typed_and_every_unit_verified(site: Site, shared_page: OpensPages) -> None:
     page = shared_page("engineer", viewport=OFFICE)
     page.goto("/bus/line")
@@ -215,6 +218,7 @@ def test_a_restore_is_reviewed_first_and_verified_afterwards(site: Site, shared_
     assert len(writes(site, 0x86)) == before + 2
 
 
+@pytest.mark.soak
 def test_a_file_that_is_no_set_is_refused_in_words(
     site: Site, browser_page: OpensPages, tmp_path: Path
 ) -> None:
@@ -330,18 +334,20 @@ def test_what_a_unit_is_already_is_not_written_again(site: Site, shared_page: Op
     assert len(writes(site, 0x86)) == before + 1
 
 
-@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
 @pytest.mark.parametrize(
-    "path",
-    [
-        "/sets",
-        "/recipes",
-        "/batch/line",
-        "/units/line/1/restore",
-        "/swap/line/1",
-        "/sets/compare",
-        "/sets/compare?left=live:line:1&right=live:line:2",
-    ],
+    ("path", "locale"),
+    in_turn(
+        [
+            "/sets",
+            "/recipes",
+            "/batch/line",
+            "/units/line/1/restore",
+            "/swap/line/1",
+            "/sets/compare",
+            "/sets/compare?left=live:line:1&right=live:line:2",
+        ],
+        (ENGLISH, GERMAN),
+    ),
 )
 def test_accessible_and_as_wide_as_the_screen(
     shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str

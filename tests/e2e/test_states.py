@@ -11,6 +11,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages, rest
 from tests.e2e.site import AT_REST, Site, eventually
+from tests.sizes import sizes
 
 PHONE = {"width": 360, "height": 740}
 PANEL = {"width": 1280, "height": 800}
@@ -69,7 +70,9 @@ def judged(page: Page, axe: Axe) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("path", ["/", "/units/line/2", "/units/line/3", "/units/line/4", "/setpoints"])
+@pytest.mark.parametrize(
+    "path", ["/", *sizes("/units/line/2", "/units/line/3", "/units/line/4"), "/setpoints"]
+)
 def test_active_conditions_are_accessible(shared_page: OpensPages, axe: Axe, path: str) -> None:
     assert judged(opened(shared_page(), path), axe) == []
 
@@ -159,7 +162,7 @@ FITTED = "() => new Promise(done => requestAnimationFrame(() => requestAnimation
 """The first frame after a window has changed fits the cells to it (js/line-fit.js)."""
 
 
-@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
+@pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
 def test_no_cause_and_no_mark_of_the_line_is_cut_off(browser_page: OpensPages, locale: str) -> None:
     page = browser_page(viewport=PANEL, locale=locale)
     for path in ("/?view=tiles", "/?view=rows"):
@@ -170,7 +173,7 @@ def test_no_cause_and_no_mark_of_the_line_is_cut_off(browser_page: OpensPages, l
             assert page.evaluate(CUT_OFF) == [], f"{path}, {width}"
 
 
-@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
+@pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
 def test_a_small_panel_has_room_for_the_verdict_and_scrolls_nothing_sideways(
     shared_page: OpensPages, locale: str
 ) -> None:

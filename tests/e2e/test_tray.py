@@ -13,6 +13,7 @@ from playwright.sync_api import Locator, Page, expect
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus, rest
 from tests.e2e.limits import PAGE_MS, UNIT_MS
 from tests.e2e.site import AT_REST, Site, eventually
+from tests.sizes import sizes
 
 PANEL = {"width": 1280, "height": 800}
 PHONE = {"width": 360, "height": 740}
@@ -176,6 +177,7 @@ def test_twelve_units_take_six_presses_and_the_number(site: Site, page: Page) ->
     assert {site.unit(unit)["commanded"] for unit in range(1, UNITS + 1)} == {"80.0"}
 
 
+@pytest.mark.soak
 def test_a_change_of_several_leaves_a_unit_out_by_name(
     site: Site, page: Page, local: Callable[[int], None]
 ) -> None:
@@ -193,6 +195,7 @@ def test_a_change_of_several_leaves_a_unit_out_by_name(
     assert [site.unit(unit)["commanded"] for unit in (1, 2)] == ["70.0", was]
 
 
+@pytest.mark.soak
 def test_a_value_that_moves_during_the_review_ends_it(site: Site, page: Page) -> None:
     site.set_speed(6, value="60.0")
     add_setpoint(page, 6, "61.0")
@@ -251,6 +254,7 @@ def test_control_that_passes_on_keeps_the_tray_and_sends_nothing(
     expect(strip(page)).to_contain_text("1 change")
 
 
+@pytest.mark.soak
 def test_another_window_follows_when_it_is_looked_at(page: Page, browser_page: OpensPages) -> None:
     add_setpoint(page, 8, "81.0")
     other = browser_page("engineer", viewport=PANEL)
@@ -279,7 +283,7 @@ def test_a_restore_and_a_recipe_go_to_the_tray(site: Site, page: Page) -> None:
     expect(strip(page)).to_contain_text("2 changes")
 
 
-@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
+@pytest.mark.parametrize("locale", sizes(GERMAN, ENGLISH))
 def test_the_tray_is_accessible_and_covers_nothing_for_good(
     page: Page,
     browser_page: OpensPages,
@@ -307,13 +311,12 @@ def test_the_tray_is_accessible_and_covers_nothing_for_good(
     assert flaws(shown, locale) == []
 
 
-@pytest.mark.parametrize("locale", [ENGLISH])
 def test_without_scripts_the_tray_is_a_page_whose_forms_work(
-    site: Site, page: Page, browser_page: OpensPages, locale: str
+    site: Site, page: Page, browser_page: OpensPages
 ) -> None:
     add_setpoint(page, 10, "77.0")
     add_setpoint(page, 11, "78.0")
-    plain = browser_page("engineer", viewport=PANEL, java_script_enabled=False, locale=locale)
+    plain = browser_page("engineer", viewport=PANEL, java_script_enabled=False, locale=ENGLISH)
     plain.goto("/tray")
     plain.get_by_role("button", name="Remove Setpoint of").last.click()
     plain.get_by_role("link", name="Review the changes").click()

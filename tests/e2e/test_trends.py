@@ -123,6 +123,7 @@ def test_the_history_equals_what_the_unit_sent(site: Site) -> None:
     assert set(found["avg"][place:]) == {(raw + 55) / 10}
 
 
+@pytest.mark.soak
 def test_a_unit_that_did_not_respond_leaves_a_gap_and_its_neighbor_none(site: Site) -> None:
     site.line.remote.do("fault", kind="dead", rate=1, unit=4)
     eventually(lambda: site.unit(4)["link"] == "offline", "unit 4 is lost")
@@ -202,6 +203,7 @@ def test_wheel_drag_and_keys_move_the_picture(shared_page: OpensPages) -> None:
     expect(page.locator("#time-difference")).to_have_text(NOTHING)
 
 
+@pytest.mark.soak
 def test_the_axis_of_a_value_is_chosen_by_keyboard_and_keeps_the_focus(shared_page: OpensPages) -> None:
     page = opened(
         shared_page("viewer", viewport=OFFICE), "?s=line/1/actual&s=line/1/analog&span=60&scale=own"
@@ -247,6 +249,7 @@ def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_pa
     assert painted["90"] > painted["50"] * 3, painted
 
 
+@pytest.mark.soak
 def test_a_bit_is_a_lane_high_while_it_is_on_and_empty_in_gaps(
     browser_page: OpensPages,
 ) -> None:
@@ -292,6 +295,7 @@ def test_one_finger_pulls_the_picture_and_sets_no_cursor(browser_page: OpensPage
     assert {"a", "b"}.isdisjoint(view_of(page))
 
 
+@pytest.mark.soak
 def test_two_presses_set_two_cursors_and_two_fingers_zoom(shared_page: OpensPages) -> None:
     page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/1/actual&span=600")
     box = page.locator("#trend-plot .u-over").bounding_box()
@@ -317,6 +321,7 @@ def test_the_legend_reads_at_the_cursor(site: Site, shared_page: OpensPages) -> 
     assert float(value.inner_text().split()[0]) == site.unit(1)["commanded_raw"] / 10
 
 
+@pytest.mark.soak
 def test_what_happened_is_listed_beside_the_picture(site: Site, shared_page: OpensPages) -> None:
     raw = site.unit(3)["commanded_raw"]
     site.set_speed(3, raw=raw + 10)
@@ -406,6 +411,7 @@ def times_of(served: Site) -> list[float]:
     return [datetime.fromisoformat(t).timestamp() for t in history(served, "actual", 300)["t"]] or [0.0]
 
 
+@pytest.mark.soak
 def test_a_damaged_store_is_reported_and_the_line_goes_on(own_site: Site, browser_page: OpensPages) -> None:
     own_site.stop()
     store = own_site.folder / "data" / "history.db"

@@ -190,6 +190,7 @@ def test_a_page_that_slept_requests_a_snapshot(own_site: Site, browser_page: Ope
     expect(page.locator('[data-live="line/3.commanded"]')).to_have_text("33.3")
 
 
+@pytest.mark.soak
 @pytest.mark.provokes("WebSocket")
 def test_a_device_that_slept_shows_nothing_old_as_new(own_site: Site, browser_page: OpensPages) -> None:
     page = browser_page(site=own_site, viewport=PANEL)
@@ -208,6 +209,7 @@ def test_a_device_that_slept_shows_nothing_old_as_new(own_site: Site, browser_pa
     expect(page.locator('[data-unit="line/1"]')).to_have_attribute("data-quality", "online")
 
 
+@pytest.mark.soak
 @pytest.mark.provokes("WebSocket")
 def test_a_frozen_tab_comes_back_with_the_present_and_sends_nothing(
     own_site: Site, browser_page: OpensPages
@@ -240,6 +242,7 @@ def test_a_hidden_tab_gets_a_snapshot_when_it_is_shown(own_site: Site, browser_p
     expect(page.locator(LIVE)).to_be_attached()
 
 
+@pytest.mark.soak
 def test_two_posts_of_one_review_are_one_command(own_site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
     page.locator("#setpoint").fill("47.0")

@@ -77,6 +77,7 @@ def test_an_abnormal_unit_is_named_with_its_bus(site: Site, shared_page: OpensPa
     expect(page.locator(".cause")).to_contain_text("At speed")
 
 
+@pytest.mark.soak
 def test_each_unit_shows_the_values_of_its_bus(site: Site, shared_page: OpensPages) -> None:
     site.set_speed(1, value="61.0")
     site.set_speed(1, bus="wet", value="62.0")
@@ -129,6 +130,7 @@ def test_zero_covers_both_with_a_result_for_each(site: Site, shared_page: OpensP
     assert {state(wet(site), unit)["setpoint"] for unit in (1, 2)} == {0}
 
 
+@pytest.mark.soak
 def test_zero_reaches_the_others_when_a_unit_refuses_the_stage(site: Site, shared_page: OpensPages) -> None:
     for bus in ("line", "wet"):
         site.set_speed(1, bus=bus, value="50.0")
@@ -146,6 +148,7 @@ def test_zero_reaches_the_others_when_a_unit_refuses_the_stage(site: Site, share
         site.line.remote.do("clear")
 
 
+@pytest.mark.soak
 def test_a_unit_that_went_to_local_meanwhile_is_in_the_result(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/")
     page.get_by_role("button", name="Set line to zero").click()
@@ -162,6 +165,7 @@ def test_a_unit_that_went_to_local_meanwhile_is_in_the_result(site: Site, shared
     eventually(lambda: site.unit(2)["remote"], "unit 2 in REMOTE")
 
 
+@pytest.mark.soak
 def test_a_blocked_unit_with_something_staged_holds_up_no_other(site: Site, shared_page: OpensPages) -> None:
     site.set_speed(1, value="40.0")
     site.set_speed(2, value="90.0", execute=False)
@@ -199,6 +203,7 @@ def test_a_closed_bus_leaves_the_other_its_controls(site: Site, shared_page: Ope
     eventually(lambda: site.unit(1, "wet")["link"] == "online", "the bus back")
 
 
+@pytest.mark.soak
 def test_a_followers_setpoint_is_a_ratio(site: Site, shared_page: OpensPages, follower: int) -> None:
     page = opened(shared_page(viewport=PANEL), f"/units/line/{follower}")
     before = state(site.line, follower)["setpoint"]
@@ -228,6 +233,7 @@ def test_a_followers_setpoint_is_a_ratio(site: Site, shared_page: OpensPages, fo
     expect(field).to_have_value(f"{(before + 100) / 10_000:.4f}")
 
 
+@pytest.mark.soak
 def test_the_present_ratio_stands_beside_a_follower_that_is_set_with_others(
     site: Site, shared_page: OpensPages, follower: int
 ) -> None:
@@ -238,6 +244,7 @@ def test_the_present_ratio_stands_beside_a_follower_that_is_set_with_others(
     expect(page.locator('[data-unit="line/1"] th')).not_to_contain_text("ratio")
 
 
+@pytest.mark.soak
 def test_a_staged_value_of_a_follower_is_a_ratio_too(
     site: Site, shared_page: OpensPages, follower: int
 ) -> None:
@@ -278,6 +285,7 @@ def test_all_lines_are_on_one_page_and_one_press_leads_to_one(
     expect(page.locator("#bus-wet")).to_be_visible()
 
 
+@pytest.mark.soak
 def test_a_tile_follows_its_line(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page("viewer", viewport=PANEL), "/lines")
     tile = page.locator("[data-line='line_of/wet']")

@@ -60,6 +60,7 @@ def test_after_execute_staged_undo_offers_what_was_commanded_before_it(site: Sit
     assert site.unit(UNIT)["commanded"] == "111.0"
 
 
+@pytest.mark.soak
 def test_each_command_has_its_own_undo_and_the_one_before_comes_back(page: Page) -> None:
     page.get_by_role("button", name="Up by 0.2").click()
     expect(undo(page)).to_have_text("Undo: set 111.0…")
@@ -95,6 +96,7 @@ def test_what_was_typed_is_a_draft_on_the_next_page(page: Page) -> None:
     expect(page.locator("[data-draft]")).to_have_count(0)
 
 
+@pytest.mark.soak
 def test_setting_the_line_to_zero_ends_the_undo_before_it_and_has_none(site: Site, page: Page) -> None:
     before = [site.unit(number)["commanded"] for number in range(1, UNIT + 1)]
     try:
@@ -109,6 +111,7 @@ def test_setting_the_line_to_zero_ends_the_undo_before_it_and_has_none(site: Sit
             site.set_speed(number, value=value)
 
 
+@pytest.mark.soak
 def test_an_execute_is_refused_where_the_setpoint_has_moved_since_the_review(site: Site, page: Page) -> None:
     stage(page, "119.0")
     rest(page)

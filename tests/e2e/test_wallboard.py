@@ -10,6 +10,7 @@ from playwright.sync_api import expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.test_screen import PHONE, opened
+from tests.sizes import sizes
 
 HALL = {"width": 1920, "height": 1080}
 INCH_MM, DIAGONAL_IN = 25.4, 24
@@ -47,7 +48,7 @@ def test_the_verdict_is_read_from_six_meters_and_nothing_is_cut_off(shared_page:
     assert words.evaluate_all(CUT_OFF) == []
 
 
-@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
+@pytest.mark.parametrize("locale", sizes(ENGLISH, GERMAN))
 def test_it_is_accessible_and_fits_its_window(
     shared_page: OpensPages, flaws: Callable[..., list[str]], locale: str
 ) -> None:

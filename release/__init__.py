@@ -1,0 +1,1 @@
+"""``make release``: what people install, from one commit, twice the same bytes."""

@@ -1,0 +1,130 @@
+"""``make release`` builds the same bytes twice, and they install on machines that have nothing of ours."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+
+from app.version import VERSION
+from release.__main__ import main
+from release.debian_tree import debian_version, files, template
+from release.packages import locked, needed, requirements
+from release.sbom import document
+from tests.booted_machine import Machine, booted
+
+MAX_PACKAGES, MAX_MB = 38, 100.0
+FIRST_PAGE_S, AGAIN_S = 60.0, 30.0
+PAGE = "http://127.0.0.1:8000/healthz"
+SERVER = "systemctl show -p MainPID --value lineside"
+
+
+def test_an_installation_is_light() -> None:
+    """With Lineside itself, without what Python compiles."""
+    packages = {*needed(), "lineside"}
+    assert "psycopg" not in packages
+    assert len(packages) <= MAX_PACKAGES
+    size = sum((file.size or 0) for name in packages for file in distribution(name).files or ())
+    assert size <= MAX_MB * 1e6
+
+
+def test_each_package_that_runs_has_its_version_and_hash() -> None:
+    lines = requirements().splitlines()
+    assert {line.partition("==")[0] for line in lines if not line.startswith(" ")} == needed()
+    assert all(
+        line.endswith("\\") != line.lstrip().startswith("--hash") or "--hash" in line for line in lines
+    )
+    assert "hatchling" in locked()
+    assert "hatchling" not in needed()
+
+
+def test_the_list_of_parts_names_each_with_its_version() -> None:
+    parts = json.loads(document(VERSION, "2026-11-26T00:00:00Z"))["components"]
+    assert {part["name"] for part in parts} == {*needed(), "htmx.org", "uplot"}
+    assert all(part["purl"].endswith(f"@{part['version']}") for part in parts)
+    assert document(VERSION, "2026-11-26T00:00:00Z") == document(VERSION, "2026-11-26T00:00:00Z")
+
+
+def test_a_package_of_debian_holds_the_service_and_a_configuration() -> None:
+    made = dict(files(VERSION))
+    assert "ExecStart=/opt/lineside/bin/lineside serve" in made["usr/lib/systemd/system/lineside.service"]
+    assert 'data = "/var/lib/lineside/data"' in made["usr/share/lineside/lineside.toml"]
+    assert debian_version("1.4.1.dev7+gabc") == "1.4.1~dev7+gabc"
+
+
+@pytest.mark.parametrize("script", ["postinst", "prerm", "postrm"])
+def test_its_scripts_are_of_a_shell(script: str) -> None:
+    subprocess.run(["sh", "-n"], input=template(script), text=True, check=True)
+
+
+@pytest.fixture(scope="module")
+def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("release") / "first"
+    main(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
+    with booted(tmp_path_factory.mktemp("debian")) as made:
+        yield made
+
+
+@pytest.mark.soak
+def test_twice_the_same_bytes(release: Path, tmp_path: Path) -> None:
+    main(tmp_path / "again")
+    assert (tmp_path / "again" / "SHA256SUMS").read_text() == (release / "SHA256SUMS").read_text()
+    subprocess.run(["sha256sum", "--quiet", "--check", "SHA256SUMS"], cwd=release, check=True)
+
+
+@pytest.mark.soak
+def test_the_bundle_installs_without_a_network(release: Path, machine: Machine) -> None:
+    [bundle] = release.glob("lineside-*-cp*.tar.gz")
+    there = machine.put(bundle)
+    machine.run(f"cd /root && tar xzf {there} && sh lineside-*-cp*/install.sh /srv/lineside")
+    machine.run("systemd-run --unit=try /srv/lineside/bin/lineside demo --port 8100")
+    machine.wait_for("http://127.0.0.1:8100/healthz", FIRST_PAGE_S)
+    machine.run("systemctl stop try; rm -rf /srv/lineside /root/lineside-*-cp*")
+
+
+@pytest.mark.soak
+def test_the_package_is_installed_lives_through_faults_and_is_removed(
+    release: Path, machine: Machine
+) -> None:
+    [package] = release.glob("*.deb")
+    there = machine.put(package)
+    machine.run(f"dpkg -i {there}")
+    machine.wait_for(PAGE, FIRST_PAGE_S)
+    assert machine.run("lineside --version") == f"lineside {package.name.split('_')[1]}"
+    assert "read-only" not in machine.run("journalctl -u lineside -o cat").lower()
+
+    former = machine.run(SERVER)
+    machine.run(
+        f"kill -STOP {former}; for i in $(seq {AGAIN_S:.0f}); do "
+        f"[ $({SERVER}) != {former} ] && exit 0; sleep 1; done; exit 1"
+    )
+    machine.wait_for(PAGE, AGAIN_S)
+    worker = machine.run("pgrep -f -- '--bus line-1'")
+    machine.run(
+        f"kill -STOP {worker}; for i in $(seq {AGAIN_S:.0f}); do "
+        f"pgrep -f -- '--bus line-1' | grep -qvx {worker} && exit 0; sleep 1; done; exit 1"
+    )
+
+    machine.run("echo '[server' >> /etc/lineside/lineside.toml; systemctl restart lineside || true; sleep 5")
+    assert machine.run("systemctl show -p NRestarts --value lineside") == "0"
+    assert "lineside.toml" in machine.run("journalctl -u lineside -o cat -n 20")
+    machine.run("sed -i '$d' /etc/lineside/lineside.toml; systemctl reset-failed lineside")
+
+    machine.run(f"echo '# mine' >> /etc/lineside/lineside.toml; dpkg -i {there}")
+    machine.wait_for(PAGE, AGAIN_S)
+    assert machine.run("tail -1 /etc/lineside/lineside.toml") == "# mine"
+    machine.run("dpkg -r lineside; test -e /var/lib/lineside/data/lineside.db; test ! -e /opt/lineside")
+    machine.run("dpkg -P lineside; test -e /etc/lineside/lineside.toml")
+    assert shutil.which("lineside", path=str(machine.root / "usr/bin")) is None
+    assert sys.version_info[:2] == (3, 11), "of the Python of this Debian"
