@@ -40,7 +40,7 @@ gap. `process_…` is the server itself.
 
 def command_line() -> str:
     """The chapter on the command line: each command with its options."""
-    context = click.Context(cast(click.Command, cli), info_name="lineside")
+    context = click.Context(cast(click.Command, cli), info_name="lineside", **cli.context_settings)
     return COMMAND_LINE + "".join(_commands(context, cast(click.Group, cli)))
 
 
