@@ -23,11 +23,9 @@ COMMAND_LINE = """# The command line
 facts prints them with `--json` for programs. The shell completes commands and options after one line in its
 start file:
 
-| shell | file | line |
-|---|---|---|
-| bash | `~/.bashrc` | `eval "$(_LINESIDE_COMPLETE=bash_source lineside)"` |
-| zsh | `~/.zshrc` | `eval "$(_LINESIDE_COMPLETE=zsh_source lineside)"` |
-| fish | `~/.config/fish/config.fish` | `_LINESIDE_COMPLETE=fish_source lineside | source` |
+- bash, `~/.bashrc`: `eval "$(_LINESIDE_COMPLETE=bash_source lineside)"`
+- zsh, `~/.zshrc`: `eval "$(_LINESIDE_COMPLETE=zsh_source lineside)"`
+- fish, `~/.config/fish/config.fish`: `_LINESIDE_COMPLETE=fish_source lineside | source`
 """
 METRICS = """# Metrics
 
@@ -42,7 +40,7 @@ gap. `process_…` is the server itself.
 
 def command_line() -> str:
     """The chapter on the command line: each command with its options."""
-    context = click.Context(cast(click.Command, cli), info_name="lineside")
+    context = click.Context(cast(click.Command, cli), info_name="lineside", **cli.context_settings)
     return COMMAND_LINE + "".join(_commands(context, cast(click.Group, cli)))
 
 

@@ -190,7 +190,7 @@ def test_the_service_serves_and_keeps_its_data_as_configured(root: Path) -> None
             return response.json() == {"status": "ok"}
 
         eventually(serves, "the dashboard serves")
-        assert f"serving at http://127.0.0.1:{port}\n" in typed(root, "status")
+        assert f"serving at http://127.0.0.1:{port}, Lineside " in typed(root, "status")
     assert (root / "var/lib/lineside/data/lineside.db").is_file()
     made = {path.name for path in (root / "etc").rglob("*") if path.is_file()}
     assert made <= {"lineside.toml", "lineside.audit.key", "lineside.audit.key.anchor"}

@@ -49,7 +49,7 @@ def facts_lines(settings: Settings, facts: SiteFacts) -> Iterator[Message]:
     yield Message.of("dashboard_store", path=settings.store_name)
     for name, size in facts.disk.stores.items():
         yield Message.of("status_store", name=name, size=number(f"{size / MB:.1f}"))
-    yield _disk_line(facts.disk)
+    yield _disk_line(facts.disk, in_files=not settings.store.url)
     for each in facts.certificates:
         if each.ends_at is None:
             yield Message.of("status_certificate_unreadable", file=each.file)
@@ -86,8 +86,10 @@ def facts_json(settings: Settings, facts: SiteFacts) -> dict[str, Any]:
     }
 
 
-def _disk_line(disk: DiskFacts) -> Message:
+def _disk_line(disk: DiskFacts, *, in_files: bool) -> Message:
     free = number(f"{disk.free / GB:.1f}")
+    if not in_files:
+        return Message.of("status_disk_free", free=free)
     if disk.days is None:
         return Message.of("status_disk_unknown", free=free)
     code = "status_disk_long" if disk.days >= MAX_DAYS else "status_disk"

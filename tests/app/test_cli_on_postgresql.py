@@ -51,6 +51,7 @@ def test_a_second_server_needs_the_key_of_the_site_and_another_site_another_data
     first = site(tmp_path / "first", store)
     add_user(first)
     assert "the audit log is intact" in run(first, "audit", "verify")
+    assert "0 alarms came" in run(first, "report", "--shift", "now")
     without = site(tmp_path / "second", store)
     assert "a site lives in the database of [store], and its audit key is not here" in add_user(without, 1)
     make_key_file(without.with_name("lineside.audit.key"), KeyOrigin())

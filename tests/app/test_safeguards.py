@@ -198,6 +198,8 @@ async def test_a_read_only_bus_takes_what_makes_it_slower_and_nothing_else(stage
     worker = await obeying(stage)
     assert await speed(stage, 500) == (200, "verified")
     await stage.request("POST", "/read-only", {"on": True, "reason": "cable is open"})
+    assert stage.guards.block_reason(1) is not None
+    assert stage.guards.block_reason(1, slows=True) is None, "what setting the line to zero goes by"
     assert await speed(stage, 501) == (423, "blocked")
     assert await speed(stage, 400, execute=False) == (423, "blocked")
     assert await speed(stage, 400) == (200, "verified")

@@ -91,6 +91,12 @@ def test_stores_have_their_sizes_and_the_disk_its_space(config: Path) -> None:
     assert facts.days is None
 
 
+def test_with_a_database_the_disk_of_this_server_has_its_space_only(config: Path) -> None:
+    config.write_text(config.read_text() + '[store]\nurl = "postgresql://lineside@127.0.0.1:1/lineside"\n')
+    shown = CliRunner().invoke(cli, ["status", "--config", str(config)]).stdout
+    assert "  disk of this server: " in shown
+
+
 def test_with_history_the_disk_has_a_forecast(config: Path) -> None:
     shelf = Shelf(config.parent / "data" / "history.db")
     shelf.keep(polls(NOON, NOON + 120))

@@ -24,6 +24,7 @@ READING = (
     ("home",),
     ("check",),
     ("status",),
+    ("report",),
 )
 BEGUN = '[site]\nname = "Mill"\n[server]\nport = 1\ndata = "./data"\n'
 BUS = '[[bus]]\nname = "dry-end"\nport = "/dev/ttyUSB99"\n'
