@@ -12,6 +12,7 @@ from app.cli.authority import AUTHORITY_DAYS, DAYS, CertificateAuthority
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report, wrong_option
 from app.cli.options import CommandGroup, Option
+from app.cli.rights import become_owner_of
 from app.settings import HostName, ServerSettings, Settings, host_name, load
 from bus.messages import Message
 
@@ -37,6 +38,7 @@ def create(
     """
     settings = load(config)
     names = server_names(settings.server, [_name(each) for each in name or ()])
+    become_owner_of(config.resolve().parent)
     folder = config.resolve().parent / FOLDER
     authority = CertificateAuthority(folder, settings.site.name)
     report(Message.of("authority_at", file=str(authority.certificate), years=AUTHORITY_DAYS // 365))

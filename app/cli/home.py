@@ -14,6 +14,7 @@ import click
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.options import Argument, AsJson, CommandGroup, Option
+from app.cli.rights import become_owner_of
 from app.cli.site_reading import has_store, reading_site
 from app.database import Database
 from app.database.opening import open_database
@@ -64,6 +65,7 @@ def take(
     if not settings.store.url:
         report(Message.of("home_is_only_server", bus=bus))
         return
+    become_owner_of(settings.server.data)
     with closing(open_database(settings.store, settings.server.store)) as database:
         epoch = _take(settings, database, bus, reason.strip())
     report(Message.of("home_was_taken", bus=bus, server=settings.server.id, epoch=epoch))

@@ -23,6 +23,7 @@ from pydantic import BaseModel
 from app.cli import loading
 from app.cli.ending import report
 from app.cli.listening import listen, url_of
+from app.cli.rights import become_owner_of
 from app.cli.workers import WorkerProcesses
 from app.database.private import make_folder
 from app.errors import system_error
@@ -73,6 +74,7 @@ def host(
     demo: bool = False,
 ) -> None:
     """Serve at ``listening`` until SIGTERM or SIGINT. Raises HostingError and StoreError in words."""
+    become_owner_of(settings.server.data)
     configure_log()
     structlog.get_logger().info("lineside", version=VERSION)
     sys.setswitchinterval(SWITCH_S)

@@ -11,6 +11,7 @@ import click
 
 from app.cli.config_option import NEW_CONFIG, Config
 from app.cli.ending import report
+from app.cli.rights import become_owner_of
 from app.errors import system_error
 from bus.errors import CallerError, LinesideError
 from bus.messages import Message
@@ -29,6 +30,7 @@ def init(config: Config = NEW_CONFIG) -> None:
 
     At a terminal it prompts for the name of the machine, the port, whether to scan it, and the first admin.
     """
+    become_owner_of(config.resolve().parent)
     if config.exists():
         raise _exists(config)
     prompts = is_interactive()

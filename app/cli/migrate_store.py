@@ -18,6 +18,7 @@ from app.cli.ending import wrong_option
 from app.cli.findings import existing_part
 from app.cli.hosting import DATA_IN_USE, HostingError, only_one
 from app.cli.options import Option
+from app.cli.rights import become_owner_of
 from app.database.copying.places import Folder, PostgresqlPlace, StorePart, StorePlace
 from app.database.copying.site import RUNNING, SiteCopy, require_own_version, state_of
 from app.database.engine import size_of
@@ -60,6 +61,7 @@ def migrate_store(
     has changed since, compares both sides by count and SHA-256, and finishes. A copy that was ended goes on.
     """
     settings = load(config)
+    become_owner_of(settings.server.data)
     source, target = _source(settings), _target(to, password_file, settings)
     if source == target:
         raise wrong_option("--to", "copy_onto_itself")

@@ -6,6 +6,7 @@ import time
 from contextlib import closing
 
 from app.audit.keys import find_key_file
+from app.cli.rights import become_owner_of
 from app.cli.serve import check_store
 from app.cli.site_log import open_log, record
 from app.database.copies import put_aside
@@ -24,6 +25,7 @@ def begin_new_site(settings: Settings) -> None:
     if settings.audit.anchor is not None and settings.audit.anchor.exists():
         # It may be on a medium that is written once, and would contradict the new log at each start.
         raise StoreError(Message.of("anchor_of_former_site", path=str(settings.audit.anchor)))
+    become_owner_of(settings.server.data)
     store, key = settings.server.store, find_key_file(settings.key_files)
     presence = main_presence(settings.store, store)
     with in_words(store):

@@ -25,6 +25,7 @@ from app.cli.backup_store import fault_of
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.options import Argument, Option
+from app.cli.rights import become_owner_of
 from app.cli.site_log import open_log, record
 from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
 from app.database import SqliteDatabase, StoreConnection
@@ -98,6 +99,8 @@ def read_backup(file: Path, data: Path, key_files: Sequence[Path], anchor: Path 
     main one prepared, before the first is put in its place.
     """
     with in_words(file), open_archive(file) as archive:
+        # Not before: only root may be able to read the backup.
+        become_owner_of(data)
         make_private(data)
         with tempfile.TemporaryDirectory(dir=data) as folder:
             proved = archive.unpack(Path(folder))

@@ -12,6 +12,7 @@ from app.audit.keys import open_keys
 from app.audit.kinds import EventKind
 from app.audit.log import EventLog
 from app.audit.store import heads_of
+from app.cli.rights import become_owner_of
 from app.cli.serve import check_store
 from app.database import Database
 from app.database.opening import open_database
@@ -45,6 +46,7 @@ def open_log(database: Database, key_files: Sequence[Path]) -> EventLog:
 @contextmanager
 def site_log(settings: Settings) -> Iterator[tuple[Database, EventLog]]:
     """Open the main store of a site and its event log. Raises StoreError, KeyFileError."""
+    become_owner_of(settings.server.data)
     check_store(settings)
     make_private(settings.server.data)
     with closing(open_database(settings.store, settings.server.store, checkpoints=False)) as database:

@@ -323,7 +323,7 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
 
 
 def test_a_store_that_is_missing_is_not_replaced(config: Path, tmp_path: Path) -> None:
-    fork_server.run("user", "list", "--config", config)
+    fork_server.run("audit", "rotate-key", "--config", config)  # makes the store
     former = (tmp_path / "lineside.audit.key").read_bytes()
     (tmp_path / "data").rename(tmp_path / "unmounted")
     for words in (("serve",), ("user", "list"), ("audit", "rotate-key")):
@@ -343,7 +343,7 @@ def test_a_new_site_is_begun_by_command_and_recorded(
     config: Path, tmp_path: Path, content: bytes | None
 ) -> None:
     store = tmp_path / "data" / "lineside.db"
-    fork_server.run("user", "list", "--config", config)
+    fork_server.run("audit", "rotate-key", "--config", config)  # makes the store
     there = fork_server.run("serve", "--new", "--config", config)
     assert (there.returncode, there.stderr.count("\n")) == (1, 1)
     assert "holds a site" in there.stderr
@@ -364,7 +364,7 @@ def test_a_new_site_is_begun_by_command_and_recorded(
 
 def test_a_new_site_does_not_begin_with_the_anchor_of_the_former(config: Path, tmp_path: Path) -> None:
     config.write_text(config.read_text() + '[audit]\nanchor = "./worm.anchor"\n')
-    fork_server.run("user", "list", "--config", config)
+    fork_server.run("audit", "rotate-key", "--config", config)  # makes the store
     (tmp_path / "worm.anchor").write_text("of the former site")
     (tmp_path / "data" / "lineside.db").unlink()
     verified = fork_server.run("audit", "verify", "--config", config)

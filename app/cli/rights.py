@@ -1,0 +1,37 @@
+"""Where root calls a command, it goes on with the rights of the service, whose files stay its own."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+def become_owner_of(folder: Path) -> None:
+    """Go on as the owner of a folder, for good, where root calls and the folder is another user's. A folder
+    that is not there yet has none, and changes nothing."""
+    if os.geteuid() != 0 or (owner := _owner(folder)) is None:
+        return
+    uid, gid = owner
+    os.setgroups(_groups_of(uid, gid))
+    os.setresgid(gid, gid, gid)
+    os.setresuid(uid, uid, uid)
+
+
+def _owner(folder: Path) -> tuple[int, int] | None:
+    """User and group, where that is not root."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return None
+    return (found.st_uid, found.st_gid) if found.st_uid != 0 else None
+
+
+def _groups_of(uid: int, gid: int) -> list[int]:
+    """Those of the user, such as that of the serial ports; a user without a name has its own alone."""
+    # Only root comes here; every other command does without the module.
+    import pwd
+
+    try:
+        return os.getgrouplist(pwd.getpwuid(uid).pw_name, gid)
+    except KeyError:
+        return [gid]
