@@ -8,7 +8,7 @@ TO = "\N{EN DASH}"
 
 
 def unit_ranges(units: Iterable[int], names: Mapping[int, str]) -> list[str]:
-    """``["1 Unwind", "4-11 Dryer 1-8"]``, with longer dashes; an address alone for a unit that was removed."""
+    """``["1 Unwind", "4-11 Dryer 1-8"]``, with longer dashes; of a removed unit the address."""
     return [_range_text(first, last, names) for first, last in _ranges(sorted(units))]
 
 
