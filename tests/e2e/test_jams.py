@@ -64,3 +64,10 @@ def test_a_jam_is_found(site: Site, shared_page: OpensPages, style: str, words: 
 @pytest.mark.parametrize("path", [*PATHS, *MORE])
 def test_nothing_jams_on_any_page(past_site: Site, shared_page: OpensPages, path: str, locale: str) -> None:
     assert jams(shared_page("engineer", site=past_site, locale=locale), path) == []
+
+
+def test_no_key_lies_on_a_step_in_the_narrowest_window(site: Site, shared_page: OpensPages) -> None:
+    page = shared_page("engineer", site=site, locale=GERMAN, viewport={"width": 320, "height": 640})
+    page.goto("/units/line/1")
+    expect(page.locator("#setpoint")).to_be_visible()
+    assert page.evaluate(JAMS) == []

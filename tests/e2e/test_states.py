@@ -261,3 +261,14 @@ def test_every_surface_gives_a_condition_the_same_priority(
     see("alarm list", "main .alarm-priority[data-is]")
     plain = {surface: drawn.split("-")[0] for surface, drawn in shown.items()}
     assert len(set(plain.values())) == 1, plain
+
+
+def test_a_page_whose_scripts_do_not_load_says_that_its_values_stand_still(
+    site: Site, browser_page: OpensPages
+) -> None:
+    page = browser_page("operator", site=site, viewport=PANEL, java_script_enabled=False)
+    page.goto("/units/line/1")
+    expect(page.get_by_text("The values on this page do not change")).to_be_visible()
+    expect(page.get_by_role("link", name="Reload page")).to_be_in_viewport()
+    scripted = opened(browser_page("operator", site=site, viewport=PANEL), "/units/line/1")
+    expect(scripted.get_by_text("The values on this page do not change")).to_be_hidden()
