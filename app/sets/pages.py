@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response
@@ -10,6 +12,7 @@ from starlette.responses import RedirectResponse
 from app.errors import or_404
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
+from app.live.state.bus_live import LiveState
 from app.routing.at_home import at_home_of
 from app.sets.acts import MARK_GOLDEN, SAVE, SCHEDULE
 from app.sets.api import Drift
@@ -19,6 +22,7 @@ from app.sets.lookup import SetAtHome, Sets, StoredSet
 from app.sets.schedule import SetSchedule
 from app.sets.sides import choices, side
 from app.sets.taking import Takings
+from app.sets.unit_ranges import unit_ranges
 from app.web.access import Person, Viewer
 from app.web.services import bus_service_of, service
 from app.web.shape import UnitAddresses
@@ -53,12 +57,19 @@ async def list_page(
         "sets/page.html",
         buses=live.here,
         sets=found[:MAX_LISTED],
+        ranges=partial(_ranges, live),
         older=found[MAX_LISTED - 1].id if len(found) > MAX_LISTED else None,
         schedule=await sets.schedule(),
         overdue={name: bus_service_of(request, name, SetSchedule).overdue() for name in live.here},
         bus=bus,
         unit=unit,
     )
+
+
+def _ranges(live: LiveState, bus: str, units: Iterable[int]) -> str:
+    """The units of a set with the names that they have now."""
+    known = live.here[bus].settings.unit if bus in live.here else []
+    return ", ".join(unit_ranges(units, {unit.id: unit.name for unit in known}))
 
 
 @router.post("/sets/take")

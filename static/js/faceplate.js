@@ -25,7 +25,7 @@ function opened() {
   document.dispatchEvent(new CustomEvent("lineside:changed"));
   plate.scrollTop = 0;
   plate.querySelector("h2 a")?.focus({ preventScroll: true });
-  link.scrollIntoView({ block: "nearest" });
+  (link.closest("[data-unit]") ?? link).scrollIntoView({ block: "nearest" });
   ending = listen("alarms_present", redrawAlarms);
 }
 
@@ -43,8 +43,15 @@ function forget() {
   show("");
 }
 
+/** A review of the unit that is shown ends with its faceplate; a command on its way keeps its place for the result. */
+function leave() {
+  if (plate.querySelector("[data-pending]")) return false;
+  if (plate.querySelector("[data-review]")) document.dispatchEvent(new CustomEvent("lineside:idle"));
+  return true;
+}
+
 function close() {
-  if (!opener) return;
+  if (!opener || !leave()) return;
   forget();
   plate.hidden = true;
   plate.replaceChildren();
@@ -60,6 +67,7 @@ document.addEventListener("click", (event) => {
   const link = /** @type {HTMLAnchorElement | null} */ (event.target.closest("[data-faceplate]"));
   if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return;
   event.preventDefault();
+  if (!leave()) return;
   wanted = link;
   plate.dispatchEvent(new CustomEvent("lineside:faceplate"));
 });
@@ -70,5 +78,7 @@ document.addEventListener("htmx:after:swap", ({ detail: { ctx } }) => {
   if (ctx.sourceElement === plate) opened();
 });
 document.addEventListener("keydown", (event) => {
-  if (event.key === "Escape" && !document.querySelector("dialog[open]")) close();
+  if (event.key !== "Escape" || event.defaultPrevented) return;
+  // Escape closes a review first, wherever it is.
+  if (!document.querySelector("dialog[open], [data-review-place] > *")) close();
 });

@@ -3,7 +3,7 @@
 
 /** Width and height in px below which a cell cannot be read or pressed; the strip above it, and the gap. */
 const SIZES = {
-  tiles: { width: 186, height: 112, strip: 22, gap: 8 },
+  tiles: { width: 186, height: 110, strip: 22, gap: 8 },
   matrix: { width: 74, height: 48, strip: 16, gap: 3 },
 };
 /** A cell is as good as the smaller of its width and so many times its height. */
@@ -18,11 +18,16 @@ const SHAPE = 1.6;
 export function fitOf(units, width, height, least) {
   const most = Math.max(1, Math.floor((width + least.gap) / (least.width + least.gap)));
   const all = units.reduce((sum, count) => sum + count, 0);
+  const rowsOf = (/** @type {number} */ columns) =>
+    units.reduce((sum, count) => sum + Math.ceil(count / columns), 0);
+  // Where not all are visible: as few rows as possible, and no more places than they need.
+  let fewest = most;
+  while (fewest > 1 && rowsOf(fewest - 1) === rowsOf(most)) fewest -= 1;
   /** @type {Fit} */
-  let best = { columns: most, width: cellWidth(most, width, least.gap), height: least.height };
+  let best = { columns: fewest, width: cellWidth(fewest, width, least.gap), height: least.height };
   let goodness = 0;
   for (let columns = 1; columns <= most; columns += 1) {
-    const rows = units.reduce((sum, count) => sum + Math.ceil(count / columns), 0);
+    const rows = rowsOf(columns);
     const fit = {
       columns,
       width: cellWidth(columns, width, least.gap),

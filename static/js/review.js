@@ -238,7 +238,9 @@ export function start() {
     if (!content.contains(event.target)) return;
     // Enter executes nothing but the button that has the focus.
     if (event.key === "Enter" && event.target.matches("input, select")) event.preventDefault();
-    if (event.key === "Escape" && !isModal() && !content.querySelector("[data-pending]")) dismiss();
+    if (event.key !== "Escape" || isModal() || content.querySelector("[data-pending]")) return;
+    event.preventDefault();
+    dismiss();
   });
   dialog.addEventListener("input", (event) => {
     const typed = event.target.closest("[data-typed]");

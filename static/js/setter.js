@@ -19,12 +19,24 @@ export function numberOf(text) {
 /** @param {HTMLInputElement} input */
 const isAllSelected = (input) => input.selectionStart === 0 && input.selectionEnd === input.value.length;
 
+/** @type {WeakSet<HTMLInputElement>} */
+const following = new WeakSet();
+
+/** Of the page, or of a faceplate that was opened in it. */
+function followUnits() {
+  for (const input of document.querySelectorAll("[data-follows]")) if (!following.has(input)) followUnit(input);
+}
+
 /** @param {HTMLInputElement} input */
 function followUnit(input) {
+  following.add(input);
+  const left = new AbortController();
+  const { signal } = left;
   const key = input.dataset.follows;
   // Typed before this script was there.
   if (input.value !== input.defaultValue) input.dataset.touched = "";
   const refresh = () => {
+    if (!input.isConnected) return left.abort();
     const text = value(key);
     if (input.dataset.touched !== undefined || text === undefined || text === "–" || text === input.value) return;
     const select = input === document.activeElement && isAllSelected(input);
@@ -32,7 +44,7 @@ function followUnit(input) {
     // The next digit still replaces the unit's value.
     if (select) input.select();
   };
-  listen(key.slice(0, key.indexOf(".")), refresh);
+  signal.addEventListener("abort", listen(key.slice(0, key.indexOf(".")), refresh));
   input.addEventListener("input", () => {
     input.dataset.touched = "";
     // A message about the former number does not apply to this one.
@@ -46,10 +58,10 @@ function followUnit(input) {
     refresh();
   };
   // What was typed stays until it is set, or until the person leaves its review.
-  document.addEventListener("lineside:done", ({ detail }) => ["good", ""].includes(detail) && forget());
-  document.addEventListener("lineside:added", ({ detail }) => detail === input.form && forget());
+  document.addEventListener("lineside:done", ({ detail }) => ["good", ""].includes(detail) && forget(), { signal });
+  document.addEventListener("lineside:added", ({ detail }) => detail === input.form && forget(), { signal });
   // A page that was just loaded may have been typed into; one that the browser kept is as it was left.
-  addEventListener("pageshow", ({ persisted }) => persisted && forget());
+  addEventListener("pageshow", ({ persisted }) => persisted && forget(), { signal });
 }
 
 /** @param {HTMLInputElement} input @param {string} key */
@@ -131,7 +143,8 @@ const fieldOf = (key) =>
 
 export function start() {
   forgetDone();
-  for (const input of document.querySelectorAll("[data-follows]")) followUnit(input);
+  followUnits();
+  document.addEventListener("lineside:changed", followUnits);
   document.addEventListener("click", (event) => {
     const button = event.target.closest("[data-pad], [data-use], [data-together-do]");
     if (!button) return;

@@ -7,6 +7,7 @@ page signed in as a role, ``axe`` judges a page's accessibility.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,9 @@ from typing import Any, Literal, Protocol
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, ViewportSize, expect, sync_playwright
 
+from app.cli.past import write_past
+from app.settings import load
+from bus.simulator.demo import demo_line
 from tests.e2e import site as sites
 from tests.e2e.limits import PAGE_MS, PAGE_S
 from tests.e2e.site import AT_REST, PASSWORD, Site, eventually
@@ -77,6 +81,20 @@ def line_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[.
 def site(line_server: Callable[..., Site]) -> Site:
     """Return eight units that only the test operates."""
     return line_server(8, line_options=AT_REST)
+
+
+@pytest.fixture(scope="module")
+def past_site(line_server: Callable[..., Site]) -> Site:
+    """Twelve units with the past of the demo."""
+    units = 12
+    made = line_server(units)
+    made.stop()
+    # The browser's event loop runs in this thread.
+    with ThreadPoolExecutor(1) as threads:
+        threads.submit(write_past, load(made.config), demo_line(units)).result()
+    made.start()
+    made.wait_for_units()
+    return made
 
 
 def browser_scope(*, fixture_name: str, config: pytest.Config) -> Literal["session", "module"]:  # noqa: ARG001

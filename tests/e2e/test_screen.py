@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, WebSocketRoute, expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.limits import UNIT_MS
 from tests.e2e.site import Site, eventually
 from tests.sizes import in_turn
@@ -248,12 +248,55 @@ def test_a_press_opens_the_faceplate_beside_the_line_and_escape_closes_it(
     assert axe(page) == []
     plate.get_by_label("New setpoint").fill("120")
     plate.get_by_role("button", name="Set now").click()
-    expect(page.locator("#review")).to_contain_text("120.0")
+    expect(plate.locator("[data-review]")).to_contain_text("120.0")
+    assert axe(page) == []
     page.keyboard.press("Escape")
     expect(page.locator("[data-review-act]")).to_have_count(0)
+    expect(plate).to_be_visible()
     page.keyboard.press("Escape")
     expect(plate).to_be_hidden()
     expect(link).to_be_focused()
+
+
+@pytest.mark.parametrize("size", [PHONE, PANEL], ids=["phone", "panel"])
+def test_a_speed_is_set_beside_the_line_by_three_presses_with_nothing_to_close(
+    site: Site, shared_page: OpensPages, size: dict[str, int]
+) -> None:
+    before = site.unit(6)["commanded"]
+    after = "90.0" if before != "90.0" else "91.0"
+    page = opened(shared_page(viewport=size), "/?view=tiles")
+    page.locator('[data-unit="line/6"] [data-faceplate]').click()
+    plate = page.locator("#faceplate")
+    expect(plate.get_by_label("New setpoint")).to_have_value(before)
+    plate.get_by_label("New setpoint").fill(after)
+    rest(page)
+    plate.get_by_role("button", name="Set now").click()
+    expect(plate.locator(".change__new")).to_contain_text(after)
+    expect(page.locator('.tile[data-unit="line/6"]')).to_be_in_viewport()
+    rest(page)
+    plate.locator("[data-review-act]").click()
+    expect(plate.get_by_text(f"reads {after}")).to_be_in_viewport()
+    expect(plate.get_by_role("button", name="Undo")).to_be_visible()
+    expect(page.locator("dialog[open], [data-review]")).to_have_count(0)
+    assert site.unit(6)["commanded"] == after
+
+
+def test_the_field_of_a_faceplate_is_that_of_the_unit_that_was_opened_last(
+    site: Site, shared_page: OpensPages
+) -> None:
+    page = opened(shared_page(viewport=PANEL), "/?view=tiles")
+    field = page.locator("#faceplate").get_by_label("New setpoint")
+    page.locator('[data-unit="line/2"] [data-faceplate]').click()
+    expect(field).to_be_visible()
+    field.fill("77.7")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("#faceplate [data-review]")).to_be_visible()
+    page.locator('[data-unit="line/3"] [data-faceplate]').click()
+    expect(page.locator("#faceplate-name")).to_have_text(site.unit(3)["name"])
+    expect(page.locator("[data-review]")).to_have_count(0)
+    expect(field).to_have_value(site.unit(3)["commanded"])
+    site.set_speed(3, value="66.6")
+    expect(field).to_have_value("66.6")
 
 
 def test_on_a_phone_the_faceplate_is_a_sheet_below_the_line(

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { fitOf, fitWith, sizeOf } from "../../static/js/line-fit.js";
 
-const TILES = { width: 186, height: 112, strip: 22, gap: 8 };
+const TILES = { width: 186, height: 110, strip: 22, gap: 8 };
 const MATRIX = { width: 74, height: 48, strip: 16, gap: 3 };
 /** The room for the line in a window of 1280 × 800 and of 1920 × 1080. */
 const [PANEL, WALL] = [
@@ -43,6 +43,11 @@ test("what fits no window has as many columns as can be read, and scrolls", () =
   assert.equal(fit.columns, 14);
   assert.equal(fit.height, MATRIX.height);
   assert.equal(fitOf([8], 40, 600, TILES).columns, 1);
+});
+
+test("what fits no window leaves no more places empty than its last row has", () => {
+  assert.equal(fitOf([16], PANEL[0], 400, TILES).columns, 4);
+  assert.equal(fitOf([100], PANEL[0], 300, MATRIX).columns, 13);
 });
 
 test("the lines of several buses have one number of columns", () => {

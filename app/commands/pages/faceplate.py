@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from fastapi import APIRouter
 from starlette.responses import Response
 
 from app.alarms.line_alarms import LineAlarms
-from app.commands.forms.page_context import OfUnit
+from app.commands.forms.page_context import OfUnit, UnitPage
+from app.commands.review import nudges
 from app.commands.rules.setpoint_range import setpoint_range
+from app.commands.values import measure_of_setpoint
 from app.live.state.bus_live import follower
 from app.web.access import Viewer
 from app.web.services import service_of
@@ -18,17 +22,28 @@ router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 @router.get("/faceplate")
 async def faceplate(_: Viewer, page: OfUnit) -> Response:
     """State, cause, alarms with their responses, speed and its field, lamps."""
-    allowed = setpoint_range(page.unit, page.limits(page.id))
     alarms = service_of(page.request, LineAlarms).annunciated()
     return page.render(
         "line/_faceplate.html",
-        fields=page.fields(),
-        unit=page.on_line,
-        bus=page.name,
         alarms=[a for a in alarms if (a.definition.bus, a.definition.unit) == (page.name, page.id)],
-        present=page.setpoint(page.present),
-        lowest=page.setpoint(allowed.lowest),
-        highest=page.setpoint(allowed.highest),
-        follower=bool(follower(page.unit)),
-        block=page.guards.blocks.of(page.id),
+        **setting(page),
     )
+
+
+def setting(page: UnitPage) -> dict[str, Any]:
+    """The unit, and what its setpoint is set by."""
+    allowed = setpoint_range(page.unit, page.limits(page.id))
+    fine, coarse = nudges(page.unit)
+    steps = (1, coarse), (1, fine), (-1, fine), (-1, coarse)
+    return {
+        "fields": page.fields(),
+        "bus": page.name,
+        "unit": page.on_line,
+        "present": page.setpoint(page.present),
+        "lowest": page.setpoint(allowed.lowest),
+        "highest": page.setpoint(allowed.highest),
+        "bounds_unit": measure_of_setpoint(page.unit),
+        "follower": bool(follower(page.unit)),
+        "nudges": [(sign * step, page.setpoint(step), sign) for sign, step in steps],
+        "block": page.guards.blocks.of(page.id),
+    }

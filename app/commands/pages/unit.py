@@ -9,12 +9,10 @@ from starlette.responses import RedirectResponse, Response
 
 from app.commands.acts import BLOCK, SET_LIMITS, UNBLOCK
 from app.commands.forms.page_context import OfUnit, UnitPage
-from app.commands.review import nudges
-from app.commands.rules.setpoint_range import setpoint_range
+from app.commands.pages.faceplate import setting
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
-from app.commands.values import measure_of_setpoint
 from app.errors import Problem
-from app.live.state.bus_live import UnitLive, follower, setpoint_decimals
+from app.live.state.bus_live import UnitLive, setpoint_decimals
 from app.web.access import Person, Viewer
 from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE
 from bus.catalogue.values import speed_raw, speed_text
@@ -35,22 +33,11 @@ async def unit_page(_: Viewer, page: OfUnit) -> Response:
 
 def _faceplate(page: UnitPage) -> dict[str, Any]:
     unit, limits = page.unit, page.limits(page.id)
-    allowed = setpoint_range(unit, limits)
-    fine, coarse = nudges(unit)
     return {
-        "fields": page.fields(),
-        "bus": page.name,
-        "unit": page.on_line,
+        **setting(page),
         "before": page.neighbor(-1),
         "after": page.neighbor(1),
-        "present": page.setpoint(page.present),
-        "lowest": page.setpoint(allowed.lowest),
-        "highest": page.setpoint(allowed.highest),
-        "bounds_unit": measure_of_setpoint(unit),
-        "follower": bool(follower(unit)),
-        "nudges": [(sign * step, page.setpoint(step), sign) for sign, step in _signed(fine, coarse)],
         "limit_texts": {name: page.setpoint(getattr(limits, name)) for name in _LIMIT_NAMES},
-        "block": page.guards.blocks.of(page.id),
         "analog_low": unit.parameter_raw(ANALOG_OUT_LOW),
         "analog_high": unit.parameter_raw(ANALOG_OUT_HIGH),
         "analog_by_link": unit.parameter_raw(ANALOG_OUT_SOURCE) == 2,
@@ -58,10 +45,6 @@ def _faceplate(page: UnitPage) -> dict[str, Any]:
 
 
 _LIMIT_NAMES = ("lowest", "highest", "largest_step", "per_minute")
-
-
-def _signed(fine: int, coarse: int) -> list[tuple[int, int]]:
-    return [(1, coarse), (1, fine), (-1, fine), (-1, coarse)]
 
 
 @router.post("/limits")
