@@ -5,7 +5,6 @@ enough for a glove, and in reach of the Tab key with a visible focus.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -230,43 +229,7 @@ def test_without_its_server_a_page_is_accessible(site: Site, browser_page: Opens
         site.start()
 
 
-PRIORITY = """([selector, of]) => {
-  const element = document.querySelector(selector);
-  return element && (element.closest("[data-is]")?.dataset.is ?? "").split(" ").at(of);
-}"""
-"""The first or the last word of what a surface is drawn by; null where there is none."""
-
-
-@pytest.mark.parametrize("unit", [2, 3], ids=["e-stop", "LOCAL"])
-def test_every_surface_gives_a_condition_the_same_priority(
-    site: Site, shared_page: OpensPages, unit: int
-) -> None:
-    page = opened(shared_page("operator", site=site, viewport=PANEL), "/?view=tiles")
-    key = f"line/{unit}"
-    shown: dict[str, str] = {}
-
-    def see(surface: str, selector: str, of: int = 0) -> None:
-        drawn = partial(page.evaluate, PRIORITY, [selector, of])
-        shown[surface] = eventually(drawn, f"{surface} of unit {unit}")
-
-    see("tile", f'.tile[data-unit="{key}"]')
-    see("mark of the tile", f'.tile[data-unit="{key}"] .alarm-priority--mark')
-    if unit == 2:
-        see("verdict", ".well__verdict")
-    page.locator(f'[data-unit="{key}"] [data-faceplate]').click()
-    see("faceplate", "#faceplate .status")
-    see("alarm on the faceplate", "#faceplate .faceplate__alarm")
-    opened(page, f"/units/{key}")
-    see("cause", ".cause")
-    see("alarm of the unit", ".alarm-words")
-    see("ladder", ".ladder", -1)
-    opened(page, f"/alarms?place={key}")
-    see("alarm list", "main .alarm-priority[data-is]")
-    plain = {surface: drawn.split("-")[0] for surface, drawn in shown.items()}
-    assert len(set(plain.values())) == 1, plain
-
-
-def test_a_page_whose_scripts_do_not_load_says_that_its_values_stand_still(
+def test_a_page_whose_scripts_do_not_load_states_that_its_values_stand_still(
     site: Site, browser_page: OpensPages
 ) -> None:
     page = browser_page("operator", site=site, viewport=PANEL, java_script_enabled=False)
