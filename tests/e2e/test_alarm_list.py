@@ -187,11 +187,7 @@ def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, browse
         assert page.evaluate(BOXES) == boxes
     finally:
         site.line.remote.do("mode", unit=3, to="remote")
-        with site.api() as client:
-            eventually(
-                lambda: not any(each["active"] for each in client.get("/alarms").json()["alarms"]), "cleared"
-            )
-        site.acknowledge_all()
+        site.end_alarms()
     expect(head).to_be_hidden()
 
 
