@@ -71,7 +71,7 @@ class AlarmSimulationRequest(OwnAlarmRequest):
 
     model_config = ConfigDict(populate_by_name=True)
 
-    name: Annotated[str, Field(max_length=200)] = "Proposed"
+    name: Annotated[str, Field(max_length=200)] = "New alarm"
     since: Annotated[AwareDatetime | None, Field(alias="from", strict=False)] = None
     until: Annotated[AwareDatetime | None, Field(alias="to", strict=False)] = None
 

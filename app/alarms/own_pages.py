@@ -31,6 +31,7 @@ from app.web.services import service, service_of
 from app.web.shape import parse_integer
 from app.web.templating import render, templates_of
 from bus.instants import unix_now
+from bus.messages import term
 from bus.settings import UnitSettings
 
 router = APIRouter(include_in_schema=False)
@@ -39,6 +40,8 @@ SPANS = (1, 7, 31)
 _NUMBERS = ("above", "below", "deadband", "change_per_s")
 _DELAYS = ("on_delay_s", "off_delay_s")
 _TEXTS = ("cause", "consequence", "response")
+UNNAMED = term("New alarm")
+"""One that is simulated before it has a name."""
 _WITHOUT_FIELD = {"realarm_s", "latch"}
 SettingsOf = Annotated[Settings, service(Settings)]
 WrittenField = Annotated[str, Field(max_length=80)]
@@ -89,7 +92,8 @@ async def own_alarms_page(
     if not written["place"]:
         return _page(request, written)
     try:
-        settings = proposed({**_keys(request, written), **_name(written, "Proposed")}, configured.bus)
+        unnamed = templates_of(request).language_of(request).t(UNNAMED)
+        settings = proposed({**_keys(request, written), **_name(written, unnamed)}, configured.bus)
     except Problem as problem:
         return _page(request, written, fault=problem)
     end, bus = unix_now(), history.buses[settings.bus]

@@ -13,8 +13,9 @@ import pytest
 
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.settings import AlarmSettings
-from app.alarms.simulation.proposal import in_toml
+from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.simulation.simulator import Simulator
+from app.errors import Problem
 from app.history.series.runs import micros
 from app.history.service import History
 from app.history.store import tables
@@ -104,6 +105,12 @@ async def test_a_fault_is_named(house: House, body: dict[str, Any], words: str) 
     response = await engineer.post(PATH, json={**ABOVE, **body})
     assert response.status_code == 422
     assert words in response.json()["detail"]
+
+
+def test_a_key_that_is_missing_is_named_alone() -> None:
+    with pytest.raises(Problem) as refused:
+        proposed({"name": "Web break", "bus": "dry-end", "unit": 1}, [])
+    assert str(refused.value.message) == "value is missing"
 
 
 async def test_only_an_engineer_may_simulate(house: House) -> None:

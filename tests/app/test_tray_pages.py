@@ -10,6 +10,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.commands.safeguards.service import Safeguards
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
 from app.web.access import Role
@@ -188,6 +189,29 @@ async def test_a_dangerous_parameter_needs_its_word(house: House) -> None:
     assert 'data-typed="WRITE"' in (await tray(house)).text
     assert "word was not typed" in (await send(house)).text
     assert await house.events("command") == []
+
+
+async def test_to_look_at_a_tray_and_its_review_prolongs_no_control(tmp_path: Path) -> None:
+    async with complete_app(tmp_path, control=True) as house:
+        responding(house.services[LiveState])
+        await house.signed_in(Role.ENGINEER)
+        await post(house, "/bus/dry-end/control", do="take")
+        await add(house)
+        guards = house.services.buses["dry-end"][Safeguards]
+        held = [guards.holding()]
+        for path in (
+            "/tray",
+            "/bus/dry-end/tray/review",
+            "/tray/strip",
+            "/setpoints",
+            "/units/dry-end/1",
+            "/",
+        ):
+            response = await house.clients[0].get(path, headers=OF_PAGE)
+            assert response.status_code in (200, 404), path
+            held.append(guards.holding())
+        assert held[0] is not None
+        assert set(held) == {held[0]}
 
 
 async def test_the_tray_stays_while_another_has_control(tmp_path: Path) -> None:

@@ -98,6 +98,7 @@ async def test_a_download_keeps_its_turn_until_it_is_read(
     client = await house.program(Role.VIEWER)
     pending = [asyncio.create_task(client.get("/api/v1/events.csv")) for _ in range(MAX_AT_ONCE + 2)]
     await until(lambda: house.services[Turns].downloads.count_of("key-viewer (token)") == MAX_AT_ONCE + 2)
+    await until(lambda: begun >= MAX_AT_ONCE)
     assert begun == MAX_AT_ONCE
     gate.set()
     assert [response.status_code for response in await asyncio.gather(*pending)] == [200] * len(pending)

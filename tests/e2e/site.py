@@ -193,6 +193,20 @@ class Site:
         """Until every unit has been read, and its decimals are known: of many, one after the other."""
         eventually(self._all_read, "a reading from every unit", within=max(START_S, 2.0 * self.units))
 
+    def acknowledge_all(self) -> None:
+        """Acknowledge every alarm that there is."""
+        with self.api() as client:
+            for alarm in client.get("/alarms").json()["alarms"]:
+                client.post(f"/alarms/{alarm['id']}/acknowledge")
+
+    def end_alarms(self) -> None:
+        """Wait until no condition of an alarm holds, and leave none to acknowledge."""
+        with self.api() as client:
+            eventually(
+                lambda: not any(each["active"] for each in client.get("/alarms").json()["alarms"]), "rest"
+            )
+        self.acknowledge_all()
+
     def stop(self, number: int = signal.SIGTERM) -> int:
         """End the server by a signal; what it returned."""
         assert self.server is not None

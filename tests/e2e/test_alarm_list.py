@@ -55,7 +55,7 @@ def stopped(site: Site) -> Iterator[None]:
     for unit in UNITS:
         stop(site, unit, active=False)
     eventually(lambda: all(not alarm["active"] for alarm in alarms(site).values()), "cleared")
-    acknowledge_all(site)
+    site.acknowledge_all()
 
 
 def opened(page: Page, site: Site, path: str = "/alarms") -> Page:
@@ -87,12 +87,6 @@ def pressed(button: Locator, head: Locator) -> bool:
     if button.is_visible():
         button.click()
     return head.get_attribute("data-is") == "low"
-
-
-def acknowledge_all(site: Site) -> None:
-    with site.api() as client:
-        for alarm in client.get("/alarms").json()["alarms"]:
-            client.post(f"/alarms/{alarm['id']}/acknowledge")
 
 
 def row(page: Page, unit: int) -> Locator:
@@ -154,11 +148,11 @@ def test_a_new_alarm_moves_no_row(site: Site, browser_page: OpensPages) -> None:
     finally:
         stop(site, 5, active=False)
         eventually(lambda: not alarms(site)[5]["active"], "cleared")
-        acknowledge_all(site)
+        site.acknowledge_all()
 
 
 def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, browser_page: OpensPages) -> None:
-    acknowledge_all(site)
+    site.acknowledge_all()
     page = opened(browser_page(viewport=PANEL, reduced_motion="no-preference"), site, "/events")
     head = page.locator(".top__alarm-link")
     expect(head).to_be_hidden()
@@ -193,11 +187,7 @@ def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, browse
         assert page.evaluate(BOXES) == boxes
     finally:
         site.line.remote.do("mode", unit=3, to="remote")
-        with site.api() as client:
-            eventually(
-                lambda: not any(each["active"] for each in client.get("/alarms").json()["alarms"]), "cleared"
-            )
-        acknowledge_all(site)
+        site.end_alarms()
     expect(head).to_be_hidden()
 
 

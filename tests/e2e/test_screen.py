@@ -175,7 +175,8 @@ COUNT_SHIFTS = """async () => {
 """Counts from the next painted frame on, which shows the page as parsed."""
 
 
-def test_nothing_shifts_as_the_first_values_arrive_nor_later(browser_page: OpensPages) -> None:
+def test_nothing_shifts_as_the_first_values_arrive_nor_later(site: Site, browser_page: OpensPages) -> None:
+    site.end_alarms()
     page = browser_page(viewport=PANEL)
     release = hold_messages(page)
     page.goto("/")

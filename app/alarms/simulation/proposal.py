@@ -34,6 +34,8 @@ def _fault(details: ErrorDetails) -> Message:
     if message is not None:
         return message
     key = ".".join(str(step) for step in details["loc"])
+    if details["type"] == "missing":
+        return Message.of("own_alarm_lacks", key=key)
     right = fault_message(details)
     return Message.of("configuration_value", key=key, value=repr(details["input"]), right=right)
 

@@ -164,10 +164,11 @@ class CommandService:
         check(action, anytime)
 
     def check(self, person: Person, action: Action, *, confirm: bool = False) -> None:
-        """The checks of :meth:`send` alone, for a review. Raises the same Problems."""
+        """The checks of :meth:`send` alone, for a review or a page: they prolong no control. Raises the same
+        Problems."""
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
-        self._require_right(person, action)
+        self._require_right(person, action, self._guards.objection)
         self._apply_rules(action, confirm)
 
     @asynccontextmanager
@@ -180,10 +181,12 @@ class CommandService:
                 await self._record.reject(request, self._live, problem)
             raise
 
-    def _require_right(self, person: Person, action: Action) -> None:
+    def _require_right(
+        self, person: Person, action: Action, object_to: Callable[[str], Message | None]
+    ) -> None:
         """The role of the kind, whichever way the command came, then control of the bus."""
         refuse_without(kind_of_command(action).role, person)
-        objection = self._guards.use_control(person.account) if action.writes else None
+        objection = object_to(person.account) if action.writes else None
         if objection is not None:
             raise controlled(Message.of("nothing_sent", reason=objection), self._bus)
 
@@ -209,7 +212,7 @@ class CommandService:
             request.deadline.refuse_passed()
             await self._rights.check(request.person)
             # Before anything is read for it: a user without the right learns that, not the unit's values.
-            self._require_right(request.person, request.action)
+            self._require_right(request.person, request.action, self._guards.use_control)
             await self.read_ranges(request.person, request.action, request.deadline)
             self._apply_rules(request.action, confirm)
         already = self._cache.find(request.person, request.key)
