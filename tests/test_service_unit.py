@@ -78,7 +78,7 @@ def test_it_has_what_a_service_on_a_plant_needs(name: str) -> None:
         "User": "lineside",
         "SupplementaryGroups": "dialout",
         "UMask": "0077",
-        "Restart": "on-failure",
+        "Restart": "always",
         "KillSignal": "SIGTERM",
         "NoNewPrivileges": "yes",
         "ProtectSystem": "strict",

@@ -20,6 +20,7 @@ from app.cli.init import USUAL_PORT, likely_port, starter
 from app.cli.options import Option
 from app.cli.service_unit import CONFIGURATION, DATA, UNIT_FILE, USER, ServiceUnit
 from app.errors import system_error
+from app.settings import load
 from bus.errors import LinesideError
 from bus.messages import Message
 
@@ -38,7 +39,7 @@ def install_service(
     """Install Lineside as a service of systemd, and start it; again, to bring it up to date."""
     if not re.fullmatch(r"[a-z_][a-z0-9_-]{0,30}", user):
         raise wrong_option("--user", "user_not_of_unix", value=user)
-    unit = ServiceUnit(Path(sys.argv[0]).absolute(), config.absolute(), user)
+    unit = ServiceUnit(Path(sys.argv[0]).absolute(), config.absolute(), user, folders_written(config))
     commands = list(removal(UNIT_FILE) if remove else installation(unit, user_exists(user)))
     if dry_run or json_output:
         _print(unit, commands, as_json=json_output)
@@ -50,6 +51,20 @@ def install_service(
     carry_out(unit, commands, run, unit_file=None if remove else UNIT_FILE)
     if not json_output:
         report(Message.of("service_removed" if remove else "service_installed", file=str(config)))
+
+
+def folders_written(config: Path) -> tuple[Path, ...]:
+    """The folders outside of its own in which a service of this configuration writes: nightly backups, the
+    anchor of the audit log, and the data where they are elsewhere. None where there is no configuration."""
+    try:
+        settings = load(config)
+    except LinesideError:
+        return ()
+    anchor = settings.audit.anchor
+    named = (settings.server.data, settings.backup.folder, anchor and anchor.parent)
+    own = (DATA, config.absolute().parent)
+    written = (folder for folder in named if folder and not any(map(folder.is_relative_to, own)))
+    return tuple(dict.fromkeys(written))
 
 
 def installation(unit: ServiceUnit, user_is_there: bool) -> Iterator[list[str]]:

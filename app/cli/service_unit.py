@@ -34,9 +34,9 @@ Group={user}
 SupplementaryGroups=dialout
 StateDirectory=lineside
 StateDirectoryMode=0700
-ReadWritePaths={folder}
+ReadWritePaths={folders}
 UMask=0077
-Restart=on-failure
+Restart=always
 RestartSec=2
 RestartPreventExitStatus={wrong}
 KillMode=mixed
@@ -75,11 +75,13 @@ WantedBy=multi-user.target
 
 @dataclass(frozen=True, slots=True)
 class ServiceUnit:
-    """``command``: the program ``lineside``; ``configuration``: its file; ``user``: who runs it."""
+    """``command``: the program ``lineside``; ``configuration``: its file; ``user``: who runs it; ``written``:
+    the folders beside that of the configuration and the data which it may write in."""
 
     command: Path = INSTALLED
     configuration: Path = CONFIGURATION
     user: str = USER
+    written: tuple[Path, ...] = ()
 
     @property
     def text(self) -> str:
@@ -89,6 +91,7 @@ class ServiceUnit:
             command=self.command,
             configuration=self.configuration,
             user=self.user,
-            folder=self.configuration.parent,
+            # With a hyphen: a disk that is not mounted does not keep the service from its start.
+            folders=" ".join([str(self.configuration.parent), *(f"-{folder}" for folder in self.written)]),
             wrong=WRONG_CONFIGURATION,
         )

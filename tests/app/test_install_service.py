@@ -13,7 +13,14 @@ from pathlib import Path
 import pytest
 
 from app.cli import install_service
-from app.cli.install_service import carry_out, installation, removal, run, write_configuration
+from app.cli.install_service import (
+    carry_out,
+    folders_written,
+    installation,
+    removal,
+    run,
+    write_configuration,
+)
 from app.cli.service_unit import ServiceUnit
 from bus.errors import LinesideError
 from tests import fork_server
@@ -38,6 +45,21 @@ def unit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ServiceUnit:
     """The service with its configuration in a folder of the test, whose user is the one who runs it."""
     monkeypatch.setattr(shutil, "chown", lambda *_: None)
     return ServiceUnit(Path("/opt/lineside/bin/lineside"), tmp_path / "etc/lineside.toml", "plant")
+
+
+def test_it_may_write_where_the_configuration_lets_it(tmp_path: Path) -> None:
+    config = tmp_path / "etc" / "lineside.toml"
+    config.parent.mkdir()
+    assert folders_written(config) == ()
+    config.write_text(
+        '[server]\ndata = "/srv/lineside"\n[backup]\nfolder = "/mnt/b"\n[audit]\nanchor = "/mnt/worm/a"\n'
+    )
+    folders = folders_written(config)
+    assert folders == (Path("/srv/lineside"), Path("/mnt/b"), Path("/mnt/worm"))
+    text = ServiceUnit(configuration=config, written=folders).text
+    assert f"ReadWritePaths={config.parent} -/srv/lineside -/mnt/b -/mnt/worm\n" in text
+    config.write_text('[server]\ndata = "/var/lib/lineside/data"\n[backup]\nfolder = "backups"\n')
+    assert folders_written(config) == ()
 
 
 def test_it_is_installed_in_order_and_again_without_a_change(tmp_path: Path, unit: ServiceUnit) -> None:
