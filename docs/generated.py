@@ -11,8 +11,10 @@ import click
 
 from app.audit.anchoring import AnchorStatus
 from app.cli import cli
+from app.history.status import HistoryStatus
 from app.metrics.families import LineCollector
 from app.metrics.sources import OUTCOMES, MetricSources
+from bus.instants import UnixTime
 
 GUIDE = Path(__file__).parent / "guide"
 SUFFIX = {"counter": "_total", "info": "_info"}
@@ -32,6 +34,10 @@ METRICS = """# Metrics
 `GET /metrics` is for Prometheus, with the token of a viewer. A counter begins with 0 when the server, or for
 the wire its bus worker, starts. A unit that is not online has no speed and no draw, so that a graph shows a
 gap. `process_…` is the server itself.
+
+`docs/deploy` has [a scrape](../deploy/prometheus/prometheus.yml),
+[rules for alerts](../deploy/prometheus/lineside.rules.yml) on servers, wires and disks, and
+[a dashboard for Grafana](../deploy/grafana/lineside.json).
 
 | metric | type | labels | is |
 |---|---|---|---|
@@ -71,10 +77,18 @@ def _words(text: str | None) -> str:
 def metrics() -> str:
     """The chapter on the metrics: each with its type and labels."""
     return METRICS + "".join(
-        f"| `{family.name}{SUFFIX.get(family.type, '')}` | {family.type} | {_labels(family)} "
-        f"| {family.documentation} |\n"
+        f"| `{_name(family)}` | {family.type} | {_labels(family)} | {family.documentation} |\n"
         for family in LineCollector(_nothing()).collect()
     )
+
+
+def metric_names() -> set[str]:
+    """Every metric of our own, as Prometheus names it."""
+    return {_name(family) for family in LineCollector(_nothing()).collect()}
+
+
+def _name(family: Any) -> str:
+    return f"{family.name}{SUFFIX.get(family.type, '')}"
 
 
 def _labels(family: Any) -> str:
@@ -90,6 +104,8 @@ def _nothing() -> MetricSources:
         "alarms": SimpleNamespace(present=list, places_here=list),
         "pages": lambda: 0,
         "anchor": AnchorStatus,
+        "history": HistoryStatus,
+        "newest_backup": lambda: UnixTime(0.0),
         "data": GUIDE,
     }
     return MetricSources(**cast(dict[str, Any], sources))

@@ -16,11 +16,13 @@ from app.alarms.rules.states import PRESENT_STATES
 from app.conditions.draw import percent_of
 from app.conditions.priority import PRIORITIES
 from app.database.reserve import free_bytes
+from app.history.status import HistoryStatus
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, speed_decimals
 from app.live.state.draw import draw_of
 from app.metrics.sources import MetricSources
 from app.version import VERSION
+from bus.catalogue.status import OUTPUT_NUMBERS, output_is_on
 from bus.instants import UnixTime, unix_now
 
 _COUNTED = {
@@ -62,6 +64,10 @@ class LineCollector(Collector):
         yield from _of_alarms(measured.alarms)
         free = "Free space on the disk of the data folder"
         yield GaugeMetricFamily("lineside_disk_free_bytes", free, value=free_bytes(measured.data))
+        yield from _of_history(measured.history())
+        if (newest := measured.newest_backup()) is not None:
+            words = "When the newest nightly backup was begun; without any, since when there is to be one"
+            yield GaugeMetricFamily("lineside_backup_timestamp_seconds", words, value=float(newest))
         anchor = measured.anchor()
         degraded = 1 if anchor.altered or anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
@@ -97,27 +103,46 @@ def _of_alarms(alarms: LineAlarms) -> Iterator[Metric]:
         yield family
 
 
+def _of_history(status: HistoryStatus) -> Iterator[Metric]:
+    stored = 0 if status.state in ("paused", "failed") else 1
+    yield GaugeMetricFamily("lineside_history_stored", "0 while no reading is stored", value=stored)
+    size = "What the history takes on the disk of the server"
+    yield GaugeMetricFamily("lineside_history_bytes", size, value=status.size_bytes)
+    waiting = "Updates that are not in the store yet, those on the disk of the server included"
+    in_line = status.waiting + status.spooled_readings
+    yield GaugeMetricFamily("lineside_history_waiting", waiting, value=in_line)
+    yield CounterMetricFamily("lineside_history_lost", "Updates that could not be stored", value=status.lost)
+
+
 def _readings(buses: Iterable[tuple[str, BusLive]], now: UnixTime) -> Iterator[Metric]:
     """A unit without a value of the present has no sample of it: a graph has a gap, not the last value."""
     info = InfoMetricFamily("lineside_unit", "The name of a unit", labels=["bus", "unit"])
     online = _of_unit("lineside_unit_online", "1 while the values of a unit are of the present")
     actual = _of_unit("lineside_speed_actual", "Actual speed, as the display of the unit shows it")
     commanded = _of_unit("lineside_speed_commanded", "Commanded speed, as the display of the unit shows it")
+    deviation = _of_unit("lineside_speed_deviation", "Actual less commanded speed, as the unit shows them")
     draw = _of_unit("lineside_draw_percent", "Draw to the section before")
+    words = "1 while an output is on, as the unit reports it"
+    output = GaugeMetricFamily("lineside_output_on", words, labels=["bus", "unit", "output"])
     for name, bus in buses:
         for number, unit in bus.units.items():
             of_unit, is_online = [name, str(number)], unit_link_now(bus, unit, now) == "online"
             info.add_metric(of_unit, {"name": unit.settings.name, "group": unit.settings.group})
             online.add_metric(of_unit, 1 if is_online else 0)
             reading, decimals = unit.reading, speed_decimals(bus, unit)
-            if not is_online or reading is None or decimals is None:
+            if not is_online or reading is None:
+                continue
+            for which in OUTPUT_NUMBERS:
+                output.add_metric([*of_unit, str(which)], float(output_is_on(reading.outputs, which)))
+            if decimals is None:
                 continue
             actual.add_metric(of_unit, reading.actual / 10**decimals)
             commanded.add_metric(of_unit, reading.commanded / 10**decimals)
+            deviation.add_metric(of_unit, (reading.actual - reading.commanded) / 10**decimals)
             found = draw_of(bus, unit, now)
             if found.tenths is not None:
                 draw.add_metric(of_unit, float(percent_of(found.tenths)))
-    yield from (info, online, actual, commanded, draw)
+    yield from (info, online, actual, commanded, deviation, draw, output)
 
 
 def _of_unit(name: str, words: str) -> GaugeMetricFamily:
@@ -142,12 +167,14 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     is_open = GaugeMetricFamily("lineside_bus_open", "1 while the port of a bus is open", labels=["bus"])
     scan = GaugeMetricFamily("lineside_scan_hz", "Scans of all units a second", labels=["bus"])
     use = GaugeMetricFamily("lineside_wire_utilisation", "Share of the wire in use, 0 to 1", labels=["bus"])
+    linked = GaugeMetricFamily("lineside_worker_linked", "1 while a worker speaks for a bus", labels=["bus"])
     for name, bus in buses:
+        linked.add_metric([name], 1 if bus.worker_connected else 0)
         is_open.add_metric([name], 1 if bus.link.link == "open" else 0)
         if bus.figures:
             scan.add_metric([name], bus.figures.scan_hz)
             use.add_metric([name], bus.figures.wire_utilisation)
-    yield from (is_open, scan, use)
+    yield from (linked, is_open, scan, use)
 
 
 def text(measured: MetricSources) -> bytes:

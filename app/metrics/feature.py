@@ -5,7 +5,9 @@ from __future__ import annotations
 from app.alarms.line_alarms import LineAlarms
 from app.audit.anchoring import Anchoring
 from app.audit.log import EventLog
+from app.backup.service import Backups
 from app.feature import Feature, Services
+from app.history.service import History
 from app.live.browsers.hub import Hub
 from app.live.state.bus_live import LiveState
 from app.metrics.api import router
@@ -17,7 +19,19 @@ def make(services: Services) -> None:
     anchoring = services[Anchoring]
     counts = CommandCounts(services[EventLog])
     data = services.settings.server.data
-    services.add(MetricSources(live, lambda: hub.connected, counts, lambda: anchoring.status, alarms, data))
+    history, backups = services[History], services[Backups]
+    services.add(
+        MetricSources(
+            live,
+            pages=lambda: hub.connected,
+            commands=counts,
+            anchor=lambda: anchoring.status,
+            alarms=alarms,
+            history=lambda: history.status,
+            newest_backup=lambda: backups.newest,
+            data=data,
+        )
+    )
 
 
 FEATURE = Feature(make, (router,))

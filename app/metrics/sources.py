@@ -10,7 +10,9 @@ from pathlib import Path
 from app.alarms.line_alarms import LineAlarms
 from app.audit.anchoring import AnchorStatus
 from app.audit.log import Event, EventLog
+from app.history.status import HistoryStatus
 from app.live.state.bus_live import LiveState
+from bus.instants import UnixTime
 
 OUTCOMES = ("verified", "acknowledged", "refused", "unverified", "invalid", "not_sent", "bus_closed")
 
@@ -29,12 +31,15 @@ class CommandCounts:
 
 @dataclass(frozen=True, slots=True)
 class MetricSources:
-    """``pages``: how many are open now; ``anchor``: how well the audit log is anchored; ``data``: where the
-    stores are."""
+    """``pages``: how many are open now; ``anchor``: how well the audit log is anchored; ``history``: how well
+    readings are stored; ``newest_backup``: when it was begun, None where there are to be none; ``data``: the
+    folder of the stores."""
 
     live: LiveState
     pages: Callable[[], int]
     commands: CommandCounts
     anchor: Callable[[], AnchorStatus]
     alarms: LineAlarms
+    history: Callable[[], HistoryStatus]
+    newest_backup: Callable[[], UnixTime | None]
     data: Path

@@ -80,13 +80,23 @@ async def test_a_unit_has_its_speed_while_it_is_online(house: House) -> None:
     assert found["lineside_speed_actual", "dry-end", "2"] == 105.3
     assert found["lineside_speed_commanded", "dry-end", "2"] == 100
     assert found["lineside_unit_info", "dry-end", "", "Nip", "2"] == 1
+    assert found["lineside_speed_deviation", "dry-end", "2"] == pytest.approx(5.3)
+    outputs = {
+        name[2]: value for name, value in found.items() if name[:2] == ("lineside_output_on", "dry-end")
+    }
+    assert outputs == {str(number): 0 for number in range(1, 7)}
+    assert found["lineside_worker_linked", "dry-end"] == 1
+    assert found["lineside_history_stored",] == 1
+    assert found["lineside_history_lost_total",] == 0
     assert any(name[0] == "lineside_build_info" for name in found)
     assert found["lineside_disk_free_bytes",] > 0
     assert found["process_resident_memory_bytes",] > 0
     bus.lose_worker(now)
     found = await samples_for(program)
     assert found["lineside_unit_online", "dry-end", "2"] == 0
-    assert not any(name[0].startswith("lineside_speed") for name in found), "a gap, and not the last value"
+    gone = ("lineside_speed", "lineside_output")
+    assert not any(name[0].startswith(gone) for name in found), "a gap, and not the last value"
+    assert found["lineside_worker_linked", "dry-end"] == 0
 
 
 async def test_commands_by_their_outcome(house: House) -> None:
