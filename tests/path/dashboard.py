@@ -15,7 +15,7 @@ import httpx
 from app.database.settings import IN_FILES, StoreSettings
 from tests import fork_server
 from tests.e2e.limits import CALL_S
-from tests.e2e.site import add_people, end, eventually, people, wait_until_it_serves
+from tests.e2e.site import add_people, end, eventually, people, run_in_time, wait_until_it_serves
 from tests.free_port import free_port
 from tests.path.independent_unit import Cable, Unit, plugged
 
@@ -107,6 +107,8 @@ def dashboard(
         with (folder / "serve.log").open("ab") as log:
             server = fork_server.start("serve", "--config", config, stdout=log, stderr=log)
             try:
+                # A home whose server does not get a turn for four seconds is given up.
+                run_in_time(server)
                 wait_until_it_serves(server, folder / "serve.log", lambda: _serves(made))
                 for unit in units:
                     if not unit.off:
