@@ -55,13 +55,14 @@ def install_service(
 
 def folders_written(config: Path) -> tuple[Path, ...]:
     """The folders beside its own in which a service of this configuration writes: nightly backups, the
-    anchor of the audit log, and the data where they are elsewhere. None where there is no configuration."""
+    anchor of the audit log and its key, and the data where they are elsewhere. None without a configuration.
+    """
     try:
         settings = load(config)
     except LinesideError:
         return ()
-    anchor = settings.audit.anchor
-    named = (settings.server.data, settings.backup.folder, anchor and anchor.parent)
+    key = settings.audit.key_file
+    named = (settings.server.data, settings.backup.folder, settings.anchor_file.parent, key and key.parent)
     own = (DATA, config.absolute().parent)
     written = (folder for folder in named if folder and not any(map(folder.is_relative_to, own)))
     return tuple(dict.fromkeys(written))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 
 def become_owner_of(folder: Path) -> None:
-    """Go on as the owner of a folder, for good, where root calls and the folder is another user's. A folder
-    that is not there yet has none, and changes nothing."""
+    """Go on as the owner of a folder, for good, where root calls and the folder is another user's. One that
+    is not there yet will be of who has the folder that it is made in."""
     if os.geteuid() != 0 or (owner := _owner(folder)) is None:
         return
     uid, gid = owner
@@ -18,11 +18,11 @@ def become_owner_of(folder: Path) -> None:
 
 
 def _owner(folder: Path) -> tuple[int, int] | None:
-    """User and group, where that is not root."""
-    try:
-        found = folder.stat()
-    except OSError:
+    """User and group of the folder, or of the nearest one above that is there; None where that is root."""
+    nearest = next((each for each in (folder, *folder.parents) if each.is_dir()), None)
+    if nearest is None:
         return None
+    found = nearest.stat()
     return (found.st_uid, found.st_gid) if found.st_uid != 0 else None
 
 

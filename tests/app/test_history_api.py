@@ -264,6 +264,23 @@ async def test_csv_names_units_and_time_zone(client: httpx.AsyncClient, history:
     assert len(rows) == 1 + 50 + 1 + 35
 
 
+async def test_a_value_that_is_steady_from_before_the_start_is_in_an_export(
+    client: httpx.AsyncClient, history: History
+) -> None:
+    """A row for people at each second; of single readings the last, when the unit responded."""
+    scale = [parameter(3, 1), parameter(22, 0), parameter(23, 100)]
+    history.append("dry-end", [*scale, *polls(NOON, NOON + 30, lambda _: 1000)])
+    until(lambda: history.status.waiting == 0)
+    params = {"series": ["dry-end/1/actual"], "from": at(10), "to": at(20)}
+    table = await client.get("/history/export", params={**params, "layout": "table"})
+    rows = list(csv.reader(io.StringIO(table.content.decode("utf-8-sig"))))[1:]
+    assert [row[0][-8:] for row in rows] == [f"13:00:{second}" for second in range(10, 20)]
+    assert {row[2] for row in rows} == {"100.0"}
+    single = list(csv.reader(io.StringIO((await client.get("/history/export", params=params)).text)))[1:]
+    assert [row[1] for row in single] == ["100.0"]
+    assert single[0][0] == "2026-11-21T13:00:29.800+01:00"
+
+
 async def test_an_export_before_anything_is_folded_holds_what_a_worker_kept_for_days(
     client: httpx.AsyncClient, history: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -60,6 +60,8 @@ def test_it_may_write_where_the_configuration_lets_it(tmp_path: Path) -> None:
     assert f"ReadWritePaths={config.parent} -/srv/lineside -/mnt/b -/mnt/worm\n" in text
     config.write_text('[server]\ndata = "/var/lib/lineside/data"\n[backup]\nfolder = "backups"\n')
     assert folders_written(config) == ()
+    config.write_text('[server]\ndata = "/srv/lineside"\n')
+    assert folders_written(config) == (Path("/srv/lineside"), Path("/srv")), "the anchor is beside the data"
 
 
 def test_it_is_installed_in_order_and_again_without_a_change(tmp_path: Path, unit: ServiceUnit) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,11 +18,16 @@ SERVICE = 4321
 
 
 @pytest.fixture
+def tmp_path() -> Iterator[Path]:
+    """A folder that the service can enter: those of pytest are root's alone, and closed again by each run."""
+    with tempfile.TemporaryDirectory(prefix="lineside-rights-") as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder)
+
+
+@pytest.fixture
 def config(tmp_path: Path) -> Path:
-    """A configuration and a data folder of the service; the folders above let it pass."""
-    for folder in (tmp_path, *tmp_path.parents):
-        if folder.stat().st_mode & 0o055 != 0o055:
-            folder.chmod(0o755)
+    """A configuration and a data folder of the service."""
     made = tmp_path / "etc" / "lineside.toml"
     for folder in (made.parent, tmp_path / "data"):
         folder.mkdir(mode=0o700)
@@ -63,6 +70,16 @@ def test_a_first_configuration_is_of_who_has_the_folder(config: Path) -> None:
     config.unlink()
     done("init", "--config", config)
     assert owners(config.parent) == {SERVICE}
+
+
+def test_a_data_folder_that_is_not_there_yet_becomes_the_service_s(config: Path, tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    state.mkdir(mode=0o700)
+    os.chown(state, SERVICE, SERVICE)
+    config.write_text('[server]\ndata = "../state/data"\n')
+    done("token", "create", "plc", "--role", "viewer", "--config", config)
+    assert (state / "data" / "lineside.db").is_file()
+    assert owners(state) | owners(config.parent) == {SERVICE}
 
 
 def test_a_folder_of_root_or_none_changes_nothing(tmp_path: Path) -> None:

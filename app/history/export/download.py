@@ -42,7 +42,7 @@ async def response(
     if file == "parquet" and not await parquet_file.is_usable():
         raise Problem(501, "no_parquet", Message("no_parquet"))
     fineness = await _fineness(history, queries, resolution)
-    table = Table(queries, fineness, history.time_zone)
+    table = Table(queries, fineness, history.time_zone, carries=named_in is not None)
     name = f"lineside-{_stamp(queries[0].start, table)}-{_stamp(queries[0].end, table)}.{file}"
     headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-store"}
     rows = pieces(history, table)

@@ -19,7 +19,7 @@ from app.history.query import unit_history
 from app.history.query.query import Resolution, SeriesQuery, scale_of
 from app.history.series import values
 from app.history.series.gaps import holes, usual_interval
-from app.history.series.runs import DAY, HOUR, Run, micros
+from app.history.series.runs import DAY, HOUR, MINUTE, Run, micros
 from app.history.series.scaling import LinearScale
 from app.history.service import History
 from app.history.store import tables
@@ -50,11 +50,13 @@ class ExportRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The columns of an export, and how fine it is."""
+    """The columns of an export, and how fine it is. ``carries``: a value that a unit reported steadily from
+    before the start has a row at the start, which is no response of its own."""
 
     queries: Sequence[SeriesQuery]
     fineness: Resolution
     time_zone: str
+    carries: bool = False
 
     @property
     def columns(self) -> list[str]:
@@ -133,7 +135,7 @@ def _rows(
             if source is None:
                 continue
             if table.fineness == "readings":
-                rows += _reading_rows(source, wanted, len(part), last_until)
+                rows += _reading_rows(source, wanted, len(part), last_until, table.carries)
             else:
                 rows += _rollup_rows(source, wanted, 3 * len(part), table.fineness)
             damaged += source.damaged
@@ -146,10 +148,13 @@ def _reading_rows(
     wanted: Sequence[tuple[int, SeriesQuery]],
     width: int,
     last_until: dict[tuple[str, int], int],
+    carries: bool,
 ) -> Iterator[ExportRow]:
     first = wanted[0][1]
     unit = (first.bus.name, first.unit)
-    runs = unit_history.runs_between(source, first.start, first.end)
+    # A run is within a minute: one that began before the first piece may go on in it, and before no other.
+    found = unit_history.runs_between(source, first.start - MINUTE, first.end)
+    runs = [run for run in found if run.until >= first.start]
     if not runs:
         return
     holes = _holes(source, last_until.get(unit), runs)
@@ -161,9 +166,11 @@ def _reading_rows(
         cells: list[Cell | None] = [None] * width
         for place, query in wanted:
             cells[place] = _cell(query, run, scales[place].at(run.at))
-        yield ExportRow(run.at, tuple(cells))
+        if carries or run.at >= first.start:
+            yield ExportRow(max(run.at, first.start), tuple(cells))
         if run.until > run.at:
-            yield ExportRow(run.until, tuple(cells))
+            # For people the rows end with the span.
+            yield ExportRow(min(run.until, first.end - 1) if carries else run.until, tuple(cells))
     last_until[unit] = runs[-1].until
 
 
