@@ -52,7 +52,6 @@ STORY = (
     ("well", "unit-review"),
     ("acted", "unit-done"),
     ("one-off", "line-tiles"),
-    ("well", "trends"),
     ("well", "parameters"),
 )
 """Situation and scene of each frame of the moving picture."""
