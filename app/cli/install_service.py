@@ -54,7 +54,7 @@ def install_service(
 
 
 def folders_written(config: Path) -> tuple[Path, ...]:
-    """The folders elsewhere in which a service of this configuration writes: nightly backups, the
+    """The folders beside its own in which a service of this configuration writes: nightly backups, the
     anchor of the audit log, and the data where they are elsewhere. None where there is no configuration."""
     try:
         settings = load(config)
