@@ -51,7 +51,7 @@ def test_the_story_is_of_scenes_that_there_are() -> None:
     assert set(STORY) <= there
 
 
-def test_the_picture_of_the_readme_is_small_and_has_the_whole_story() -> None:
+def test_the_picture_of_the_readme_is_small_and_has_every_frame() -> None:
     kept = ANIMATION.read_bytes()
     parts = list(chunks(kept))
     assert len(kept) <= MAX_BYTES
