@@ -181,7 +181,7 @@ PAGES = (
     Scene("offline", "/offline"),
 )
 ACTED = (
-    Scene("unit-done", UNIT, _set("121.0", confirm=True)),
+    Scene("unit-done", UNIT, _set("125.0", confirm=True)),
     Scene("setpoints-done", "/setpoints", lambda page: _together(page, confirm=True)),
     Scene("restored", "/sets/2", _restored, whole=True),
 )

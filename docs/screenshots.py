@@ -2,7 +2,7 @@
 
 Lines of the simulator are served and brought into the situations of ``docs.scenes``; Chromium photographs
 them as a phone, a panel and a desktop, by day and by night, in every language, into ``docs/pictures/all``,
-which is not kept. The few pictures of the README are taken on the way.
+which is not kept. The few pictures of the README are taken on the way, the moving one among them.
 
     python -m docs.screenshots [--situation NAME …] [--scene NAME …] [--size NAME …] [--look light-en …]
 """
@@ -10,6 +10,7 @@ which is not kept. The few pictures of the README are taken on the way.
 from __future__ import annotations
 
 import argparse
+import base64
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -20,6 +21,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, FloatRect, Page, sync_playwright
 
+from docs.animation import animated
 from docs.scenes import SITUATIONS, Scene, Situation
 from tests.e2e.conftest import CHROMIUM, FLAGS, signed_in
 from tests.e2e.site import Site, site
@@ -44,6 +46,18 @@ README = {
 CLIPS: dict[str, FloatRect] = {"matrix": {"x": 0, "y": 0, "width": 1280, "height": 610}}
 """What of a kept picture is enough; each is to stay below 150 kB."""
 
+STORY = (
+    ("well", "line-tiles"),
+    ("well", "unit"),
+    ("well", "unit-review"),
+    ("acted", "unit-done"),
+    ("one-off", "line-tiles"),
+    ("well", "parameters"),
+)
+"""Situation and scene of each frame of the moving picture."""
+STORY_SIZE, STORY_LOOK, FRAME_MS, QUALITY = "panel", "light-en", 2200, 70
+ANIMATION = PICTURES / "tour.webp"
+
 
 class Camera:
     """Takes what was requested."""
@@ -52,6 +66,7 @@ class Camera:
         self._chromium = chromium
         self._wanted = wanted
         self.failed: list[str] = []
+        self._frames: dict[tuple[str, str], bytes] = {}
 
     def take(self, served: Site, situation: Situation) -> None:
         """All pictures of a situation."""
@@ -70,10 +85,18 @@ class Camera:
                     _show(page, served, situation, scene)
                 except Exception as error:
                     self.failed.append(f"{name}: {str(error).splitlines()[0]}")
+                if (size, look) == (STORY_SIZE, STORY_LOOK) and (situation.name, scene.name) in STORY:
+                    self._frames[situation.name, scene.name] = _webp(page)
                 _keep(page, ALL / f"{name}.png", whole=scene.whole)
                 kept = README.get((situation.name, scene.name, size, look))
                 if kept:
                     page.screenshot(path=PICTURES / f"{kept}.png", clip=CLIPS.get(kept))
+
+    def tell_story(self) -> None:
+        """Renew the moving picture where all of its frames were requested."""
+        if self._frames.keys() == set(STORY):
+            frames = [self._frames[key] for key in STORY]
+            ANIMATION.write_bytes(animated(frames, SIZES[STORY_SIZE], FRAME_MS))
 
 
 def main() -> int:
@@ -87,6 +110,7 @@ def main() -> int:
             if any(one.line == name for one in requested):
                 _one_line(camera, list(situations), requested)
         chromium.close()
+    camera.tell_story()
     print("\n".join(camera.failed))
     return 1 if camera.failed else 0
 
@@ -128,6 +152,14 @@ def _keep(page: Page, path: Path, *, whole: bool) -> None:
         page.set_viewport_size({"width": window["width"], "height": max(window["height"], height)})
     page.screenshot(path=path)
     page.set_viewport_size(window)
+
+
+def _webp(page: Page) -> bytes:
+    """The window in a format that Playwright does not offer."""
+    session = page.context.new_cdp_session(page)
+    taken = session.send("Page.captureScreenshot", {"format": "webp", "quality": QUALITY})
+    session.detach()
+    return base64.b64decode(taken["data"])
 
 
 @contextmanager

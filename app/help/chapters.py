@@ -47,6 +47,7 @@ CHAPTERS = (
     Chapter("guide/users.md", DO),
     Chapter("guide/backup.md", DO),
     Chapter("tls.md", DO),
+    Chapter("containers.md", DO),
     Chapter("scale.md", DO),
     Chapter("configuration.md", LOOK_UP),
     Chapter("alarms.md", LOOK_UP),
