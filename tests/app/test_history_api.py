@@ -38,10 +38,14 @@ from app.web.turns import Turns
 from bus.contract import UnitLink
 from bus.instants import UnixTime
 from bus.messages import Message
-from tests.app.history_line import BUS, NOON, parameter, polls, until
+from bus.settings import UnitSettings
+from tests.app.history_line import BUS, NOON, parameter, polls, reading, until
 from tests.stores import both_engines, open_store
 
 pytestmark = both_engines
+
+
+TWO_UNITS = BUS.model_copy(update={"unit": (*BUS.unit, UnitSettings(id=2, name="Nip"))})
 
 
 class AsViewer:
@@ -59,7 +63,7 @@ class AsViewer:
 @pytest.fixture
 async def history(tmp_path: Path) -> AsyncIterator[History]:
     settings = Settings(
-        site=Site(time_zone="Europe/Berlin"), server=ServerSettings(data=tmp_path), bus=(BUS,)
+        site=Site(time_zone="Europe/Berlin"), server=ServerSettings(data=tmp_path), bus=(TWO_UNITS,)
     )
     history = History(settings)
     history.start()
@@ -279,6 +283,26 @@ async def test_a_value_that_is_steady_from_before_the_start_is_in_an_export(
     single = list(csv.reader(io.StringIO((await client.get("/history/export", params=params)).text)))[1:]
     assert [row[1] for row in single] == ["100.0"]
     assert single[0][0] == "2026-11-21T13:00:29.800+01:00"
+
+
+async def test_a_unit_that_does_not_come_back_is_empty_in_a_table(
+    client: httpx.AsyncClient, history: History
+) -> None:
+    scale = [
+        parameter(number, raw, unit=unit) for unit in (1, 2) for number, raw in ((3, 1), (22, 0), (23, 100))
+    ]
+    other = [reading(NOON + second / 2, unit=2) for second in range(120)]
+    history.append("dry-end", [*scale, *polls(NOON, NOON + 5, lambda _: 1000), *other])
+    until(lambda: history.status.waiting == 0)
+    params = {"series": ["dry-end/1/actual", "dry-end/2/actual"], "layout": "table"}
+
+    async def shown(start: float, end: float) -> list[tuple[str, str]]:
+        response = await client.get("/history/export", params={**params, "from": at(start), "to": at(end)})
+        rows = list(csv.reader(io.StringIO(response.content.decode("utf-8-sig"))))[1:]
+        return [(row[2], row[3]) for row in rows]
+
+    assert await shown(0, 40) == [("100.0", "100.0")] * 5 + [("", "100.0")] * 35
+    assert await shown(20, 40) == [("", "100.0")] * 20
 
 
 async def test_an_export_before_anything_is_folded_holds_what_a_worker_kept_for_days(

@@ -18,7 +18,7 @@ from app.history.intake.tail import Tail
 from app.history.query import unit_history
 from app.history.query.query import Resolution, SeriesQuery, scale_of
 from app.history.series import values
-from app.history.series.gaps import holes, usual_interval
+from app.history.series.gaps import holes, long_gap, usual_interval
 from app.history.series.runs import DAY, HOUR, MINUTE, Run, micros
 from app.history.series.scaling import LinearScale
 from app.history.service import History
@@ -155,14 +155,17 @@ def _reading_rows(
     # A run is within a minute: one that began before the first piece may go on in it, and before no other.
     found = unit_history.runs_between(source, first.start - MINUTE, first.end)
     runs = [run for run in found if run.until >= first.start]
+    places, nothing = tuple(place for place, _ in wanted), (None,) * width
     if not runs:
+        if carries:
+            yield ExportRow(first.start, nothing, ends=places)
         return
     holes = _holes(source, last_until.get(unit), runs)
     scales = {place: scale_of(source, query) for place, query in wanted}
     for position, run in enumerate(runs):
         if position in holes:
             note = f"no readings of {unit[0]}/{unit[1]}"
-            yield ExportRow(holes[position], (None,) * width, note, tuple(place for place, _ in wanted))
+            yield ExportRow(holes[position], nothing, note, places)
         cells: list[Cell | None] = [None] * width
         for place, query in wanted:
             cells[place] = _cell(query, run, scales[place].at(run.at))
@@ -172,6 +175,9 @@ def _reading_rows(
             # For people the rows end with the span.
             yield ExportRow(min(run.until, first.end - 1) if carries else run.until, tuple(cells))
     last_until[unit] = runs[-1].until
+    if carries and min(first.end, micros(unix_now())) - runs[-1].until > long_gap(usual_interval(runs)):
+        # It has not come back: nothing is known of it until it does.
+        yield ExportRow(runs[-1].until + 1, nothing, ends=places)
 
 
 def _holes(source: unit_history.StoredUnit, before: int | None, runs: Sequence[Run]) -> dict[int, int]:

@@ -64,6 +64,11 @@ def short_gap(usual: int) -> int:
     return max(SHORT_GAP, FEW_INTERVALS * usual)
 
 
+def long_gap(usual: int) -> int:
+    """The longest gap, µs, that may be no hole. ``usual``: how often the unit responds, µs."""
+    return max(LONG_GAP, MANY_INTERVALS * usual)
+
+
 def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> list[int]:
     """Positions ``i`` with a hole between ``times[i]`` and ``times[i + 1]`` (in order).
 
@@ -73,7 +78,7 @@ def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> lis
     short = width + short_gap(usual)
     if not marks.lost and max(differences, default=0) <= short:
         return []
-    limit = width + max(LONG_GAP, MANY_INTERVALS * usual)
+    limit = width + long_gap(usual)
     found = {i for i, difference in enumerate(differences) if difference > limit}
     lost = {bisect_left(times, mark) - 1 for mark in marks.lost}
     found |= {i for i in lost if 0 <= i < len(differences) and differences[i] > width}

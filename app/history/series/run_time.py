@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import Literal, NamedTuple
 
-from app.history.series.gaps import LONG_GAP, MANY_INTERVALS, usual_interval
+from app.history.series.gaps import long_gap, usual_interval
 from app.history.series.rollup import Rollup
 from app.history.series.runs import MINUTE, Run
 from bus.catalogue.status import status_bits
@@ -84,7 +84,7 @@ def runs_of_minutes(minutes: Iterable[Rollup]) -> list[Run]:
 
 
 def _stretches(runs: Sequence[Run], start: int, end: int) -> Iterator[_Stretch]:
-    longest = max(LONG_GAP, MANY_INTERVALS * usual_interval(runs))
+    longest = long_gap(usual_interval(runs))
     for run, following in zip_longest(runs, runs[1:]):
         goes_on = following is not None and following.at - run.until <= longest
         at, until = max(run.at, start), min(following.at if goes_on else run.until, end)
