@@ -51,7 +51,7 @@ class ExportRow(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Table:
     """The columns of an export, and how fine it is. ``carries``: a value that a unit reported steadily from
-    before the start has a row at the start, which is no response of its own."""
+    before the start has a row at the start, where the unit need not have responded."""
 
     queries: Sequence[SeriesQuery]
     fineness: Resolution
