@@ -131,7 +131,7 @@ def balanced_site(folder: Path) -> Iterator[BalancedSite]:
     balanced = Balanced(folder, (free_port(), free_port()), free_port())
     words = balanced.write("haproxy")
     devices = {bus: DeviceServer({1: Unit(1, commanded=1000, actual=1000)}) for bus in (DRY, WET)}
-    with ExitStack() as stack, fresh_database() as store:
+    with fresh_database() as store, ExitStack() as stack:
         for device in devices.values():
             stack.callback(device.close)
         configs = [

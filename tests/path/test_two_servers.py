@@ -154,7 +154,7 @@ port = "socket://127.0.0.1:{device.port}"
 def two_servers(folder: Path) -> Iterator[tuple[Host, Host, DeviceServer]]:
     """The first is the home of the bus when this begins."""
     device = DeviceServer({number: Unit(number, commanded=1000, actual=1000) for number in (1, 2)})
-    with ExitStack() as stack, fresh_database() as store:
+    with fresh_database() as store, ExitStack() as stack:
         stack.callback(device.close)
         hosts: list[Host] = []
         token = ""
