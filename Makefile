@@ -47,7 +47,7 @@ browser-tests: development
 other-tests: development
 	$(BIN)/pytest --collect-only --quiet --ignore tests/e2e tests >/dev/null
 	node --test tests/js/*.test.js
-	nice -n 5 $(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
+	nice -n 5 $(BIN)/pytest -n 5 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
 
 # What takes long, alone on the machine: it measures. Then each property with many random examples. 40 minutes.
 soak: development

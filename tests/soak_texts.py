@@ -67,7 +67,7 @@ def expected_texts(function: ast.AST) -> Iterator[tuple[int, str]]:
 
 def names_in(tree: ast.Module) -> set[str]:
     """What a page shows in the fields of a text: names that the tests of a module give, those of the demo, of
-    roles and parameters, and texts that are a whole themselves."""
+    roles and parameters, and complete texts."""
     constants = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant))
     elsewhere = Counter(each for each in constants if isinstance(each, str))
     elsewhere.subtract(text for _, text in expected_texts(tree))
