@@ -47,6 +47,8 @@ _SERVER_ID = r"^[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?$"
 
 STORE_FILE = "lineside.db"
 """The main store, in the data folder."""
+LOCK_FILE = "lock"
+"""In the data folder; a server has it locked while it runs."""
 KEY_SUFFIX = ".audit.key"
 """``lineside.toml`` has its key in ``lineside.audit.key``."""
 

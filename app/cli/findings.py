@@ -132,7 +132,7 @@ def _data(folder: Path) -> Finding:
 
 
 def _bus(bus: BusSettings) -> Iterator[Finding]:
-    refusal = _url_fault(bus) if "://" in bus.port else _device_fault(bus)
+    refusal = bus_refusal(bus)
     if refusal is not None:
         yield Finding(refusal, is_fault=True)
         return
@@ -141,6 +141,11 @@ def _bus(bus: BusSettings) -> Iterator[Finding]:
     yield Finding(Message.of(code, bus=bus.name, n=len(bus.unit), port=bus.port, baud=bus.baud))
     if not bus.unit:
         yield Finding(Message.of("check_bus_without_units", bus=bus.name, port=bus.port))
+
+
+def bus_refusal(bus: BusSettings) -> Message | None:
+    """Why the port of a bus cannot be used, as far as that shows without opening it."""
+    return _url_fault(bus) if "://" in bus.port else _device_fault(bus)
 
 
 def _device_fault(bus: BusSettings) -> Message | None:
