@@ -168,6 +168,9 @@ def check_port(port: str) -> str:
         raise ValueError(Message("setting_device_path"))
     if "://" in port and not port.startswith(("socket://", "rfc2217://")):
         raise ValueError(Message("setting_port_scheme"))
+    if "://" in port and "@" in port:
+        # No device server is signed in to, and a port is shown on pages.
+        raise ValueError(Message("setting_url_with_password"))
     if "://" in port and not _names_host_and_port(port):
         raise ValueError(Message("setting_host_and_port"))
     return port
