@@ -113,6 +113,8 @@ class BusSettings(Dialect):
     port: Annotated[str, Field(min_length=1)]
     baud: Baud = 9600
     turnaround_ms: Annotated[float, Field(strict=True, ge=0, le=5000)] = 50
+    worker: Literal["server", "remote"] = "server"
+    """Who runs its worker: the server on its machine, or ``lineside worker`` on the one with the port."""
     take_over: Literal["automatic", "manual"] | None = None
     """Whether another server becomes the home of the bus without a person; None: where its port is on a
     device server, which any server reaches."""
@@ -150,6 +152,11 @@ class BusSettings(Dialect):
             unit.id: Seam(before.id, self.draw_percent if unit.draw_percent is None else unit.draw_percent)
             for before, unit in pairwise(self.unit)
         }
+
+    @property
+    def has_local_port(self) -> bool:
+        """Whether its port is a device of the server's machine."""
+        return self.worker == "server" and "://" not in self.port
 
     @property
     def is_taken_over(self) -> bool:

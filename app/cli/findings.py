@@ -132,12 +132,13 @@ def _data(folder: Path) -> Finding:
 
 
 def _bus(bus: BusSettings) -> Iterator[Finding]:
-    refusal = bus_refusal(bus)
+    refusal = bus_refusal(bus) if bus.worker == "server" else None
     if refusal is not None:
         yield Finding(refusal, is_fault=True)
         return
-    absent = "://" not in bus.port and not Path(bus.port).exists()
-    code = "check_bus_absent" if absent else "check_bus"
+    code = "check_bus" if bus.worker == "server" else "check_bus_remote"
+    if bus.has_local_port and not Path(bus.port).exists():
+        code = "check_bus_absent"
     yield Finding(Message.of(code, bus=bus.name, n=len(bus.unit), port=bus.port, baud=bus.baud))
     if not bus.unit:
         yield Finding(Message.of("check_bus_without_units", bus=bus.name, port=bus.port))

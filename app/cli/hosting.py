@@ -100,7 +100,7 @@ async def _host(
     url = url_of(address, port, "http" if feed is None else "https")
     feed_url = url_of(*(feed or listening).getsockname()[:2])
     # Not by app.auth, which imports FastAPI: the workers begin before that takes its quarter of a second.
-    tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus}
+    tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus if bus.worker == "server"}
     leased = bool(settings.store.url)
     workers = WorkerProcesses(config, tokens, feed_url, leased=leased)
     stopping = _stop_requested()

@@ -70,7 +70,7 @@ def unit_of(command: Path, config: Path, user: str, settings: Settings | None) -
     """The service of a configuration: it may open serial ports where a bus is on one, as in the first one."""
     if settings is None:
         return ServiceUnit(command, config, user)
-    has_ports = any("://" not in bus.port for bus in settings.bus)
+    has_ports = any(bus.has_local_port for bus in settings.bus)
     return ServiceUnit(command, config, user, folders_written(settings, config), has_ports)
 
 

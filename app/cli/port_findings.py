@@ -31,13 +31,13 @@ _WORD_BYTES = 4
 
 def port_users(settings: Settings) -> PortUsers:
     """The programs at the serial ports. Only root sees those of every user."""
-    return {bus.name: users_of(bus.port) for bus in settings.bus if "://" not in bus.port}
+    return {bus.name: users_of(bus.port) for bus in settings.bus if bus.has_local_port}
 
 
 def port_findings(settings: Settings, users: PortUsers, *, server_runs: bool) -> Iterator[Finding]:
-    """Each port. One that `lineside check` has refused already is not tried."""
+    """Each port that the server uses. One that `lineside check` has refused already is not tried."""
     for bus in settings.bus:
-        if bus_refusal(bus) is None:
+        if bus.worker == "server" and bus_refusal(bus) is None:
             yield _server(bus, settings, runs=server_runs) if "://" in bus.port else _device(bus, users)
 
 
