@@ -46,11 +46,11 @@ HELP = {
     "shifts": "operator#the-shift",
     "trends": "operator#trends",
     "events": "operator#events",
-    "recipes": "operator#recipes",
+    "recipes": "recipes",
     "sets": "replace-a-drive",
     "bus": "hardware",
     "users": "users",
-    "lines": "scale",
+    "lines": "several-lines",
 }
 """The chapter of the help that is about a page, by its ``key``; of all others the list of chapters."""
 

@@ -47,6 +47,7 @@ def own_port(made: Served) -> int:
     return int(json.loads(next(lines))["url"].split(":")[2].split("/")[0])
 
 
+@pytest.mark.soak
 async def test_200_sockets_stay_while_the_certificate_is_renewed(tmp_path: Path) -> None:
     with served(tmp_path) as made:
         async with AsyncExitStack() as stack:

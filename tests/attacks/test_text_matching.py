@@ -18,6 +18,7 @@ from app.web.access import Role
 from app.web.bounds import LONGEST_QUERY
 from app.web.formats import Formats
 from tests.app.complete_app import House, complete_app
+from tests.sizes import sizes
 
 MARK = "zq7"
 HOSTILE = f"{MARK}: {MARK}; {MARK}"
@@ -90,7 +91,7 @@ def filled(path: str, text: str) -> str:
     return "".join(parts)
 
 
-@pytest.mark.parametrize("accept", ["text/html", "application/json"])
+@pytest.mark.parametrize("accept", sizes("text/html", "application/json"))
 async def test_no_text_of_a_request_is_looked_up_in_a_catalog(
     house: House, looked_up: list[str], accept: str
 ) -> None:
@@ -110,6 +111,7 @@ async def test_no_text_of_a_request_is_looked_up_in_a_catalog(
     assert [text for text in looked_up if MARK in text] == []
 
 
+@pytest.mark.soak
 async def test_no_text_of_an_address_makes_a_route_fail(house: House) -> None:
     client = await house.signed_in(Role.ADMIN)
     for route in (route for route in house.app.routes if isinstance(route, APIRoute)):

@@ -298,6 +298,7 @@ async def test_a_worker_may_send_much_at_once_after_hello(site: Site) -> None:
     assert not reader.at_eof()
 
 
+@pytest.mark.soak
 async def test_messages_that_the_app_does_not_read_wait_in_the_kernel(site: Site) -> None:
     site.reads.clear()
     await site.connect(FEED_PATH)

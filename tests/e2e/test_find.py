@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
 from playwright.sync_api import expect
 
 from tests.e2e.conftest import OpensPages
@@ -26,6 +27,7 @@ def test_a_parameter_is_found_and_opened_by_keyboard(
     page.wait_for_url("**/units/line/1/parameters#parameter-6", timeout=PAGE_MS)
 
 
+@pytest.mark.soak
 def test_a_phone_has_the_other_pages_one_press_away(
     shared_page: OpensPages, flaws: Callable[..., list[str]]
 ) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from struct import pack
 from zlib import compress, crc32
 
+import pytest
 from playwright.sync_api import Page, ViewportSize, expect
 
 from app.handover.rules.orientation import exif_of
@@ -34,6 +35,7 @@ def own(page: Page) -> dict[str, str]:
     return {"Origin": page.url.partition("/shifts")[0]}
 
 
+@pytest.mark.soak
 def test_a_shift_is_handed_over(browser_page: OpensPages, flaws: Callable[..., list[str]]) -> None:
     page = browser_page("operator", viewport=PHONE)
     page.goto("/shifts/present")

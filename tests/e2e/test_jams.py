@@ -66,6 +66,7 @@ def test_nothing_jams_on_any_page(past_site: Site, shared_page: OpensPages, path
     assert jams(shared_page("engineer", site=past_site, locale=locale), path) == []
 
 
+@pytest.mark.soak
 def test_no_key_lies_on_a_step_in_the_narrowest_window(site: Site, shared_page: OpensPages) -> None:
     page = shared_page("engineer", site=site, locale=GERMAN, viewport={"width": 320, "height": 640})
     page.goto("/units/line/1")

@@ -122,6 +122,7 @@ def expect_controls(page: Page) -> None:
     expect(page.locator(".main:not([inert]) form.setter:not([inert])")).to_be_attached()
 
 
+@pytest.mark.soak
 def test_a_panel_only_looks_unless_it_is_given_more(panel: Callable[..., Page]) -> None:
     wall = panel("wall", HOME)
     expect(wall.locator(".main [data-command]")).to_have_count(0)
@@ -243,6 +244,7 @@ def test_it_can_be_installed(browser_page: OpensPages) -> None:
     )
 
 
+@pytest.mark.soak
 @pytest.mark.provokes("WebSocket", "fetch", "ERR_")
 def test_without_a_network_it_shows_a_notice_and_comes_back(browser_page: OpensPages) -> None:
     page = browser_page(viewport=PANEL, service_workers="allow")

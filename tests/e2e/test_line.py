@@ -166,6 +166,7 @@ def test_the_pages_around_the_line_fit_a_phone_in_a_glove(browser_page: OpensPag
         assert page.evaluate(HIDDEN_TO_THE_SIDE) == [], path
 
 
+@pytest.mark.soak
 def test_a_user_is_added_given_a_role_disabled_and_removed(
     shared_page: OpensPages, axe: Callable[..., list[str]]
 ) -> None:
@@ -195,6 +196,7 @@ def test_a_user_is_added_given_a_role_disabled_and_removed(
     expect(row).to_have_count(0)
 
 
+@pytest.mark.soak
 def test_a_token_is_revoked_after_a_confirmation(
     site: Site, shared_page: OpensPages, axe: Callable[..., list[str]]
 ) -> None:

@@ -88,6 +88,7 @@ def opened(page: Page, path: str) -> Page:
 # --- control --------------------------------------------------------------------------------------
 
 
+@pytest.mark.soak
 def test_control_is_taken_seen_handed_over_and_given_back(
     site: Site, browser_page: OpensPages, axe: Callable[[Page], list[str]]
 ) -> None:
@@ -195,6 +196,7 @@ def test_control_is_requested_in_the_head_and_a_refused_setpoint_goes_on(
     expect(anna.locator("[data-head-control]")).to_contain_text("Control is free")
 
 
+@pytest.mark.soak
 @pytest.mark.usefixtures("holder")
 def test_refusals_are_shown_in_the_language_of_the_page(shared_page: OpensPages) -> None:
     page = opened(shared_page("operator", viewport=PANEL, locale="de-DE"), "/units/line/1")

@@ -73,6 +73,7 @@ def test_nothing_lies_over_what_can_be_pressed(shared_page: OpensPages, path: st
         assert page.evaluate(COVERED) == [], width
 
 
+@pytest.mark.soak
 def test_nothing_lies_over_the_rows_of_a_restore(site: Site, shared_page: OpensPages) -> None:
     unit = "/buses/line/units/1"
     with site.api("engineer") as client:

@@ -152,6 +152,7 @@ def requested_again(page: Page, left: Locator) -> bool:
     return False
 
 
+@pytest.mark.soak
 def test_by_keyboard_alone_to_the_proof_which_prints(
     site: Site, browser_page: OpensPages, axe: Callable[..., list[str]]
 ) -> None:

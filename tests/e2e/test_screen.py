@@ -28,7 +28,6 @@ PAGES = [
     "/notifications",
     "/alarms/line.1.estop_active.0",
     "/help",
-    "/docs",
     "/help/hardware",
 ]
 PHONE = {"width": 360, "height": 740}
@@ -47,7 +46,11 @@ def too_wide(page: Page) -> int:
     return found
 
 
-@pytest.mark.parametrize(("path", "locale"), in_turn(PAGES, (ENGLISH, GERMAN)))
+@pytest.mark.parametrize(
+    ("path", "locale"),
+    # Thousands of elements, of which axe judges each six times.
+    [*in_turn(PAGES, (ENGLISH, GERMAN)), pytest.param("/docs", ENGLISH, marks=pytest.mark.soak)],
+)
 def test_a_page_is_accessible_and_fits_its_window(
     shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str
 ) -> None:
@@ -86,6 +89,7 @@ def test_at_twice_the_size_nothing_is_lost(shared_page: OpensPages, path: str) -
     assert too_wide(page) <= 0
 
 
+@pytest.mark.soak
 def test_an_engineer_simulates_an_alarm_before_it_goes_live(shared_page: OpensPages) -> None:
     page = opened(shared_page("engineer", viewport=PANEL), "/alarms")
     page.get_by_role("link", name="Custom alarms").click()
@@ -100,6 +104,7 @@ def test_an_engineer_simulates_an_alarm_before_it_goes_live(shared_page: OpensPa
     expect(page.locator("#simulation pre")).to_contain_text('name = "Too fast"')
 
 
+@pytest.mark.soak
 def test_an_engineer_adds_changes_and_removes_an_alarm(
     shared_page: OpensPages, flaws: Callable[..., list[str]]
 ) -> None:

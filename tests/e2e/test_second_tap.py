@@ -113,6 +113,7 @@ def stopped(site: Site) -> Iterator[str]:
         )
 
 
+@pytest.mark.soak
 def test_a_second_tap_presses_nothing_on_the_page_that_the_first_one_opened(
     site: Site, page: Page, stopped: str
 ) -> None:

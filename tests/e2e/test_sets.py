@@ -358,6 +358,7 @@ def test_accessible_and_as_wide_as_the_screen(
     assert flaws(page, locale) == []
 
 
+@pytest.mark.soak
 def test_golden_sets_of_the_line_are_saved_by_one_press(site: Site, shared_page: OpensPages) -> None:
     assert site.units == 3
     page = shared_page("engineer", viewport=PHONE)

@@ -181,6 +181,7 @@ def test_out_of_range_is_refused_with_the_nearest(site: Site, shared_page: Opens
     assert writes(site) == before
 
 
+@pytest.mark.soak
 def test_a_review_lapses_after_half_a_minute(site: Site, browser_page: OpensPages) -> None:
     page = browser_page(viewport=PANEL)
     page.add_init_script(

@@ -77,6 +77,7 @@ def test_active_conditions_are_accessible(shared_page: OpensPages, axe: Axe, pat
     assert judged(opened(shared_page(), path), axe) == []
 
 
+@pytest.mark.soak
 def test_each_outcome_of_a_command_is_accessible_and_names_the_request(
     site: Site, shared_page: OpensPages, axe: Axe
 ) -> None:
@@ -110,6 +111,7 @@ def test_each_outcome_of_a_command_is_accessible_and_names_the_request(
     assert judged(page, axe) == []
 
 
+@pytest.mark.soak
 def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is_done(
     shared_page: OpensPages, axe: Axe
 ) -> None:
@@ -143,6 +145,7 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     expect(page.locator("[data-tick]:checked")).to_have_count(0)
 
 
+@pytest.mark.soak
 def test_what_a_glove_presses_is_large_enough(browser_page: OpensPages) -> None:
     page = browser_page("engineer", viewport=PHONE, is_mobile=True, has_touch=True)
     for path in ("/?view=tiles", "/units/line/1", "/setpoints", "/units/line/1/parameters"):

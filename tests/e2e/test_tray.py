@@ -207,6 +207,7 @@ def test_a_value_that_moves_during_the_review_ends_it(site: Site, page: Page) ->
     assert site.unit(6)["commanded"] == "62.0"
 
 
+@pytest.mark.soak
 def test_a_double_tap_sends_once(site: Site, page: Page) -> None:
     add_setpoint(page, 7, "71.0")
     review(page)
@@ -234,6 +235,7 @@ def test_the_keyboard_alone_gathers_reviews_and_sends(site: Site, page: Page) ->
     assert site.unit(9)["commanded"] == "73.0"
 
 
+@pytest.mark.soak
 def test_control_that_passes_on_keeps_the_tray_and_sends_nothing(
     line_server: Callable[..., Site], browser_page: OpensPages
 ) -> None:
@@ -265,6 +267,7 @@ def test_another_window_follows_when_it_is_looked_at(page: Page, browser_page: O
     expect(strip(other)).to_contain_text(re.compile(r"2 changes\W+2 units"))
 
 
+@pytest.mark.soak
 def test_a_restore_and_a_recipe_go_to_the_tray(site: Site, page: Page) -> None:
     with site.api("engineer") as client:
         saved = client.post("/buses/line/recipes", json={"name": "Board", "setpoints": {"1": 700, "2": 710}})
@@ -311,6 +314,7 @@ def test_the_tray_is_accessible_and_covers_nothing_for_good(
     assert flaws(shown, locale) == []
 
 
+@pytest.mark.soak
 def test_without_scripts_the_tray_is_a_page_whose_forms_work(
     site: Site, page: Page, browser_page: OpensPages
 ) -> None:

@@ -150,6 +150,7 @@ def test_a_line_is_dimmed_compared_and_what_was_not_read_is_in_words(browser_pag
     assert any(day_before in address for address in requested)
 
 
+@pytest.mark.soak
 def test_a_note_is_written_on_the_chart_and_a_view_is_kept(site: Site, browser_page: OpensPages) -> None:
     page = browser_page("operator", viewport=OFFICE)
     page.goto("/trends?s=line/2/actual&span=600")

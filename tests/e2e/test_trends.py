@@ -217,6 +217,7 @@ def test_the_axis_of_a_value_is_chosen_by_keyboard_and_keeps_the_focus(shared_pa
     expect(page.locator("#trend-values th button").nth(1)).to_be_focused()
 
 
+@pytest.mark.soak
 def test_a_value_is_removed_by_keyboard_and_the_cursor_announced(shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=OFFICE), "?s=line/1/actual&s=line/2/actual")
     rows = page.locator("#trend-values tr")
@@ -351,7 +352,7 @@ def test_an_alarm_is_marked_in_the_picture_and_listed(site: Site, shared_page: O
         site.line.remote.do("input", unit=2, input="estop", on=False)
 
 
-@pytest.mark.parametrize(("locale", "actual"), [(ENGLISH, "actual"), (GERMAN, "ist")])
+@pytest.mark.parametrize(("locale", "actual"), sizes((GERMAN, "ist"), (ENGLISH, "actual")))
 def test_it_is_accessible(
     shared_page: OpensPages, flaws: Callable[..., list[str]], locale: str, actual: str
 ) -> None:

@@ -263,6 +263,7 @@ def test_a_staged_value_of_a_follower_is_a_ratio_too(
     eventually(lambda: state(site.line, follower)["setpoint"] == 9876, "the staged ratio executed")
 
 
+@pytest.mark.soak
 def test_all_lines_are_on_one_page_and_one_press_leads_to_one(
     shared_page: OpensPages, flaws: Callable[..., list[str]]
 ) -> None:

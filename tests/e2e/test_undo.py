@@ -50,6 +50,7 @@ def stage(page: Page, value: str) -> None:
     expect(page.locator(f'[data-live="line/{UNIT}.staged"]').first).to_have_text(re.compile(value))
 
 
+@pytest.mark.soak
 def test_after_execute_staged_undo_offers_what_was_commanded_before_it(site: Site, page: Page) -> None:
     stage(page, "119.0")
     send(page, "Execute staged")

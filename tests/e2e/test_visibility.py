@@ -63,6 +63,7 @@ def test_a_unit_scrolled_into_view_is_current_in_that_frame(browser_page: OpensP
     assert page.evaluate(SCROLLED) == "22.2"
 
 
+@pytest.mark.soak
 def test_paper_shows_the_present(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PHONE))
     show_two(page)

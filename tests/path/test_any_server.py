@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 
 from tests.e2e.limits import CALL_S
 from tests.e2e.site import command, eventually
@@ -38,6 +39,7 @@ def units_at(host: Host) -> list[str]:
     return [unit["link"] for bus in line["buses"][:1] for unit in bus["units"]] if line else []
 
 
+@pytest.mark.soak
 @needs_postgresql
 def test_each_server_shows_and_commands_the_bus_of_the_other(tmp_path: Path) -> None:
     with two_servers(tmp_path) as (a, b, device):

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+import pytest
+
 from app.database.settings import StoreSettings
 from tests import fork_server
 from tests.e2e.site import eventually
@@ -18,6 +20,7 @@ from tests.postgresql import needs_postgresql
 SPEED = 1000
 
 
+@pytest.mark.soak
 @needs_postgresql
 def test_a_site_goes_on_without_its_database(tmp_path: Path) -> None:
     units = [Unit(number, commanded=SPEED, actual=SPEED) for number in (1, 2)]

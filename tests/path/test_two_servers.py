@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import httpx
+import pytest
 
 from tests import fork_server
 from tests.e2e.limits import CALL_S
@@ -182,6 +183,7 @@ def end_server(process: fork_server.ForkedProcess) -> None:
     process.wait()
 
 
+@pytest.mark.soak
 @needs_postgresql
 def test_servers_that_are_killed_and_stand_still_never_write_beside_each_other(tmp_path: Path) -> None:
     """One site, since the start of two servers takes most of the time."""
