@@ -47,6 +47,8 @@ _SERVER_ID = r"^[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?$"
 
 STORE_FILE = "lineside.db"
 """The main store, in the data folder."""
+LOCK_FILE = "lock"
+"""In the data folder; a server has it locked while it runs."""
 KEY_SUFFIX = ".audit.key"
 """``lineside.toml`` has its key in ``lineside.audit.key``."""
 
@@ -230,12 +232,15 @@ class Settings(StrictModel):
             if bus.name in names:
                 message = Message.of("setting_bus_twice", name=bus.name)
                 raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "name")})
+            names.add(bus.name)
+            is_url = "://" in bus.port
+            if not is_url and not bus.has_local_port:
+                continue  # each machine has its own /dev/ttyUSB0
             # Two names may be of one device: /dev/serial/by-id/… are links.
-            port = bus.port if "://" in bus.port else os.path.realpath(bus.port)
+            port = bus.port if is_url else os.path.realpath(bus.port)
             if port in ports:
                 message = Message.of("setting_port_twice", port=bus.port, other=ports[port])
                 raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "port")})
-            names.add(bus.name)
             ports[port] = bus.name
         return buses
 

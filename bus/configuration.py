@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 from bus.errors import LinesideError
 from bus.messages import Message
 from bus.settings import BusSettings
+from bus.text import without_credentials
 from bus.validation import fault_message
 
 KeyStep = str | int
@@ -86,7 +87,8 @@ def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> Message:
     line = int(place[1]) if place and place[1] else len(text.splitlines())
     message = _SYNTAX_PLACE.sub("", str(error)).strip()
     written = (text.splitlines() or [""])[max(0, line - 1)].strip()
-    return Message.of("configuration_not_toml", file=str(path), line=line, error=message, text=repr(written))
+    shown = without_credentials(repr(written))
+    return Message.of("configuration_not_toml", file=str(path), line=line, error=message, text=shown)
 
 
 class LineNumbers:
@@ -164,7 +166,9 @@ def _fault_message(model: type[BaseModel], place: KeyPath, details: ErrorDetails
         return Message.of("configuration_needs_array", table=names)
     is_slug = details["type"] == "string_pattern_mismatch"
     right = Message("configuration_slug") if is_slug else fault_message(details)
-    return Message.of("configuration_value", key=names, value=repr(details["input"]), right=right)
+    return Message.of(
+        "configuration_value", key=names, value=without_credentials(repr(details["input"])), right=right
+    )
 
 
 def _inside(place: KeyPath) -> str:

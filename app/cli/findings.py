@@ -132,15 +132,21 @@ def _data(folder: Path) -> Finding:
 
 
 def _bus(bus: BusSettings) -> Iterator[Finding]:
-    refusal = _url_fault(bus) if "://" in bus.port else _device_fault(bus)
+    refusal = bus_refusal(bus) if bus.worker == "server" else None
     if refusal is not None:
         yield Finding(refusal, is_fault=True)
         return
-    absent = "://" not in bus.port and not Path(bus.port).exists()
-    code = "check_bus_absent" if absent else "check_bus"
+    code = "check_bus" if bus.worker == "server" else "check_bus_remote"
+    if bus.has_local_port and not Path(bus.port).exists():
+        code = "check_bus_absent"
     yield Finding(Message.of(code, bus=bus.name, n=len(bus.unit), port=bus.port, baud=bus.baud))
     if not bus.unit:
         yield Finding(Message.of("check_bus_without_units", bus=bus.name, port=bus.port))
+
+
+def bus_refusal(bus: BusSettings) -> Message | None:
+    """Why the port of a bus cannot be used, as far as that shows without opening it."""
+    return _url_fault(bus) if "://" in bus.port else _device_fault(bus)
 
 
 def _device_fault(bus: BusSettings) -> Message | None:
