@@ -6,25 +6,29 @@ import gettext
 import hashlib
 from collections.abc import Iterator
 from contextlib import suppress
+from datetime import datetime
 from functools import cache, cached_property
 from io import BytesIO
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 from babel.numbers import get_decimal_symbol
 
-from app.messages.locales import locale_of
+from app.messages.locales import day, locale_of, minute, moment
+from app.time_zone import UTC
 from bus.messages import TEXTS, Message, Plural
 
 
 class Language:
     """``path`` is its catalog, named after the locale for numbers and dates; it is read with the first
-    text that is wanted."""
+    text that is wanted. ``time_zone``: that of the site, by its IANA name."""
 
-    def __init__(self, path: Path, kept_in: Path | None = None) -> None:
+    def __init__(self, path: Path, kept_in: Path | None = None, time_zone: str = UTC) -> None:
         self.locale = path.stem
         self.tag = self.locale.split("_")[0]
         self._path = path
         self._kept_in = kept_in
+        self._time_zone = time_zone
 
     def __str__(self) -> str:
         return self.tag
@@ -44,6 +48,20 @@ class Language:
     def term(self, text: str) -> str:
         """A text of the catalog in this language; as it is where there is no translation."""
         return self.catalog.gettext(text) if text else ""
+
+    def time(self, text: str) -> str:
+        """A date or a time in ISO 8601 by the clock of the site, which one without a zone is by already; as it
+        is where there is no such time."""
+        locale = locale_of(self.locale)
+        try:
+            at = datetime.fromisoformat(text)
+            if len(text) == len("2026-11-26"):
+                return day(at, locale)
+            if at.tzinfo is None:
+                return minute(at, locale)
+            return moment(at.astimezone(ZoneInfo(self._time_zone)), locale)
+        except (ValueError, OverflowError):
+            return text
 
     def template(self, code: str, n: object) -> str | None:
         """The text of a message, its names in braces; None: there is no such code."""
@@ -119,10 +137,11 @@ LONGEST_HEADER = 400
 
 
 class Languages:
-    """Every language that has a catalog. ``kept_in``: where catalogs stay compiled between starts."""
+    """Every language that has a catalog. ``kept_in``: where catalogs stay compiled between starts.
+    ``time_zone``: as of a Language."""
 
-    def __init__(self, folder: Path = FOLDER, kept_in: Path | None = None) -> None:
-        self._all = {tag: _language(path, kept_in) for tag, path in catalogs(folder).items()}
+    def __init__(self, folder: Path = FOLDER, kept_in: Path | None = None, time_zone: str = UTC) -> None:
+        self._all = {tag: _language(path, kept_in, time_zone) for tag, path in catalogs(folder).items()}
 
     def __iter__(self) -> Iterator[Language]:
         return iter(self._all.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from functools import cache
 
 from babel import Locale, core, localedata
@@ -26,3 +27,23 @@ def locale_of(name: str) -> Locale:
     localedata._cache.clear()
     core._global_data = None
     return locale
+
+
+def moment(at: datetime, locale: Locale) -> str:
+    """Date and time to the second."""
+    # Only here, as below, because importing it takes long, and the command line shows none.
+    from babel.dates import format_datetime
+
+    return format_datetime(at, "medium", locale=locale)
+
+
+def minute(at: datetime, locale: Locale) -> str:
+    """Date and time to the minute."""
+    return f"{day(at, locale)}, {at:%H:%M}"
+
+
+def day(at: datetime, locale: Locale) -> str:
+    """The date."""
+    from babel.dates import format_date
+
+    return format_date(at.date(), "medium", locale=locale)

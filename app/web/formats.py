@@ -7,10 +7,10 @@ from datetime import datetime
 from decimal import Decimal
 from zoneinfo import ZoneInfo
 
-from babel.dates import format_date, format_datetime, format_skeleton, format_time
+from babel.dates import format_skeleton, format_time
 from babel.numbers import get_decimal_symbol
 
-from app.messages.locales import locale_of
+from app.messages.locales import day, locale_of, minute, moment
 from app.time_zone import UTC
 from bus.instants import UnixTime
 
@@ -56,18 +56,18 @@ class Formats:
         """Date and time to the second."""
         if at is None:
             return UNKNOWN
-        return format_datetime(self.local(at), "medium", locale=self.locale)
+        return moment(self.local(at), self.locale)
 
     def minute(self, at: UnixTime | datetime) -> str:
         """Date and time to the minute."""
-        return f"{self.day(at)}, {self.local(at):%H:%M}"
+        return minute(self.local(at), self.locale)
 
     def hours(self, start: UnixTime | datetime, end: UnixTime | datetime) -> str:
         """A span of less than a day: its date and the time of day to the minute at each end."""
         return f"{self.minute(start)}\N{EN DASH}{self.local(end):%H:%M}"
 
     def day(self, at: UnixTime | datetime) -> str:
-        return format_date(self.local(at).date(), "medium", locale=self.locale)
+        return day(self.local(at), self.locale)
 
     def clock(self, at: UnixTime | datetime) -> str:
         """The time of day to the second."""

@@ -87,7 +87,7 @@ class Templates:
         demo: bool = False,
         kept_in: Path | None = None,
     ) -> None:
-        self.languages = Languages(kept_in=kept_in)
+        self.languages = Languages(kept_in=kept_in, time_zone=site.zone)
         self.site = site
         self._demo = demo
         self._roles: dict[str, Role] = {}

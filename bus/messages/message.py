@@ -26,6 +26,8 @@ TERM = "term"
 """Code of a fixed word of the program: ``text`` is looked up in the catalog as it is."""
 LIST = "list"
 """Code of a list whose messages are joined by commas: ``items``."""
+_TIME = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:\d\d)?)?")
+"""A date or a time as programs write it."""
 _BRACES = re.compile(r"\{(\w+)\}")
 
 MessageCode = Annotated[str, Meta(max_length=60, pattern="^[a-z][a-z0-9_]*$")]
@@ -40,6 +42,7 @@ class Message(msgspec.Struct, frozen=True):
     """``code`` names the text, ``params`` what its braces stand for; both are for programs too.
 
     A text in ``params`` is shown as it is: it may come from a request, from a person or from another process.
+    Only a date or a time in ISO 8601 is written as the language does; of several, one form is stored.
     What has to be translated is a message itself. A list is joined: messages by semicolons, else by commas.
     Raises ValueError when it is nested too deeply, or too large.
     """
@@ -126,6 +129,8 @@ def shown(value: ParamValue, catalog: Catalog) -> str:
             return separator.join(shown(each, catalog) for each in value)
         case float():
             return str(value).replace(".", catalog.point)
+        case str() if _TIME.fullmatch(value):
+            return catalog.time(value)
         case _:
             return str(value)
 

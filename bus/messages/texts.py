@@ -46,6 +46,9 @@ class Catalog(Protocol):
     def term(self, text: str) -> str:
         """A fixed word of the program in this language."""
 
+    def time(self, text: str) -> str:
+        """A date or a time in ISO 8601 as readers of this language write it."""
+
 
 class EnglishCatalog:
     """The English texts, for the log, the command line and ``detail`` of the API."""
@@ -59,6 +62,9 @@ class EnglishCatalog:
         return text
 
     def term(self, text: str) -> str:
+        return text
+
+    def time(self, text: str) -> str:
         return text
 
 

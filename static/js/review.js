@@ -181,19 +181,18 @@ function explain(strip, reason) {
   place?.scrollIntoView({ block: "nearest" });
 }
 
-/** End the review when the connection is lost; a pending command is reported as unknown after the reconnect.
- * What is typed in a field stays. */
+/** End the review when the connection is lost, and say so where it was, in the dialog once the server is back: nothing
+ * was sent, or of a pending command that its outcome is unknown. What is typed in a field stays. */
 function lost() {
   early = null;
-  const pending = content.querySelector("[data-pending]");
-  if (pending) {
-    unanswered(pending);
-    if (dialog.open) dialog.close();
+  const form = content.querySelector("[data-review]");
+  if (!form) {
+    if (content.firstElementChild) dismiss();
     return;
   }
-  if (!content.firstElementChild) return;
-  content.querySelector("[data-review]")?.setAttribute("data-ended", "");
-  dismiss();
+  if (form.dataset.pending === undefined) end(form, word("reviewLost"));
+  else unanswered(form);
+  if (dialog.open) dialog.close();
 }
 
 function repeatEarly() {
@@ -249,7 +248,7 @@ export function start() {
   });
   document.addEventListener("lineside:lost", lost);
   document.addEventListener("lineside:found", () => {
-    if (!dialog.open && content.querySelector("[data-unanswered]")) show();
+    if (isModal() && !dialog.open && content.querySelector("[data-ended]")) show();
     repeatEarly();
   });
   document.addEventListener("lineside:idle", () => {

@@ -209,6 +209,28 @@ def test_a_message_is_rendered_in_each_language() -> None:
     assert german.t(term("verified")) == "bestätigt (gelesen)"
 
 
+@pytest.mark.parametrize(
+    ("stored", "english", "german"),
+    [
+        ("2026-11-26T17:04:05.000+00:00", "26 Nov 2026, 18:04:05", "26.11.2026, 18:04:05"),
+        ("2026-11-26T17:04:05Z", "26 Nov 2026, 18:04:05", "26.11.2026, 18:04:05"),
+        ("2026-11-26 18:04", "26 Nov 2026, 18:04", "26.11.2026, 18:04"),
+        ("2026-11-26", "26 Nov 2026", "26.11.2026"),
+        ("2026-13-26", "2026-13-26", "2026-13-26"),
+        ("9999-12-31T23:59Z", "9999-12-31T23:59Z", "9999-12-31T23:59Z"),
+        ("line-2026-11-26.tar", "line-2026-11-26.tar", "line-2026-11-26.tar"),
+    ],
+)
+def test_a_time_in_a_message_is_by_the_clock_of_the_site_in_the_form_of_the_language(
+    stored: str, english: str, german: str
+) -> None:
+    languages = Languages(time_zone="Europe/Berlin")
+    message = Message.of("alarm_active_since", time=stored)
+    assert languages["en"].t(message) == f"active since {english}"
+    assert languages["de"].t(message) == f"aktiv seit {german}"
+    assert str(message) == f"active since {stored}", "programs and the log have one form"
+
+
 def test_the_texts_of_every_code_are_found_by_it() -> None:
     german = Languages()["de"]
     assert {code for code in TEXTS if german.template(code, 1) is None} == set()

@@ -19,6 +19,12 @@ BETWEEN_TAPS_MS = 350
 UNITS = (2, 3, 4)
 MAX_ROW_PX = {1280: 48, 360: 140}
 """Twelve rows of a panel are in its window; on a phone a hundred are in less than twenty screens."""
+MIN_GAP_PX = 8
+GAPS = """rows => {
+    const boxes = [...rows.querySelectorAll("button")].map(button => button.getBoundingClientRect());
+    return boxes.slice(1).map((box, number) => box.top - boxes[number].bottom);
+}"""
+"""From each button of a row to that of the next."""
 NO_TENSION_ALARM = """
 [[built_in_alarm]]
 code = "analog_out_of_limits"
@@ -122,6 +128,7 @@ def test_two_taps_on_one_place_acknowledge_one_alarm(
     before = places(page)
     heights = [height for _, _, _, height in before.values()]
     assert max(heights) <= MAX_ROW_PX[page.viewport_size["width"]]  # type: ignore[index]
+    assert min(page.locator("#alarms tbody").evaluate(GAPS)) >= MIN_GAP_PX
     order = page.locator("#alarms tbody tr").evaluate_all("rows => rows.map(row => row.id)")
     unit = int(order[0].split(".")[1])
     tap_twice(page, row(page, unit).get_by_role("button"))

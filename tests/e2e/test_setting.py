@@ -92,6 +92,7 @@ def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_
     expect(cancel).to_be_focused()
     page.evaluate("document.dispatchEvent(new CustomEvent('lineside:lost'))")
     expect(page.locator("[data-review]")).to_have_count(0)
+    expect(page.locator("[data-review-end]")).to_contain_text("Nothing was sent")
     expect(field).to_have_value("88.0")
     expect(field).to_be_focused()
     rest(page)
