@@ -10,6 +10,7 @@ from starlette.datastructures import FormData
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from app.conditions.catalogue import CONDITIONS
 from app.configuration.acts import ROLL_BACK
 from app.configuration.api import ConfigurationChanger, FileOfServer
 from app.configuration.difference import difference, masked
@@ -17,6 +18,7 @@ from app.configuration.document import at, content_of
 from app.configuration.edits import act_on, edit_of
 from app.configuration.service import ConfigurationFile, ConfigurationReview, PresentFile
 from app.configuration.tables import (
+    ALARM_CODES,
     FORMS,
     TablePlace,
     end_of,
@@ -27,6 +29,7 @@ from app.configuration.tables import (
     title_of,
 )
 from app.errors import Problem
+from app.notification.settings import DAYS
 from app.web.access import Person
 from app.web.formats import Formats
 from app.web.templating import render, templates_of
@@ -40,6 +43,10 @@ SEE_OTHER = 303
 _DUTY = next(form for form in FORMS if form.kind == "duty")
 RollBacker = Annotated[Person, ROLL_BACK.permitted]
 Digest = Annotated[str, Form(max_length=64)]
+_WORDS = {day: Message(f"day_{number}") for number, day in enumerate(DAYS)} | {
+    code: Message(CONDITIONS[code].texts[0]) for code in ALARM_CODES
+}
+"""Of the choices of a field."""
 MAX_REASON = 200
 ReasonOfChange = Annotated[str, Form(max_length=MAX_REASON)]
 
@@ -213,6 +220,7 @@ def _form(
         errors=errors or {},
         faults=(*faults, *((fault,) if fault else ())),
         permitted=act_on(place).name,
+        words=_WORDS,
         **{"lines": (), **more},
     )
 

@@ -59,6 +59,7 @@ class TablePlace(NamedTuple):
         return ".".join(map(str, self.path))
 
 
+ALARM_CODES = (*UNIT_ALARMS, *BUS_ALARMS, *SERVER_ALARMS)
 _INPUTS = ("run", "estop", "preset", "reverse", "up", "down", "slave")
 _UNIT = (
     SettingField("name"),
@@ -81,7 +82,7 @@ _ALARM = (
     *(SettingField(key) for key in ("cause", "consequence", "response")),
 )
 _BUILT_IN = (
-    SettingField("code", "choice", (*UNIT_ALARMS, *BUS_ALARMS, *SERVER_ALARMS)),
+    SettingField("code", "choice", ALARM_CODES),
     *(SettingField("bus"), SettingField("unit", "number")),
     *(SettingField(key, "number") for key in ("above_percent", "below_percent", "deadband_percent")),
     *_DELAYS,

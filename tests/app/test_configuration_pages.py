@@ -57,8 +57,8 @@ async def form_of(client: httpx.AsyncClient, path: str = UNIT, **typed: str) -> 
 async def test_a_unit_is_renamed_after_a_review(engineer: httpx.AsyncClient, file: PlantFile) -> None:
     review = await engineer.post(UNIT, data=await form_of(engineer, name="Unwinder"))
     assert review.status_code == 200
-    assert "<del>" in review.text
-    assert '+ name = "Unwinder"   # as people call it' in unescape(review.text)
+    assert "− <del>name = &#34;Unwind&#34;" in review.text
+    assert '+ <ins>name = "Unwinder"   # as people call it</ins>' in unescape(review.text)
     assert file.text == TEXT
     confirmed = {**fields_of(review.text), "reason_of_change": "as on the drawing"}
     done = await engineer.post(UNIT, data=confirmed)
@@ -111,7 +111,7 @@ async def test_a_file_changed_by_hand_is_shown_with_what_was_typed(
     page = await engineer.post(UNIT, data=typed)
     assert page.status_code == 409
     assert "was changed since you began. Nothing was written." in page.text
-    assert '+ group = "Dry"' in unescape(page.text)
+    assert '+ <ins>group = "Dry"' in unescape(page.text)
     kept = fields_of(page.text)
     assert (kept["name"], kept["group"]) == ("Unwinder", "Dry")
     assert file.text == by_hand
@@ -194,10 +194,10 @@ async def test_a_version_is_compared_and_rolled_back(house: House, file: PlantFi
     admin = await house.signed_in(Role.ADMIN)
     await admin.post(UNIT, data=await form_of(admin, name="Unwinder", confirmed="true"))
     version = await admin.get("/configuration/versions/1")
-    assert '+ name = "Unwinder"' in unescape(version.text)
+    assert '+ <ins>name = "Unwinder"' in unescape(version.text)
     back = "/configuration/versions/1/roll-back"
     review = await admin.post(back, data=fields_of(version.text))
-    assert '+ name = "Unwind" ' in unescape(review.text)
+    assert '+ <ins>name = "Unwind" ' in unescape(review.text)
     done = await admin.post(back, data={**fields_of(review.text), "reason_of_change": "wrong unit"})
     assert done.headers["location"] == "/configuration?done=3"
     assert file.text == TEXT
@@ -217,7 +217,7 @@ async def test_a_secret_is_on_no_page(house: House, file: PlantFile) -> None:
         page = (await admin.get(path)).text
         assert "s3cret" not in page
         assert "0ther" not in page
-    assert "+ url = ***" in (await admin.get("/configuration/versions/1")).text
+    assert "+ <ins>url = ***" in (await admin.get("/configuration/versions/1")).text
 
 
 async def test_a_file_that_cannot_be_written_is_offered_as_a_text(
@@ -254,6 +254,14 @@ async def test_without_a_file(tmp_path: Path) -> None:
 )
 async def test_no_other_table(engineer: httpx.AsyncClient, name: str) -> None:
     assert (await engineer.get(f"/configuration/tables/{name}")).status_code == 404
+
+
+async def test_choices_have_their_words(engineer: httpx.AsyncClient, file: PlantFile) -> None:
+    smtp = '[notify.smtp]\nhost = "h"\nsender = "a@b.example"\n'
+    file.write(f'{TEXT}{smtp}[[notify.group]]\nname = "all"\nto = ["a@b.example"]\n')
+    assert "<span>Monday</span>" in (await engineer.get("/configuration/tables/notify.group.0.duty.0")).text
+    alarms = (await engineer.get("/configuration/tables/built_in_alarm.0")).text
+    assert '<option value="deviation">Speed deviates</option>' in alarms
 
 
 async def test_the_rail_has_it_for_those_who_may(house: House, engineer: httpx.AsyncClient) -> None:
