@@ -37,7 +37,7 @@ from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 from bus.text import OneLine
 
-__all__ = ["ConfigurationError", "ServerSettings", "Settings", "Site", "load"]
+__all__ = ["ConfigurationError", "ServerSettings", "Settings", "Site", "load", "parse"]
 
 _HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63})*")
 
@@ -199,6 +199,8 @@ class Settings(StrictModel):
     backup: BackupSettings = BackupSettings()
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""
+    _text: str = PrivateAttr("")
+    """Its text as it was read."""
 
     @property
     def anchor_file(self) -> Path:
@@ -258,7 +260,12 @@ class Settings(StrictModel):
 
 def load(path: Path) -> Settings:
     """Read the file. Raises ConfigurationError naming file, line and what would be right."""
-    settings = configuration.load(path, Settings)
+    return parse(configuration.read(path), path)
+
+
+def parse(text: str, path: Path) -> Settings:
+    """The text of a file, or one that it may become. Raises ConfigurationError."""
+    settings = configuration.parse(text, path, Settings)
     folder, audit = path.resolve().parent, settings.audit
     data = (folder / settings.server.data.expanduser()).resolve()
     key_file = _absolute(folder, audit.key_file)
@@ -281,6 +288,7 @@ def load(path: Path) -> Settings:
     }
     loaded = settings.model_copy(update=absolute)
     loaded._file = path.resolve()
+    loaded._text = text
     return loaded
 
 
