@@ -11,7 +11,7 @@ from playwright.sync_api import Page, WebSocketRoute, expect
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.limits import UNIT_MS
 from tests.e2e.site import Site, eventually
-from tests.sizes import in_turn
+from tests.sizes import in_turn, sizes
 
 PAGES = [
     "/",
@@ -264,7 +264,7 @@ def test_a_press_opens_the_faceplate_beside_the_line_and_escape_closes_it(
     expect(link).to_be_focused()
 
 
-@pytest.mark.parametrize("size", [PHONE, PANEL], ids=["phone", "panel"])
+@pytest.mark.parametrize("size", sizes(PANEL, PHONE), ids=["panel", "phone"])
 def test_a_speed_is_set_beside_the_line_by_three_presses_with_nothing_to_close(
     site: Site, shared_page: OpensPages, size: dict[str, int]
 ) -> None:
