@@ -61,5 +61,5 @@ def test_whether_a_secret_differs_is_shown() -> None:
         'name = "Curl = 5"\n',
     ],
 )
-def test_what_is_no_secret_is_shown(text: str) -> None:
+def test_other_keys_are_shown(text: str) -> None:
     assert masked(text) == text

@@ -57,7 +57,7 @@ async def form_of(client: httpx.AsyncClient, path: str = UNIT, **typed: str) -> 
 async def test_a_unit_is_renamed_after_a_review(engineer: httpx.AsyncClient, file: PlantFile) -> None:
     review = await engineer.post(UNIT, data=await form_of(engineer, name="Unwinder"))
     assert review.status_code == 200
-    assert "− <del>name = &#34;Unwind&#34;" in review.text
+    assert "\u2212 <del>name = &#34;Unwind&#34;" in review.text
     assert '+ <ins>name = "Unwinder"   # as people call it</ins>' in unescape(review.text)
     assert file.text == TEXT
     confirmed = {**fields_of(review.text), "reason_of_change": "as on the drawing"}
