@@ -52,12 +52,13 @@ def test_it_may_write_where_the_configuration_lets_it(tmp_path: Path) -> None:
     config.parent.mkdir()
     assert folders_written(config) == ()
     config.write_text(
-        '[server]\ndata = "/srv/lineside"\n[backup]\nfolder = "/mnt/b"\n[audit]\nanchor = "/mnt/worm/a"\n'
+        '[server]\ndata = "/srv/lineside"\n[backup]\nfolder = "/mnt/b"\n'
+        '[audit]\nanchor = "/mnt/worm/a"\narchive = "/mnt/a"\n'
     )
     folders = folders_written(config)
-    assert folders == (Path("/srv/lineside"), Path("/mnt/b"), Path("/mnt/worm"))
+    assert folders == (Path("/srv/lineside"), Path("/mnt/b"), Path("/mnt/a"), Path("/mnt/worm"))
     text = ServiceUnit(configuration=config, written=folders).text
-    assert f"ReadWritePaths={config.parent} -/srv/lineside -/mnt/b -/mnt/worm\n" in text
+    assert f"ReadWritePaths={config.parent} -/srv/lineside -/mnt/b -/mnt/a -/mnt/worm\n" in text
     config.write_text('[server]\ndata = "/var/lib/lineside/data"\n[backup]\nfolder = "backups"\n')
     assert folders_written(config) == ()
     config.write_text('[server]\ndata = "/srv/lineside"\n')
