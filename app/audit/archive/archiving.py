@@ -145,8 +145,8 @@ class EventArchive:
         )
 
     async def _write(self, writer: ArchiveWriter, walk: Walk, due: _Due) -> str:
-        """Write the entries, and return the hash of the first. Raises EventArchiveError where the log was altered:
-        it stays as it is, as evidence."""
+        """Write the entries, and return the hash of the first. Raises EventArchiveError where the log was
+        altered: it stays as it is, as evidence."""
         number, first_hash = due.first, ""
         while number <= due.last:
             read = partial(cuts.entries_between, first=number, last=due.last, limit=CHUNK)

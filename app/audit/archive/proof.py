@@ -28,8 +28,8 @@ class ArchiveProof:
 def prove_archive(
     cuts: Sequence[Cut], folder: Path | None, ring: KeyRing, anchors: Mapping[int, Head]
 ) -> ArchiveProof:
-    """Verify the files of all cuts that are in a folder. Raises EventArchiveError at the first that is not as it
-    was written, OSError for one that cannot be read."""
+    """Verify the files of all cuts that are in a folder. Raises EventArchiveError at the first that is not as
+    it was written, OSError for one that cannot be read."""
     entries, absent = 0, []
     start: Mapping[str, Head] | None = None
     expected = cuts[0].first if cuts else 0
