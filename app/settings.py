@@ -277,7 +277,13 @@ def parse(text: str, path: Path) -> Settings:
     absolute = {
         "server": settings.server.model_copy(update={"data": data, "tls": tls}),
         "store": settings.store.in_folder(folder),
-        "audit": Audit(key_file=key_file, anchor=_absolute(folder, audit.anchor)),
+        "audit": audit.model_copy(
+            update={
+                "key_file": key_file,
+                "anchor": _absolute(folder, audit.anchor),
+                "archive": _absolute(folder, audit.archive),
+            }
+        ),
         "notify": settings.notify.in_folder(folder),
         "backup": settings.backup.model_copy(
             update={

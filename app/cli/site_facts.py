@@ -100,7 +100,9 @@ def _forecast(settings: Settings, stores: dict[str, int], free: int, now: UnixTi
         with examining(data / HISTORY) as connection:
             history = growth_of_history(connection, micros(now))
         with examining(data / STORE_FILE) as connection:
-            events = growth_of_events(connection, stores[STORE_FILE])
+            events = growth_of_events(
+                connection, stores[STORE_FILE], is_archived=settings.audit.archive is not None
+            )
     except StoreError:
         return None
     if history is None:

@@ -59,10 +59,12 @@ def test_it_may_write_where_the_configuration_lets_it(tmp_path: Path) -> None:
     assert unit_of(Path("/opt/x"), config, "plant", configured(config)).written == ()
     found = service_of(
         config,
-        '[server]\ndata = "/srv/lineside"\n[backup]\nfolder = "/mnt/b"\n[audit]\nanchor = "/mnt/worm/a"\n',
+        '[server]\ndata = "/srv/lineside"\n[backup]\nfolder = "/mnt/b"\n'
+        '[audit]\nanchor = "/mnt/worm/a"\narchive = "/mnt/a"\n',
     )
-    assert found.written == (Path("/srv/lineside"), Path("/mnt/b"), Path("/mnt/worm"))
-    assert f"ReadWritePaths={config.parent} -/srv/lineside -/mnt/b -/mnt/worm\n" in found.text
+    folders = (Path("/srv/lineside"), Path("/mnt/b"), Path("/mnt/a"), Path("/mnt/worm"))
+    assert found.written == folders
+    assert f"ReadWritePaths={config.parent} -/srv/lineside -/mnt/b -/mnt/a -/mnt/worm\n" in found.text
     own = '[server]\ndata = "/var/lib/lineside/data"\n[backup]\nfolder = "backups"\n'
     assert service_of(config, own).written == ()
     elsewhere = service_of(config, '[server]\ndata = "/srv/lineside"\n').written
