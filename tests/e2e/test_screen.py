@@ -343,6 +343,11 @@ def test_a_screen_reader_gets_the_lamps_that_are_lit_and_the_names_of_numbers(
     assert "Preset input" not in aloud
 
 
+def test_a_panel_shows_every_entry_of_the_rail(shared_page: OpensPages) -> None:
+    page = opened(shared_page("admin", viewport=PANEL), "/")
+    assert page.locator(".rail").evaluate("rail => rail.scrollHeight - rail.clientHeight") == 0
+
+
 def test_a_viewer_sees_no_control(shared_page: OpensPages) -> None:
     page = opened(shared_page("viewer", viewport=PANEL), "/units/line/1")
     expect(page.locator(".main [data-command]")).to_have_count(0)
