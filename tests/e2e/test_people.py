@@ -222,6 +222,8 @@ def test_a_request_for_control_is_accessible_and_covers_nothing_of_the_head(
             expect(page.locator("[data-requested]")).to_be_visible()
         finally:
             client.delete("/buses/line/control/request")
+            expect(page.locator("[data-requested]")).to_have_count(0)
+            rest(page)
             page.locator("[data-head-control] button").click()
 
 
