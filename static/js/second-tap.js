@@ -38,8 +38,17 @@
   const isNear = (tap, before) =>
     tap.isTouch && before.isTouch && Math.hypot(tap.x - before.x, tap.y - before.y) < NEAR_PX;
 
+  /** What was pressed is there no more: another is under the finger.
+   * @param {Element | null} pressed */
+  const isGone = (pressed) => pressed !== null && !pressed.isConnected;
+
   /** @param {Tap} tap @param {Tap} before */
   const isSoon = (tap, before) => tap.at >= before.at && tap.at - before.at < WITHIN_MS;
+
+  /** @param {Element} acting @param {Tap} tap @param {Tap} before */
+  const isSecond = (acting, tap, before) =>
+    isSoon(tap, before) &&
+    (acting === button || (isNear(tap, before) && (acting.matches(SENDS) || isGone(button))));
 
   addEventListener(
     "click",
@@ -48,7 +57,7 @@
       if (!event.isTrusted) return;
       const acting = event.target instanceof Element ? event.target.closest(ACTS) : null;
       const tap = { at: Date.now(), x: event.clientX, y: event.clientY, isTouch: event.detail > 0 };
-      if (acting && last && isSoon(tap, last) && (acting === button || (acting.matches(SENDS) && isNear(tap, last)))) {
+      if (acting && last && isSecond(acting, tap, last)) {
         event.preventDefault();
         event.stopImmediatePropagation();
         return;

@@ -11,7 +11,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import OpensPages, focus, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus, rest
 from tests.e2e.limits import CALL_S, PROCEDURE_S
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
@@ -194,6 +194,37 @@ def test_control_is_requested_in_the_head_and_a_refused_setpoint_goes_on(
     rest(ben)
     ben.get_by_role("button", name="Release control").click()
     expect(anna.locator("[data-head-control]")).to_contain_text("Control is free")
+
+
+IN_REACH = """buttons => buttons.every(button => {
+    const { left, top, width, height } = button.getBoundingClientRect();
+    return button.contains(document.elementFromPoint(left + width / 2, top + height / 2));
+})"""
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
+def test_a_request_for_control_is_accessible_and_covers_nothing_of_the_head(
+    site: Site, browser_page: OpensPages, flaws: Callable[[Page, str], list[str]], locale: str
+) -> None:
+    page = opened(browser_page("operator", viewport=PANEL, locale=locale), "/units/line/2")
+    page.locator("[data-head-control] button").click()
+    with site.api("engineer") as client:
+        eventually(lambda: client.post("/buses/line/control/request").status_code == 200, "a holder")
+        try:
+            expect(page.locator("[data-requested]")).to_be_visible()
+            expect(page.locator("[data-requested] [inert]")).to_have_count(0)
+            for width in (320, 360, 700, 1024, 1280, 1920):
+                page.set_viewport_size({"width": width, "height": 800})
+                buttons = page.locator(".top button:visible, .top a.button:visible")
+                assert buttons.evaluate_all(IN_REACH), width
+            assert flaws(page, locale) == []
+            expect(page.locator("[data-requested]")).to_be_visible()
+        finally:
+            client.delete("/buses/line/control/request")
+            expect(page.locator("[data-requested]")).to_have_count(0)
+            rest(page)
+            page.locator("[data-head-control] button").click()
 
 
 @pytest.mark.soak

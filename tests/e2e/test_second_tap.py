@@ -88,6 +88,32 @@ def test_a_second_tap_does_not_confirm_what_the_first_one_opened(site: Site, pag
     assert commanded(site) == "110.0"
 
 
+def test_a_second_tap_does_nothing_on_what_is_drawn_in_the_place_of_the_first(page: Page) -> None:
+    """As the legend of a trend is, whose button is another one after each press."""
+    page.evaluate(
+        """() => {
+            const box = document.createElement("div");
+            box.style.cssText = "position: fixed; z-index: 99; left: 100px; top: 100px";
+            box.id = "redrawn";
+            const draw = (presses) => {
+                const button = document.createElement("button");
+                button.type = "button";
+                button.textContent = presses;
+                button.addEventListener("click", () => draw(presses + 1));
+                box.replaceChildren(button);
+            };
+            draw(0);
+            document.body.append(box);
+        }"""
+    )
+    redrawn = page.locator("#redrawn")
+    redrawn.dblclick(delay=5)
+    expect(redrawn).to_have_text("1")
+    let_pass(page, 1000)
+    redrawn.click()
+    expect(redrawn).to_have_text("2")
+
+
 def test_the_same_digit_is_typed_twice(page: Page) -> None:
     digit = page.locator("[data-pad='7']")
     digit.click()

@@ -4,12 +4,13 @@ enough for a glove, and in reach of the Tab key with a visible focus.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import OpensPages, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.sizes import sizes
 
@@ -38,6 +39,7 @@ BEHIND = """() => {
 """What hides the middle of the element with the focus; null where nothing has it."""
 
 Axe = Callable[[Page], list[str]]
+Flaws = Callable[[Page, str], list[str]]
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +143,58 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     page.get_by_role("button", name="Close").click()
     expect(page.locator(".setpoints__new[name=new-1]")).to_have_value("")
     expect(page.locator("[data-tick]:checked")).to_have_count(0)
+
+
+@pytest.mark.parametrize("locale", sizes(ENGLISH, GERMAN))
+def test_a_recipe_that_is_refused_is_accessible(
+    site: Site, shared_page: OpensPages, flaws: Flaws, locale: str
+) -> None:
+    """The third of its units is in LOCAL, the fourth blocked."""
+    with site.api("engineer") as client:
+        recipe = client.post("/buses/line/recipes", json={"name": f"Sixty gram {locale}"}).raise_for_status()
+    page = opened(shared_page("operator", viewport=PANEL, locale=locale), f"/recipes/{recipe.json()['id']}")
+    page.locator(f"[hx-get$='/recipes/{recipe.json()['id']}/review']").click()
+    expect(page.locator("#review [data-remark=obstacle_not_in_remote]")).to_be_visible()
+    assert flaws(page, locale) == []
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
+def test_a_group_change_that_fails_is_accessible(
+    site: Site, shared_page: OpensPages, flaws: Flaws, locale: str
+) -> None:
+    page = opened(shared_page("engineer", viewport=PANEL, locale=locale), "/setpoints")
+    with site.api("engineer") as client:
+        assert client.put("/buses/line/units/1/limits", json={"highest": 9990}).status_code == 200
+    try:
+        page.locator("[name=new-1]").fill("999")
+        page.locator("[name=new-2]").fill("52")
+        page.locator("form[data-setpoints] [type=submit]").click()
+        rest(page)
+        page.locator("[data-review-act]").click()
+        expect(page.locator("[data-review-done=bad]")).to_be_visible()
+        assert flaws(page, locale) == []
+    finally:
+        with site.api("engineer") as client:
+            assert client.put("/buses/line/units/1/limits", json={}).status_code == 200
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
+def test_an_undo_that_has_lapsed_is_accessible(
+    site: Site, shared_page: OpensPages, flaws: Flaws, locale: str
+) -> None:
+    page = opened(shared_page("operator", viewport=PANEL, locale=locale), "/units/line/1")
+    page.locator(".nudges button").first.click()
+    undo = page.locator("[data-undo] button")
+    expect(undo).to_be_visible()
+    before = site.unit(1)["commanded"]
+    site.set_speed(1, value="55.0" if before != "55.0" else "56.0")
+    rest(page)
+    undo.click()
+    refused = page.get_by_text(re.compile("cannot be undone|nicht .*rückgängig"))
+    expect(refused).to_be_visible()
+    assert flaws(page, locale) == []
 
 
 @pytest.mark.soak
