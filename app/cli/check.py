@@ -12,6 +12,7 @@ from app.cli.ending import complain, report
 from app.cli.findings import Finding, findings
 from app.cli.notification_findings import notification_findings
 from app.cli.options import AsJson
+from app.cli.service_findings import service_findings
 from app.cli.store_findings import store_findings
 from app.settings import load
 from app.web.shape import message_shown
@@ -26,6 +27,7 @@ def check(config: Config = LINESIDE_TOML, as_json: AsJson = False) -> None:
         *store_findings(settings),
         *backup_findings(settings.backup, settings.server.data),
         *notification_findings(settings.notify),
+        *service_findings(),
     ]
     if as_json:
         shown = [{"fault": each.is_fault, **message_shown(each.message)} for each in found]
