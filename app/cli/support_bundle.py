@@ -25,8 +25,8 @@ from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.findings import findings
 from app.cli.options import Option
-from app.cli.service_unit import UNIT_FILE
 from app.cli.service_findings import service_findings
+from app.cli.service_unit import UNIT_FILE
 from app.cli.store_findings import store_findings
 from app.database.presence import examining
 from app.database.private import fresh_file
