@@ -16,6 +16,7 @@ from app.cli.findings import Finding, findings
 from app.cli.notification_findings import notification_findings
 from app.cli.options import AsJson, Option
 from app.cli.rights import become_owner_of
+from app.cli.service_findings import service_findings
 from app.cli.store_findings import store_findings
 from app.settings import Settings, load
 from app.web.shape import message_shown
@@ -52,6 +53,7 @@ def _found(settings: Settings) -> Iterator[Finding]:
     yield from store_findings(settings)
     yield from backup_findings(settings.backup, settings.server.data)
     yield from notification_findings(settings.notify)
+    yield from service_findings()
 
 
 def _live(settings: Settings, config: Path) -> Iterator[Finding]:

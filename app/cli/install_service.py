@@ -113,9 +113,18 @@ def carry_out(
     for command in commands:
         if unit_file is not None and command[:2] == ["systemctl", "daemon-reload"]:
             write_configuration(unit)
+            keep_edited(unit_file, unit.text)
             unit_file.write_text(unit.text, encoding="utf-8")
             unit_file.chmod(0o644)
         run(command)
+
+
+def keep_edited(unit_file: Path, text: str) -> None:
+    """A unit file with another text, which a person may have edited, is kept under another name."""
+    if unit_file.exists() and unit_file.read_bytes() != text.encode():
+        kept = unit_file.with_name(f"{unit_file.name}.before")
+        unit_file.replace(kept)
+        report(Message.of("service_edited_kept", file=str(kept)))
 
 
 def write_configuration(unit: ServiceUnit) -> None:

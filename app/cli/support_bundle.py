@@ -24,6 +24,7 @@ from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.findings import findings
 from app.cli.options import Option
+from app.cli.service_findings import service_findings
 from app.cli.service_unit import UNIT_FILE
 from app.cli.store_findings import store_findings
 from app.database.presence import examining
@@ -124,6 +125,7 @@ def _found(settings: Settings) -> Iterator[Message]:
             *findings(settings),
             *store_findings(settings),
             *backup_findings(settings.backup, settings.server.data),
+            *service_findings(),
         ):
             yield finding.message
     except (LinesideError, OSError) as error:

@@ -22,6 +22,7 @@ from app.cli.install_service import (
     unit_of,
     write_configuration,
 )
+from app.cli.service_findings import service_findings
 from app.cli.service_unit import ServiceUnit, quoted
 from bus.errors import LinesideError
 from tests import fork_server
@@ -147,6 +148,25 @@ def test_it_is_installed_in_order_and_again_without_a_change(tmp_path: Path, uni
     carry_out(unit, list(installation(unit, True)), record, unit_file=unit_file)
     assert unit.configuration.read_text() == "# mine\n"
     assert "useradd --system" not in done[6:]
+
+
+def test_an_edited_unit_file_is_named_line_by_line_and_kept(
+    tmp_path: Path, unit: ServiceUnit, capsys: pytest.CaptureFixture[str]
+) -> None:
+    unit.configuration.parent.mkdir()
+    unit_file = tmp_path / "lineside.service"
+    assert list(service_findings(unit_file)) == []
+    edited = unit.text.replace("WatchdogSec=20", "WatchdogSec=abc").replace("Restart=", "Restrat=")
+    unit_file.write_text(edited)
+    if shutil.which("systemd-analyze"):
+        complaints = "\n".join(str(each.message) for each in service_findings(unit_file) if each.is_fault)
+        assert "abc" in complaints
+        assert "Restrat" in complaints
+    carry_out(unit, [["systemctl", "daemon-reload"]], lambda _: None, unit_file=unit_file)
+    assert unit_file.read_text() == unit.text
+    kept = tmp_path / "lineside.service.before"
+    assert kept.read_text() == edited
+    assert str(kept) in capsys.readouterr().out
 
 
 def test_it_is_removed_and_leaves_configuration_and_data(tmp_path: Path, unit: ServiceUnit) -> None:
