@@ -18,16 +18,21 @@ from app.configuration.difference import DifferenceLine, difference
 from app.configuration.document import Edit, content_of
 from app.configuration.versions import ConfigurationVersion, StoredVersion, VersionOrigin, VersionStore
 from app.database.private import fresh_file, sync_folder
-from app.errors import Problem, or_404, system_error
+from app.errors import Problem, StoreError, or_404, system_error
 from app.settings import Settings, parse
 from app.web.access import Person
 from bus.configuration import ConfigurationError, read
+from bus.errors import LinesideError
 from bus.instants import Clock, unix_now
 from bus.messages import Message
 
 MAX_EVENT = 2000
 """Characters of a difference in the audit log."""
 log = structlog.get_logger()
+
+
+class FileChangedError(LinesideError):
+    """The file was changed by hand while it was about to be replaced."""
 
 
 class PresentFile(NamedTuple):
@@ -125,8 +130,9 @@ class ConfigurationFile:
             if review.text == present.text:
                 raise Problem(409, "not_in_state", Message("configuration_nothing_changed"))
             if not present.is_writable:
-                raise self._not_writable()
-            return await self._stored(person, act, review, reason)
+                message = Message.of("configuration_read_only", file=str(self.path), owner=self.owner)
+                raise Problem(409, "not_in_state", message)
+            return await self._stored(person, act, present, review, reason)
 
     def refuse_superseded(self, present: PresentFile, digest: str) -> None:
         """Raises Problem 409 where a change began from another text of the file."""
@@ -139,10 +145,10 @@ class ConfigurationFile:
             faults = Message.of("several", messages=list(review.faults))
             raise Problem(422, "invalid", Message.of("configuration_not_valid", faults=faults))
 
-    def _not_writable(self, error: OSError | None = None) -> Problem:
-        message = Message.of("configuration_read_only", file=str(self.path), owner=self.owner)
-        if error is not None:
-            message = Message.of("configuration_not_replaced", file=str(self.path), error=system_error(error))
+    def _not_written(self, error: Exception) -> Problem:
+        if isinstance(error, FileChangedError):
+            return Problem(409, "superseded", error.message)
+        message = Message.of("configuration_not_replaced", file=str(self.path), error=system_error(error))
         return Problem(409, "not_in_state", message)
 
     async def _present(self) -> PresentFile:
@@ -171,7 +177,12 @@ class ConfigurationFile:
         if newest is not None:
             what = Message.of("event_configuration_by_hand", version=number)
             lines = difference(newest.text, text)
-            await self._events.record(kind="configuration", what=what, message=_in_short(lines))
+            try:
+                await self._events.record(kind="configuration", what=what, message=_in_short(lines))
+            except StoreError:
+                # With the version the event would be done.
+                await asyncio.to_thread(self._store.withdraw, number)
+                raise
 
     def _judged(self, path: Path, text: str) -> PresentFile:
         faults: tuple[Message, ...] = ()
@@ -194,7 +205,7 @@ class ConfigurationFile:
         return ConfigurationReview(text, difference(present.text, text), faults)
 
     async def _stored(
-        self, person: Person, act: Act, review: ConfigurationReview, reason: str
+        self, person: Person, act: Act, present: PresentFile, review: ConfigurationReview, reason: str
     ) -> ConfigurationVersion:
         number = await asyncio.to_thread(self._store.next_number)
         origin: VersionOrigin = "rolled_back" if act is ROLL_BACK else "changed"
@@ -204,10 +215,10 @@ class ConfigurationFile:
             await asyncio.to_thread(self._store.add, StoredVersion(version, review.text))
             performed = act.by(person, version=number, reason=reason or "-")
             await self._events.record(**performed, message=_in_short(review.lines))
-            await asyncio.to_thread(replace_file, self.path, review.text)
-        except OSError as error:
+            await asyncio.to_thread(replace_file, self.path, present.text, review.text)
+        except (OSError, FileChangedError) as error:
             await asyncio.to_thread(self._store.withdraw, number)
-            problem = self._not_writable(error)
+            problem = self._not_written(error)
             await self._events.record(kind="configuration", **person.author, what=problem.message)
             raise problem from error
         except Exception:
@@ -221,14 +232,16 @@ def digest_of(text: str) -> str:
     return sha256(text.encode()).hexdigest()[:16]
 
 
-def replace_file(path: Path, text: str) -> None:
+def replace_file(path: Path, before: str, text: str) -> None:
     """Write all of a file or nothing, with the mode and, where permitted, the owner that it has. On disk when
-    this returns. Raises OSError."""
+    this returns. Raises OSError, and FileChangedError where its text is not ``before`` in the last moment."""
     found = path.stat()
     with fresh_file(path, text.encode()) as fresh:
         with suppress(PermissionError):
             os.chown(fresh, found.st_uid, found.st_gid)
         fresh.chmod(found.st_mode & 0o7777)
+        if read(path) != before:
+            raise FileChangedError(Message("configuration_superseded"))
         fresh.replace(path)
     sync_folder(path.parent)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -167,7 +168,7 @@ async def test_a_file_that_cannot_be_written(
 async def test_a_disk_that_is_full_leaves_file_and_versions_as_they_were(
     house: House, file: ConfigurationFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(_path: Path, _text: str) -> None:
+    def full(_path: Path, _before: str, _text: str) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(service_module, "replace_file", full)
@@ -176,6 +177,42 @@ async def test_a_disk_that_is_full_leaves_file_and_versions_as_they_were(
     assert file.path.read_text() == TEXT
     assert len(await file.versions()) == 1
     assert "could not be written" in (await house.events("configuration"))[0]["what"]
+
+
+async def test_a_file_that_is_changed_in_the_last_moment_is_not_written(
+    house: House, file: ConfigurationFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    by_hand, record, path = TEXT.replace("Nip", "Press"), file._events.record, file.path
+
+    async def slowly(**fields: Any) -> object:
+        number = await record(**fields)
+        if path.read_text() == TEXT:
+            path.write_text(by_hand)
+        return number
+
+    monkeypatch.setattr(file._events, "record", slowly)
+    problem = await refusal(file, "Unwinder", (await file.present()).digest)
+    assert problem.code == "superseded"
+    assert path.read_text() == by_hand
+    assert (await house.events("configuration"))[0]["what"] == problem.detail
+    assert (await file.present()).text == by_hand
+    assert [each.origin for each in await file.versions()] == ["by_hand", "found"]
+
+
+async def test_a_change_by_hand_is_recorded_once_the_audit_log_is_back(
+    house: House, file: ConfigurationFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def away(**_: object) -> int:
+        raise StoreUnavailableError(Message("server_stopped"))
+
+    file.path.write_text(RENAMED)
+    with monkeypatch.context() as patched:
+        patched.setattr(file._events, "record", away)
+        with pytest.raises(StoreUnavailableError):
+            await file.present()
+    await file.present()
+    assert (await file.versions())[0].origin == "by_hand"
+    assert "changed by hand" in (await house.events("configuration"))[0]["what"]
 
 
 async def test_without_the_audit_log_nothing_is_written(

@@ -7,16 +7,17 @@ from collections.abc import Callable
 from playwright.sync_api import expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import Site
+from tests.e2e.site import AT_REST, Site
 
 PHONE = {"width": 360, "height": 740}
 
 
 def test_a_unit_is_renamed_and_the_file_rolled_back(
-    site: Site, shared_page: OpensPages, flaws: Callable[..., list[str]]
+    line_server: Callable[..., Site], browser_page: OpensPages, flaws: Callable[..., list[str]]
 ) -> None:
+    site = line_server(1, line_options=AT_REST)
     before = site.config.read_text(encoding="utf-8")
-    page = shared_page("admin", viewport=PHONE)
+    page = browser_page("admin", site, viewport=PHONE)
     page.goto("/configuration")
     page.get_by_role("link", name="line · 1 · Unwind").click()
     assert flaws(page) == []
