@@ -35,7 +35,7 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def limited(status: int) -> dict[int | str, dict[str, Any]]:
-    """For ``responses=`` of an operation with a limit: its headers, where it succeeds with ``status`` and where
+    """For ``responses=`` of an operation with a limit: its headers where it succeeds (``status``) and where
     it is refused."""
     return {
         status: {"headers": _header_references(*PARTS["headers"].keys() - {"Retry-After"})},
