@@ -30,6 +30,7 @@ RESPONSE = frozenset(
         *(b"allow", b"cache-control", b"content-disposition", b"content-language", b"content-length"),
         *(b"content-type", b"etag", b"expires", b"last-modified", b"retry-after", b"www-authenticate"),
         *(b"x-accel-buffering", b"hx-retarget", b"hx-reswap", b"hx-reselect", b"hx-trigger", b"hx-refresh"),
+        *(b"ratelimit-limit", b"ratelimit-remaining", b"ratelimit-reset"),
         *(b"hx-push-url", b"hx-replace-url", b"content-range", b"accept-ranges"),
     }
 )

@@ -34,6 +34,19 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: _response(PARTS["statuses"][str(status)]) for status in statuses}
 
 
+def limited(status: int) -> dict[int | str, dict[str, Any]]:
+    """For ``responses=`` of an operation with a limit: its headers where it succeeds (``status``) and where
+    it is refused."""
+    return {
+        status: {"headers": _header_references(*PARTS["headers"].keys() - {"Retry-After"})},
+        429: {**_response(PARTS["statuses"]["429"]), "headers": _header_references(*PARTS["headers"])},
+    }
+
+
+def _header_references(*names: str) -> dict[str, Any]:
+    return {name: {"$ref": f"#/components/headers/{name}"} for name in sorted(names)}
+
+
 def usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[str, Any]]:
     """For every operation of the API, by its path and methods."""
     statuses = {401, 403, 422, 503}
@@ -41,7 +54,10 @@ def usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[st
     statuses |= {409} if set(methods) - {"GET", "HEAD"} else set()
     return {
         **problems(*sorted(statuses)),
-        "default": _response("Any other refusal. detail states what was done."),
+        "default": {
+            **_response("Any other refusal. detail states what was done."),
+            "headers": _header_references("Retry-After"),
+        },
     }
 
 
@@ -88,6 +104,7 @@ def openapi_document(app: Any) -> dict[str, Any]:
             _complete(operation, is_write=method not in ("get", "head"))
     components = document["components"]
     components["schemas"] |= problem_schemas(components["schemas"])
+    components["headers"] = PARTS["headers"]
     components["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
     document["security"] = [{"token": []}]
     document["servers"] = [{"url": "/", "description": "The server that this document comes from."}]
