@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
 from playwright.sync_api import expect
 
 from tests.e2e.conftest import OpensPages
@@ -12,6 +13,7 @@ from tests.e2e.site import AT_REST, Site
 PHONE = {"width": 360, "height": 740}
 
 
+@pytest.mark.soak
 def test_a_unit_is_renamed_and_the_file_rolled_back(
     line_server: Callable[..., Site], browser_page: OpensPages, flaws: Callable[..., list[str]]
 ) -> None:
