@@ -29,6 +29,9 @@ PARTS: dict[str, Any] = json.loads(Path(__file__).with_name("openapi_parts.json"
 statuses, the header of every write, and the schemas of a refusal."""
 
 
+RATE_LIMIT = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
+
+
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """For ``responses=``: problems of these statuses."""
     return {status: _response(PARTS["statuses"][str(status)]) for status in statuses}
@@ -38,13 +41,16 @@ def limited(status: int) -> dict[int | str, dict[str, Any]]:
     """For ``responses=`` of an operation with a limit: its headers where it succeeds (``status``) and where
     it is refused."""
     return {
-        status: {"headers": _header_references(*PARTS["headers"].keys() - {"Retry-After"})},
-        429: {**_response(PARTS["statuses"]["429"]), "headers": _header_references(*PARTS["headers"])},
+        status: {"headers": _header_references(*RATE_LIMIT)},
+        429: {
+            **_response(PARTS["statuses"]["429"]),
+            "headers": _header_references("Retry-After", *RATE_LIMIT),
+        },
     }
 
 
 def _header_references(*names: str) -> dict[str, Any]:
-    return {name: {"$ref": f"#/components/headers/{name}"} for name in sorted(names)}
+    return {name: {"$ref": f"#/components/headers/{name}"} for name in names}
 
 
 def usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[str, Any]]:

@@ -27,6 +27,7 @@ from app.web.schema import openapi_document
 from tests.app.complete_app import House, complete_app
 from tests.app.served_app import Api, served
 from tests.app.stage import snapshot
+from tests.app.strict_schema import strict
 from tests.app.test_stream_route import streaming
 
 ALARM = AlarmType(AlarmShown)
@@ -91,16 +92,6 @@ def test_it_has_the_structure_of_asyncapi_3() -> None:
             assert message["$ref"].startswith(operation["channel"]["$ref"] + "/messages/")
             assert message["$ref"].rpartition("/")[2] in channel["messages"]
     assert list(document["components"]["messages"]) == list(KINDS)
-
-
-def strict(node: Any) -> Any:
-    """The schema, refusing members that it does not name."""
-    if isinstance(node, list):
-        return [strict(each) for each in node]
-    if not isinstance(node, dict):
-        return node
-    made = {name: strict(each) for name, each in node.items()}
-    return {"additionalProperties": False, **made} if isinstance(made.get("properties"), dict) else made
 
 
 def validator(kind: str) -> Draft202012Validator:
