@@ -1,0 +1,81 @@
+"""One condition has one priority on every surface: verdict, tile, faceplate, unit page, list of alarms and head."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.limits import UNIT_MS
+from tests.e2e.site import AT_REST, Site
+
+PANEL = {"width": 1280, "height": 800}
+UNIT = 3
+NO_TENSION_ALARM = """
+[[built_in_alarm]]
+code = "analog_out_of_limits"
+above_percent = 100
+below_percent = 0
+"""
+
+
+@pytest.fixture(scope="module")
+def site(line_server: Callable[..., Site]) -> Site:
+    """Four units of which only one is ever abnormal, for one reason."""
+    return line_server(4, line_options=AT_REST, toml=NO_TENSION_ALARM)
+
+
+def priority(place: Locator) -> str:
+    """The first word of a mark: its others are the state of the alarm."""
+    return (place.get_attribute("data-is") or "").split(" ")[0]
+
+
+def priorities(page: Page) -> dict[str, str]:
+    """The priority of the one abnormal unit, by surface."""
+    shown = {}
+    page.goto("/?view=tiles")
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    tile = page.locator(f'[data-unit="line/{UNIT}"]').first
+    expect(tile.locator(".alarm-priority")).not_to_have_attribute("data-is", "", timeout=UNIT_MS)
+    shown["tile"] = priority(tile.locator(".alarm-priority"))
+    shown["condition of the tile"] = priority(tile.locator("[data-live-is$='.level']").first)
+    shown["verdict"] = priority(page.locator("[data-live-is='line_summary.level']").first)
+    shown["head"] = priority(page.locator(".top__alarm-link"))
+    tile.click()
+    shown["faceplate"] = priority(page.locator(".faceplate__alarm").first)
+    page.goto(f"/units/line/{UNIT}")
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    shown["unit page"] = priority(page.locator(".alarm-words").first)
+    page.goto("/alarms")
+    shown["list of alarms"] = priority(page.locator(f'[id^="alarm-line.{UNIT}."] .alarm-priority').first)
+    return shown
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize(
+    ("begin", "end"),
+    [
+        (
+            {"action": "input", "unit": UNIT, "input": "estop", "on": True},
+            {"action": "input", "unit": UNIT, "input": "estop", "on": False},
+        ),
+        ({"action": "fault", "unit": UNIT, "kind": "dead", "rate": 1}, {"action": "clear"}),
+        ({"action": "mode", "unit": UNIT, "to": "local"}, {"action": "mode", "unit": UNIT, "to": "remote"}),
+    ],
+    ids=["emergency stop", "no response", "LOCAL"],
+)
+def test_a_condition_has_one_priority_wherever_it_is_shown(
+    site: Site, browser_page: OpensPages, begin: dict[str, Any], end: dict[str, Any]
+) -> None:
+    page = browser_page("operator", viewport=PANEL)
+    site.line.remote.do(**begin)
+    try:
+        shown = priorities(page)
+        assert len(set(shown.values())) == 1, shown
+        assert "" not in shown.values(), shown
+    finally:
+        site.line.remote.do(**end)
+        site.end_alarms()
