@@ -50,8 +50,8 @@ class Language:
         return self.catalog.gettext(text) if text else ""
 
     def time(self, text: str) -> str:
-        """A date or a time in ISO 8601 by the clock of the site, which one without a zone is by already; as it
-        is where there is no such time."""
+        """A date or a time in ISO 8601 by the clock of the site; the text itself where there is no such time.
+        Without a zone, it is that of the site."""
         locale = locale_of(self.locale)
         try:
             at = datetime.fromisoformat(text)
