@@ -49,7 +49,7 @@ other-tests: development
 	node --test tests/js/*.test.js
 	nice -n 5 $(BIN)/pytest -n 5 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
 
-# What takes long, alone on the machine: it measures. Then each property with many random examples. 40 minutes.
+# What takes long, alone on the machine: it measures. Then each property with many random examples. 52 minutes.
 soak: development
 	$(BIN)/python -m tests.soak
 

@@ -18,6 +18,7 @@ from app.auth.identity import Identity
 from app.auth.lasting import Rechecks
 from app.backup import feature as backup
 from app.commands import feature as commands
+from app.configuration import feature as configuration
 from app.database import feature as database
 from app.feature import Services
 from app.feed import feature as feed
@@ -68,6 +69,7 @@ FEATURES = (
     server.FEATURE,
     auth.FEATURE,
     backup.FEATURE,
+    configuration.FEATURE,
     routing.FEATURE,
     live.FEATURE,
     feed.FEATURE,

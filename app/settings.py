@@ -37,7 +37,7 @@ from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 from bus.text import OneLine
 
-__all__ = ["ConfigurationError", "ServerSettings", "Settings", "Site", "load"]
+__all__ = ["ConfigurationError", "ServerSettings", "Settings", "Site", "load", "parse"]
 
 _HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63})*")
 
@@ -47,6 +47,8 @@ _SERVER_ID = r"^[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?$"
 
 STORE_FILE = "lineside.db"
 """The main store, in the data folder."""
+LOCK_FILE = "lock"
+"""In the data folder; a server has it locked while it runs."""
 KEY_SUFFIX = ".audit.key"
 """``lineside.toml`` has its key in ``lineside.audit.key``."""
 
@@ -197,6 +199,8 @@ class Settings(StrictModel):
     backup: BackupSettings = BackupSettings()
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""
+    _text: str = PrivateAttr("")
+    """Its text as it was read."""
 
     @property
     def anchor_file(self) -> Path:
@@ -230,12 +234,15 @@ class Settings(StrictModel):
             if bus.name in names:
                 message = Message.of("setting_bus_twice", name=bus.name)
                 raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "name")})
+            names.add(bus.name)
+            is_url = "://" in bus.port
+            if not is_url and not bus.has_local_port:
+                continue  # each machine has its own /dev/ttyUSB0
             # Two names may be of one device: /dev/serial/by-id/… are links.
-            port = bus.port if "://" in bus.port else os.path.realpath(bus.port)
+            port = bus.port if is_url else os.path.realpath(bus.port)
             if port in ports:
                 message = Message.of("setting_port_twice", port=bus.port, other=ports[port])
                 raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "port")})
-            names.add(bus.name)
             ports[port] = bus.name
         return buses
 
@@ -253,7 +260,12 @@ class Settings(StrictModel):
 
 def load(path: Path) -> Settings:
     """Read the file. Raises ConfigurationError naming file, line and what would be right."""
-    settings = configuration.load(path, Settings)
+    return parse(configuration.read(path), path)
+
+
+def parse(text: str, path: Path) -> Settings:
+    """The text of a file, or one that it may become. Raises ConfigurationError."""
+    settings = configuration.parse(text, path, Settings)
     folder, audit = path.resolve().parent, settings.audit
     data = (folder / settings.server.data.expanduser()).resolve()
     key_file = _absolute(folder, audit.key_file)
@@ -265,7 +277,13 @@ def load(path: Path) -> Settings:
     absolute = {
         "server": settings.server.model_copy(update={"data": data, "tls": tls}),
         "store": settings.store.in_folder(folder),
-        "audit": Audit(key_file=key_file, anchor=_absolute(folder, audit.anchor)),
+        "audit": audit.model_copy(
+            update={
+                "key_file": key_file,
+                "anchor": _absolute(folder, audit.anchor),
+                "archive": _absolute(folder, audit.archive),
+            }
+        ),
         "notify": settings.notify.in_folder(folder),
         "backup": settings.backup.model_copy(
             update={
@@ -276,6 +294,7 @@ def load(path: Path) -> Settings:
     }
     loaded = settings.model_copy(update=absolute)
     loaded._file = path.resolve()
+    loaded._text = text
     return loaded
 
 

@@ -12,6 +12,7 @@ import asyncio
 import sys
 import time
 from contextlib import suppress
+from typing import Protocol
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
@@ -33,6 +34,8 @@ from bus.contract import (
 )
 
 MAX_MESSAGES_S = 100
+OPENED_WITHIN_S = 120.0
+"""Sixteen may begin at once, on a clock that is fast."""
 TOP = 20_000
 SHOWN = {1: 1750, 2: TOP, 3: 1, 8: 0, 12: 50, 22: 0, 23: 100, 28: 1, 29: 0, 30: 0}
 """The parameters that a speed needs to be shown right: span, one decimal, window."""
@@ -50,6 +53,13 @@ def _state(unit: int) -> UnitState:
     now = time.time()
     parameters = [ParameterValue(unit, number, now, raw) for number, raw in SHOWN.items()]
     return UnitState(unit, UnitLink(unit, now, "online"), reading(unit, 0, RUN | HEALTHY), parameters)
+
+
+class Inputs(Protocol):
+    """What the units have as inputs."""
+
+    def inputs(self, unit: int) -> int:
+        """The inputs of the next reading of a unit."""
 
 
 class EstopFlood:
@@ -73,28 +83,33 @@ class EstopFlood:
         return RUN if unit in self._stopped else RUN | HEALTHY
 
 
-async def feed(url: str, token: str, units: int, rate: float) -> None:
-    """Act as a worker until the server has ended. The server's real worker, which has no port, may connect
-    between the hello and the snapshot; then connect a second time, under the same name: the app keeps a bus
-    for its worker. Raises RuntimeError where the app refuses it.
+async def feed(url: str, token: str, units: int, rate: float, inputs: Inputs, bus: str = "line") -> None:
+    """Act as a worker of a bus until the server has ended. The server's real worker, which has no port, may
+    connect between the hello and the snapshot; then connect a second time, under the same name: the app keeps
+    a bus for its worker. Raises RuntimeError where the app refuses it.
     """
     address = url.replace("http", "ws", 1) + "/feed"
     headers = {"Authorization": f"Bearer {token}"}
     name = f"feeder-{time.time()}"
-    flood = EstopFlood()
-    asyncio.get_running_loop().add_reader(sys.stdin, flood.request)
     while True:
-        async with connect(address, additional_headers=headers, compression=None) as socket:
+        patient = connect(
+            address,
+            additional_headers=headers,
+            compression=None,
+            open_timeout=OPENED_WITHIN_S,
+            ping_interval=None,
+        )
+        async with patient as socket:
             with suppress(ConnectionClosed):
-                seq = await _introduce(socket, units, name)
+                seq = await _introduce(socket, units, name, bus)
                 print("ready", flush=True)
-                await asyncio.gather(_listen(socket), _speak(socket, units, rate, flood, seq))
+                await asyncio.gather(_listen(socket), _speak(socket, units, rate, inputs, seq))
 
 
-async def _introduce(socket: ClientConnection, units: int, name: str) -> int:
+async def _introduce(socket: ClientConnection, units: int, name: str, bus: str) -> int:
     """Send the first state; the number of the last batch that the app has."""
     now = time.time()
-    await socket.send(encode(Hello(CONTRACT_VERSION, "line", name, now, "feeder", "none", now)))
+    await socket.send(encode(Hello(CONTRACT_VERSION, bus, name, now, "feeder", "none", now)))
     welcome = decode_from_app(await socket.recv(decode=False))
     if not isinstance(welcome, Welcome) or welcome.refused:
         raise RuntimeError(f"the app refused the feeder: {welcome}")
@@ -109,18 +124,24 @@ async def _listen(socket: ClientConnection) -> None:
             pass
 
 
-async def _speak(socket: ClientConnection, units: int, rate: float, flood: EstopFlood, last_seq: int) -> None:
+async def _speak(socket: ClientConnection, units: int, rate: float, inputs: Inputs, last_seq: int) -> None:
     at_once = max(1, round(units * rate / MAX_MESSAGES_S))
     pause, due, sent = at_once / (units * rate), time.monotonic(), 0
     for seq in range(last_seq + 1, sys.maxsize):
         due += pause
         await asyncio.sleep(max(0.0, due - time.monotonic()))
         turns = [(n % units + 1, n // units + 1) for n in range(sent, sent + at_once)]
-        updates: list[Update] = [reading(unit, turn, flood.inputs(unit)) for unit, turn in turns]
+        updates: list[Update] = [reading(unit, turn, inputs.inputs(unit)) for unit, turn in turns]
         sent += at_once
         await socket.send(encode(Batch(seq, time.time(), updates)))
 
 
+async def _feed_line(url: str, token: str, units: str, rate: str) -> None:
+    flood = EstopFlood()
+    asyncio.get_running_loop().add_reader(sys.stdin, flood.request)
+    await feed(url, token, int(units), float(rate), flood)
+
+
 if __name__ == "__main__":
     with suppress(KeyboardInterrupt, OSError):
-        asyncio.run(feed(sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])))
+        asyncio.run(_feed_line(*sys.argv[1:5]))

@@ -7,7 +7,7 @@ import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, TypeVar, cast, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 from bus.errors import LinesideError
 from bus.messages import Message
 from bus.settings import BusSettings
+from bus.text import without_credentials
 from bus.validation import fault_message
 
 KeyStep = str | int
@@ -43,7 +44,11 @@ class _OnlyBuses(BaseModel):
 
 def load(path: Path, model: type[Model]) -> Model:
     """The file as ``model``. Raises ConfigurationError ``FILE:LINE: what, and what would be right``."""
-    text = _read(path)
+    return parse(read(path), path, model)
+
+
+def parse(text: str, path: Path, model: type[Model]) -> Model:
+    """The text of a file, or one that it may become, as ``model``. Raises ConfigurationError."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -68,9 +73,10 @@ def load_bus(path: Path, name: str) -> BusSettings:
     return buses[name]
 
 
-def _read(path: Path) -> str:
+def read(path: Path) -> str:
+    """The text of a configuration, with its line ends as they are. Raises ConfigurationError."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
         raise ConfigurationError(Message.of("configuration_missing", file=str(path))) from None
     except UnicodeDecodeError as error:
@@ -86,7 +92,8 @@ def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> Message:
     line = int(place[1]) if place and place[1] else len(text.splitlines())
     message = _SYNTAX_PLACE.sub("", str(error)).strip()
     written = (text.splitlines() or [""])[max(0, line - 1)].strip()
-    return Message.of("configuration_not_toml", file=str(path), line=line, error=message, text=repr(written))
+    shown = without_credentials(repr(written))
+    return Message.of("configuration_not_toml", file=str(path), line=line, error=message, text=shown)
 
 
 class LineNumbers:
@@ -94,7 +101,7 @@ class LineNumbers:
     the line of the nearest key around it."""
 
     def __init__(self, text: str) -> None:
-        self._places = dict(_places(text))
+        self._places = {path: each.first for each in statements(text) for path in each.paths}
 
     def of(self, path: KeyPath) -> int:
         """The line (from 1) of a key, or of what it would stand in."""
@@ -104,8 +111,17 @@ class LineNumbers:
         return 1
 
 
-def _places(text: str) -> Iterator[tuple[KeyPath, int]]:
-    """Yield each table and key with its line: the text is parsed statement by statement."""
+class TomlStatement(NamedTuple):
+    """The header of a table, or a key with its value: what it names, and its lines (from 1)."""
+
+    paths: tuple[KeyPath, ...]
+    is_header: bool
+    first: int
+    last: int
+
+
+def statements(text: str) -> Iterator[TomlStatement]:
+    """Yield each header and key of a TOML text, which is parsed statement by statement."""
     counts: dict[KeyPath, int] = {}
     table: KeyPath = ()
     statement, begins = "", 1
@@ -117,9 +133,9 @@ def _places(text: str) -> Iterator[tuple[KeyPath, int]]:
             continue  # A value of several lines.
         if statement.lstrip().startswith("["):
             table = _table(parsed, counts)
-            yield table, begins
-        else:
-            yield from ((table + path, begins) for path in _keys_in(parsed))
+            yield TomlStatement((table,), True, begins, number)
+        elif parsed:
+            yield TomlStatement(tuple(table + path for path in _keys_in(parsed)), False, begins, number)
         statement, begins = "", number + 1
 
 
@@ -164,7 +180,9 @@ def _fault_message(model: type[BaseModel], place: KeyPath, details: ErrorDetails
         return Message.of("configuration_needs_array", table=names)
     is_slug = details["type"] == "string_pattern_mismatch"
     right = Message("configuration_slug") if is_slug else fault_message(details)
-    return Message.of("configuration_value", key=names, value=repr(details["input"]), right=right)
+    return Message.of(
+        "configuration_value", key=names, value=without_credentials(repr(details["input"])), right=right
+    )
 
 
 def _inside(place: KeyPath) -> str:

@@ -113,6 +113,8 @@ class BusSettings(Dialect):
     port: Annotated[str, Field(min_length=1)]
     baud: Baud = 9600
     turnaround_ms: Annotated[float, Field(strict=True, ge=0, le=5000)] = 50
+    worker: Literal["server", "remote"] = "server"
+    """Who runs its worker: the server on its machine, or ``lineside worker`` on the one with the port."""
     take_over: Literal["automatic", "manual"] | None = None
     """Whether another server becomes the home of the bus without a person; None: where its port is on a
     device server, which any server reaches."""
@@ -152,6 +154,11 @@ class BusSettings(Dialect):
         }
 
     @property
+    def has_local_port(self) -> bool:
+        """Whether its port is a device of the server's machine."""
+        return self.worker == "server" and "://" not in self.port
+
+    @property
     def is_taken_over(self) -> bool:
         """Whether another server becomes the home of the bus without a person."""
         return self.take_over == "automatic" if self.take_over is not None else "://" in self.port
@@ -168,6 +175,9 @@ def check_port(port: str) -> str:
         raise ValueError(Message("setting_device_path"))
     if "://" in port and not port.startswith(("socket://", "rfc2217://")):
         raise ValueError(Message("setting_port_scheme"))
+    if "://" in port and "@" in port:
+        # No device server is signed in to, and a port is shown on pages.
+        raise ValueError(Message("setting_url_with_password"))
     if "://" in port and not _names_host_and_port(port):
         raise ValueError(Message("setting_host_and_port"))
     return port

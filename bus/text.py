@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from typing import Annotated
 
@@ -14,6 +15,14 @@ _UNSEEN = frozenset(("Cc", "Cs", "Zl", "Zp"))
 _TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 """Direction marks, which make a text read differently from its characters."""
 _BREAKS = frozenset("\t\n\r")
+_CREDENTIALS = re.compile(r"(://)\S+@")
+MASK = "…"
+"""In place of what is secret."""
+
+
+def without_credentials(text: str) -> str:
+    """The text with every URL in it without user and password."""
+    return _CREDENTIALS.sub(rf"\1{MASK}@", text)
 
 
 def check_one_line(text: str) -> str:

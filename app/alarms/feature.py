@@ -17,6 +17,7 @@ from app.alarms.simulation.simulator import Simulator
 from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import Anchoring
+from app.audit.archive.archiving import EventArchive
 from app.audit.local_log.notice import away_notice
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
@@ -94,6 +95,7 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
         lambda: services[Availability].is_away,
         (lambda: services[BreakGlass].signed_in) if services[Database].availability else tuple,
         lambda: services[Backups].newest,
+        lambda: services[EventArchive].failing,
     )
     return SiteAlarms(conditions, store, tuned=settings.built_in_alarm)
 

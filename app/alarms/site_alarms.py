@@ -35,6 +35,7 @@ def site_conditions(
     store_is_away: Callable[[], bool] = lambda: False,
     break_glass: Callable[[], Sequence[str]] = tuple,
     newest_backup: Callable[[], UnixTime | None] = lambda: None,
+    archive_fault: Callable[[], Message | None] = lambda: None,
 ) -> dict[str, SiteCondition]:
     """The condition of each alarm of the site but that of its clock."""
     return {
@@ -49,6 +50,7 @@ def site_conditions(
         "certificate_expiring": lambda: expiry.certificate,
         "token_expiring": lambda: expiry.token,
         "backup_overdue": lambda: of_server.BACKUP_OVERDUE.holds(newest_backup(), unix_now()),
+        "events_not_archived": lambda: of_server.EVENTS_NOT_ARCHIVED.holds(archive_fault()),
     }
 
 

@@ -154,15 +154,15 @@ class Anchoring:
         """The heads that the anchor names last, as the log has them; a difference is reported."""
         ring = self._events.keys.ring
         anchored = await place.in_thread(lambda: _present_anchor(place, ring), within_s)
-        there = await self._events.proof.links([head.id for head in anchored.values()])
-        for head in anchored.values():
-            if head.id not in there:
+        there = await self._events.proof.links(anchored)
+        for chain, head in anchored.items():
+            if chain not in there:
                 await self._found_altered(cut_off(head.id, str(place.path)))
                 return anchored
-            if there[head.id].hash != head.hash:
+            if there[chain].id == head.id and there[chain].hash != head.hash:
                 await self._found_altered(not_anchored(head.id))
                 return anchored
-        return {chain: there[head.id] for chain, head in anchored.items()}
+        return there
 
     async def _found_altered(self, fault: Message) -> None:
         if self.status.altered:

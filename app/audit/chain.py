@@ -78,6 +78,16 @@ def sealed_entry(previous: str, entry: Mapping[str, Any], ring: KeyRing) -> dict
     return sealed
 
 
+def is_sound_alone(entry: Mapping[str, Any], ring: KeyRing) -> bool:
+    """Whether an entry is as it was written, whatever was before it; of one that is older than the key only
+    that it fits its hash."""
+    digest = entry_hash(entry.get("previous") or "", entry)
+    if entry.get("hash") != digest:
+        return False
+    seal, key = entry.get("seal") or "", entry.get("key") or ""
+    return entry["id"] <= ring.origin.id or ring.confirms(seal, key, "entry", digest)
+
+
 def sealed_head(entry: Mapping[str, Any], ring: KeyRing, chain: str = SITE) -> Head:
     """A sealed entry as the newest of a chain."""
     number, digest = entry["id"], entry["hash"]

@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from functools import partial
+from zoneinfo import ZoneInfo
 
 from app.audit import api, pages
 from app.audit.anchoring import Anchoring
+from app.audit.archive.archiving import EventArchive
 from app.audit.configuration import change_since_last
 from app.audit.finding import EventFinder
 from app.audit.keys import Keys, open_keys
@@ -34,6 +36,11 @@ def make(services: Services) -> None:
     is_configured = settings.audit.anchor is not None
     anchoring = services.add(Anchoring(events, settings.anchor_file, is_configured=is_configured))
     lifespan.add("audit anchor", anchoring.follow, end=anchoring.end)
+    archive = EventArchive(
+        database, events, settings.audit.archive, settings.audit.keep_months, ZoneInfo(settings.site.zone)
+    )
+    services.add(archive)
+    services.at_home().add("event archive", archive.follow)
     begin = partial(_record_start, settings, database, events)
     lifespan.add("event log", start=begin, end=partial(_record_end, events))
     for bus in (SITE, *services.buses):

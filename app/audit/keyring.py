@@ -14,7 +14,7 @@ KEY_BYTES = 32
 BEGINNING = "0" * 64
 """The hash before the first entry of a log."""
 
-Purpose = Literal["entry", "head", "anchor", "command", "decoy", "local"]
+Purpose = Literal["entry", "head", "anchor", "command", "decoy", "local", "cut"]
 """The purpose of a seal. It is part of the sealed data: no seal passes for one of another purpose."""
 
 

@@ -14,6 +14,7 @@ from msgspec import to_builtins
 
 from app.audit import store
 from app.audit.anchor import read_key_anchor
+from app.audit.archive.cuts import newest_cut
 from app.audit.chain import Head, newest_of
 from app.audit.entry import Event as Event
 from app.audit.entry import is_moment, new_entry, readable
@@ -315,7 +316,8 @@ class LogProof:
                 beside_key = await asyncio.to_thread(read_key_anchor, self._keys.path, self._keys.ring)
                 anchors = beside_key.heads
             heads, last = await self.extent()
-            walk = Walk(self._knowing(heads), anchors)
+            ring = self._knowing(heads)
+            walk = await self._database.read(lambda c: store.walk_from_cut(c, ring, anchors))
             await self._follow(walk, store.LOWEST_ID, last)
             return walk.end(heads)
 
@@ -323,8 +325,12 @@ class LogProof:
         """Whether what was added after the ends of the chains at one instant, which are known to be good,
         continues them."""
         heads, last = await self.extent()
-        walk = Walk(self._knowing(heads), start=known)
-        newest = newest_of(known.values()).id
+        ring, newest = self._knowing(heads), newest_of(known.values()).id
+        cut = await self._database.read(lambda connection: newest_cut(connection, ring))
+        if cut is not None and newest < cut.last:
+            # What followed is archived meanwhile: the log goes on from there.
+            known, newest = cut.ends, cut.last
+        walk = Walk(ring, start=known)
         await self._follow(walk, newest + 1 if newest else store.LOWEST_ID, last)
         return walk.end(heads)
 
@@ -332,9 +338,11 @@ class LogProof:
         """The newest entry of each chain as noted apart, and the number of the last one stored."""
         return await self._database.read(store.extent)
 
-    async def links(self, numbers: Sequence[int]) -> dict[int, Head]:
-        """Entries by number, as the next ones of their chains continue them; without those that are gone."""
-        return await self._database.read(lambda connection: store.links_of(connection, numbers))
+    async def links(self, heads: Mapping[str, Head]) -> dict[str, Head]:
+        """The entries that heads name, as the next ones of their chains continue them; without those that are
+        gone."""
+        ring = self._knowing(heads)
+        return await self._database.read(lambda connection: store.links_of(connection, heads, ring))
 
     def _knowing(self, heads: Mapping[str, Head]) -> KeyRing:
         return self._keys.knowing(newest_of(heads.values()).key)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
 
 from bus.settings import StrictModel
 
@@ -15,3 +18,8 @@ class Audit(StrictModel):
     anchor: Path | None = None
     """Where the head of the log is noted every minute and at every stop; when absent, see
     `Settings.anchor_file`."""
+    archive: Path | None = None
+    """Where old events are moved to, a file for each month, best on another disk. None: all events stay in
+    the store."""
+    keep_months: Annotated[int, Field(strict=True, ge=1, le=1200)] = 24
+    """So many complete months before the current one stay in the store, where there is an archive."""

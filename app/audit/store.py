@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from app.audit.archive.cuts import newest_cut
 from app.audit.chain import SITE, Head
 from app.audit.entry import readable
 from app.audit.keyring import KeyRing
@@ -171,17 +172,34 @@ def extent(connection: StoreConnection) -> tuple[dict[str, Head], int]:
     return {head.chain: head for head in heads}, rows[0]["last"] or 0
 
 
-def links_of(connection: StoreConnection, numbers: Iterable[int]) -> dict[int, Head]:
-    """Entries by number, each as the next one of its chain continues it."""
+def links_of(connection: StoreConnection, heads: Mapping[str, Head], ring: KeyRing) -> dict[str, Head]:
+    """The entries that heads name, by chain, each as the next one continues it; without those that are gone.
+    Of a chain whose entry is archived, its end where the log was cut."""
     query = "SELECT id, hash, key FROM events WHERE id = ?"
-    found = (connection.execute(query, (number,)).fetchone() for number in numbers)
-    return {row[0]: Head(*row) for row in found if row is not None}
+    cut = newest_cut(connection, ring)
+    links = dict(cut.ends) if cut else {}
+    there = {}
+    for chain, head in heads.items():
+        row = connection.execute(query, (head.id,)).fetchone()
+        if cut and head.id <= cut.last and chain in links:
+            there[chain] = links[chain]
+        elif row is not None:
+            there[chain] = Head(*row)
+    return there
+
+
+def walk_from_cut(
+    connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, Head] | None = None
+) -> Walk:
+    """A walk over the entries of a store, from where the log was cut."""
+    cut = newest_cut(connection, ring)
+    return Walk(ring, anchors) if cut is None else Walk(ring, anchors, cut.ends, cut.last)
 
 
 def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, Head]) -> AuditVerification:
     """Walk the log, chunk by chunk: entries added in between are left for the next time."""
     heads, last = extent(connection)
-    walk, number = Walk(ring, anchors), LOWEST_ID
+    walk, number = walk_from_cut(connection, ring, anchors), LOWEST_ID
     while (following := follow_chunk(connection, walk, number, last)) is not None:
         number = following
     return walk.end(heads)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import ConfigDict, Field
 
-from app.audit.chain import SITE, Head, confirms_head, entry_hash, notes_altered_end
+from app.audit.chain import SITE, Head, confirms_head, entry_hash, is_sound_alone, notes_altered_end
 from app.audit.keyring import KeyRing
 from app.web.shape import MessageObject
 from bus.messages import Message
@@ -41,6 +41,9 @@ class AuditVerification:
     fault: Annotated[MessageObject | None, Field(description="Why it is not intact; null: it is.")] = None
     unsealed: Annotated[int, Field(description="Entries up to this one are older than the key; 0: none.")] = 0
     anchored: Annotated[int, Field(description="The newest entry that the anchor names; 0: none.")] = 0
+    archived: Annotated[
+        int, Field(description="Entries up to this one are in the archive, not verified here; 0: none.")
+    ] = 0
     chains: Annotated[
         tuple[ChainVerification, ...], Field(description="Of the site, then of each bus that has events.")
     ] = ()
@@ -73,17 +76,20 @@ def _before(gap: _Gap) -> int:
 class Walk:
     """Follows a log entry by entry, from its beginning or from the ends of its chains that are known to be
     good, and each chain up to the first entry that is broken. ``anchors``: heads, by the number of the entry,
-    that were noted elsewhere."""
+    that were noted elsewhere; ``archived``: up to this number the entries are in the archive, and of those
+    that are left each is verified alone."""
 
     def __init__(
         self,
         ring: KeyRing,
         anchors: Mapping[int, Head] | None = None,
         start: Mapping[str, Head] | None = None,
+        archived: int | None = None,
     ):
         self._ring = ring
+        self._archived = archived
         self._origins = ring.origin.hashes
-        self._anchors = anchors or {}
+        self._anchors = {number: head for number, head in (anchors or {}).items() if number > (archived or 0)}
         self._unmet = set(self._anchors)
         self._ends = dict(start or {})
         self._number = max((head.id for head in self._ends.values()), default=0)
@@ -98,12 +104,27 @@ class Walk:
         """The next entries, in order. Of a chain nothing more is looked at after its first broken entry."""
         for entry in entries:
             number, chain = entry["id"], entry.get("chain") or SITE
+            if self._archived is not None and number <= self._archived:
+                if not is_sound_alone(entry, self._ring):
+                    self._faults.setdefault(chain, _Fault(number, _changed(number)))
+                continue
             if number != self._number + 1:
                 self._gaps.append(_Gap(self._number, number))
             self._number = max(self._number, number)
             self._unmet.discard(number)
             if chain not in self._faults:
                 self._follow(chain, entry)
+
+    @property
+    def fault(self) -> Message | None:
+        """Why what was followed so far is not intact; None: it is."""
+        faults = [*self._faults.values(), *(gap.fault for gap in self._gaps)]
+        return min(faults, key=lambda fault: fault.number).reason if faults else None
+
+    @property
+    def ends(self) -> Mapping[str, Head]:
+        """The ends of the chains so far."""
+        return self._ends
 
     def end(self, heads: Mapping[str, Head]) -> AuditVerification:
         """The verdict once every entry was followed; ``heads``: what was noted apart as the newest of each
@@ -119,9 +140,13 @@ class Walk:
         if self._faults:
             first = min(self._faults.values(), key=lambda fault: fault.number)
             intact = min(self._number, first.number - 1)
-            return AuditVerification(intact, first.number, first.reason, chains=chains)
+            return AuditVerification(
+                intact, first.number, first.reason, chains=chains, archived=self._archived or 0
+            )
         unsealed, anchored = min(self._number, origin), max(self._anchors, default=0)
-        return AuditVerification(self._number, unsealed=unsealed, anchored=anchored, chains=chains)
+        return AuditVerification(
+            self._number, unsealed=unsealed, anchored=anchored, archived=self._archived or 0, chains=chains
+        )
 
     def _stated_chains(self, names: Iterable[str]) -> tuple[ChainVerification, ...]:
         broken_first = sorted(names, key=lambda name: (name not in self._faults, name))
@@ -150,7 +175,7 @@ class Walk:
         if previous is None or entry.get("previous") != previous:
             return Message.of("audit_entry_apart", entry=number)
         if entry.get("hash") != entry_hash(previous, entry):
-            return Message.of("audit_entry_changed", entry=number)
+            return _changed(number)
         if number in self._anchors and entry["hash"] != self._anchors[number].hash:
             return not_anchored(number)
         return self._fault_of_seal(entry)
@@ -212,6 +237,10 @@ class Walk:
 
     def _break(self, chain: str, number: int, code: str, **params: int) -> None:
         self._faults[chain] = _Fault(number, Message.of(code, **params))
+
+
+def _changed(number: int) -> Message:
+    return Message.of("audit_entry_changed", entry=number)
 
 
 def cut_off(number: int, path: str) -> Message:

@@ -26,6 +26,7 @@ from app.errors import Problem, StoreError, StoreUnavailableError
 from app.server.addresses import source_of
 from app.server.fair_queue import FairQueue, TooManyWaitingError
 from app.web.access import AccountSubscriber, Person
+from app.web.rate_limit import RateLimit
 from bus.errors import CallerError
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, term
@@ -322,6 +323,8 @@ def _browser(device: str) -> str:
 
 
 def too_soon(seconds: int) -> Problem:
-    """429 with the time to wait."""
+    """429 with the time to wait, after which there is one try. A refusal of a wrong secret does not show how
+    many are left: only a guesser needs that."""
     problem = Problem(429, "too_many", Message.of("too_many_sign_ins", seconds=seconds))
+    problem.headers.update(RateLimit(1, 0, seconds).headers)
     return problem.with_headers(Retry_After=str(seconds))

@@ -10,6 +10,8 @@ from typing import Annotated
 import click
 
 from app.audit.anchor import Anchors, joined_heads, read_anchor_file, read_key_anchor, refuse_forged
+from app.audit.archive.cuts import cuts_of
+from app.audit.archive.proof import ArchiveProof, prove_archive
 from app.audit.chain import ROTATED, Head, newest_of, origin_of
 from app.audit.keyring import KeyRing
 from app.audit.keys import find_key_file, owners_of, read_key_file
@@ -22,6 +24,7 @@ from app.cli.serve import check_store
 from app.cli.site_log import record, site_log
 from app.cli.site_reading import has_store
 from app.database.opening import examining_main
+from app.database.words import in_words
 from app.errors import StoreError
 from app.handover.signatures import missing_signatures
 from app.settings import Settings, load
@@ -32,13 +35,22 @@ audit = CommandGroup(help="Verify the event log, or begin a new key.")
 AnchorFile = Annotated[
     Path | None, Option(help="The file with its anchors; without it, the one of the configuration.")
 ]
+ArchiveFolder = Annotated[
+    Path | None, Option(help="The folder with archived events; without it, the one of the configuration.")
+]
 
 
 @audit.add("verify")
-def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None, as_json: AsJson = False) -> None:
-    """Verify every chain of the log, its seals and anchors, and that the store has the signatures of shifts
-    that the log names. Exit 0 when all is intact, 1 with the first altered entry of each chain."""
-    proof = proof_of(load(config), anchor)
+def verify(
+    config: Config = LINESIDE_TOML,
+    anchor: AnchorFile = None,
+    archive: ArchiveFolder = None,
+    as_json: AsJson = False,
+) -> None:
+    """Verify every chain of the log, its seals and anchors, the archived events, and that the store has the
+    signatures of shifts that the log names. Exit 0 when all is intact, 1 with the first altered entry of each
+    chain."""
+    proof = proof_of(load(config), anchor, archive)
     if as_json:
         click.echo(json.dumps({"intact": True, "messages": [message_shown(line) for line in proof]}))
         return
@@ -57,15 +69,17 @@ def rotate_key(config: Config = LINESIDE_TOML) -> None:
     report(Message.of("key_rotated", file=str(events.keys.path)))
 
 
-def proof_of(settings: Settings, anchor: Path | None = None) -> list[Message]:
+def proof_of(settings: Settings, anchor: Path | None = None, archive: Path | None = None) -> list[Message]:
     """Verify the log of a store; gives how much of it is proven. Raises StoreError where it is not intact."""
-    verdict, anchors = _verdict(settings, anchor)
+    verdict, anchors, archived = _verdict(settings, anchor, archive or settings.audit.archive)
     if broken := joined([_broken(chain) for chain in verdict.chains if chain.fault is not None]):
         raise StoreError(broken)
-    return [Message.of("audit_whole", n=verdict.entries), *_remarks(verdict, anchors)]
+    return [Message.of("audit_whole", n=verdict.entries), *_remarks(verdict, anchors, archived)]
 
 
-def _verdict(settings: Settings, anchor: Path | None) -> tuple[AuditVerification, Anchors]:
+def _verdict(
+    settings: Settings, anchor: Path | None, archive: Path | None
+) -> tuple[AuditVerification, Anchors, ArchiveProof]:
     """Verify the files as they are: nothing is migrated, nothing is written."""
     check_store(settings)
     file = None if settings.store.url else settings.server.store
@@ -75,13 +89,16 @@ def _verdict(settings: Settings, anchor: Path | None) -> tuple[AuditVerification
         ring = _ring(settings.key_files, file, heads_of(connection))
         anchors = _anchors(settings, anchor, ring)
         beside_key = read_key_anchor(find_key_file(settings.key_files), ring)
-        verdict = prove(connection, ring, joined_heads(anchors, beside_key))
+        heads = joined_heads(anchors, beside_key)
+        verdict = prove(connection, ring, heads)
         if verdict.broken is None:
             for each in missing_signatures(connection):
                 raise StoreError(
                     Message.of("audit_signature_missing", entry=each.event, who=each.who, start=each.start)
                 )
-        return verdict, anchors
+        with in_words(archive or settings.server.data):
+            archived = prove_archive(cuts_of(connection), archive, ring, heads)
+        return verdict, anchors, archived
 
 
 def _broken(chain: ChainVerification) -> Message:
@@ -107,11 +124,15 @@ def _ring(paths: Sequence[Path], store: Path | None, heads: Mapping[str, Head]) 
     return ring or KeyRing((), origin_of(heads))
 
 
-def _remarks(verdict: AuditVerification, anchors: Anchors) -> list[Message]:
+def _remarks(verdict: AuditVerification, anchors: Anchors, archived: ArchiveProof) -> list[Message]:
     """List the chains, and what the proof does not cover."""
     remarks = []
     if buses := [chain.bus for chain in verdict.chains if chain.bus is not None]:
         remarks.append(Message.of("audit_chains", buses=buses))
+    if archived.entries:
+        remarks.append(Message.of("audit_archive_intact", n=archived.entries))
+    if archived.absent:
+        remarks.append(Message.of("audit_archive_absent", files=", ".join(archived.absent)))
     if verdict.unsealed:
         remarks.append(Message.of("audit_unsealed", last=verdict.unsealed))
     if anchors.heads:

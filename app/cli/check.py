@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
 
 import click
 
@@ -11,22 +14,29 @@ from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import complain, report
 from app.cli.findings import Finding, findings
 from app.cli.notification_findings import notification_findings
-from app.cli.options import AsJson
+from app.cli.options import AsJson, Option
+from app.cli.rights import become_owner_of
+from app.cli.service_findings import service_findings
 from app.cli.store_findings import store_findings
-from app.settings import load
+from app.settings import Settings, load
 from app.web.shape import message_shown
 from bus.messages import Message
 
 
-def check(config: Config = LINESIDE_TOML, as_json: AsJson = False) -> None:
+def check(
+    config: Config = LINESIDE_TOML,
+    live: Annotated[
+        bool,
+        Option(
+            help="Try what the configuration names: ports, folders, certificates, address, store. Nothing is"
+            " sent to a unit, and a running Lineside is left alone."
+        ),
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
     """Check the configuration and this machine; faults are listed by file and line. Exit 0 or 1."""
     settings = load(config)
-    found = [
-        *findings(settings),
-        *store_findings(settings),
-        *backup_findings(settings.backup, settings.server.data),
-        *notification_findings(settings.notify),
-    ]
+    found = [*_live(settings, config.absolute())] if live else [*_found(settings)]
     if as_json:
         shown = [{"fault": each.is_fault, **message_shown(each.message)} for each in found]
         click.echo(json.dumps({"config": str(config), "site": settings.site.name, "findings": shown}))
@@ -36,6 +46,26 @@ def check(config: Config = LINESIDE_TOML, as_json: AsJson = False) -> None:
             _print(finding)
     if any(finding.is_fault for finding in found):
         raise click.exceptions.Exit(1)
+
+
+def _found(settings: Settings) -> Iterator[Finding]:
+    yield from findings(settings)
+    yield from store_findings(settings)
+    yield from backup_findings(settings.backup, settings.server.data)
+    yield from notification_findings(settings.notify)
+    yield from service_findings()
+
+
+def _live(settings: Settings, config: Path) -> Iterator[Finding]:
+    """All of it with the rights of the service, and what can be tried."""
+    from app.cli.live_findings import live_findings
+    from app.cli.port_findings import port_users
+
+    # Root sees the programs of every user.
+    users = port_users(settings)
+    become_owner_of(settings.server.data)
+    yield from _found(settings)
+    yield from live_findings(settings, config, users)
 
 
 def _print(finding: Finding) -> None:

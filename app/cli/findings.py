@@ -82,6 +82,7 @@ def findings(settings: Settings) -> Iterator[Finding]:
     yield _data(settings.server.data)
     yield _key(settings.key_files, None if settings.store.url else settings.server.store)
     yield _anchor(settings.anchor_file, is_configured=settings.audit.anchor is not None)
+    yield from _archive(settings.audit.archive)
     if not settings.bus:
         yield fault("check_no_bus")
     for bus in settings.bus:
@@ -132,15 +133,21 @@ def _data(folder: Path) -> Finding:
 
 
 def _bus(bus: BusSettings) -> Iterator[Finding]:
-    refusal = _url_fault(bus) if "://" in bus.port else _device_fault(bus)
+    refusal = bus_refusal(bus) if bus.worker == "server" else None
     if refusal is not None:
         yield Finding(refusal, is_fault=True)
         return
-    absent = "://" not in bus.port and not Path(bus.port).exists()
-    code = "check_bus_absent" if absent else "check_bus"
+    code = "check_bus" if bus.worker == "server" else "check_bus_remote"
+    if bus.has_local_port and not Path(bus.port).exists():
+        code = "check_bus_absent"
     yield Finding(Message.of(code, bus=bus.name, n=len(bus.unit), port=bus.port, baud=bus.baud))
     if not bus.unit:
         yield Finding(Message.of("check_bus_without_units", bus=bus.name, port=bus.port))
+
+
+def bus_refusal(bus: BusSettings) -> Message | None:
+    """Why the port of a bus cannot be used, as far as that shows without opening it."""
+    return _url_fault(bus) if "://" in bus.port else _device_fault(bus)
 
 
 def _device_fault(bus: BusSettings) -> Message | None:
@@ -207,3 +214,16 @@ def _anchor(path: Path, *, is_configured: bool) -> Finding:
     if not (os.access(path, os.W_OK) if exists else may_make_files_in(path.parent)):
         return Finding(Message.of("check_anchor_not_writable", user=user(), file=str(path)), is_configured)
     return Finding(Message.of("check_anchor", file=str(path)))
+
+
+def _archive(folder: Path | None) -> Iterator[Finding]:
+    if folder is None:
+        return
+    if not folder.is_dir():
+        yield fault("audit_archive_folder_missing", folder=str(folder))
+    elif is_read_only(folder):
+        yield fault("check_disk_read_only", path=str(folder))
+    elif not may_make_files_in(folder):
+        yield fault("check_archive_not_writable", user=user(), folder=str(folder))
+    else:
+        yield Finding(Message.of("check_archive", folder=str(folder)))

@@ -40,7 +40,7 @@ def show(
 ) -> None:
     """Show which server is the home of each bus, its epoch, and until when."""
     settings = load(config)
-    beat = _known(settings)
+    beat = known_homes(settings)
     found = [_shown(bus.name, beat, is_shared=bool(settings.store.url)) for bus in settings.bus]
     if as_json:
         click.echo(json.dumps({"homes": found}))
@@ -86,7 +86,7 @@ def _take(settings: Settings, database: Database, bus: str, reason: str) -> int:
     """Request it of the servers, and wait; its epoch here."""
     server, before = settings.server.id, database.read_now(read_homes)
     row = before.rows.get(bus)
-    if row is not None and _is_held(row, before) and row.holder == server:
+    if row is not None and is_held(row, before) and row.holder == server:
         return row.epoch
     if row is None or not request_home(database, bus, server, who=_person(), reason=reason):
         raise HomeNotTakenError(Message.of("home_never_held", bus=bus))
@@ -108,7 +108,7 @@ def _person() -> str:
         return "-"
 
 
-def _known(settings: Settings) -> Beat:
+def known_homes(settings: Settings) -> Beat:
     """The rows; none where there is no store yet."""
     if not has_store(settings):
         return Beat(unix_now(), {}, {})
@@ -116,7 +116,8 @@ def _known(settings: Settings) -> Beat:
         return read_homes(connection)
 
 
-def _is_held(row: HomeRow, beat: Beat) -> bool:
+def is_held(row: HomeRow, beat: Beat) -> bool:
+    """Whether a server has the lease of its bus."""
     return not row.is_released and row.until > beat.now
 
 
@@ -138,7 +139,7 @@ def _shown(bus: str, beat: Beat, *, is_shared: bool) -> dict[str, Any]:
         "url": row.url,
         "epoch": row.epoch,
         "until": datetime.fromtimestamp(float(row.until), UTC).isoformat() if is_shared else None,
-        "held": _is_held(row, beat) if is_shared else True,
+        "held": is_held(row, beat) if is_shared else True,
         "why": row.reason or None,
     }
 

@@ -30,7 +30,7 @@ from app.errors import system_error
 from app.messages.languages import catalogs
 from app.messages.locales import locale_of
 from app.server.service_manager import ServiceManager
-from app.settings import Settings
+from app.settings import LOCK_FILE, Settings
 from app.version import VERSION
 from bus.errors import LinesideError
 from bus.messages import Message
@@ -52,7 +52,7 @@ def only_one(data: Path) -> Iterator[None]:
     """Two servers on one folder of data would write the same store. Raises HostingError."""
     try:
         make_folder(data)
-        lock = os.open(data / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+        lock = os.open(data / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     except OSError as error:
         reason = system_error(error)
         raise HostingError(Message.of("data_not_writable", folder=str(data), error=reason)) from error
@@ -100,7 +100,7 @@ async def _host(
     url = url_of(address, port, "http" if feed is None else "https")
     feed_url = url_of(*(feed or listening).getsockname()[:2])
     # Not by app.auth, which imports FastAPI: the workers begin before that takes its quarter of a second.
-    tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus}
+    tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus if bus.worker == "server"}
     leased = bool(settings.store.url)
     workers = WorkerProcesses(config, tokens, feed_url, leased=leased)
     stopping = _stop_requested()

@@ -20,7 +20,7 @@ from app.cli.init import USUAL_PORT, likely_port, starter
 from app.cli.options import Option
 from app.cli.service_unit import CONFIGURATION, DATA, UNIT_FILE, USER, ServiceUnit
 from app.errors import system_error
-from app.settings import load
+from app.settings import ConfigurationError, Settings, load
 from bus.errors import LinesideError
 from bus.messages import Message
 
@@ -39,7 +39,9 @@ def install_service(
     """Install Lineside as a service of systemd, and start it; again, to bring it up to date."""
     if not re.fullmatch(r"[a-z_][a-z0-9_-]{0,30}", user):
         raise wrong_option("--user", "user_not_of_unix", value=user)
-    unit = ServiceUnit(Path(sys.argv[0]).absolute(), config.absolute(), user, folders_written(config))
+    unit = unit_of(
+        Path(sys.argv[0]).absolute(), config.absolute(), user, None if remove else configured(config)
+    )
     commands = list(removal(UNIT_FILE) if remove else installation(unit, user_exists(user)))
     if dry_run or json_output:
         _print(unit, commands, as_json=json_output)
@@ -53,17 +55,32 @@ def install_service(
         report(Message.of("service_removed" if remove else "service_installed", file=str(config)))
 
 
-def folders_written(config: Path) -> tuple[Path, ...]:
-    """The folders beside its own in which a service of this configuration writes: nightly backups, the
-    anchor of the audit log and its key, and the data where they are elsewhere. None without a configuration.
-    """
+def configured(config: Path) -> Settings | None:
+    """The configuration; None where it is yet to be written. Raises ConfigurationError: a service of a wrong
+    one would not start."""
     try:
-        settings = load(config)
-    except LinesideError:
-        return ()
-    key = settings.audit.key_file
-    named = (settings.server.data, settings.backup.folder, settings.anchor_file.parent, key and key.parent)
-    own = (DATA, config.absolute().parent)
+        return load(config)
+    except ConfigurationError as error:
+        if [fault.code for fault in error.faults] == ["configuration_missing"]:
+            return None
+        raise
+
+
+def unit_of(command: Path, config: Path, user: str, settings: Settings | None) -> ServiceUnit:
+    """The service of a configuration: it may open serial ports where a bus is on one, as in the first one."""
+    if settings is None:
+        return ServiceUnit(command, config, user)
+    has_ports = any(bus.has_local_port for bus in settings.bus)
+    return ServiceUnit(command, config, user, folders_written(settings, config), has_ports)
+
+
+def folders_written(settings: Settings, config: Path) -> tuple[Path, ...]:
+    """The folders beside its own in which a service of this configuration writes: nightly backups, the
+    archive of events, the anchor of the audit log and its key, and the data where they are elsewhere."""
+    key, anchor = settings.audit.key_file, settings.anchor_file
+    archives = (settings.backup.folder, settings.audit.archive)
+    named = (settings.server.data, *archives, anchor.parent, key and key.parent)
+    own = (DATA, config.parent)
     written = (folder for folder in named if folder and not any(map(folder.is_relative_to, own)))
     return tuple(dict.fromkeys(written))
 
@@ -96,9 +113,18 @@ def carry_out(
     for command in commands:
         if unit_file is not None and command[:2] == ["systemctl", "daemon-reload"]:
             write_configuration(unit)
+            keep_edited(unit_file, unit.text)
             unit_file.write_text(unit.text, encoding="utf-8")
             unit_file.chmod(0o644)
         run(command)
+
+
+def keep_edited(unit_file: Path, text: str) -> None:
+    """A unit file with another text, which a person may have edited, is kept under another name."""
+    if unit_file.exists() and unit_file.read_bytes() != text.encode():
+        kept = unit_file.with_name(f"{unit_file.name}.before")
+        unit_file.replace(kept)
+        report(Message.of("service_edited_kept", file=str(kept)))
 
 
 def write_configuration(unit: ServiceUnit) -> None:

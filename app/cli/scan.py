@@ -19,6 +19,7 @@ from bus.line.scan.passes import PASSES, no_response_s
 from bus.line.scan.scanner import BaudScan, scan_baud
 from bus.messages import Message, listed, number
 from bus.settings import BAUDS, check_port
+from bus.text import without_credentials
 
 FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
 """9600 is the default of a unit, and the quickest to try."""
@@ -83,7 +84,9 @@ def _refuse_wrong_use(port: str, baud: int | None, first: int, last: int, is_two
     try:
         check_port(port)
     except ValueError as error:
-        raise wrong_option("--port", "option_port_refused", port=repr(port), reason=error.args[0]) from error
+        raise wrong_option(
+            "--port", "option_port_refused", port=without_credentials(repr(port)), reason=error.args[0]
+        ) from error
     if baud is not None and baud not in BAUDS:
         raise wrong_option("--baud", "option_none_of", value=baud, known=list(BAUDS))
     if is_twofold:

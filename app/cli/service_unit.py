@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
+
+from bus.errors import LinesideError
+from bus.messages import Message
 
 USER = "lineside"
 CONFIGURATION = Path("/etc/lineside/lineside.toml")
@@ -15,6 +19,9 @@ WRONG_CONFIGURATION = os.EX_CONFIG
 """Exit code, as a service alone, of a configuration with which another start would end the same way."""
 DRIVERS = ("usbserial", "cdc_acm")
 """Of serial adapters. A device that DeviceAllow names must have its driver when the service starts."""
+_PORTS = "SupplementaryGroups=dialout\n"
+_PLAIN = re.compile(r"[\w@:./+=,-]+", re.ASCII)
+"""A word that systemd takes as it is written (systemd.syntax(7))."""
 _TEMPLATE = """\
 [Unit]
 Description=Lineside dashboard and bus workers
@@ -31,8 +38,7 @@ ExecStartPre=+-/sbin/modprobe -a {drivers}
 ExecStart={command} serve --config {configuration}
 User={user}
 Group={user}
-SupplementaryGroups=dialout
-StateDirectory=lineside
+{groups}StateDirectory=lineside
 StateDirectoryMode=0700
 ReadWritePaths={folders}
 UMask=0077
@@ -76,22 +82,38 @@ WantedBy=multi-user.target
 @dataclass(frozen=True, slots=True)
 class ServiceUnit:
     """``command``: the program ``lineside``; ``configuration``: its file; ``user``: who runs it; ``written``:
-    the folders beside that of the configuration and the data which it may write in."""
+    the folders beside that of the configuration and the data which it may write in; ``has_ports``: whether a
+    bus is on a serial port of this machine."""
 
     command: Path = INSTALLED
     configuration: Path = CONFIGURATION
     user: str = USER
     written: tuple[Path, ...] = ()
+    has_ports: bool = True
 
     @property
     def text(self) -> str:
-        """The unit file."""
+        """The unit file. Raises LinesideError for a path that cannot be in it."""
+        # With a hyphen: a disk that is not mounted does not keep the service from its start.
+        written = (f"-{folder}" for folder in self.written)
         return _TEMPLATE.format(
             drivers=" ".join(DRIVERS),
-            command=self.command,
-            configuration=self.configuration,
+            command=quoted(str(self.command)),
+            # A dollar begins a variable in arguments, and not in the program (systemd.service(5)).
+            configuration=quoted(str(self.configuration).replace("$", "$$")),
             user=self.user,
-            # With a hyphen: a disk that is not mounted does not keep the service from its start.
-            folders=" ".join([str(self.configuration.parent), *(f"-{folder}" for folder in self.written)]),
+            groups=_PORTS if self.has_ports else "",
+            folders=" ".join(map(quoted, (str(self.configuration.parent), *written))),
             wrong=WRONG_CONFIGURATION,
         )
+
+
+def quoted(word: str) -> str:
+    """A word of a unit file as systemd writes it: a percent sign begins a specifier, and a space ends a word.
+    Raises LinesideError for one with a line break or the like, which a unit file cannot hold."""
+    if not word.isprintable():
+        raise LinesideError(Message.of("service_path_unprintable", path=repr(word)))
+    if _PLAIN.fullmatch(word):
+        return word
+    escaped = word.replace("%", "%%").replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

@@ -3,7 +3,7 @@ changed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from app.history.query.forecast import MAX_DAYS, days_left, growth_of_events, gr
 from app.history.series.runs import micros
 from app.history.service import FILE as HISTORY
 from app.settings import STORE_FILE, Settings
-from bus.certificate import MalformedCertificateError, certificates_in
+from bus.certificate import Certificate, MalformedCertificateError, certificates_in
 from bus.instants import UnixTime
 
 
@@ -36,10 +36,14 @@ class DiskFacts:
 
 @dataclass(frozen=True, slots=True)
 class CertificateFacts:
-    """When a file of certificates ends; None where it cannot be read."""
+    """A file of certificates, and the one whose dates decide; None where it cannot be read."""
 
     file: str
-    ends_at: UnixTime | None
+    certificate: Certificate | None
+
+    @property
+    def ends_at(self) -> UnixTime | None:
+        return None if self.certificate is None else self.certificate.ends_at
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +100,9 @@ def _forecast(settings: Settings, stores: dict[str, int], free: int, now: UnixTi
         with examining(data / HISTORY) as connection:
             history = growth_of_history(connection, micros(now))
         with examining(data / STORE_FILE) as connection:
-            events = growth_of_events(connection, stores[STORE_FILE])
+            events = growth_of_events(
+                connection, stores[STORE_FILE], is_archived=settings.audit.archive is not None
+            )
     except StoreError:
         return None
     if history is None:
@@ -107,9 +113,10 @@ def _forecast(settings: Settings, stores: dict[str, int], free: int, now: UnixTi
     return MAX_DAYS if left is None else left
 
 
-def _certificate(path: Path, which: Callable[[Iterable[UnixTime]], UnixTime]) -> CertificateFacts:
+def _certificate(path: Path, which: Callable[..., Certificate]) -> CertificateFacts:
     """``which``: of several, that of a server ends with the first, authorities with the last."""
     try:
-        return CertificateFacts(str(path), which(each.ends_at for each in certificates_in(path.read_text())))
+        found = certificates_in(path.read_text())
+        return CertificateFacts(str(path), which(found, key=lambda each: each.ends_at))
     except (OSError, UnicodeDecodeError, MalformedCertificateError):
         return CertificateFacts(str(path), None)

@@ -16,7 +16,8 @@ from app.cli.ending import report
 from app.cli.listening import url_of
 from app.cli.options import AsJson
 from app.cli.status_lines import facts_json, facts_lines, site_facts
-from app.settings import Settings, load
+from app.server.settings import TlsSettings
+from app.settings import load
 from app.version import VERSION
 from bus.errors import LinesideError
 from bus.instants import unix_now
@@ -41,7 +42,7 @@ def status(
     Exit 0 when it serves, else 1.
     """
     settings, bearer = load(config), bearer_token(token, token_file, required=False)
-    own = _own_certificate(settings)
+    own = own_certificate(settings.server.tls)
     url = url_of(settings.server.host, settings.server.port, "http" if own is None else "https")
     serves = is_serving(url, own)
     buses, degraded = _state(url, bearer, own) if serves and bearer else (None, None)
@@ -63,10 +64,9 @@ def status(
         raise LinesideError(Message.of("not_serving", url=url, config=str(config)))
 
 
-def _own_certificate(settings: Settings) -> ssl.SSLContext | None:
+def own_certificate(tls: TlsSettings | None) -> ssl.SSLContext | None:
     """Trusts the configured certificate itself, under any name and at any time: this machine calls itself.
     None without TLS. Raises TlsFileError."""
-    tls = settings.server.tls
     if tls is None:
         return None
     from bus.tls import read_certificate
@@ -81,7 +81,8 @@ def _own_certificate(settings: Settings) -> ssl.SSLContext | None:
 def is_serving(url: str, own: ssl.SSLContext | None = None) -> bool:
     """Whether a Lineside dashboard serves at ``url``; ``own``: what verifies it by https."""
     try:
-        response = httpx.get(f"{url}/healthz", timeout=WITHIN_S, trust_env=False, verify=own or True)
+        # Without TLS there is nothing to verify: the authorities of the machine are not read.
+        response = httpx.get(f"{url}/healthz", timeout=WITHIN_S, trust_env=False, verify=own or False)
         return response.status_code == 200 and response.json() == {"status": "ok"}
     except (httpx.HTTPError, httpx.InvalidURL, ValueError):
         return False

@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import json
 import platform
-import re
 import subprocess
 import sys
 import tarfile
@@ -25,6 +24,7 @@ from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.findings import findings
 from app.cli.options import Option
+from app.cli.service_findings import service_findings
 from app.cli.service_unit import UNIT_FILE
 from app.cli.store_findings import store_findings
 from app.database.presence import examining
@@ -37,6 +37,7 @@ from app.version import VERSION
 from bus.configuration import ConfigurationError
 from bus.errors import LinesideError
 from bus.messages import Message
+from bus.text import MASK, without_credentials
 
 MAX_EVENTS, MAX_LOG_LINES = 500, 2000
 JOURNAL = (
@@ -50,10 +51,8 @@ JOURNAL = (
     "short-iso",
 )
 WITHIN_S = 10.0
-MASK = "…"
 WRITTEN = frozenset(("text", "value"))
 """Params of a fault of the configuration that hold what was written there."""
-_CREDENTIALS = re.compile(rb"(://)[^\s/\"'\\]+@")
 _EVENTS = "SELECT id, time, kind, bus, unit, what, outcome FROM events ORDER BY id DESC LIMIT ?"
 
 
@@ -92,7 +91,9 @@ def bundle(files: Iterable[tuple[str, bytes]]) -> bytes:
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:gz") as archive:
         for name, written in files:
-            content = _CREDENTIALS.sub(rf"\1{MASK}@".encode(), written)
+            content = without_credentials(written.decode("utf-8", "surrogateescape")).encode(
+                "utf-8", "surrogateescape"
+            )
             entry = tarfile.TarInfo(f"lineside-support/{name}")
             entry.size, entry.mode, entry.mtime = len(content), 0o600, int(time.time())
             archive.addfile(entry, io.BytesIO(content))
@@ -124,6 +125,7 @@ def _found(settings: Settings) -> Iterator[Message]:
             *findings(settings),
             *store_findings(settings),
             *backup_findings(settings.backup, settings.server.data),
+            *service_findings(),
         ):
             yield finding.message
     except (LinesideError, OSError) as error:

@@ -108,6 +108,12 @@ BACKUP_OVERDUE: Condition[Callable[[UnixTime | None, UnixTime], bool]] = Conditi
     " change of the configuration",
     tuning=Tuning(on_delay_s=600),  # of a start, which first makes up for a night that was missed
 )
+EVENTS_NOT_ARCHIVED: Condition[Callable[[object], bool]] = Condition(
+    "events_not_archived",
+    ("minor", "shift"),
+    holds=bool,
+    means="old events could not be written into `archive` of `[audit]`; they stay in the store",
+)
 
 OF_SERVER = (
     HISTORY_DEGRADED,
@@ -120,4 +126,5 @@ OF_SERVER = (
     CERTIFICATE_EXPIRING,
     TOKEN_EXPIRING,
     BACKUP_OVERDUE,
+    EVENTS_NOT_ARCHIVED,
 )

@@ -94,6 +94,21 @@ def tables_in(connection: StoreConnection) -> list[str]:
     return [name for (name,) in connection.execute(query)]
 
 
+def tables_without_rights(connection: StoreConnection) -> list[str]:
+    """The tables of a site in a database that its user may not read and change; of a file, none."""
+    if is_local(connection):
+        return []
+    rights = " AND ".join(
+        f"has_table_privilege(found.oid, '{right}')" for right in ("SELECT", "INSERT", "UPDATE", "DELETE")
+    )
+    query = (
+        "SELECT found.oid::regclass::text FROM pg_class found WHERE found.relkind IN ('r', 'p')"
+        f" AND NOT ({rights}) AND EXISTS (SELECT 1 FROM pg_class site"
+        " WHERE site.relnamespace = found.relnamespace AND site.relname = 'migrations') ORDER BY 1"
+    )
+    return [str(name) for (name,) in connection.execute(query)]
+
+
 def last_number(connection: StoreConnection, table: str, column: str) -> int:
     """The highest number that the engine gave to a row of a table, also one that was removed, if it knows."""
     query, values = "SELECT max(seq) FROM sqlite_sequence WHERE name = ?", [table]

@@ -31,7 +31,7 @@ from app.handover.signing import ShiftSignRequest, Signing
 from app.web.access import Person, Viewer, address_of
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.bounds import MAX_BODY_BYTES
-from app.web.schema import problems
+from app.web.schema import limited, problems
 from app.web.services import service
 from app.web.shape import Instant, StrictBody, iso
 from app.web.turns import SEARCH
@@ -150,12 +150,13 @@ async def sign_shift_sheet(
     return signed
 
 
-@router.post("/{start}/notes", status_code=201, max_body_size=MAX_BODY_BYTES)
+@router.post("/{start}/notes", status_code=201, max_body_size=MAX_BODY_BYTES, responses=limited(201))
 async def write_shift_note(
     person: Annotated[Person, WRITE_NOTE.permitted],
     shifts: Shifts,
     shift: ShiftOfPath,
     body: ShiftNoteRequest,
+    response: Response,
     key: RequestKey = None,
 ) -> ShiftNote:
     """Write a note. It is never changed; a correction is a new note that names it."""
@@ -165,7 +166,9 @@ async def write_shift_note(
         key=key,
         pictures=tuple(_decoded(each) for each in body.pictures),
     )
-    return notes_json([await shifts.write(person, shift, new)])[0]
+    written = await shifts.write(person, shift, new)
+    response.headers.update(shifts.quota.rate_limit(person.sender).headers)
+    return notes_json([written])[0]
 
 
 def _decoded(text: str) -> bytes:

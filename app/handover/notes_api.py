@@ -6,6 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 from pydantic import AwareDatetime, Field
+from starlette.responses import Response
 from typing_extensions import TypedDict
 
 from app.handover.acts import WRITE_NOTE
@@ -16,6 +17,7 @@ from app.history.api.spans import SpanOf
 from app.history.service import seconds
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute, RequestKey
+from app.web.schema import limited
 from app.web.shape import StrictBody
 from app.web.turns import SEARCH
 from bus.instants import UnixTime
@@ -53,11 +55,17 @@ async def get_notes_of_span(
     return {"notes": notes_json(found)}
 
 
-@router.post("/notes", status_code=201)
+@router.post("/notes", status_code=201, responses=limited(201))
 async def write_note(
-    person: Annotated[Person, WRITE_NOTE.permitted], shifts: Shifts, body: NoteRequest, key: RequestKey = None
+    person: Annotated[Person, WRITE_NOTE.permitted],
+    shifts: Shifts,
+    body: NoteRequest,
+    response: Response,
+    key: RequestKey = None,
 ) -> ShiftNote:
     """Write a note about a time: it is one of the shift of that time, as on its hand-over sheet."""
     at = UnixTime(body.time.timestamp())
     new = NewNote(text=body.text, at=at, bus=body.bus, unit=body.unit, key=key)
-    return notes_json([await shifts.write(person, shifts.shift_at(at), new)])[0]
+    written = await shifts.write(person, shifts.shift_at(at), new)
+    response.headers.update(shifts.quota.rate_limit(person.sender).headers)
+    return notes_json([written])[0]

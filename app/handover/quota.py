@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections import defaultdict
 from functools import partial
+from math import ceil
 from pathlib import Path
 
 from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
 from app.errors import Problem
 from app.handover.rules.shift_times import Shift
+from app.web.rate_limit import RateLimit
 from bus.bucket import Bucket
 from bus.instants import Clock, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
@@ -48,6 +50,10 @@ class Quota:
         """Count a note with its pictures. Raises Problem 429 after too many of one sender."""
         bucket, now = self._taken[sender], self._monotonic()
         if not bucket.take(now, parts):
-            wait = f"{bucket.wait_s(now, parts):.0f}"
             problem = Problem(429, "too_many", Message.of("shift_quota_used", n=MAX_PER_HOUR))
-            raise problem.with_headers(Retry_After=wait)
+            problem.headers.update(self.rate_limit(sender).headers)
+            raise problem.with_headers(Retry_After=str(ceil(bucket.wait_s(now, parts))))
+
+    def rate_limit(self, sender: str) -> RateLimit:
+        """What this sender may still store."""
+        return RateLimit.of(self._taken[sender], self._monotonic())

@@ -50,8 +50,8 @@ class Language:
         return self.catalog.gettext(text) if text else ""
 
     def time(self, text: str) -> str:
-        """A date or a time in ISO 8601 by the clock of the site; the text itself where there is no such time.
-        Without a zone, it is that of the site."""
+        """A date or a time in ISO 8601 by the clock of the site; one without a zone is by that clock already.
+        What is no such time stays as it is."""
         locale = locale_of(self.locale)
         try:
             at = datetime.fromisoformat(text)

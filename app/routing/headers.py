@@ -30,6 +30,7 @@ RESPONSE = frozenset(
         *(b"allow", b"cache-control", b"content-disposition", b"content-language", b"content-length"),
         *(b"content-type", b"etag", b"expires", b"last-modified", b"retry-after", b"www-authenticate"),
         *(b"x-accel-buffering", b"hx-retarget", b"hx-reswap", b"hx-reselect", b"hx-trigger", b"hx-refresh"),
+        *(b"ratelimit-limit", b"ratelimit-remaining", b"ratelimit-reset"),
         *(b"hx-push-url", b"hx-replace-url", b"content-range", b"accept-ranges"),
     }
 )
@@ -37,6 +38,7 @@ ADDRESSES = frozenset({b"location", b"hx-redirect", b"hx-location"})
 """Of a response: pass where they lead to a path of this site."""
 COOKIES = (b"lineside_view",)
 """What the home of a bus may set: how a page is shown, never who is signed in."""
+_NEXT_PAGE = re.compile(rb'<(/[!-=?-~]*)>; rel="next"')
 _OWN_PATH = re.compile(rb"/(?![/\\])[\x21-\x7e]*")
 _VALUE = re.compile(rb"[\t\x20-\x7e\x80-\xff]*")
 MAX_VALUE_BYTES = 16 * 1024
@@ -63,7 +65,8 @@ def _passed(headers: Iterable[tuple[bytes, bytes]]) -> Iterator[tuple[bytes, byt
             continue
         is_cookie = name == b"set-cookie" and value.partition(b"=")[0].strip() in COOKIES
         is_address = name in ADDRESSES and _OWN_PATH.fullmatch(value)
-        if name in RESPONSE or is_cookie or is_address:
+        is_next = name == b"link" and _NEXT_PAGE.fullmatch(value)
+        if name in RESPONSE or is_cookie or is_address or is_next:
             yield name, value
 
 

@@ -32,6 +32,7 @@ OWN_PATHS = frozenset(
             "/sw.js",
         ),
         *("/manifest.webmanifest", "/favicon.ico", "/api/v1/sites", "/api/v1/line", "/api/v1/openapi.json"),
+        "/api/v1/asyncapi.json",
         *("/metrics", "/api/v1/me"),
     }
 )

@@ -29,14 +29,20 @@ class Refusal:
     status: int
     code: str
     detail: str
+    wait_s: int = 0
+    """After which it may be tried again; 0: it is not stated."""
 
     def response(self) -> bytes:
         """The complete HTTP response."""
-        return last_response(self.status, MEDIA_TYPE, self._body())
+        return last_response(self.status, MEDIA_TYPE, self._body(), **self._wait())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """As an ASGI app."""
-        await Response(self._body(), self.status, HEADERS, MEDIA_TYPE)(scope, receive, send)
+        headers = {**HEADERS, **self._wait()}
+        await Response(self._body(), self.status, headers, MEDIA_TYPE)(scope, receive, send)
+
+    def _wait(self) -> dict[str, str]:
+        return {"Retry-After": str(self.wait_s)} if self.wait_s else {}
 
     def _body(self) -> bytes:
         phrase = HTTPStatus(self.status).phrase
@@ -55,6 +61,6 @@ NO_SUCH_EXPECTATION = Refusal(
     417, "no_such_expectation", "no expectation but 100-continue can be met; nothing was done"
 )
 TOO_LONG = Refusal(431, "too_long", "the headers are too long or too many; nothing was done")
-TOO_MANY_REQUESTS = Refusal(429, "too_many", "too many requests of this address are under way; try again")
+TOO_MANY_REQUESTS = Refusal(429, "too_many", "too many requests of this address are under way; try again", 1)
 NO_SUCH_VERSION = Refusal(505, "no_such_version", "only HTTP/1.0 and HTTP/1.1 are served; nothing was done")
 TOO_MANY = Refusal(503, "too_many", "too many connections are open; nothing was done, try again")

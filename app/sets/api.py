@@ -24,6 +24,7 @@ from app.sets.model import Number, ParameterSet, ParameterSetSummary, SetHead, S
 from app.sets.schedule import SetSchedule
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
+from app.web.next_page import NEXT_PAGE, link_next
 from app.web.schema import problems
 from app.web.services import bus_service, bus_service_of
 from app.web.shape import MessageObject, StrictBody, UnitAddresses, iso
@@ -132,8 +133,10 @@ Drift = Annotated[BusDrift, bus_service(BusDrift)]
 ScheduleOfBus = Annotated[SetSchedule, bus_service(SetSchedule)]
 
 
-@router.get("/sets")
+@router.get("/sets", responses=NEXT_PAGE)
 async def list_parameter_sets(
+    request: Request,
+    response: Response,
     _: Viewer,
     sets: Sets,
     bus: str | None = None,
@@ -141,8 +144,12 @@ async def list_parameter_sets(
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MAX_SETS)] = MAX_SETS,
 ) -> list[ParameterSetSummary]:
-    """Stored sets, newest first: at most 1000; the last ``id`` is ``before`` of the next page."""
-    return await sets.summaries(bus, unit, before=before, limit=limit)
+    """Stored sets, newest first: at most 1000; the last ``id`` is ``before`` of the next page, which the
+    header ``Link`` names where there is one."""
+    found = await sets.summaries(bus, unit, before=before, limit=limit + 1)
+    if len(found) > limit:
+        link_next(request, response, found[limit - 1].id)
+    return found[:limit]
 
 
 @router.post("/buses/{bus}/sets", status_code=201, responses=problems(504))

@@ -34,6 +34,9 @@ PAGES = (
     PageLink("recipes", "/recipes", "recipes", Message("page_recipes")),
     PageLink("sets", "/sets", "sets", Message("page_sets")),
     PageLink("bus", "/bus", "bus", Message("page_bus")),
+    PageLink(
+        "configuration", "/configuration", "edit", Message("page_configuration"), "change_configuration"
+    ),
     PageLink("users", "/users", "users", Message("page_users"), "add_user"),
 )
 
@@ -46,11 +49,12 @@ HELP = {
     "shifts": "operator#the-shift",
     "trends": "operator#trends",
     "events": "operator#events",
-    "recipes": "operator#recipes",
+    "recipes": "recipes",
     "sets": "replace-a-drive",
     "bus": "hardware",
     "users": "users",
-    "lines": "scale",
+    "configuration": "configuration",
+    "lines": "several-lines",
 }
 """The chapter of the help that is about a page, by its ``key``; of all others the list of chapters."""
 

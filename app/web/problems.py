@@ -37,6 +37,8 @@ _CODES: dict[int, ProblemCode] = {
     422: "invalid",
 }
 
+RETRY_AFTER_S = 2
+"""Until a request is worth a second try, where nothing better is known."""
 MAX_FAULTS = 20
 """Faults of one body that are named."""
 
@@ -93,6 +95,10 @@ async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
 
 def respond(request: HTTPConnection, problem: Problem) -> Response:
     """The problem in the form that the client can read."""
+    # Of a read alone: clients such as urllib3 repeat a PUT on their own where a 503 has a time, and a
+    # command is never sent late.
+    if problem.status == 503 and request.scope.get("method") in ("GET", "HEAD"):
+        problem.headers.setdefault("Retry-After", str(RETRY_AFTER_S))
     if wants_json(request):
         return problem_json(problem, _detail(request, problem))
     template = "web/_problem.html" if is_fragment(request) else "web/problem.html"
@@ -121,7 +127,7 @@ def _detail(request: HTTPConnection, problem: Problem) -> str:
 
 def too_many_requests() -> Problem:
     """The refusal of a request where too many of its account or address wait for their turn."""
-    return Problem(429, "too_many", Message("too_many_requests")).with_headers(Retry_After="2")
+    return Problem(429, "too_many", Message("too_many_requests")).with_headers(Retry_After=str(RETRY_AFTER_S))
 
 
 def _place(location: Sequence[int | str]) -> str:

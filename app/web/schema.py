@@ -29,9 +29,28 @@ PARTS: dict[str, Any] = json.loads(Path(__file__).with_name("openapi_parts.json"
 statuses, the header of every write, and the schemas of a refusal."""
 
 
+RATE_LIMIT = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
+
+
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """For ``responses=``: problems of these statuses."""
     return {status: _response(PARTS["statuses"][str(status)]) for status in statuses}
+
+
+def limited(status: int) -> dict[int | str, dict[str, Any]]:
+    """For ``responses=`` of an operation with a limit: its headers where it succeeds (``status``) and where
+    it is refused."""
+    return {
+        status: {"headers": _header_references(*RATE_LIMIT)},
+        429: {
+            **_response(PARTS["statuses"]["429"]),
+            "headers": _header_references("Retry-After", *RATE_LIMIT),
+        },
+    }
+
+
+def _header_references(*names: str) -> dict[str, Any]:
+    return {name: {"$ref": f"#/components/headers/{name}"} for name in names}
 
 
 def usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[str, Any]]:
@@ -41,7 +60,10 @@ def usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[st
     statuses |= {409} if set(methods) - {"GET", "HEAD"} else set()
     return {
         **problems(*sorted(statuses)),
-        "default": _response("Any other refusal. detail states what was done."),
+        "default": {
+            **_response("Any other refusal. detail states what was done."),
+            "headers": _header_references("Retry-After"),
+        },
     }
 
 
@@ -88,6 +110,7 @@ def openapi_document(app: Any) -> dict[str, Any]:
             _complete(operation, is_write=method not in ("get", "head"))
     components = document["components"]
     components["schemas"] |= problem_schemas(components["schemas"])
+    components["headers"] = PARTS["headers"]
     components["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
     document["security"] = [{"token": []}]
     document["servers"] = [{"url": "/", "description": "The server that this document comes from."}]

@@ -181,8 +181,8 @@ function explain(strip, reason) {
   place?.scrollIntoView({ block: "nearest" });
 }
 
-/** End the review when the connection is lost, and state so where it was, in the dialog once the server is back: nothing
- * was sent, or of a pending command that its outcome is unknown. A typed value stays in its field. */
+/** End the review when the connection is lost, and state that where it was, in the dialog once the server is back: nothing
+ * was sent, or of a pending command that its outcome is unknown. What is typed in a field stays. */
 function lost() {
   early = null;
   const form = content.querySelector("[data-review]");

@@ -17,7 +17,7 @@ from app.feature import Services
 from app.handover.settings import ShiftSettings
 from app.main import create_app
 from app.notification.settings import NotifySettings
-from app.settings import ServerSettings, Settings, Site
+from app.settings import ServerSettings, Settings, Site, load
 from app.web.access import PEOPLE_ROLES, Role
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.administrator import BY
@@ -93,10 +93,11 @@ async def complete_app(
     server: ServerSettings | None = None,
     notify: NotifySettings | None = None,
     shift: ShiftSettings | None = None,
+    config: Path | None = None,
     **site: Any,
 ) -> AsyncIterator[House]:
-    """From start to end, as the server would."""
-    settings = settings_in(folder, **site)
+    """From start to end, as the server would; ``config``: with this file."""
+    settings = settings_in(folder, **site) if config is None else load(config)
     others = {"server": server or settings.server, "notify": notify or settings.notify}
     others["shift"] = shift or settings.shift
     app = create_app(settings.model_copy(update=others), demo=demo)

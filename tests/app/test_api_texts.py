@@ -60,6 +60,8 @@ CODES = {
         "NotificationEndpoint.key",
         "message_id",
     ),
+    *("Configuration.digest", "ConfigurationVersion.digest", "Configuration.file"),
+    *("ConfigurationTable.name", "ConfigurationTable.values", "DifferenceLine.text"),
 }
 TYPED_BY_PEOPLE = {
     *("analog", "analog_unit", "bus", "comment", "group", "id", "input", "measure", "name", "output", "port"),
@@ -67,6 +69,7 @@ TYPED_BY_PEOPLE = {
     *("Alarm.hidden_by", "Alarm.reason", "AlarmTransition.reason", "LineOfSite.home", "elsewhere"),
     *(f"OwnAlarm.{name}" for name in ("cause", "consequence", "response")),
     *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
+    "ConfigurationVersion.reason",
     *("ReadOnly.reason", "RecurringMaintenance.buses", "RecurringMaintenance.reason"),
 }
 IN_THE_READERS_LANGUAGE = {

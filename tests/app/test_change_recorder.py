@@ -49,3 +49,24 @@ async def test_the_oldest_are_left_out_and_counted_in_one_event(monkeypatch: pyt
         == "14 changes of the line are missing here: the log could not be written"
     )
     assert log.recorded[-1]["kind"] == "audit"
+
+
+async def test_a_port_that_comes_and_goes_each_second_is_a_few_events_an_hour(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    log = Log()
+    log.is_writable = True
+    recorder, now = ChangeRecorder(log, "dry-end"), 0.0  # type: ignore[arg-type]
+    monkeypatch.setattr(recorder, "_monotonic", lambda: now)
+    following = asyncio.create_task(recorder.follow())
+    for second in range(3600):
+        now = float(second)
+        old, new = ("open", "closed") if second % 2 else ("closed", "open")
+        recorder.note(LineEvent("bus", None, now, Message("event_port"), old, new))
+        recorder._note_due()
+    await recorder.recorded()
+    following.cancel()
+    assert len(log.recorded) < 80
+    assert log.recorded[-1]["new"] == "closed", "the last state is never left out"
+    counted = sum(event["message"].params["n"] if event["message"] else 1 for event in log.recorded)
+    assert counted == 3600

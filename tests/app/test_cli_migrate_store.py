@@ -9,12 +9,17 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import psycopg
 import pytest
 
+from app.audit.archive.archiving import EventArchive
+from app.audit.keys import open_keys
+from app.audit.log import EventLog
+from app.audit.store import heads_of
 from app.cli import copy_report, migrate_store
-from app.database import Database
+from app.database import Database, SqliteDatabase
 from app.database.copying.places import Folder, PostgresqlPlace
 from app.database.engine import upsert
 from app.database.opening import open_database, require_finished_database
@@ -22,8 +27,10 @@ from app.database.settings import StoreSettings
 from app.errors import ConstraintError, StoreError
 from app.home.lease import HomeRow
 from app.home.store import NO_TIME
+from app.settings import load
 from bus.instants import UnixTime
 from tests import fork_server
+from tests.app.intents import intend
 from tests.app.moved_site import FILES, MovedSite, folder_of, numbers_in, rows_at
 from tests.postgresql import fresh_database, needs_postgresql
 
@@ -315,3 +322,34 @@ def test_a_folder_to_a_folder_needs_no_database(site: MovedSite, tmp_path: Path)
     assert ended.exit_code == 0, ended.output
     assert rows_at(Folder(tmp_path / "elsewhere")) == rows_at(folder_of(site))
     assert (tmp_path / "elsewhere").stat().st_mode & 0o077 == 0
+
+
+async def test_events_that_are_archived_between_two_copies_leave_the_copy(
+    empty: StoreSettings, tmp_path: Path
+) -> None:
+    """A command goes after its result, on both engines."""
+    site = MovedSite(tmp_path / "site")
+    for folder in (site.folder, site.data, tmp_path / "archive"):
+        folder.mkdir()
+    site.configure(f'[audit]\narchive = "{tmp_path}/archive"\n')
+    settings, now = load(site.config), UnixTime(1_768_000_000.0)
+    with closing(SqliteDatabase(site.data / FILES["main"])) as main:
+        keys = open_keys(settings.key_files, main.file, main.read_now(heads_of))
+        events = EventLog(main, lambda: now, keys)
+        for _ in range(4):
+            commands = [
+                await intend(events, bus="dry-end", unit=unit, who="ann", origin="api", what="set speed")
+                for unit in range(1, 201)
+            ]
+            await events.conclude_together(dict.fromkeys(commands, ("verified", "")))
+            now += 31 * 86_400.0
+        with site.served():
+            assert site.migrate(empty.url).exit_code == 0
+        zone = ZoneInfo("Europe/Berlin")
+        archive = EventArchive(main, events, settings.audit.archive, 2, zone, lambda: now)
+        await archive.archive_due()
+        assert archive.failing is None
+    there = site.migrate(empty.url)
+    assert there.exit_code == 0, there.output
+    site.configure(f'[store]\nurl = "{empty.url}"\n[audit]\narchive = "{tmp_path}/archive"\n')
+    assert site.run("audit", "verify").exit_code == 0

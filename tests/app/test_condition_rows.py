@@ -169,6 +169,7 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
         [(NOW - 25 * HOUR, NOW), (None, NOW), (NOW + HOUR, NOW)],
         NEVER,
     ),
+    "events_not_archived": ([(True,)], [(None,)], NEVER),
     "token_expiring": (
         [(NOW - 300 * DAY, NOW + DAY, NOW, NOW)],
         [

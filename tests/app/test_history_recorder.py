@@ -10,17 +10,20 @@ from pathlib import Path
 import pytest
 
 from app.history.intake.folding import compact
+from app.history.intake.upkeep import SETTLED_S, DiskReserve, Upkeep
 from app.history.query import unit_history
 from app.history.query.unit_history import StoredUnit
 from app.history.series.downsampling import Points
 from app.history.series.runs import HOUR, micros
 from app.history.series.values import VALUES
+from app.history.settings import HistorySettings
 from app.history.store import tables
 from bus.contract import BusLink, UnitLink
 from tests.app.history_line import BUS, NOON, Shelf, parameter, polls, reading
 from tests.stores import both_engines, only_sqlite
 
 pytestmark = both_engines
+YEAR = 365 * 86_400.0
 
 
 @pytest.fixture
@@ -255,6 +258,38 @@ def test_a_clock_set_back_an_hour_loses_nothing(shelf: Shelf) -> None:
         float(r.actual) for r in first + again if hasattr(r, "actual")
     )
     assert found.series.at == sorted(found.series.at)
+
+
+@pytest.mark.parametrize("step", [YEAR, -YEAR])
+def test_a_clock_that_jumps_by_a_year_and_back_loses_nothing(shelf: Shelf, step: float) -> None:
+    for start in (NOON, NOON + step, NOON + 60):
+        shelf.keep(polls(start, start + 60))
+    shelf.fold()
+    shelf.pack()
+    for start in (NOON, NOON + step, NOON + 60):
+        assert len(shelf.query("actual", start, start + 60).series.at) == 300
+
+
+def test_readings_are_stored_after_a_clock_was_ahead_for_long(
+    shelf: Shelf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was given up was before a time of the next year, and new readings were given up, too."""
+    running = [0.0]
+    monkeypatch.setattr("app.history.intake.upkeep.monotonic_now", lambda: running[0])
+    upkeep = Upkeep(shelf.database, HistorySettings(), DiskReserve(), lambda _: None)
+    shelf.keep(polls(NOON, NOON + 60))
+    shelf.fold()
+    ahead = micros(NOON + YEAR)
+    upkeep.clock_stepped(ahead)
+    upkeep.give_up_old(ahead)
+    assert shelf.database.read_now(tables.raw_from) == 0, "an hour passes before anything is given up"
+    running[0] += SETTLED_S
+    upkeep.give_up_old(ahead)
+    assert shelf.database.read_now(tables.raw_from) > micros(NOON)
+    upkeep.clock_stepped(micros(NOON + 60))
+    shelf.keep(polls(NOON + 60, NOON + 120))
+    shelf.fold()
+    assert len(shelf.query("actual", NOON + 60, NOON + 120).series.at) == 300
 
 
 @only_sqlite

@@ -100,6 +100,9 @@ def test_only_named_headers_pass_to_a_client() -> None:
         (b"Location", b"https://evil.example/"),
         (b"Location", b"/\\evil.example"),
         (b"Location", b"/units/dry-end/1"),
+        (b"Link", b'</api/v1/sets?before=7>; rel="next"'),
+        (b"Link", b'<https://evil.example/>; rel="next"'),
+        (b"Link", b'</x>; rel="next", <https://evil.example/>; rel="preload"'),
         (b"HX-Redirect", b"https://evil.example/"),
         (b"Content-Security-Policy", b"default-src *"),
         (b"Access-Control-Allow-Origin", b"*"),
@@ -113,4 +116,5 @@ def test_only_named_headers_pass_to_a_client() -> None:
         (b"content-type", b"text/html"),
         (b"set-cookie", b"lineside_view=rows"),
         (b"location", b"/units/dry-end/1"),
+        (b"link", b'</api/v1/sets?before=7>; rel="next"'),
     ]

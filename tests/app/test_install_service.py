@@ -15,13 +15,15 @@ import pytest
 from app.cli import install_service
 from app.cli.install_service import (
     carry_out,
-    folders_written,
+    configured,
     installation,
     removal,
     run,
+    unit_of,
     write_configuration,
 )
-from app.cli.service_unit import ServiceUnit
+from app.cli.service_findings import service_findings
+from app.cli.service_unit import ServiceUnit, quoted
 from bus.errors import LinesideError
 from tests import fork_server
 from tests.test_service_unit import UNITS
@@ -47,21 +49,82 @@ def unit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ServiceUnit:
     return ServiceUnit(Path("/opt/lineside/bin/lineside"), tmp_path / "etc/lineside.toml", "plant")
 
 
+def service_of(config: Path, text: str) -> ServiceUnit:
+    config.parent.mkdir(exist_ok=True)
+    config.write_text(text, encoding="utf-8")
+    return unit_of(Path("/opt/lineside/bin/lineside"), config, "plant", configured(config))
+
+
 def test_it_may_write_where_the_configuration_lets_it(tmp_path: Path) -> None:
     config = tmp_path / "etc" / "lineside.toml"
-    config.parent.mkdir()
-    assert folders_written(config) == ()
-    config.write_text(
-        '[server]\ndata = "/srv/lineside"\n[backup]\nfolder = "/mnt/b"\n[audit]\nanchor = "/mnt/worm/a"\n'
+    assert unit_of(Path("/opt/x"), config, "plant", configured(config)).written == ()
+    found = service_of(
+        config,
+        '[server]\ndata = "/srv/lineside"\n[backup]\nfolder = "/mnt/b"\n'
+        '[audit]\nanchor = "/mnt/worm/a"\narchive = "/mnt/a"\n',
     )
-    folders = folders_written(config)
-    assert folders == (Path("/srv/lineside"), Path("/mnt/b"), Path("/mnt/worm"))
-    text = ServiceUnit(configuration=config, written=folders).text
-    assert f"ReadWritePaths={config.parent} -/srv/lineside -/mnt/b -/mnt/worm\n" in text
-    config.write_text('[server]\ndata = "/var/lib/lineside/data"\n[backup]\nfolder = "backups"\n')
-    assert folders_written(config) == ()
-    config.write_text('[server]\ndata = "/srv/lineside"\n')
-    assert folders_written(config) == (Path("/srv/lineside"), Path("/srv")), "the anchor is beside the data"
+    folders = (Path("/srv/lineside"), Path("/mnt/b"), Path("/mnt/a"), Path("/mnt/worm"))
+    assert found.written == folders
+    assert f"ReadWritePaths={config.parent} -/srv/lineside -/mnt/b -/mnt/a -/mnt/worm\n" in found.text
+    own = '[server]\ndata = "/var/lib/lineside/data"\n[backup]\nfolder = "backups"\n'
+    assert service_of(config, own).written == ()
+    elsewhere = service_of(config, '[server]\ndata = "/srv/lineside"\n').written
+    assert elsewhere == (Path("/srv/lineside"), Path("/srv")), "the anchor is beside the data"
+
+
+@pytest.mark.parametrize(
+    ("ports", "opens_ports"),
+    [
+        ([], False),
+        (["socket://10.0.0.7:4001", "rfc2217://10.0.0.7:4002"], False),
+        (["socket://10.0.0.7:4001", "/dev/ttyUSB0"], True),
+    ],
+)
+def test_it_is_in_the_group_of_serial_ports_where_a_bus_is_on_one(
+    tmp_path: Path, ports: list[str], opens_ports: bool
+) -> None:
+    config = tmp_path / "lineside.toml"
+    assert "dialout" in unit_of(Path("/opt/x"), config, "plant", configured(config)).text
+    buses = "".join(f'[[bus]]\nname = "bus-{n}"\nport = "{port}"\n' for n, port in enumerate(ports))
+    text = service_of(config, buses).text
+    assert ("SupplementaryGroups=dialout\n" in text) is opens_ports
+    assert text.count("\n\n") == 2
+
+
+SIGNS = "a b %h 100% $HOME \"q\" 'r' back\\slash ; # ä"
+
+
+def test_signs_of_systemd_in_paths_are_quoted() -> None:
+    assert [quoted(word) for word in ("/opt/x-1_2.toml", "-/mnt/b", "/a b", '/50%/"q"\\', "/ä")] == [
+        *("/opt/x-1_2.toml", "-/mnt/b", '"/a b"', r'"/50%%/\"q\"\\"', '"/ä"')
+    ]
+    with pytest.raises(LinesideError, match=r"'/a\\nUser=root' has a sign"):
+        quoted("/a\nUser=root")
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+def test_systemd_reads_the_paths_that_were_meant(tmp_path: Path) -> None:
+    folder, programs = tmp_path / SIGNS, tmp_path / "a b %h 100% $HOME ;"  # a program has no quotes there
+    programs.mkdir()
+    command = programs / "lineside"
+    command.write_text("#!/bin/sh\n")
+    command.chmod(0o755)
+    written = (folder / "nightly copies", Path("/mnt/c d"))
+    unit = ServiceUnit(command, folder / "lineside.toml", "root", written)
+    assert verified(tmp_path, unit.text) == ""
+    # What it would print: each path is read, and none only in part.
+    assert "is not executable" in verified(tmp_path, ServiceUnit(programs / "absent", user="root").text)
+    assert "not absolute" in verified(tmp_path, unit.text.replace('"-/mnt/c d"', "-/mnt/c d"))
+
+
+def verified(folder: Path, text: str) -> str:
+    """What systemd complains of in a unit file."""
+    file = folder / "lineside.service"
+    file.write_text(text, encoding="utf-8")
+    # The check of its manual pages would run `man`, and every other unit of this machine is none of it.
+    words = ["systemd-analyze", "verify", "--man=no", "--recursive-errors=no", file]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    return "".join(line for line in done.stderr.splitlines(keepends=True) if "lineside.service" in line)
 
 
 def test_it_is_installed_in_order_and_again_without_a_change(tmp_path: Path, unit: ServiceUnit) -> None:
@@ -85,6 +148,25 @@ def test_it_is_installed_in_order_and_again_without_a_change(tmp_path: Path, uni
     carry_out(unit, list(installation(unit, True)), record, unit_file=unit_file)
     assert unit.configuration.read_text() == "# mine\n"
     assert "useradd --system" not in done[6:]
+
+
+def test_an_edited_unit_file_is_named_line_by_line_and_kept(
+    tmp_path: Path, unit: ServiceUnit, capsys: pytest.CaptureFixture[str]
+) -> None:
+    unit.configuration.parent.mkdir()
+    unit_file = tmp_path / "lineside.service"
+    assert list(service_findings(unit_file)) == []
+    edited = unit.text.replace("WatchdogSec=20", "WatchdogSec=abc").replace("Restart=", "Restrat=")
+    unit_file.write_text(edited)
+    if shutil.which("systemd-analyze"):
+        complaints = "\n".join(str(each.message) for each in service_findings(unit_file) if each.is_fault)
+        assert "abc" in complaints
+        assert "Restrat" in complaints
+    carry_out(unit, [["systemctl", "daemon-reload"]], lambda _: None, unit_file=unit_file)
+    assert unit_file.read_text() == unit.text
+    kept = tmp_path / "lineside.service.before"
+    assert kept.read_text() == edited
+    assert str(kept) in capsys.readouterr().out
 
 
 def test_it_is_removed_and_leaves_configuration_and_data(tmp_path: Path, unit: ServiceUnit) -> None:
@@ -112,6 +194,17 @@ def test_a_dry_run_prints_the_unit_and_the_steps_and_changes_nothing(tmp_path: P
     assert not config.exists()
     removed = fork_server.run("install-service", "--dry-run", "--remove").stdout
     assert "# systemctl disable --now lineside.service" in removed
+
+
+def test_a_wrong_configuration_is_stated_and_nothing_installed(tmp_path: Path) -> None:
+    config = tmp_path / "lineside.toml"
+    config.write_text('[[bus]]\nname = "dry-end"\nport = "/dev/ttyUSB0"\nbaud = 1200000\n')
+    for words in ((), ("--dry-run",), ("--dry-run", "--json")):
+        done = fork_server.run("install-service", *words, "--config", config)
+        assert (done.returncode, done.stdout) == (1, ""), done.stderr
+        assert f"{config}:4: " in done.stderr
+    removed = fork_server.run("install-service", "--dry-run", "--remove", "--config", config)
+    assert (removed.returncode, removed.stderr) == (0, "")
 
 
 def test_without_systemd_or_with_a_bad_user_it_is_refused(

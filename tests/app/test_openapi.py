@@ -2,62 +2,26 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import httpx
 import pytest
 import schemathesis
-import uvicorn
 from hypothesis import HealthCheck, Phase, given, settings
 from schemathesis import Case
 from schemathesis.schemas import BaseSchema
 from schemathesis.specs.openapi.checks import positive_data_acceptance
 
-from app.auth import rules, store
-from app.auth.store import Token
-from app.database import Database
-from app.feature import Services
-from app.main import create_app
-from app.web.access import Role
-from tests.app.complete_app import settings_in
+from tests.app.served_app import Api, served
 
 ENDLESS = "GET /api/v1/stream"
 """Its own test reads it."""
 
 
-@dataclass
-class Api:
-    """A served app and the token of an engineer."""
-
-    url: str
-    token: str
-
-    @property
-    def headers(self) -> dict[str, str]:
-        return {"Authorization": f"Bearer {self.token}"}
-
-
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    app = create_app(settings_in(tmp_path_factory.mktemp("api")))
-    services: Services = app.state.services
-    token = rules.new_secret()
-    key = Token(0, "test", Role.ENGINEER, "test", 0.0, None)
-    services[Database].write_now(lambda c: store.add_token(c, rules.secret_hash(token), key))
-    server = uvicorn.Server(
-        uvicorn.Config(app, port=0, log_level="warning", lifespan="on", ws="websockets-sansio")
-    )
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    while not server.started:
-        thread.join(0.02)
-        assert thread.is_alive(), "the server did not start"
-    port = server.servers[0].sockets[0].getsockname()[1]
-    yield Api(f"http://127.0.0.1:{port}", token)
-    server.should_exit = True
-    thread.join()
+    with served(tmp_path_factory.mktemp("api")) as api:
+        yield api
 
 
 @pytest.fixture(scope="module")

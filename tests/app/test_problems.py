@@ -308,3 +308,15 @@ def test_a_member_of_a_problem_may_have_the_name_of_a_parameter() -> None:
     """The result of a command has a ``message``, which is that of its unit."""
     members = {"message": {"code": "store_disk_failed", "params": {}}, "code": "x", "status": 1}
     assert Problem(503, "bus_closed", Message("store_disk_failed"), **members).extra == members
+
+
+async def test_a_read_may_be_repeated_after_a_503_and_a_write_may_not(house: House) -> None:
+    def away() -> None:
+        raise Problem(503, "store", Message("shift_disk_full"))
+
+    house.app.get("/healthz/away")(away)
+    house.app.put("/healthz/away")(away)
+    client = await house.program(Role.ENGINEER)
+    read, write = await client.get("/healthz/away"), await client.put("/healthz/away")
+    assert (read.status_code, read.headers["retry-after"]) == (503, "2")
+    assert (write.status_code, write.headers.get("retry-after")) == (503, None)

@@ -196,3 +196,18 @@ async def test_confirming_a_danger_plans_again_with_it(
     assert selected(fresh) == {6: True, 7: True, 27: True, 20: False, 37: False}
     assert line.written == []
     assert fresh["id"] != planned["id"]
+
+
+@pytest.mark.usefixtures("line")
+async def test_a_list_of_sets_links_to_its_next_page(client: httpx.AsyncClient) -> None:
+    for _ in range(3):
+        saved = await client.post(f"/api/v1/buses/{BUS}/sets", json={"units": [1]})
+        assert saved.status_code == 201, saved.text
+    pages, path = [], f"/api/v1/sets?bus={BUS}&limit=2"
+    while path:
+        response = await client.get(path)
+        pages.append([each["id"] for each in response.json()])
+        path = response.links["next"]["url"] if response.links else ""
+    assert [len(page) for page in pages] == [2, 1]
+    found = [number for page in pages for number in page]
+    assert found == sorted(set(found), reverse=True)

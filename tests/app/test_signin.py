@@ -118,7 +118,12 @@ async def test_each_wrong_guess_waits_longer_and_shows_how_long(house: House) ->
     with pytest.raises(Problem) as caught:
         await house.enter()
     assert (caught.value.status, caught.value.code) == (429, "too_many")
-    assert caught.value.headers["Retry-After"] == "2"
+    assert caught.value.headers == {
+        "RateLimit-Limit": "1",
+        "RateLimit-Remaining": "0",
+        "RateLimit-Reset": "2",
+        "Retry-After": "2",
+    }
     house.running += FIRST_WAIT_S
     house.now -= 3600  # The wall clock is set back: the wait is no longer for that.
     assert await house.refused() == 401

@@ -106,15 +106,9 @@ def test_the_text_at_a_fault_of_the_configuration_is_left_out(config: Path, text
     assert "mail-secret-1" not in "\n".join(found.values())
 
 
-def test_a_url_has_neither_user_nor_password_in_any_part(config: Path) -> None:
-    written = config.read_text().replace("/dev/ttyUSB0", "socket://cabinet:port@secret-5@127.0.0.1:4001")
-    config.write_text(written)
-    found = contents(
-        bundle([*parts(config), ("log.txt", b"cannot open 'socket://cabinet:port-secret-5@host'\n")])
-    )
-    assert [word for word in ("cabinet:", "secret-5") if word in "\n".join(found.values())] == []
-    assert json.loads(found["configuration.json"])["bus"][0]["port"] == "socket://…@127.0.0.1:4001"
-    assert "socket://…@127.0.0.1:4001" in found["findings.txt"]
+def test_a_url_has_neither_user_nor_password_in_any_part() -> None:
+    line = b"cannot open 'socket://cabinet:port@secret-5@host'\n"
+    assert contents(bundle([("log.txt", line)])) == {"log.txt": "cannot open 'socket://…@host'\n"}
 
 
 def test_the_command_writes_a_private_file_and_no_other_and_overwrites_none(config: Path) -> None:

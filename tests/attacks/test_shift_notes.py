@@ -59,6 +59,11 @@ async def test_a_shift_of_long_ago_gets_no_note_and_no_signature(house: House) -
     assert await house.events("shift") == []
 
 
+def left_of(response: httpx.Response) -> tuple[int, int]:
+    """The limit, and the rest of it."""
+    return int(response.headers["RateLimit-Limit"]), int(response.headers["RateLimit-Remaining"])
+
+
 async def test_one_person_stores_so_much_an_hour_and_others_their_own(house: House) -> None:
     flooder, other = await house.signed_in(Role.OPERATOR), await house.signed_in(Role.ENGINEER)
     for number in range(10):
@@ -69,7 +74,10 @@ async def test_one_person_stores_so_much_an_hour_and_others_their_own(house: Hou
     assert stored == MAX_PER_HOUR - 10, "ten of them with a picture"
     assert (response.status_code, response.json()["code"]) == (429, "too_many")
     assert 30 <= int(response.headers["Retry-After"]) <= 60
-    assert (await write(other)).status_code == 201
+    assert left_of(response) == (MAX_PER_HOUR, 0)
+    response = await write(other)
+    assert (response.status_code, left_of(response)) == (201, (MAX_PER_HOUR, MAX_PER_HOUR - 1))
+    assert 1 <= int(response.headers["RateLimit-Reset"]) <= 60
     assert len(await house.events("shift")) == stored + 1
 
 

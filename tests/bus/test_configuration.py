@@ -144,6 +144,11 @@ def test_lines_are_found_in_arrays_dotted_keys_and_long_values() -> None:
         ("socket://10.0.0.7:4001", "socket://10.0.0.7", "host and port number"),
         ("socket://10.0.0.7:4001", "rfc2217://:4001", "host and port number"),
         ("socket://10.0.0.7:4001", "socket://10.0.0.7:0", "host and port number"),
+        (
+            "socket://10.0.0.7:4001",
+            "rfc2217://ann:pw@10.0.0.7:1",
+            "port = 'rfc2217://…@10.0.0.7:1': leave user",
+        ),
     ],
 )
 def test_a_value_is_not_bent_into_what_was_meant(tmp_path: Path, good: str, bad: str, right: str) -> None:

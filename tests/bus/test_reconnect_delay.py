@@ -162,6 +162,13 @@ def test_a_bad_contact_is_never_waited_for_longer_than_a_second() -> None:
     assert max(gaps) <= LONGEST_USEFUL_PAUSE_S * (1 + JITTER) + 0.001 < 1.0
 
 
+def test_a_port_that_comes_and_goes_each_second_is_used_each_time_and_few_lines() -> None:
+    line = PlayedLoop(lambda _: 0.5, responses=1)
+    lines = play(line, DAY_S / 24)
+    assert len(line.opened) >= DAY_S / 24 / 2
+    assert len(lines) < 40
+
+
 def test_one_that_is_absent_is_one_line() -> None:
     assert play(PlayedLoop(lambda _: None), DAY_S / 24) == ["port closed; retrying"]
 

@@ -22,9 +22,14 @@ MORE = ["/?view=matrix", "/docs", "/help", "/wallboard", "/alarms/line.1.estop_a
 
 
 def jams(page: Page, path: str) -> list[str]:
-    """Each with the width at which it was seen."""
+    """Those of a page, each with the width at which it was seen."""
     page.goto(path)
     expect(page.locator("h1").first).to_be_attached()
+    return jams_as_shown(page)
+
+
+def jams_as_shown(page: Page) -> list[str]:
+    """Those of what a page shows now."""
     found = []
     for width, height in SIZES:
         page.set_viewport_size({"width": width, "height": height})
@@ -40,6 +45,19 @@ def test_nothing_jams_on_the_page_of_a_unit_and_beside_the_line(site: Site, shar
     page.locator('[data-unit="line/5"] [data-faceplate]').click()
     expect(page.locator("#faceplate #setpoint")).to_be_visible()
     assert page.evaluate(JAMS) == []
+
+
+def test_a_message_and_the_undo_of_a_command_do_not_jam(site: Site, shared_page: OpensPages) -> None:
+    page = shared_page("engineer", site=site, locale=GERMAN, viewport={"width": 1280, "height": 800})
+    page.goto("/units/line/2")
+    page.locator(".setting .nudges button").nth(1).click()
+    expect(page.locator(".setting .undo:visible")).to_be_visible()
+    page.goto("/units/line/2")
+    page.locator("#setpoint").fill("90,0")
+    page.locator(".setter__tray").click()
+    expect(page.locator("#setpoint-error [data-added]")).to_be_visible()
+    expect(page.locator(".setting .undo-place .undo")).to_be_visible()
+    assert jams_as_shown(page) == []
 
 
 @pytest.mark.parametrize(

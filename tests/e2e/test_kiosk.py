@@ -151,6 +151,7 @@ def test_full_screen_is_entered_and_left(panel: Callable[..., Page]) -> None:
     eventually(lambda: page.evaluate("document.fullscreenElement === null"), "the window again")
 
 
+@pytest.mark.soak
 def test_the_first_touch_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> None:
     page = panel("first", HOME, clock=True)
     tap(page, ".nudges button >> nth=2")
@@ -215,6 +216,7 @@ def test_a_panel_with_an_active_condition_does_not_go_dark(site: Site, panel: Ca
         site.line.remote.do("input", unit=1, input="estop", on=False)
 
 
+@pytest.mark.soak
 def test_cleaning_by_touch_sets_nothing(site: Site, panel: Callable[..., Page]) -> None:
     page = panel("first", HOME, clock=True)
     before = received_writes(site)

@@ -378,7 +378,7 @@ UNREACHABLE = """() => [...document.querySelectorAll(
     .map(element => element.outerHTML.slice(0, 120))"""
 
 
-@pytest.mark.parametrize("every", sizes(5, 1))
+@pytest.mark.parametrize("every", sizes(9, 1))
 def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by_keyboard(
     site: Site, shared_page: OpensPages, pages: list[str], every: int
 ) -> None:
@@ -423,7 +423,7 @@ MAX_AT_ONCE = 7
 """All of them together leave a small machine no time."""
 
 
-@pytest.mark.parametrize("every", sizes(4, 1))
+@pytest.mark.parametrize("every", sizes(9, 1))
 @pytest.mark.provokes("WebSocket", "fetch")
 def test_every_page_is_covered_without_its_server_and_sends_nothing(
     site: Site, browser_page: OpensPages, pages: list[str], every: int
@@ -529,6 +529,7 @@ def test_focus_stays_while_a_unit_does_not_respond(site: Site, shared_page: Open
     expect(field).to_have_value("45")
 
 
+@pytest.mark.soak
 def test_focus_stays_in_the_row_that_was_written(shared_page: OpensPages, holder: httpx.Client) -> None:
     holder.post("/api/v1/buses/line/control/hand-over", json={"to": "engineer"})
     page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")

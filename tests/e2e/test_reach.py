@@ -65,7 +65,7 @@ def opened(page: Page, path: str) -> Page:
     return page
 
 
-@pytest.mark.parametrize("path", PAGES)
+@pytest.mark.parametrize("path", sizes(*PAGES))
 def test_nothing_lies_over_what_can_be_pressed(shared_page: OpensPages, path: str) -> None:
     page = opened(shared_page("engineer", viewport={"width": 1280, "height": 600}), path)
     for width in WIDTHS:

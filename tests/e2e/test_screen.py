@@ -11,7 +11,7 @@ from playwright.sync_api import Page, WebSocketRoute, expect
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.limits import UNIT_MS
 from tests.e2e.site import Site, eventually
-from tests.sizes import in_turn
+from tests.sizes import in_turn, sizes
 
 PAGES = [
     "/",
@@ -264,7 +264,7 @@ def test_a_press_opens_the_faceplate_beside_the_line_and_escape_closes_it(
     expect(link).to_be_focused()
 
 
-@pytest.mark.parametrize("size", [PHONE, PANEL], ids=["phone", "panel"])
+@pytest.mark.parametrize("size", sizes(PANEL, PHONE), ids=["panel", "phone"])
 def test_a_speed_is_set_beside_the_line_by_three_presses_with_nothing_to_close(
     site: Site, shared_page: OpensPages, size: dict[str, int]
 ) -> None:
@@ -341,6 +341,11 @@ def test_a_screen_reader_gets_the_lamps_that_are_lit_and_the_names_of_numbers(
     assert "actual" in aloud
     assert "Run input on" in aloud
     assert "Preset input" not in aloud
+
+
+def test_a_panel_shows_every_entry_of_the_rail(shared_page: OpensPages) -> None:
+    page = opened(shared_page("admin", viewport=PANEL), "/")
+    assert page.locator(".rail").evaluate("rail => rail.scrollHeight - rail.clientHeight") == 0
 
 
 def test_a_viewer_sees_no_control(shared_page: OpensPages) -> None:

@@ -199,6 +199,7 @@ def test_a_review_lapses_after_half_a_minute(site: Site, browser_page: OpensPage
     assert writes(site) == before
 
 
+@pytest.mark.soak
 def test_paste_works_and_scrolling_changes_nothing(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/3")
     before = writes(site)
@@ -224,6 +225,7 @@ def test_paste_works_and_scrolling_changes_nothing(site: Site, shared_page: Open
     assert writes(site) == before
 
 
+@pytest.mark.soak
 def test_the_pad_by_touch_erases_and_never_grows_beyond_the_field(
     site: Site, browser_page: OpensPages
 ) -> None:
@@ -358,6 +360,7 @@ def test_several_units_are_one_change(site: Site, shared_page: OpensPages) -> No
     assert [state(site, unit)["setpoint"] for unit in (3, 4)] == former
 
 
+@pytest.mark.soak
 def test_scaling_fills_in_checked_rows(shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/setpoints")
     commanded = float(page.locator('[data-live="line/2.commanded"]').inner_text())

@@ -72,9 +72,7 @@ def judged(page: Page, axe: Axe) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize(
-    "path", ["/", *sizes("/units/line/2", "/units/line/3", "/units/line/4"), "/setpoints"]
-)
+@pytest.mark.parametrize("path", sizes("/", "/units/line/2", "/units/line/3", "/units/line/4", "/setpoints"))
 def test_active_conditions_are_accessible(shared_page: OpensPages, axe: Axe, path: str) -> None:
     assert judged(opened(shared_page(), path), axe) == []
 
@@ -243,7 +241,9 @@ def test_a_small_panel_has_room_for_the_verdict_and_scrolls_nothing_sideways(
         assert page.locator(wide).first.evaluate("one => one.scrollWidth <= one.clientWidth"), wide
 
 
-@pytest.mark.parametrize(("path", "size"), [("/units/line/1", PHONE), ("/setpoints", PANEL), ("/", PHONE)])
+@pytest.mark.parametrize(
+    ("path", "size"), sizes(("/units/line/1", PHONE), ("/setpoints", PANEL), ("/", PHONE))
+)
 def test_the_tab_key_reaches_the_end_with_a_visible_focus(
     shared_page: OpensPages, path: str, size: dict[str, int]
 ) -> None:
@@ -260,6 +260,7 @@ def test_the_tab_key_reaches_the_end_with_a_visible_focus(
     assert hidden == []
 
 
+@pytest.mark.soak
 def test_a_unit_that_does_not_respond_shows_why_nothing_can_be_set(
     site: Site, shared_page: OpensPages, axe: Axe
 ) -> None:

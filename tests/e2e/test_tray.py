@@ -166,6 +166,8 @@ def test_twelve_units_take_six_presses_and_the_number(site: Site, page: Page) ->
         presses += 1
 
     press(page.get_by_role("link", name="Setpoints"))
+    # On a busy machine a unit may respond late, and is left out then.
+    expect(page.locator("[data-quality]:not([data-quality=online])")).to_have_count(0)
     press(page.get_by_role("button", name="Select all"))
     press(page.get_by_label("One value for all", exact=True))
     page.keyboard.type("80.0")

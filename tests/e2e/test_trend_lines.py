@@ -14,6 +14,7 @@ from playwright.sync_api import Page, Route, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.site import Site
+from tests.sizes import sizes
 
 OFFICE = {"width": 1280, "height": 800}
 FROM, LENGTH = 1_700_000_000, 100
@@ -120,7 +121,7 @@ def opened(page: Page, found: list[dict[str, Any]], more: str = "") -> list[str]
     return requested
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", sizes("light", "dark"))
 def test_eight_lines_differ_for_every_eye(browser_page: OpensPages, scheme: Literal["light", "dark"]) -> None:
     page = browser_page("viewer", viewport=OFFICE, color_scheme=scheme)
     opened(page, [flat(place, "commanded" if place == 3 else "actual") for place in range(8)])
@@ -132,6 +133,7 @@ def test_eight_lines_differ_for_every_eye(browser_page: OpensPages, scheme: Lite
         assert min(alike.values()) >= NOTICEABLE, (eye, alike)
 
 
+@pytest.mark.soak
 def test_a_line_is_dimmed_compared_and_what_was_not_read_is_in_words(browser_page: OpensPages) -> None:
     page = browser_page("viewer", viewport=OFFICE)
     requested = opened(page, [flat(0, begins=50)])

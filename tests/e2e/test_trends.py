@@ -149,6 +149,7 @@ def test_the_page_draws_and_follows_now(shared_page: OpensPages) -> None:
     assert view_of(page)["preset"] == "shift"
 
 
+@pytest.mark.soak
 def test_a_link_reopens_the_same_view(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/1/actual&span=600")
     page.locator("#trend-add select[name=unit]").select_option("line/3")
@@ -273,6 +274,7 @@ def test_a_bit_is_a_lane_high_while_it_is_on_and_empty_in_gaps(
     assert strokes["91"] == pytest.approx([off, other], abs=0.03)
 
 
+@pytest.mark.soak
 def test_one_finger_pulls_the_picture_and_sets_no_cursor(browser_page: OpensPages) -> None:
     page = browser_page("viewer", viewport=PHONE, has_touch=True)
     opened(page, "?s=line/1/actual&from=2026-01-01T00:00:00Z&to=2026-01-01T00:10:00Z")

@@ -61,6 +61,7 @@ def test_a_small_window_opens_at_the_head_of_the_page_and_leaves_it_half(
     assert end - top >= size["height"] / 2
 
 
+@pytest.mark.soak
 def test_a_stopped_unit_names_its_broken_rung_and_an_alarm_one_press_from_its_response(
     site: Site, shared_page: OpensPages
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
+from starlette.responses import Response
 from typing_extensions import TypedDict
 
 from app.commands.acts import (
@@ -33,6 +34,7 @@ from app.live.api.schemas import DisplayedValue
 from app.live.api.view import setpoint_text
 from app.web.access import Person, Viewer, name_of
 from app.web.api_route import ApiRoute
+from app.web.schema import limited
 from app.web.services import bus_service
 from app.web.shape import StrictBody, iso
 from bus.messages import Message
@@ -216,12 +218,13 @@ async def take_control(person: Annotated[Person, TAKE_CONTROL.permitted], guards
     return _control_json(guards)
 
 
-@router.post("/control/request")
+@router.post("/control/request", responses=limited(200))
 async def request_control(
-    person: Annotated[Person, REQUEST_CONTROL.permitted], guards: Guards
+    person: Annotated[Person, REQUEST_CONTROL.permitted], guards: Guards, response: Response
 ) -> ControlShown:
     """Request control from its holder, on every page that the holder has open. Only the holder grants it."""
     await guards.request(person)
+    response.headers.update(guards.request_limit.headers)
     return _control_json(guards)
 
 

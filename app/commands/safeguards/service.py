@@ -33,6 +33,7 @@ from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
 from app.web.access import Person, Role, name_of
 from app.web.head_control import BusControl
+from app.web.rate_limit import RateLimit
 from bus.bucket import Bucket
 from bus.instants import UnixTime, monotonic_now, unix_now
 from bus.messages import Message, term
@@ -194,12 +195,18 @@ class Safeguards:
         if not self._requests.has_room(now):
             seconds = math.ceil(self._requests.wait_s(now))
             problem = Problem(429, "too_many", Message.of("control_requests_too_many", n=seconds))
+            problem.headers.update(self.request_limit.headers)
             raise problem.with_headers(Retry_After=str(seconds))
         if self.control.request(person.account, now):
             self._requests.take(now)
             self._publish_control()
             await self._record(REQUEST_CONTROL, person, self.holder(), person.account)
         return self.control.request_now(now)
+
+    @property
+    def request_limit(self) -> RateLimit:
+        """How many more requests of control of this bus are taken now."""
+        return RateLimit.of(self._requests, monotonic_now())
 
     async def grant(self, person: Person) -> Holding:
         """Hand control over to the account that has requested it. Raises Problem 403, 409, and 422 where that

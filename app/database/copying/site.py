@@ -107,8 +107,10 @@ def _without_extra(walk: TableWalk, progress: TableProgress) -> TableProgress:
 
 def site_of(place: StorePlace, main: StorePart) -> str:
     """What distinguishes a site from others: its first event; empty before it."""
+    archived = "(SELECT first_hash FROM events_archive ORDER BY last LIMIT 1)"
+    stored = "(SELECT hash FROM events ORDER BY id LIMIT 1)"
     with place.reading(main) as side:
-        return str(side.one("SELECT hash FROM events ORDER BY id LIMIT 1") or "")
+        return str(side.one(f"SELECT coalesce({archived}, {stored})") or "")
 
 
 def state_of(place: StorePlace, main: StorePart) -> str:

@@ -22,6 +22,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 
 T = TypeVar("T")
+REMOVED_AT_ONCE = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +72,19 @@ class TableWalk:
             yield progress
 
     def remove_extra(self) -> None:
-        """Remove the rows that the source does not have, once no other row depends on them."""
+        """Remove the rows that the source does not have, once no row of another table depends on them. Those
+        with the highest key go first: a row of the same table that depends on one came after it."""
+        extra: list[Key] = []
         after: Key | None = None
         limit, is_over = FIRST_ROWS, False
         while not is_over:
             source, target = self._read(after, limit), self.target.chunk(self.table, after, limit)
             end = common_end((source, limit), (target, limit))
-            extra = difference(source.until(end), target.until(end)).extra
-            self._write(Difference([], [], extra), self._replace)
+            extra += difference(source.until(end), target.until(end)).extra
             after, limit, is_over = end, next_limit(limit, source), end is None
+        extra.reverse()
+        for place in range(0, len(extra), REMOVED_AT_ONCE):
+            self._write(Difference([], [], extra[place : place + REMOVED_AT_ONCE]), self._replace)
 
     def _read(self, after: Key | None, limit: int) -> Chunk:
         try:

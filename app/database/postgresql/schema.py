@@ -45,6 +45,7 @@ _TRIGGER = re.compile(
     r"(?:WHEN (?P<condition>.*?))?\s*BEGIN\s+SELECT RAISE\(ABORT, (?P<text>'(?:[^']|'')*')\);\s*END;?$",
     re.DOTALL,
 )
+_DROPPED = re.compile(r"DROP TRIGGER (\w+)$")
 _COMMENT = re.compile(r"--[^\n]*")
 
 
@@ -69,6 +70,8 @@ def definition(sql: str) -> Iterator[str]:
         yield from _table(bare)
     elif bare.startswith("CREATE TRIGGER"):
         yield from _trigger(bare)
+    elif dropped := _DROPPED.match(bare):
+        yield _without_trigger(dropped[1])
     elif bare.startswith("ALTER TABLE"):
         yield translated(_typed(bare)).sql
     elif bare and not bare.startswith("PRAGMA"):
@@ -102,13 +105,36 @@ def _trigger(sql: str) -> Iterator[str]:
     if found is None:
         raise ValueError(f"a trigger that only SQLite knows: {sql}")
     when = f"WHEN ({found['condition']}) " if found["condition"] else ""
-    refuse = f"EXECUTE FUNCTION refuse_change({found['text']})"
+    refuse = every = f"EXECUTE FUNCTION refuse_change({found['text']})"
+    if "SELECT" in when:
+        # A condition of PostgreSQL sees its row alone; a function sees other tables.
+        yield _refusal(found["name"], found["condition"])
+        when, refuse = "", f"EXECUTE FUNCTION {found['name']}({found['text']})"
     yield (
         f"CREATE TRIGGER {found['name']} BEFORE {found['event']} ON {found['table']}"
         f" FOR EACH ROW {when}{refuse}"
     )
-    if found["event"] == "DELETE" and not found["condition"]:
-        yield f"CREATE TRIGGER {found['name']}_all BEFORE TRUNCATE ON {found['table']} {refuse}"
+    if found["event"] == "DELETE":
+        yield f"CREATE TRIGGER {found['name']}_all BEFORE TRUNCATE ON {found['table']} {every}"
+
+
+def _refusal(name: str, condition: str) -> str:
+    """A function that refuses what a condition holds for."""
+    return (
+        f"CREATE OR REPLACE FUNCTION {name}() RETURNS trigger LANGUAGE plpgsql AS $body$ BEGIN"
+        f" IF {condition} THEN RAISE EXCEPTION USING MESSAGE = TG_ARGV[0],"
+        " ERRCODE = 'integrity_constraint_violation'; END IF; RETURN coalesce(NEW, OLD); END $body$"
+    )
+
+
+def _without_trigger(name: str) -> str:
+    """Remove a rule, and the one that its table is not cut off; PostgreSQL wants to know the table."""
+    return (
+        "DO $body$ DECLARE rule record; BEGIN FOR rule IN SELECT tgname, tgrelid::regclass AS place"
+        " FROM pg_trigger JOIN pg_class ON pg_class.oid = tgrelid"
+        f" WHERE relnamespace = current_schema()::regnamespace AND tgname IN ('{name}', '{name}_all')"
+        " LOOP EXECUTE format('DROP TRIGGER %I ON %s', rule.tgname, rule.place); END LOOP; END $body$"
+    )
 
 
 def split(script: str) -> Iterable[str]:

@@ -17,9 +17,11 @@ from app.history.intake.recorder import Recorder
 from app.history.intake.share import StoreShare
 from app.history.intake.tail import Tail
 from app.history.intake.upkeep import DiskReserve, Upkeep
+from app.history.series.runs import micros
 from app.history.settings import HistorySettings
 from app.history.store import tables
 from app.history.store.inspection import FoundDamage
+from bus.instants import unix_now
 
 MIGRATIONS = Path(__file__).parents[1] / "migrations"
 
@@ -55,7 +57,7 @@ class Opening:
         recorder = Recorder(database, self.tail, self.on_damage, self.share)
         try:
             # The first row shows whether the store can be written.
-            database.write_now(lambda c: tables.write_raw_from(c, tables.raw_from(c)))
+            database.write_now(lambda c: tables.correct_raw_from(c, micros(unix_now())))
             recorder.replay()
             if self.outage is not None:
                 self.outage.attach(database, self.on_damage)

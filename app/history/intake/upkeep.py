@@ -70,9 +70,10 @@ class Upkeep:
         self._settled_at = monotonic_now() + SETTLED_S
         self._to_sweep = True
 
-    def clock_stepped(self) -> None:
-        """Old readings are uncertain for a while."""
+    def clock_stepped(self, now: int) -> None:
+        """Old readings are uncertain for a while; ``now`` in µs, by the clock as it was set."""
         self._settled_at = monotonic_now() + SETTLED_S
+        self._database.write_now(lambda c: tables.correct_raw_from(c, now))
 
     def look(self) -> tuple[int, StoreState]:
         """Free bytes where the store is, and what they mean; 0 bytes on a database server."""

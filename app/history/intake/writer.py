@@ -320,7 +320,7 @@ class Writer:
             return
         self._on_fault("clock", Message.of("event_app_clock_stepped", step=number(f"{step:+.3f}")))
         if self._open is not None:
-            self._open.upkeep.clock_stepped()
+            self._open.upkeep.clock_stepped(micros(unix_now()))
 
     def _watch_disk(self) -> None:
         opened = self._open

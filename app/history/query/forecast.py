@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from app.audit.archive.cuts import cuts_of
 from app.database import StoreConnection
 from app.database.reserve import MIN_FREE_OF_OTHERS
 from app.history.series.runs import DAY, HOUR
@@ -13,7 +14,7 @@ _OLDEST_RAW = "SELECT min(start) FROM raw"
 _ROLLUPS = """
 SELECT sum(length(data)) FROM unit JOIN minutes ON minutes.unit = unit.id AND minutes.start >= ?
 """
-_EVENTS = "SELECT min(time), max(time) FROM events"
+_EVENTS = "SELECT min(time), max(time) FROM events WHERE id > ?"
 
 
 def days_left(free: int, readings: float, stored_days: float, kept_days: int, lasting: float) -> float | None:
@@ -43,7 +44,11 @@ def growth_of_history(connection: StoreConnection, now: int) -> tuple[float, flo
     return readings / days, (rollups or 0) / days, (now - oldest) / DAY
 
 
-def growth_of_events(connection: StoreConnection, size: int) -> float:
-    """Bytes a day of the main store, which has ``size`` bytes, since its first event."""
-    first, last = connection.execute(_EVENTS).fetchone()
+def growth_of_events(connection: StoreConnection, size: int, *, is_archived: bool) -> float:
+    """Bytes a day of the main store, which has ``size`` bytes, since the first event that is not archived.
+    ``is_archived``: old events make room for new ones, from the first month that was archived."""
+    cuts = cuts_of(connection)
+    if cuts and is_archived:
+        return 0.0
+    first, last = connection.execute(_EVENTS, (cuts[-1].last if cuts else 0,)).fetchone()
     return 0.0 if first is None else size / max(1.0, (last - first) * 1e6 / DAY)

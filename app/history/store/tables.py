@@ -367,6 +367,13 @@ def write_raw_from(connection: StoreConnection, at: int) -> None:
     connection.execute(upsert("fact", ("name",), ("value",)), ("raw_from", at))
 
 
+def correct_raw_from(connection: StoreConnection, now: int) -> None:
+    """Give up nothing before a time in the future, which a clock that was wrong has left; ``now`` in µs. What
+    is stored counts again, until it is too old."""
+    at = raw_from(connection)
+    write_raw_from(connection, 0 if at > now else at)
+
+
 def followed(connection: StoreConnection, spool: str) -> int:
     """The number of the last record of a spool that is stored; 0 where none is."""
     row = connection.execute("SELECT value FROM fact WHERE name = ?", (f"spool {spool}",)).fetchone()

@@ -7,7 +7,7 @@ from functools import partial
 from app.alarms.alarm import Alarm
 from app.alarms.banner import AlarmBanner
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.shown import alarm_json
+from app.alarms.shown import AlarmShown, alarm_json
 from app.audit.anchoring import Anchoring, anchor_notice
 from app.audit.local_log.notice import away_notice
 from app.commands.safeguards.service import Safeguards
@@ -19,8 +19,9 @@ from app.history.service import History, status_words
 from app.history.status import store_notice
 from app.home.homes import Homes
 from app.live import pages
-from app.live.api import stream_route
+from app.live.api import stream_document, stream_route
 from app.live.api.line_stream import LineStream
+from app.live.api.stream_document import AlarmType
 from app.live.api.view import LineView
 from app.live.browsers import socket
 from app.live.browsers.hub import Hub
@@ -46,6 +47,7 @@ def make(services: Services) -> None:
     view = services.add(LineView(services.settings.site.name, live, sources, english))
     stream = services.add(LineStream(view, unix_now))
     lifespan.add("stream", stream.follow)
+    services.add(AlarmType(AlarmShown))
     alarms = services[LineAlarms]
     alarms.subscribe(partial(_stream_alarm, stream, alarms))
     watchers = {name: feed.watch for name, feed in services.of_buses(BusFeed).items()}
@@ -100,4 +102,4 @@ def _notices(
     return " ".join(translator.t(notice) for notice in found if notice is not None)
 
 
-FEATURE = Feature(make, (stream_route.router, socket.router, pages.router))
+FEATURE = Feature(make, (stream_route.router, stream_document.router, socket.router, pages.router))

@@ -62,7 +62,7 @@ class DevicePort:
             termios.tcgetattr(self._descriptor)
         except (termios.error, OSError) as error:
             raise WireError(Message.of("adapter_gone", port=self._name)) from error
-        if _is_claimed(self._descriptor, self._name):
+        if is_claimed(self._descriptor, self._name):
             raise WireError(in_use(self._name))
 
     def close(self) -> None:
@@ -82,7 +82,7 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
         instance = GatedSerial(path, baudrate=baud, timeout=0, write_timeout=0, exclusive=True)
     except (serial.SerialException, termios.error, OSError, ValueError) as error:
         raise PortUnavailable(why_not(path, error)) from error
-    if _is_claimed(instance.device, path):
+    if is_claimed(instance.device, path):
         instance.close()
         raise PortUnavailable(in_use(path))
     # An FTDI adapter would keep bytes for 16 ms; ports that know no such setting refuse it.
@@ -98,7 +98,7 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
     return DevicePort(instance, transport, protocol, path)
 
 
-def _is_claimed(descriptor: int, path: str) -> bool:
+def is_claimed(descriptor: int, path: str) -> bool:
     """Return whether another program claims the port exclusively (ioctl_tty(2), TIOCEXCL; nothing here does).
     Root may open such a port all the same, and one that is open already stays so: two hosts on one line.
 

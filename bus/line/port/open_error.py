@@ -6,7 +6,7 @@ import errno
 import grp
 import os
 import pwd
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -30,7 +30,12 @@ def why_not(path: str, error: Exception) -> Message:
 
 def in_use(path: str) -> Message:
     """Another program has it, and which."""
-    programs = [Message.of("process", program=name, pid=pid) for pid, name in users_of(path)]
+    return used_by(path, users_of(path))
+
+
+def used_by(path: str, users: Iterable[tuple[int, str]]) -> Message:
+    """These programs have it, by process id and name; without any, another program."""
+    programs = [Message.of("process", program=name, pid=pid) for pid, name in users]
     if not programs:
         return Message.of("port_in_use", port=path)
     return Message.of("port_in_use_by", port=path, programs=programs)

@@ -95,17 +95,22 @@ async def open_socket(url: str, receiver: Receiver) -> OpenPort:
     try:
         async with asyncio.timeout(CONNECT_TIMEOUT_S):
             transport, _ = await loop.create_connection(lambda: protocol, host, number)
-    except TimeoutError as error:
-        raise PortUnavailable(Message.of("device_server_no_response", port=url)) from error
-    except ConnectionRefusedError as error:
-        raise PortUnavailable(Message.of("connection_refused", port=url)) from error
-    except UnicodeError as error:
-        raise PortUnavailable(Message.of("port_no_host", port=url)) from error
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise PortUnavailable(Message.of("port_unreachable", port=url, error=reason)) from error
+    except (OSError, UnicodeError) as error:
+        raise PortUnavailable(not_connected(url, error)) from error
     detect_loss_soon(transport.get_extra_info("socket"))
     return TcpPort(transport, protocol, url)
+
+
+def not_connected(url: str, error: Exception) -> Message:
+    """Why a connection to a device server was not made, by what that raised."""
+    match error:
+        case TimeoutError():
+            return Message.of("device_server_no_response", port=url)
+        case ConnectionRefusedError():
+            return Message.of("connection_refused", port=url)
+        case UnicodeError():
+            return Message.of("port_no_host", port=url)
+    return Message.of("port_unreachable", port=url, error=getattr(error, "strerror", None) or str(error))
 
 
 def detect_loss_soon(connection: socket.socket | None) -> None:

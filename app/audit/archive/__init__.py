@@ -1,0 +1,1 @@
+"""Old events, moved from the store into files: a file for each month, and the proof across them."""

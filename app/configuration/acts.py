@@ -1,0 +1,13 @@
+"""What people do with the configuration file."""
+
+from __future__ import annotations
+
+from app.audit.act import Act
+from app.web.access import Role
+
+CHANGE = Act("change_configuration", Role.ENGINEER, "configuration", "event_configuration_edited")
+CHANGE_MAIL = Act("change_mail_server", Role.ADMIN, "configuration", "event_configuration_edited")
+"""The server sends its password to the mail server that is named here."""
+ROLL_BACK = Act("roll_back_configuration", Role.ADMIN, "configuration", "event_configuration_rolled_back")
+"""It may change everything, also what only the file has."""
+ACTS = (CHANGE, CHANGE_MAIL, ROLL_BACK)

@@ -1,0 +1,169 @@
+"""The configuration for programs: the same tables, checks and versions as on the pages."""
+
+from __future__ import annotations
+
+from datetime import date
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from app.audit.act import Act
+from app.configuration.acts import CHANGE, ROLL_BACK
+from app.configuration.difference import DifferenceLine, difference
+from app.configuration.document import Edit, at
+from app.configuration.edits import act_on, edit_of
+from app.configuration.service import ConfigurationFile
+from app.configuration.tables import TableKind, TablePlace, place_or_404, places_of, text_of
+from app.configuration.versions import ConfigurationVersion
+from app.errors import Problem
+from app.web.access import Engineer, Person
+from app.web.api_route import ApiRoute
+from app.web.services import service
+from app.web.shape import MessageObject, StrictBody
+from bus.messages import Message
+
+router = APIRouter(prefix="/api/v1/configuration", tags=["configuration"], route_class=ApiRoute)
+
+FileOfServer = Annotated[ConfigurationFile, service(ConfigurationFile)]
+ConfigurationChanger = Annotated[Person, CHANGE.permitted]
+SetValue = str | bool | int | float | list[str | int | float]
+TableName = Annotated[str, Path(max_length=80, description="Keys and indexes, such as bus.0.unit.1.")]
+FileDigest = Annotated[str, Field(max_length=64, description="Of the file that the change began from.")]
+VersionNumber = Annotated[int, Path(ge=1, le=2**31, description="Number of a version.")]
+
+
+class ConfigurationTable(TypedDict):
+    """A table of the file that is changed here; ``values`` has those keys that are set, dotted."""
+
+    name: str
+    kind: TableKind
+    values: Annotated[dict[str, SetValue], Field(description="In the units of the file.")]
+
+
+class ConfigurationShown(TypedDict):
+    """The file. ``running``: whether the server runs with what it has; else the file takes effect at the next
+    start. ``faults``: why the server would not start with it."""
+
+    file: str
+    digest: str
+    writable: bool
+    running: bool
+    faults: list[MessageObject]
+    tables: list[ConfigurationTable]
+
+
+class ConfigurationVersions(TypedDict):
+    """Those that are kept, newest first."""
+
+    versions: list[ConfigurationVersion]
+    next: None
+
+
+class ConfigurationSince(TypedDict):
+    """A version, and how the file differs from it by now."""
+
+    version: ConfigurationVersion
+    difference: list[DifferenceLine]
+
+
+class ConfigurationChange(TypedDict):
+    """What was written, or with ``review`` would be; ``version``: null for a review."""
+
+    version: ConfigurationVersion | None
+    difference: list[DifferenceLine]
+
+
+class ConfigurationRollBackRequest(StrictBody):
+    """``review``: nothing is written."""
+
+    digest: FileDigest
+    reason: Annotated[str, Field(max_length=200, description="Why, for the audit log.")] = ""
+    review: bool = False
+
+
+class ConfigurationChangeRequest(ConfigurationRollBackRequest):
+    """``values``: keys to set, dotted, such as ``labels.output.1``; null removes one. ``act``: instead remove
+    the table, or exchange a unit with the one before it."""
+
+    act: Literal["change", "remove", "up"] = "change"
+    values: Annotated[dict[str, SetValue | None], Field(max_length=60, default_factory=dict)]
+
+
+@router.get("")
+async def get_configuration(_: Engineer, file: FileOfServer) -> ConfigurationShown:
+    """The tables of the file that can be changed here."""
+    present = await file.present()
+    return {
+        "file": str(file.path),
+        "digest": present.digest,
+        "writable": present.is_writable,
+        "running": present.is_running,
+        "faults": list(present.faults),
+        "tables": [_table_shown(place, present.data) for place in places_of(present.data)],
+    }
+
+
+@router.put("/tables/{table_name}")
+async def change_configuration(
+    person: ConfigurationChanger, file: FileOfServer, table_name: TableName, body: ConfigurationChangeRequest
+) -> ConfigurationChange:
+    """Change a table. A name with the index behind the last one adds it."""
+    place = place_or_404(table_name, (await file.present()).data)
+    known = [field.key for field in place.form.fields]
+    for key in body.values:
+        if key not in known:
+            message = Message.of("configuration_no_key", key=key[:80], known=", ".join(known))
+            raise Problem(422, "invalid", message)
+    texts = {key: text_of(value) for key, value in body.values.items()}
+    return await _done(person, file, act_on(place), edit_of(place, body.act, texts), body)
+
+
+@router.get("/versions")
+async def get_configuration_versions(_: Engineer, file: FileOfServer) -> ConfigurationVersions:
+    """The versions of the file, with who wrote them and when."""
+    return {"versions": await file.versions(), "next": None}
+
+
+@router.get("/versions/{version_number}")
+async def get_configuration_version(
+    _: Engineer, file: FileOfServer, version_number: VersionNumber
+) -> ConfigurationSince:
+    """A version, and how the file differs from it by now. Secrets are masked."""
+    stored, present = await file.version(version_number), await file.present()
+    return {"version": stored.version, "difference": difference(stored.text, present.text)}
+
+
+@router.post("/versions/{version_number}/roll-back")
+async def roll_back_configuration(
+    person: Annotated[Person, ROLL_BACK.permitted],
+    file: FileOfServer,
+    version_number: VersionNumber,
+    body: ConfigurationRollBackRequest,
+) -> ConfigurationChange:
+    """Write the text of a version, as a version itself."""
+    stored = await file.version(version_number)
+    return await _done(person, file, ROLL_BACK, lambda _: stored.text, body)
+
+
+async def _done(
+    person: Person, file: ConfigurationFile, act: Act, edit: Edit, body: ConfigurationRollBackRequest
+) -> ConfigurationChange:
+    act.check(person)
+    review = await file.review(edit, body.digest)
+    if body.review:
+        file.refuse_faults(review)
+        return {"version": None, "difference": review.lines}
+    saved = await file.save(person, act, edit, body.digest, body.reason)
+    return {"version": saved, "difference": review.lines}
+
+
+def _table_shown(place: TablePlace, data: Any) -> ConfigurationTable:
+    found = ((field.key, at(data, (*place.path, *field.key.split(".")))) for field in place.form.fields)
+    values = {key: each.isoformat() if isinstance(each, date) else each for key, each in found}
+    return {
+        "name": place.name,
+        "kind": place.form.kind,
+        "values": {key: value for key, value in values.items() if value is not None},
+    }

@@ -1,0 +1,248 @@
+"""Changes the text of a TOML file, and nothing of it but what is to change: comments, order and blank lines
+stay. Each result is read again and compared with what it should hold."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from datetime import date
+from itertools import pairwise
+from typing import Any
+
+from bus.configuration import KeyPath, statements
+from bus.errors import CallerError
+from bus.messages import Message
+
+TomlValue = str | bool | int | float | date | list[Any]
+Edit = Callable[[str], str]
+"""Makes the new text of the file from the present one. Raises CallerError."""
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+class WrittenOtherwiseError(CallerError):
+    """The file is correct, but written in a way that is not changed here, such as an inline table."""
+
+    def __init__(self) -> None:
+        super().__init__(Message("configuration_written_otherwise"))
+
+
+def content_of(text: str) -> Any:
+    """What a text holds; None where it is no TOML."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError):
+        return None
+
+
+def at(data: Any, path: KeyPath) -> Any:
+    """What a path leads to; None where it is not there."""
+    for step in path:
+        try:
+            data = data[step]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return data
+
+
+def with_values(text: str, table: KeyPath, changes: Mapping[str, TomlValue | None]) -> str:
+    """Set keys of a table, by their dotted names; None removes one. A table that is not there is added: one
+    of an array where the path ends with the number of those that are there. Raises WrittenOtherwiseError."""
+    data = tomllib.loads(text)
+    wanted = _data_with(data, table, changes)
+    if at(data, table) is None and isinstance(table[-1], int):
+        text = _with_element(text, table, changes)
+    else:
+        for key, value in changes.items():
+            text = _with_value(text, table, tuple(key.split(".")), value)
+    return _checked(text, wanted)
+
+
+def without(text: str, table: KeyPath) -> str:
+    """Remove an element of an array, with the comment directly above it. Raises WrittenOtherwiseError."""
+    wanted = tomllib.loads(text)
+    array, index = at(wanted, table[:-1]), table[-1]
+    if not isinstance(array, list) or not isinstance(index, int) or at(wanted, table) is None:
+        raise WrittenOtherwiseError
+    del array[index]
+    if not array:
+        del at(wanted, table[:-2])[table[-2]]
+    lines = text.splitlines(keepends=True)
+    start, end = _block(lines, text, table)
+    while end < len(lines) and not lines[end].strip():
+        end += 1
+    return _checked("".join(lines[:start] + lines[end:]), wanted)
+
+
+def moved_up(text: str, table: KeyPath) -> str:
+    """Exchange an element of an array with the one before it, each with its comment. Raises
+    WrittenOtherwiseError."""
+    data = tomllib.loads(text)
+    array, index = at(data, table[:-1]), table[-1]
+    if not isinstance(array, list) or not isinstance(index, int) or not 0 < index < len(array):
+        raise WrittenOtherwiseError
+    array[index - 1], array[index] = array[index], array[index - 1]
+    lines = text.splitlines(keepends=True)
+    first, first_end = _block(lines, text, (*table[:-1], index - 1))
+    second, second_end = _block(lines, text, table)
+    if lines and not lines[-1].endswith("\n"):
+        lines[-1] += _newline(lines)
+    swapped = (
+        *lines[:first],
+        *lines[second:second_end],
+        *lines[first_end:second],
+        *lines[first:first_end],
+        *lines[second_end:],
+    )
+    return _checked("".join(swapped), data)
+
+
+def _checked(text: str, wanted: Any) -> str:
+    try:
+        found = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise WrittenOtherwiseError from error
+    if _without_empty(found) != _without_empty(wanted):
+        raise WrittenOtherwiseError
+    return text
+
+
+def _without_empty(value: Any) -> Any:
+    """Without tables in which nothing is: a header is as good as none."""
+    if isinstance(value, dict):
+        inner = {key: _without_empty(each) for key, each in value.items()}
+        return {key: each for key, each in inner.items() if each != {}}
+    return [_without_empty(each) for each in value] if isinstance(value, list) else value
+
+
+def _data_with(data: Any, table: KeyPath, changes: Mapping[str, TomlValue | None]) -> Any:
+    wanted = deepcopy(data)
+    for key, value in changes.items():
+        steps: list[str | int] = [*table, *key.split(".")]
+        inside, last = wanted, steps[-1]
+        for step, following in pairwise(steps):
+            if isinstance(step, int):
+                if step == len(inside):
+                    inside.append({})
+                inside = at(inside, (step,))
+            else:
+                inside = inside.setdefault(step, [] if isinstance(following, int) else {})
+            if not isinstance(inside, dict | list):
+                raise WrittenOtherwiseError
+        if value is None:
+            inside.pop(last, None)
+        else:
+            inside[last] = value
+    return wanted
+
+
+def _with_value(text: str, table: KeyPath, key: tuple[str, ...], value: TomlValue | None) -> str:
+    path, found, lines = table + key, list(statements(text)), text.splitlines(keepends=True)
+    there = next((each for each in found if not each.is_header and path in each.paths), None)
+    if there is not None:
+        old = "".join(lines[there.first - 1 : there.last])
+        new = "" if value is None else _replaced(old, value)
+        return "".join((*lines[: there.first - 1], new, *lines[there.last :]))
+    if value is None:
+        return text
+    headers = [each for each in found if each.is_header and path[: len(each.paths[0])] == each.paths[0]]
+    owner = max(headers, key=lambda each: len(each.paths[0]), default=None)
+    if owner is None or len(owner.paths[0]) < len(table):
+        block = [*_gap(lines), f"[{_dotted(table)}]", f"{_dotted(key)} = {_written(value)}"]
+        return _inserted(lines, len(lines), block)
+    index = found.index(owner)
+    last = owner.last
+    for each in found[index + 1 :]:
+        if each.is_header:
+            break
+        last = each.last
+    return _inserted(lines, last, [f"{_dotted(path[len(owner.paths[0]) :])} = {_written(value)}"])
+
+
+def _with_element(text: str, table: KeyPath, values: Mapping[str, TomlValue | None]) -> str:
+    """A new element of an array goes behind the last one, else behind what it is in, else to the end."""
+    lines, end = text.splitlines(keepends=True), None
+    if table[-1]:
+        end = _block(lines, text, (*table[:-1], int(table[-1]) - 1))[1]
+    elif len(table) > 2 and any(each.paths[0][: len(table) - 2] == table[:-2] for each in statements(text)):
+        end = _block(lines, text, table[:-2])[1]
+    end = len(lines) if end is None else end
+    pairs = [
+        f"{_dotted(key.split('.'))} = {_written(value)}" for key, value in values.items() if value is not None
+    ]
+    return _inserted(lines, end, [*_gap(lines[:end]), f"[[{_dotted(table)}]]", *pairs])
+
+
+def _block(lines: list[str], text: str, table: KeyPath) -> tuple[int, int]:
+    """The lines (from 0, the last excluded) of a table with all in it, the comment directly above its header,
+    and the one directly below its last key where nothing else follows directly."""
+    within = [each for each in statements(text) if each.paths[0][: len(table)] == table]
+    if not within or not within[0].is_header:
+        raise WrittenOtherwiseError
+    start, end = within[0].first - 1, within[-1].last
+    while start and lines[start - 1].lstrip().startswith("#"):
+        start -= 1
+    below = end
+    while below < len(lines) and lines[below].lstrip().startswith("#"):
+        below += 1
+    return start, below if below == len(lines) or not lines[below].strip() else end
+
+
+def _inserted(lines: list[str], position: int, new: list[str]) -> str:
+    newline = _newline(lines)
+    before = "".join(lines[:position])
+    if before and not before.endswith("\n"):
+        before += newline
+    return before + "".join(f"{line}{newline}" for line in new) + "".join(lines[position:])
+
+
+def _gap(lines: list[str]) -> list[str]:
+    return [""] if lines and lines[-1].strip() else []
+
+
+def _newline(lines: list[str]) -> str:
+    return "\r\n" if lines and lines[0].endswith("\r\n") else "\n"
+
+
+def _replaced(statement: str, value: TomlValue) -> str:
+    """A statement with another value: its key and the comment behind it stay. The text before that comment
+    is a statement itself, which no text before another number sign is."""
+    content, newline = tomllib.loads(statement), statement[len(statement.rstrip("\r\n")) :]
+    for place in (index for index, sign in enumerate(statement) if sign == "#"):
+        try:
+            is_all = tomllib.loads(statement[:place]) == content
+        except tomllib.TOMLDecodeError:
+            # Before it an array is open: a comment in there would be lost.
+            if "\n" in statement[:place]:
+                raise WrittenOtherwiseError from None
+            continue
+        if is_all:
+            code = statement[:place]
+            behind = code[len(code.rstrip()) :] + statement[place:]
+            return f"{_key_of(statement)}{_written(value)}{behind}"
+    if "#" in statement and "\n" in statement.rstrip():
+        raise WrittenOtherwiseError
+    return f"{_key_of(statement)}{_written(value)}{newline}"
+
+
+def _key_of(statement: str) -> str:
+    key, sign, rest = statement.partition("=")
+    return f"{key}{sign}{rest[: len(rest) - len(rest.lstrip(' '))]}"
+
+
+def _dotted(path: Any) -> str:
+    names = [step for step in path if isinstance(step, str)]
+    return ".".join(name if _BARE.fullmatch(name) else json.dumps(name) for name in names)
+
+
+def _written(value: TomlValue) -> str:
+    """A value as TOML has it: JSON's texts are TOML's too."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_written, value))}]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    return value.isoformat() if isinstance(value, date) else repr(value)

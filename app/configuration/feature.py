@@ -1,0 +1,20 @@
+"""The configuration file, changed in the browser and by the API."""
+
+from __future__ import annotations
+
+from app.audit.log import EventLog
+from app.configuration import api, pages
+from app.configuration.acts import ACTS
+from app.configuration.service import ConfigurationFile
+from app.configuration.versions import VersionStore
+from app.feature import Feature, Services
+
+
+def make(services: Services) -> None:
+    settings = services.settings
+    store = VersionStore(settings.server.data)
+    file = services.add(ConfigurationFile(settings, store, services[EventLog]))
+    services.lifespan.add("configuration", start=file.begin)
+
+
+FEATURE = Feature(make, (api.router, pages.router), ACTS)

@@ -1,0 +1,76 @@
+"""``lineside audit verify`` of a site whose old events are archived, and the check of its folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import pytest
+
+from app.audit.archive.archiving import EventArchive
+from app.audit.keys import open_keys
+from app.audit.log import EventLog
+from app.audit.store import heads_of
+from app.cli.audit import proof_of
+from app.cli.findings import Finding, findings
+from app.errors import StoreError
+from app.settings import Settings, load
+from bus.instants import UnixTime
+from bus.messages import Message
+from tests.stores import both_engines, open_store, store_table
+
+pytestmark = both_engines
+MONTH_S = 31 * 86_400.0
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> Settings:
+    """Five months of events, of which two are archived."""
+    file = tmp_path / "lineside.toml"
+    data = tmp_path / "data"
+    audit = '[audit]\narchive = "archive"\nkeep_months = 2\n'
+    file.write_text(f'[server]\ndata = "data"\n{store_table(data)}{audit}')
+    for folder in (tmp_path / "archive", data):
+        folder.mkdir()
+    settings, now = load(file), UnixTime(1_768_000_000.0)
+    database = open_store(data / "lineside.db")
+    keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
+    events = EventLog(database, lambda: now, keys)
+    for _ in range(5):
+        await events.record(kind="unit", what="offline", bus="dry-end", unit=1)
+        await events.record(kind="server", what="started")
+        now += MONTH_S
+    await EventArchive(
+        database, events, settings.audit.archive, 2, ZoneInfo("Europe/Berlin"), lambda: now
+    ).archive_due()
+    database.close()
+    return settings
+
+
+def verified(settings: Settings, archive: Path | None = None) -> list[str]:
+    return [str(line) for line in proof_of(settings, None, archive)]
+
+
+async def test_verify_follows_the_chains_through_the_archive(site: Settings, tmp_path: Path) -> None:
+    complete, *_ = lines = verified(site)
+    assert complete == "the audit log is intact: 13 entries"
+    assert "the archive is intact: 6 of these entries" in lines
+    elsewhere = (tmp_path / "archive").rename(tmp_path / "safe")
+    assert any("events-2026-01.jsonl.gz" in line and "not verified" in line for line in verified(site))
+    assert "the archive is intact: 6 of these entries" in verified(site, elsewhere)
+
+
+async def test_verify_names_a_damaged_file(site: Settings, tmp_path: Path) -> None:
+    (tmp_path / "archive" / "events-2026-02.jsonl.gz").write_bytes(b"damaged")
+    with pytest.raises(StoreError, match="events-2026-02"):
+        verified(site)
+
+
+def test_check_names_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    file = tmp_path / "lineside.toml"
+    file.write_text('[audit]\narchive = "archive"\n')
+    folder = tmp_path / "archive"
+    missing = Message.of("audit_archive_folder_missing", folder=str(folder))
+    assert Finding(missing, is_fault=True) in findings(load(file))
+    folder.mkdir()
+    assert Finding(Message.of("check_archive", folder=str(folder))) in findings(load(file))

@@ -1,0 +1,39 @@
+"""The configuration file in a browser: a unit is renamed after a review, and the file rolled back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import AT_REST, Site
+
+PHONE = {"width": 360, "height": 740}
+
+
+@pytest.mark.soak
+def test_a_unit_is_renamed_and_the_file_rolled_back(
+    line_server: Callable[..., Site], browser_page: OpensPages, flaws: Callable[..., list[str]]
+) -> None:
+    site = line_server(1, line_options=AT_REST)
+    before = site.config.read_text(encoding="utf-8")
+    page = browser_page("admin", site, viewport=PHONE)
+    page.goto("/configuration")
+    page.get_by_role("link", name="line · 1 · Unwind").click()
+    assert flaws(page) == []
+    page.get_by_label("Name", exact=True).fill("Unwind north")
+    page.get_by_role("button", name="Review change").click()
+    expect(page.locator("ins")).to_have_text('name = "Unwind north"')
+    assert flaws(page) == []
+    page.get_by_label("Reason").fill("a second one comes")
+    page.get_by_role("button", name="Write the file").click()
+    expect(page.get_by_text("It takes effect at the next start of the server.")).to_be_visible()
+    written = site.config.read_text(encoding="utf-8")
+    assert written == before.replace('name = "Unwind"', 'name = "Unwind north"', 1)
+    page.get_by_role("link", name="Compare with the file").last.click()
+    page.get_by_role("button", name="Roll back to this version").click()
+    page.get_by_role("button", name="Write the file").click()
+    expect(page.get_by_role("cell", name="rolled back")).to_be_visible()
+    assert site.config.read_text(encoding="utf-8") == before
