@@ -1,4 +1,4 @@
-"""One condition has one priority on every surface: verdict, tile, faceplate, unit, alarms and head."""
+"""One condition has one priority wherever it is shown: verdict, tile, faceplate, unit page, alarms, head."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def test_a_second_tap_does_not_confirm_what_the_first_one_opened(site: Site, pag
     assert commanded(site) == "110.0"
 
 
-def test_a_second_tap_does_nothing_on_what_is_drawn_in_the_place_of_the_first(page: Page) -> None:
+def test_a_second_tap_does_nothing_on_a_button_that_was_drawn_in_place_of_the_first(page: Page) -> None:
     """As the legend of a trend is, whose button is another one after each press."""
     page.evaluate(
         """() => {
