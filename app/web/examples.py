@@ -46,11 +46,15 @@ def example_of(schema: Schema, schemas: Schema, name: str = "") -> Any:
         case {"examples": [example, *_]}:
             return example
         case {"$ref": str(reference)}:
-            return example_of(schemas[reference.removeprefix(_REF)], schemas, name)
+            model = reference.removeprefix(_REF)
+            made = example_of(schemas[model], schemas, name)
+            return made | _WRITTEN["objects"][model] if model in _WRITTEN["objects"] else made
         case {"enum": [first, *_]} | {"const": first}:
             return first
-        case {"anyOf": choices} | {"oneOf": choices}:
-            return example_of(next(each for each in choices if each.get("type") != "null"), schemas, name)
+        case {"anyOf": [*choices]} if {"type": "null"} in choices and name not in _WRITTEN["members"]:
+            return None
+        case {"anyOf": [first, *_]} | {"oneOf": [first, *_]}:
+            return example_of(first, schemas, name)
         case {"type": "object"}:
             return {
                 member: example_of(each, schemas, member)
