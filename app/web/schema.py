@@ -23,6 +23,7 @@ from app.errors import CODES
 from app.web.access import Viewer
 from app.web.assets import Asset
 from app.web.bounds import parse_apart
+from app.web.examples import add_examples
 
 PARTS: dict[str, Any] = json.loads(Path(__file__).with_name("openapi_parts.json").read_text(encoding="utf-8"))
 """What no signature states: descriptions of parameters by name (of a header in small letters) and of
@@ -112,6 +113,7 @@ def openapi_document(app: Any) -> dict[str, Any]:
     components["schemas"] |= problem_schemas(components["schemas"])
     components["headers"] = PARTS["headers"]
     components["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+    add_examples(document)
     document["security"] = [{"token": []}]
     document["servers"] = [{"url": "/", "description": "The server that this document comes from."}]
     return document

@@ -1,0 +1,52 @@
+"""Every operation has a name, a tag, a summary, and examples that are as it describes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema_rs import Draft202012Validator
+
+from app.database import Database
+from app.main import create_app
+from app.web.schema import openapi_document
+from tests.app.complete_app import settings_in
+from tests.app.strict_schema import strict
+
+
+@pytest.fixture(scope="module")
+def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    app = create_app(settings_in(Path(tmp_path_factory.mktemp("document"))))
+    try:
+        return openapi_document(app)
+    finally:
+        app.state.services[Database].close()
+
+
+def test_every_operation_has_a_name_a_tag_and_a_summary(document: dict[str, Any]) -> None:
+    names = []
+    for methods in document["paths"].values():
+        for operation in methods.values():
+            names.append(operation["operationId"])
+            assert re.fullmatch(r"[a-z]+(_[a-z]+)+", operation["operationId"])
+            assert len(operation["tags"]) == 1
+            assert operation["summary"]
+    assert len(names) == len(set(names)) > 80
+
+
+def test_every_request_and_response_has_an_example_of_its_schema(document: dict[str, Any]) -> None:
+    components = strict(document["components"])
+    count = 0
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            contents = [operation.get("requestBody", {}).get("content", {})]
+            success = next(each for status, each in operation["responses"].items() if status[0] == "2")
+            contents.append(success.get("content", {}))
+            for content in (each for media_types in contents for each in media_types.values()):
+                schema = {**content["schema"], "components": components}
+                faults = [str(each) for each in Draft202012Validator(schema).iter_errors(content["example"])]
+                assert faults == [], f"{method} {path}"
+                count += 1
+    assert count > 100
