@@ -40,7 +40,7 @@ PATHS = ("line", "alarms", "events?limit=50", "events.csv", "buses/bus-1/units/1
 
 @dataclass(frozen=True)
 class Sample:
-    """A look at the server: ``at``: seconds of the line, ``memory``: MiB; ``history`` and ``events``: bytes of
+    """A look at the server: ``at``: seconds of the line, ``memory``: MiB; ``history``, ``events``: bytes of
     these stores."""
 
     at: float
