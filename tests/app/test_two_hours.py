@@ -30,6 +30,8 @@ BUSES, UNITS = 16, 8
 RATE = 0.6
 """Readings of a unit in a second: 77 a second of all, as 16 lines at 1200 baud have."""
 FACTOR = 12.0
+CACHES_MIB = 4.0
+"""What the caches of SQLite may still take after the first hour."""
 MINUTE, HOUR, DAY = 60.0, 3600.0, 86_400.0
 SAMPLE_S = 30.0
 PATHS = ("line", "alarms", "events?limit=50", "events.csv", "buses/bus-1/units/1", "sites")
@@ -38,12 +40,14 @@ PATHS = ("line", "alarms", "events?limit=50", "events.csv", "buses/bus-1/units/1
 
 @dataclass(frozen=True)
 class Sample:
-    """A look at the server: ``at``: seconds of the line, ``memory``: MiB, ``history``: bytes on the disk."""
+    """A look at the server: ``at``: seconds of the line, ``memory``: MiB; ``history``, ``events``: bytes of
+    these stores."""
 
     at: float
     memory: float
     descriptors: int
     history: int
+    events: int
 
 
 @contextmanager
@@ -100,8 +104,8 @@ def _read(client: httpx.Client, path: str) -> bool:
 
 
 def sampled(process: int, at: float, data: Path) -> Sample:
-    files = [path.stat().st_size for path in data.glob("history.db")]
-    return Sample(at, memory_mib(process), len([*Path(f"/proc/{process}/fd").iterdir()]), sum(files))
+    history, events = ((data / name).stat().st_size for name in ("history.db", "lineside.db"))
+    return Sample(at, memory_mib(process), len([*Path(f"/proc/{process}/fd").iterdir()]), history, events)
 
 
 def test_two_hours_leave_memory_descriptors_and_disk_as_they_should(tmp_path: Path) -> None:
@@ -126,7 +130,10 @@ def test_two_hours_leave_memory_descriptors_and_disk_as_they_should(tmp_path: Pa
     print(f"history {grown / 1e6:.1f} MB a day, forecast {forecast / 1e6:.1f}; CPU {cpu:.0f} s")
     for span in range(0, 135, 15):
         print(span, [f"{each:.1f}" for each in _figures(_within(samples, span, span + 15))])
-    assert memory[1] <= 1.02 * memory[0]
+    stores = [span[-1].history + span[-1].events for span in (early, late)]
+    added = (stores[1] - stores[0]) / 2**20
+    # Each connection of SQLite keeps pages of its store until it has 2 MB: no leak, and there are few.
+    assert memory[1] <= 1.02 * memory[0] + min(added, CACHES_MIB)
     assert descriptors[1] <= descriptors[0]
     assert grown == pytest.approx(forecast, rel=0.25)
 
