@@ -60,7 +60,7 @@ VALUES: dict[str, str] = {
 """For the parameters of a call, by name."""
 NOT_THERE = (
     *("get_trace", "get_parameter_set", "compare_parameter_sets", "get_restore"),
-    "get_signed_shift_sheet",
+    *("get_signed_shift_sheet", "get_configuration", "get_configuration_version"),
 )
 """What a new site does not have, and other tests make."""
 
