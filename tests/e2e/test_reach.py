@@ -22,6 +22,8 @@ PAGES = (
     "/bus/line",
     "/sets",
     "/batch/line?number=6",
+    "/configuration",
+    "/configuration/tables/bus.0.unit.0",
 )
 COVERED = """() => {
   const pressed = "a[href], button, summary, input:not([type=hidden]), select, textarea";

@@ -26,6 +26,7 @@ PAGES = [
     "/alarms/performance",
     "/alarms/own?place=line/1&value=actual&above=1&days=1",
     "/notifications",
+    "/configuration",
     "/alarms/line.1.estop_active.0",
     "/help",
     "/help/hardware",
