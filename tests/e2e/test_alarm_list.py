@@ -96,6 +96,7 @@ def places(page: Page) -> dict[int, list[float]]:
     return {unit: row(page, unit).evaluate(PLACE) for unit in UNITS}
 
 
+RENAME = "(place, name) => { place.textContent = name; }"
 BOXES = """() => [...document.querySelectorAll(".top, .top > *, .top__end > *")].map(part => {
     const { left, top, width, height } = part.getBoundingClientRect();
     return [part.className, left, top, width, height];
@@ -159,6 +160,12 @@ def test_two_taps_on_one_place_acknowledge_one_alarm(
     check_targets(page)
     if context["viewport"] == PANEL:
         assert page.evaluate(ROWS, {"strip": STRIP_PX, "row": max(heights)}) >= MIN_ROWS
+    place = page.locator("#alarms .alarm__place > span").first
+    name = place.inner_text()
+    place.evaluate(RENAME, "Glättwerkzylinder-Oberwalzenantrieb-Nordseite-Trockenpartie")
+    assert places(page) == before
+    assert place.evaluate("place => place.scrollHeight > place.clientHeight"), "it is cut"
+    place.evaluate(RENAME, name)
     order = page.locator("#alarms tbody tr").evaluate_all("rows => rows.map(row => row.id)")
     unit = int(order[0].split(".")[1])
     tap_twice(page, row(page, unit).get_by_role("button"))
