@@ -50,16 +50,14 @@ def entries_of(
     """Everything abnormal, the worst first, in floor order; one cause is named once."""
     found: list[tuple[str, str, Cause]] = []
     for name, bus in buses.items():
-        of_bus = [(key, views[key]) for number in bus.units if (key := unit_key(name, number)) in views]
         cause = bus_cause(bus, now) or all_offline(bus, now)
         if cause is not None:
             found.append((name, name, cause))
-        else:
-            found += [
-                (key, name_on_site(name, view.unit.settings.name, buses), view.cause)
-                for key, view in of_bus
-                if view.cause and view.level
-            ]
+            continue
+        for number in bus.units:
+            view = views.get(key := unit_key(name, number))
+            if view is not None and view.cause is not None and view.cause.level:
+                found.append((key, name_on_site(name, view.unit.settings.name, buses), view.cause))
     found.sort(key=lambda entry: LEVELS.index(entry[2].level))
     return [
         AbnormalItem(
