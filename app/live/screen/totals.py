@@ -70,8 +70,8 @@ def abnormal_of(buses: Mapping[str, BusLive], views: Views, now: UnixTime) -> li
 
 
 def entries_of(found: Sequence[NamedCause], translator: Translator, now: UnixTime) -> list[AbnormalItem]:
-    """The worst of what was found, for the verdict, and those that the strip has room for: of a long line,
-    nobody reads the texts of the others."""
+    """The worst of what was found, for the verdict, and those that the strip has room for: no page
+    shows the texts of the others."""
     return [
         AbnormalItem(key, name, cause.level, *cause_texts(cause, translator, now))
         for key, name, cause in found[: 1 + MAX_ENTRIES]
