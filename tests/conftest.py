@@ -29,6 +29,7 @@ from jinja2 import Environment
 import app.auth.passwords
 import app.database.connection
 import app.messages.languages
+import app.web.routes
 from app.database.migrating import bring_up_to_date
 from app.database.migration import MIGRATIONS, Migration
 from app.database.reserve import Reserve
@@ -121,6 +122,23 @@ def catalogs_compiled_once() -> Iterator[None]:
     """Every app has a folder for them, in which the first page in German would compile its catalog again."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(app.messages.languages, "_parsed", cache(app.messages.languages._parsed))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def declarations_found_once() -> Iterator[None]:
+    """Every app looks twice at what each of its 270 routes declares, and the routes of all apps declare the
+    same."""
+    found: dict[int, tuple[Any, list[Any]]] = {}
+    calls = app.web.routes._calls
+
+    def calls_once(dependant: Any) -> list[Any]:
+        if id(dependant) not in found:
+            found[id(dependant)] = dependant, list(calls(dependant))
+        return found[id(dependant)][1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(app.web.routes, "_calls", calls_once)
         yield
 
 

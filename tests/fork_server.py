@@ -157,41 +157,73 @@ def _stream(given: IO[Any] | int | None, default: IO[Any] | None) -> tuple[IO[st
 
 @cache
 def _server() -> socket.socket:
-    """The connection to the fork server of this process of tests, which ends with it."""
-    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with its:
-        process = subprocess.Popen([sys.executable, "-P", __file__], stdin=its, cwd=ROOT)
-    atexit.register(process.wait)
+    """The connection to the fork server. All processes of a run have one together, which ends with the last
+    of them: each would take two seconds to import the program."""
+    address = f"\0lineside-tests-{os.environ.get('PYTEST_XDIST_TESTRUNUID', os.getpid())}"
+    ours = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    while ours.connect_ex(address):
+        _begin(address)
     atexit.register(ours.close)
     return ours
+
+
+def _begin(address: str) -> None:
+    """Start the fork server, unless another process does at this moment."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        try:
+            listener.bind(address)
+        except OSError:
+            time.sleep(0.01)
+            return
+        listener.listen()
+        process = subprocess.Popen([sys.executable, "-P", __file__], stdin=listener, cwd=ROOT)
+        atexit.register(process.wait)
 
 
 # --- in the server ---------------------------------------------------------------------------------
 
 
-def serve(requests: socket.socket) -> Program | None:
-    """Fork for each request and report its process id and exit code, until the tests end. Returns in each
-    forked process, with its program."""
-    selector = select_on(requests)
+def serve(listener: socket.socket) -> Program | None:
+    """Fork for each request and report its process id and exit code, until the last of the tests ends.
+    Returns in each forked process, with its program."""
+    selector = select_on(listener)
+    connections = 0
     while True:
         for key, _ in selector.select():
-            if key.fileobj is not requests:
+            if key.data is not None:
                 selector.unregister(key.fileobj)
                 _report_end(key.fileobj, *key.data)
-                continue
-            message, descriptors, *_ = socket.recv_fds(requests, MAX_BYTES, 4)
-            if not message:
-                return None
-            *streams, status = descriptors
-            pid = os.fork()
-            if pid == 0:
-                selector.close()
-                requests.close()
-                return _become(json.loads(message), streams)
-            os.write(status, REPORT.pack(pid))
-            for stream in streams:
-                os.close(stream)
-            selector.register(os.pidfd_open(pid), selectors.EVENT_READ, (pid, status))
+            elif key.fileobj is listener:
+                selector.register(listener.accept()[0], selectors.EVENT_READ)
+                connections += 1
+            elif (request := _request(key.fileobj)) is None:
+                selector.unregister(key.fileobj)
+                key.fileobj.close()
+                connections -= 1
+                if not connections:
+                    return None
+            elif program := _fork(selector, *request):
+                return program
+
+
+def _request(connection: Any) -> tuple[bytes, list[int]] | None:
+    """The next one with its descriptors; None after the last."""
+    message, descriptors, *_ = socket.recv_fds(connection, MAX_BYTES, 4)
+    return (message, descriptors) if message else None
+
+
+def _fork(selector: selectors.BaseSelector, message: bytes, descriptors: list[int]) -> Program | None:
+    """In the server None; in the forked process its program."""
+    *streams, status = descriptors
+    pid = os.fork()
+    if pid == 0:
+        selector.close()
+        return _become(json.loads(message), streams)
+    os.write(status, REPORT.pack(pid))
+    for stream in streams:
+        os.close(stream)
+    selector.register(os.pidfd_open(pid), selectors.EVENT_READ, (pid, status))
+    return None
 
 
 def _report_end(pidfd: Any, pid: int, status: int) -> None:
@@ -236,8 +268,8 @@ def main() -> None:
     compile_catalogs_once()
     gc.collect()
     gc.freeze()
-    requests = socket.socket(fileno=os.dup(sys.stdin.fileno()))
-    if program := serve(requests):
+    listener = socket.socket(fileno=os.dup(sys.stdin.fileno()))
+    if program := serve(listener):
         sys.exit(import_module(ENTRY_POINTS[program][0]).main())
 
 

@@ -14,11 +14,16 @@ def sizes(smallest: Any, *long: Any) -> list[Any]:
     return [smallest, *(pytest.param(*values, marks=pytest.mark.soak) for values in soak)]
 
 
-def in_turn(values: Sequence[Any], others: Sequence[Any]) -> list[Any]:
+def in_turn(values: Sequence[Any], others: Sequence[Any], *, first: int | None = None) -> list[Any]:
     """Every pair of both, for the parameters of a walk that takes long: ``make test`` has each value once,
-    with the others in turn, ``make soak`` the pairs that are left."""
+    with the others in turn, or of the ``first`` values only; ``make soak`` the pairs that are left."""
+    brief = range(len(values) if first is None else first)
     return [
-        pytest.param(value, other, marks=[pytest.mark.soak] * (other != others[number % len(others)]))
+        pytest.param(
+            value,
+            other,
+            marks=[pytest.mark.soak] * (number not in brief or other != others[number % len(others)]),
+        )
         for number, value in enumerate(values)
         for other in others
     ]

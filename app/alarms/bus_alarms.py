@@ -55,6 +55,8 @@ class BusAlarms:
         self._unrequested = CountWindow()
         self._second_master, self._control_left = map(self._alarm_of, (SECOND_MASTER.code, CONTROL_LEFT.code))
         self._estops: set[int] = set()
+        self._lost_alone: set[int] = set()
+        """Units that are lost, of which the next response of another shows whether each alone is."""
         self._suppressors = Suppressors()
         self._clock_watch = ClockWatch(clock(), monotonic())
         self._ages_from = Monotonic(0.0)
@@ -90,6 +92,7 @@ class BusAlarms:
         self.list.forget()
         self._unrequested = CountWindow()
         self._estops.clear()
+        self._lost_alone.clear()
         for monitor in self._monitors.values():
             monitor.forget()
         self.list.load(stored, now)
@@ -146,8 +149,7 @@ class BusAlarms:
                 case Reading() if update.unit in self._monitors:
                     self._monitors[update.unit].see_reading(now)
                 case UnitLink() if update.unit in self._monitors:
-                    is_readable = self._see_bus(now)
-                    self._monitors[update.unit].see_link(now, bus_is_readable=is_readable)
+                    self._see_link(update.unit, now, bus_is_readable=self._see_bus(now))
                 case ParameterValue() | Staged() if update.unit in self._monitors:
                     read.add(update.unit)
                 case BusLink():
@@ -156,7 +158,7 @@ class BusAlarms:
                     self._see_figures(update, now)
         for unit in read:
             self._monitors[unit].see_parameters(now)
-        if any(monitor.is_lost_alone for monitor in self._monitors.values()):
+        if self._lost_alone:
             self._see_links(now)
 
     def _observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
@@ -174,8 +176,14 @@ class BusAlarms:
 
     def _see_links(self, now: UnixTime) -> None:
         is_readable = self._see_bus(now)
-        for monitor in self._monitors.values():
-            monitor.see_link(now, bus_is_readable=is_readable)
+        for unit in self._monitors:
+            self._see_link(unit, now, bus_is_readable=is_readable)
+
+    def _see_link(self, unit: int, now: UnixTime, *, bus_is_readable: bool) -> None:
+        if self._monitors[unit].see_link(now, bus_is_readable=bus_is_readable):
+            self._lost_alone.add(unit)
+        else:
+            self._lost_alone.discard(unit)
 
     def _see_figures(self, figures: BusFigures, now: UnixTime) -> None:
         for unit in figures.units:

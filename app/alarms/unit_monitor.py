@@ -58,8 +58,6 @@ class UnitMonitor:
         self._offline = self._alarms[of_unit.UNIT_OFFLINE.code]
         self._degraded = self._alarms[of_unit.LINK_DEGRADED.code]
         self._drift = self._alarms[of_unit.PARAMETER_DRIFT.code]
-        self.is_lost_alone = False
-        """The unit is lost, and the next response of another shows whether it alone is."""
         self._read_at = _NEVER
         self._status: tuple[int, int, str] | None = None
         """Status bytes and motion of the last reading; None while its values are not known."""
@@ -67,7 +65,6 @@ class UnitMonitor:
 
     def forget(self) -> None:
         """Observe everything from the next report on, as if for the first time."""
-        self.is_lost_alone = False
         self._read_at, self._status = _NEVER, None
         self._window = CountWindow()
         self._own_are_new = True
@@ -142,13 +139,17 @@ class UnitMonitor:
             if holds is not alarm.holds:
                 self._observe(alarm, holds, now)
 
-    def see_link(self, now: UnixTime, *, bus_is_readable: bool) -> None:
-        """Time has passed, or the state of the link has changed."""
+    def see_link(self, now: UnixTime, *, bus_is_readable: bool) -> bool:
+        """Time has passed, or the state of the link has changed. Whether the unit is lost, and no other has
+        responded since."""
         link = link_facts(self._bus, self._unit, now, bus_is_readable=bus_is_readable)
-        self.is_lost_alone = link.is_alone
         self._observe(self._offline, of_unit.UNIT_OFFLINE.holds(link), now)
-        if self._status is None or link.is_online:
-            return
+        if self._status is not None and not link.is_online:
+            self._lose_values(now)
+        return link.is_alone
+
+    def _lose_values(self, now: UnixTime) -> None:
+        """The values of the unit are not those of now any more."""
         self._status = None
         self._observe(self._degraded, None, now)
         self._observe(self._draw, None, now)

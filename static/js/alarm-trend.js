@@ -2,7 +2,7 @@
 import "./main.js";
 import { now } from "./clock.js";
 import { build, inUnitsDecimals, outline, path, range } from "./minutes.js";
-import { formatTime } from "./trends-time.js";
+import { formatTime } from "./site-time.js";
 
 const BEFORE_S = 60;
 const SPAN_S = 600;

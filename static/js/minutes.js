@@ -3,9 +3,9 @@
 // fifteen; the current values are in the numbers above.
 import { value } from "./bind.js";
 import { now } from "./clock.js";
+import { fetchAlarms, fetchMarks } from "./history-requests.js";
 import { isLive } from "./live.js";
-import { fetchAlarms, fetchMarks } from "./trends-data.js";
-import { formatTime } from "./trends-time.js";
+import { formatTime } from "./site-time.js";
 import { language, word } from "./words.js";
 
 const SPAN_S = 600;

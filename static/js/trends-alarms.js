@@ -1,5 +1,5 @@
+import { formatTime } from "./site-time.js";
 // Alarms in a lane above the curves: the shape and number of its priority where each begins, and a line while it was active.
-import { formatTime } from "./trends-time.js";
 
 const SIZE = 18;
 /** Height of a row of their lane. */

@@ -1,6 +1,7 @@
 // What a span is compared with: an earlier one of the same length, by how many seconds it is earlier.
+import { formatTime } from "./site-time.js";
 import { fetchRecipeRuns } from "./trends-data.js";
-import { dayBefore, formatTime, shiftAt } from "./trends-time.js";
+import { dayBefore, shiftAt } from "./trends-time.js";
 
 /** By how much the earlier span is earlier, and what it is called; `offset` null where there is none, and `name` is why.
  * @param {View} view @param {Span} range @param {TrendWords} words @returns {Promise<Comparison | null>} */

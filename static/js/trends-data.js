@@ -1,7 +1,6 @@
 // Requests the history and joins the results into one table for uPlot.
-import { iso } from "./trends-view.js";
+import { HISTORY, get, iso, json, spanOf, unitQuery } from "./history-requests.js";
 
-const HISTORY = "/api/v1/history";
 /** uPlot.join: null is a hole, up to the points beside it, whatever times other values have in between. What else is
  * missing because another value has a time there is no hole. */
 const EXPAND_NULLS = 2;
@@ -9,21 +8,6 @@ const EXPAND_NULLS = 2;
 const STILL_S = 15;
 /** The part of a span without readings that is worth a line of text. */
 const UNREAD_PART = 0.02;
-
-/** @param {string} path @param {URLSearchParams} query @param {AbortSignal} [signal] */
-async function get(path, query, signal) {
-  return json(await fetch(`${HISTORY}${path}?${query}`, { signal }));
-}
-
-/** @param {Response} response */
-async function json(response) {
-  if (response.ok) return response.json();
-  const problem = await response.json().catch(() => ({}));
-  throw new Error(problem.detail ?? response.status);
-}
-
-/** @param {Span} span */
-const spanOf = ([from, to]) => ({ from: iso(from), to: iso(Math.max(to, from + 0.001)) });
 
 /** For each value named `{t, min, max, avg, decimals, bucket_s, …}`, times in seconds.
  * @param {string[]} names @param {Span} range @param {number} points @param {AbortSignal} [signal]
@@ -33,28 +17,6 @@ export function fetchSeries(names, range, points, signal) {
   const query = new URLSearchParams({ ...spanOf(range), points: String(points), format: "epoch" });
   for (const name of names) query.append("series", name);
   return get("/series", query, signal);
-}
-
-/** What happened over the span: `{marks: [{t, until, what, …}], more}`.
- * @param {string[]} names @param {Span} range @returns {Promise<{ marks: Mark[], more: boolean }>} */
-export function fetchMarks(names, range) {
-  const query = unitQuery(names, range);
-  query.append("format", "epoch");
-  return get("/marks", query);
-}
-
-/** The alarms that were active over the span: `{alarms: [{t, until, priority, name, place}], more}`, times in
- * seconds, `until` null while one is active.
- * @param {string[]} names @param {Span} range @returns {Promise<{ alarms: Alarm[], more: boolean }>} */
-export async function fetchAlarms(names, range) {
-  const { occurrences, more } = await json(await fetch(`/api/v1/alarms/occurrences?${unitQuery(names, range)}`));
-  const alarms = /** @type {Occurrence[]} */ (occurrences).map(({ from, to, priority, shown }) => ({
-    t: Date.parse(from) / 1000,
-    until: to === null ? null : Date.parse(to) / 1000,
-    priority,
-    ...shown,
-  }));
-  return { alarms, more };
 }
 
 /** The notes that people wrote about a time of the span. @param {string[]} names @param {Span} range
@@ -82,14 +44,6 @@ export async function fetchRecipeRuns(bus, at) {
   );
   if (!found?.before) return null;
   return { name: found.name, loaded: Date.parse(found.loaded) / 1000, before: Date.parse(found.before) / 1000 };
-}
-
-/** @param {string[]} names @param {Span} range */
-function unitQuery(names, range) {
-  const query = new URLSearchParams(spanOf(range));
-  for (const unit of new Set(names.map((name) => name.slice(0, name.lastIndexOf("/")))))
-    query.append("unit", unit);
-  return query;
 }
 
 /** @param {string[]} names @param {Span} range @param {string} file */

@@ -1,8 +1,8 @@
 // The legend: what each line is, and what it reads at the cursor or last; a press dims a line.
+import { formatTime } from "./site-time.js";
 import { valueAt } from "./trends-data.js";
 import { lastValue } from "./trends-labels.js";
 import { swatch } from "./trends-look.js";
-import { formatTime } from "./trends-time.js";
 import { shownValue } from "./trends-values.js";
 
 export class Legend {

@@ -1,6 +1,7 @@
 // Notes on the chart: each is about a time. They are the notes of the shift, so the hand-over sheet has them too.
+import { formatTime } from "./site-time.js";
 import { writeNote } from "./trends-data.js";
-import { formatTime, fromField, toField } from "./trends-time.js";
+import { fromField, toField } from "./trends-time.js";
 
 /** Let a person write one, where the page has the form. `time` gives what it is about: the cursor, else now; `written`
  * is called once it is stored, and `why` gives the text of an error.

@@ -1,17 +1,19 @@
 // The trends page: the view selects, the history responds, the chart, the legend and the table show the result.
 import { now } from "./clock.js";
+import { fetchAlarms, fetchMarks } from "./history-requests.js";
+import { formatTime } from "./site-time.js";
 import { alarmContent } from "./trends-alarms.js";
 import { Catalogue } from "./trends-catalogue.js";
 import { comparison, moved } from "./trends-compare.js";
 import { bindControls, showControls } from "./trends-controls.js";
-import { fetchAlarms, fetchMarks, fetchNotes, fetchSeries, unread } from "./trends-data.js";
+import { fetchNotes, fetchSeries, unread } from "./trends-data.js";
 import { gestures } from "./trends-gestures.js";
 import { Legend } from "./trends-legend.js";
 import { isBit } from "./trends-look.js";
 import { bindNotes, noteContent } from "./trends-notes.js";
 import { Picture } from "./trends-plot.js";
 import { clearList, drawCursors, drawList, drawRows, eventContent, fineness, summaryText, valuesText } from "./trends-table.js";
-import { formatTime, length, shortTime } from "./trends-time.js";
+import { length, shortTime } from "./trends-time.js";
 import { View } from "./trends-view.js";
 
 const SETTLE_MS = 60;

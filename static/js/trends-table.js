@@ -1,7 +1,8 @@
 // The values as a table: what A and B read, least, average, greatest; and what happened meanwhile as a list.
+import { formatTime } from "./site-time.js";
 import { summary, valueAt } from "./trends-data.js";
 import { isBit, swatch } from "./trends-look.js";
-import { formatTime, length } from "./trends-time.js";
+import { length } from "./trends-time.js";
 import { number, shownValue, UNKNOWN } from "./trends-values.js";
 
 const words = () => document.getElementById("trend-words").dataset;

@@ -1,5 +1,6 @@
 // The view: which values over which span. It is the page's address, so a link reopens the same view.
 import { now } from "./clock.js";
+import { iso } from "./history-requests.js";
 import { shiftAt } from "./trends-time.js";
 
 const MIN_SPAN = 1;
@@ -133,8 +134,6 @@ export class View extends EventTarget {
   }
 }
 
-/** @param {number} seconds */
-export const iso = (seconds) => new Date(Math.round(seconds * 1000)).toISOString();
 /** @param {number} span */
 const clamp = (span) => Math.min(MAX_SPAN, Math.max(MIN_SPAN, span));
 /** @template T @param {number} value @param {T} otherwise */

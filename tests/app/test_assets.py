@@ -127,3 +127,19 @@ async def test_a_page_preloads_exactly_the_imports_of_its_first_module(house: Ho
             house.services[Assets].url(f"js/{first}.js"),
             *([house.services[Assets].url("js/faceplate.js")] if path == "/" else []),
         ]
+
+
+async def test_a_first_visit_of_a_unit_page_is_light(house: House) -> None:
+    assets = house.services[Assets]
+    shown = await (await house.program(Role.OPERATOR)).get("/units/dry-end/1")
+    assert shown.status_code == 200
+    urls = set(re.findall(r'(?:href|src)="([^"]+\.(?:css|js))"', shown.text))
+    modules = [url.removeprefix(assets.url("")) for url in urls if url.endswith(".js")]
+    urls = urls.union(*(assets.imports(module) for module in modules if not module.startswith("vendor/")))
+    names = [url.removeprefix(assets.url("")) for url in urls]
+    weight = {
+        name: len(gzip.compress(assets.get(name).body, 9))
+        for name in names
+        if name.startswith(("css/", "js/"))
+    }
+    assert sum(weight.values()) <= 61 * 1024, weight

@@ -32,6 +32,7 @@ from app.server.service_manager import ServiceManager
 from app.settings import load
 from tests import fork_server
 from tests.fork_server import ForkedProcess
+from tests.sizes import sizes
 
 ROOT = Path(__file__).resolve().parents[2]
 LINESIDE = Path(sys.executable).with_name("lineside")
@@ -199,6 +200,7 @@ def test_a_worker_that_dies_is_started_again(config: Path) -> None:
         assert second != [first]
 
 
+@pytest.mark.soak
 def test_a_worker_that_is_frozen_is_replaced(config: Path) -> None:
     token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
     with started("serve", "--config", str(config)) as (process, url):
@@ -338,7 +340,9 @@ def test_a_store_that_is_missing_is_not_replaced(config: Path, tmp_path: Path) -
     assert (tmp_path / "lineside.audit.key").read_bytes() == former
 
 
-@pytest.mark.parametrize("content", [None, b"", b"no store " * 1000], ids=["missing", "empty", "damaged"])
+@pytest.mark.parametrize(
+    "content", sizes(b"", None, b"no store " * 1000), ids=["empty", "missing", "damaged"]
+)
 def test_a_new_site_is_begun_by_command_and_recorded(
     config: Path, tmp_path: Path, content: bytes | None
 ) -> None:

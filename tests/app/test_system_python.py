@@ -34,6 +34,7 @@ def why_not() -> str:
     return ""
 
 
+@pytest.mark.soak
 @pytest.mark.skipif(bool(why_not()), reason=why_not())
 def test_stores_are_backed_up_and_restored_by_the_systems_python() -> None:
     packages = sysconfig.get_paths()

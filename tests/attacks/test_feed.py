@@ -146,7 +146,7 @@ def scene(runner: asyncio.Runner, tmp_path_factory: pytest.TempPathFactory) -> I
     runner.run(stack.aclose())
 
 
-@settings(suppress_health_check=[HealthCheck.too_slow], max_examples=settings.default.max_examples // 3)
+@settings(suppress_health_check=[HealthCheck.too_slow], max_examples=settings.default.max_examples // 6)
 @given(plausible=PLAUSIBLE, messages=st.lists(MESSAGES, max_size=3))
 def test_no_message_of_a_worker_breaks_the_app_or_a_page(
     runner: asyncio.Runner, scene: Scene, plausible: tuple[bytes, ...], messages: list[bytes]

@@ -14,6 +14,7 @@ import pytest
 from tests.attacks.attackers import HANDSHAKE, Target, frame
 from tests.attacks.measure import add_worker_token
 from tests.e2e.site import Site, eventually, site
+from tests.sizes import sizes
 
 REQUESTS = 60
 FEW = 3
@@ -104,7 +105,7 @@ KINDS = (*bodies(Target("", 0, dict.fromkeys(("viewer", "worker", "operator"), "
 FRAMES = (*frames(Target("", 0, dict.fromkeys(("viewer", "worker", "operator"), ""), 0.0)),)
 
 
-@pytest.mark.parametrize("kind", [*KINDS, *FRAMES])
+@pytest.mark.parametrize("kind", [*KINDS, *sizes(*FRAMES)])
 def test_refused_requests_make_few_lines(served: Site, target: Target, kind: str) -> None:
     begun, then = (bodies(target) | frames(target))[kind]
     before = len(lines(served))

@@ -22,6 +22,7 @@ from tests.attacks.measure import (
     measure,
 )
 from tests.e2e.site import Site, site
+from tests.sizes import sizes
 
 BRIEF_S = 0.1
 SHORT_S = 1.0
@@ -52,7 +53,7 @@ def table() -> Iterator[list[Measured]]:
     print("\n" + HEADING, *(each.row for each in measured), sep="\n")
 
 
-@pytest.mark.parametrize("attack", SHORT)
+@pytest.mark.parametrize("attack", sizes(SHORT[0], *SHORT[1:]))
 def test_others_are_served_meanwhile(target: Site, attack: str) -> None:
     """How long they wait, and what the attack costs the server, is measured below."""
     measured = measure(target, attack, SHORT_S, warm_s=0.0, settle_s=0.0)

@@ -29,6 +29,7 @@ from app.web.access import Role
 from bus.contract import CONTRACT_VERSION, Hello, encode
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House, complete_app, settings_in
+from tests.sizes import sizes
 
 
 @pytest.fixture
@@ -101,7 +102,7 @@ async def its_owner_signs_in_here(house: House, name: str, address: str) -> None
 @pytest.mark.usefixtures("within_a_moment")
 @pytest.mark.parametrize(
     "before",
-    [many_names_from_here, this_name_from_elsewhere, many_at_once_from_here, its_owner_signs_in_here],
+    sizes(this_name_from_elsewhere, many_names_from_here, many_at_once_from_here, its_owner_signs_in_here),
 )
 @pytest.mark.parametrize("browser", ["another", "of a colleague"])
 async def test_at_a_shared_address_a_refusal_does_not_reveal_which_names_exist(

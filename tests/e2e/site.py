@@ -206,9 +206,17 @@ class Site:
     def end_alarms(self) -> None:
         """Wait until no condition of an alarm holds, and leave none to acknowledge."""
         with self.api() as client:
-            eventually(
-                lambda: not any(each["active"] for each in client.get("/alarms").json()["alarms"]), "rest"
-            )
+            active: set[str] = set()
+
+            def are_over() -> bool:
+                active.clear()
+                active.update(each["id"] for each in client.get("/alarms").json()["alarms"] if each["active"])
+                return not active
+
+            try:
+                eventually(are_over, "the end of every alarm")
+            except AssertionError as failure:
+                raise AssertionError(f"{failure}: {sorted(active)}") from None
         self.acknowledge_all()
 
     def stop(self, number: int = signal.SIGTERM) -> int:

@@ -32,6 +32,7 @@ def tones(page: Page) -> int:
     return count
 
 
+@pytest.mark.soak
 def test_sound_is_switched_on_tested_allowed_by_a_press_and_silenced(
     site: Site, browser_page: OpensPages, flaws: Callable[..., list[str]]
 ) -> None:

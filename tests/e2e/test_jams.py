@@ -10,6 +10,7 @@ from playwright.sync_api import Page, expect
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.site import Site
 from tests.e2e.test_phone_length import PATHS
+from tests.sizes import sizes
 
 JAMS = (Path(__file__).parent / "jams.js").read_text(encoding="utf-8")
 SIZES = ((360, 800), (1280, 800), (1920, 1080))
@@ -62,12 +63,12 @@ def test_a_message_and_the_undo_of_a_command_do_not_jam(site: Site, shared_page:
 
 @pytest.mark.parametrize(
     ("style", "words"),
-    [
+    sizes(
         (".setter__now { margin-block-start: -30px }", "lies on"),
         (".pad { display: none } .setter { gap: 0 }", "too near"),
         (".pad { block-size: 90px; overflow: hidden }", "is cut by"),
         (".card__head { margin-block-end: -60px }", "lies on the text"),
-    ],
+    ),
 )
 def test_a_jam_is_found(site: Site, shared_page: OpensPages, style: str, words: str) -> None:
     page = shared_page("engineer", site=site, viewport={"width": 1280, "height": 800})

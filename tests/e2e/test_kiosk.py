@@ -186,6 +186,7 @@ def test_a_key_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> 
     eventually(lambda: received_writes(site) == before + 1, "the second key")
 
 
+@pytest.mark.soak
 def test_an_untouched_panel_goes_home_and_leaves_no_review_open(
     site: Site, panel: Callable[..., Page]
 ) -> None:

@@ -87,6 +87,7 @@ def test_a_unit_that_does_not_respond_is_shown_as_such_and_comes_back(
     in_turn(
         [("/login", None), ("/users", "admin"), ("/account", "viewer"), ("/nothing", "viewer")],
         (ENGLISH, GERMAN),
+        first=2,
     ),
 )
 def test_a_page_beside_the_line_is_accessible(

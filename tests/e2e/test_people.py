@@ -387,7 +387,7 @@ UNREACHABLE = """() => [...document.querySelectorAll(
     .map(element => element.outerHTML.slice(0, 120))"""
 
 
-@pytest.mark.parametrize("every", sizes(9, 1))
+@pytest.mark.parametrize("every", sizes(7, 1))
 def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by_keyboard(
     site: Site, shared_page: OpensPages, pages: list[str], every: int
 ) -> None:
@@ -432,7 +432,7 @@ MAX_AT_ONCE = 7
 """All of them together leave a small machine no time."""
 
 
-@pytest.mark.parametrize("every", sizes(9, 1))
+@pytest.mark.parametrize("every", sizes(7, 1))
 @pytest.mark.provokes("WebSocket", "fetch")
 def test_every_page_is_covered_without_its_server_and_sends_nothing(
     site: Site, browser_page: OpensPages, pages: list[str], every: int
@@ -503,7 +503,7 @@ LISTEN = """() => {
 }"""
 
 
-@pytest.mark.parametrize("path", ["/", "/units/line/2", "/setpoints"])
+@pytest.mark.parametrize("path", sizes("/units/line/2", "/", "/setpoints"))
 def test_a_screen_reader_gets_the_verdict_and_no_figures(
     site: Site, shared_page: OpensPages, holder: httpx.Client, path: str
 ) -> None:

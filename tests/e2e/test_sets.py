@@ -339,14 +339,15 @@ def test_what_a_unit_is_already_is_not_written_again(site: Site, shared_page: Op
     in_turn(
         [
             "/sets",
-            "/recipes",
-            "/batch/line",
             "/units/line/1/restore",
+            "/batch/line",
+            "/recipes",
             "/swap/line/1",
             "/sets/compare",
             "/sets/compare?left=live:line:1&right=live:line:2",
         ],
         (ENGLISH, GERMAN),
+        first=3,
     ),
 )
 def test_accessible_and_as_wide_as_the_screen(

@@ -145,6 +145,7 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     expect(page.locator("[data-tick]:checked")).to_have_count(0)
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("locale", sizes(ENGLISH, GERMAN))
 def test_a_recipe_that_is_refused_is_accessible(
     site: Site, shared_page: OpensPages, flaws: Flaws, locale: str
@@ -276,6 +277,7 @@ def test_a_unit_that_does_not_respond_shows_why_nothing_can_be_set(
     expect(notice).to_be_hidden()
 
 
+@pytest.mark.soak
 @pytest.mark.provokes("ERR_CONNECTION_REFUSED")
 def test_without_its_server_a_page_is_accessible(site: Site, browser_page: OpensPages, axe: Axe) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/1")

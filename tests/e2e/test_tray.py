@@ -13,7 +13,6 @@ from playwright.sync_api import Locator, Page, expect
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus, rest
 from tests.e2e.limits import PAGE_MS, UNIT_MS
 from tests.e2e.site import AT_REST, Site, eventually
-from tests.sizes import sizes
 
 PANEL = {"width": 1280, "height": 800}
 PHONE = {"width": 360, "height": 740}
@@ -288,7 +287,8 @@ def test_a_restore_and_a_recipe_go_to_the_tray(site: Site, page: Page) -> None:
     expect(strip(page)).to_contain_text("2 changes")
 
 
-@pytest.mark.parametrize("locale", sizes(GERMAN, ENGLISH))
+@pytest.mark.soak
+@pytest.mark.parametrize("locale", [GERMAN, ENGLISH])
 def test_the_tray_is_accessible_and_covers_nothing_for_good(
     page: Page,
     browser_page: OpensPages,

@@ -14,7 +14,6 @@ from playwright.sync_api import Page, Route, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.site import Site
-from tests.sizes import sizes
 
 OFFICE = {"width": 1280, "height": 800}
 FROM, LENGTH = 1_700_000_000, 100
@@ -121,7 +120,8 @@ def opened(page: Page, found: list[dict[str, Any]], more: str = "") -> list[str]
     return requested
 
 
-@pytest.mark.parametrize("scheme", sizes("light", "dark"))
+@pytest.mark.soak
+@pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_eight_lines_differ_for_every_eye(browser_page: OpensPages, scheme: Literal["light", "dark"]) -> None:
     page = browser_page("viewer", viewport=OFFICE, color_scheme=scheme)
     opened(page, [flat(place, "commanded" if place == 3 else "actual") for place in range(8)])

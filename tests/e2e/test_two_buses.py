@@ -97,6 +97,7 @@ def test_a_speed_set_on_a_page_goes_to_its_bus_alone(site: Site, shared_page: Op
     assert (state(wet(site), 2)["setpoint"], state(site.line, 2)["setpoint"]) == (715, before)
 
 
+@pytest.mark.soak
 def test_the_setpoints_page_has_both_and_changes_the_one_that_is_meant(
     site: Site, shared_page: OpensPages
 ) -> None:
@@ -183,6 +184,7 @@ def test_a_blocked_unit_with_something_staged_holds_up_no_other(site: Site, shar
             client.delete("/buses/line/units/2/block")
 
 
+@pytest.mark.soak
 def test_a_closed_bus_leaves_the_other_its_controls(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/")
     wet(site).remote.do("unplug")

@@ -9,6 +9,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.site import Site
+from tests.sizes import sizes
 
 PANEL, PHONE = {"width": 1280, "height": 800}, {"width": 360, "height": 800}
 PARTS = {
@@ -45,7 +46,7 @@ SMALL, LOW = {"width": 360, "height": 640}, {"width": 640, "height": 400}
 
 
 @pytest.mark.parametrize(
-    ("path", "size"), [("/units/line/3", SMALL), ("/units/line/3", LOW), ("/setpoints", LOW)]
+    ("path", "size"), sizes(("/units/line/3", LOW), ("/units/line/3", SMALL), ("/setpoints", LOW))
 )
 def test_a_small_window_opens_at_the_head_of_the_page_and_leaves_it_half(
     shared_page: OpensPages, path: str, size: Any

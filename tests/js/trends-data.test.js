@@ -6,7 +6,8 @@ import { openPage } from "./page.js";
 
 globalThis.uPlot = uPlot;
 openPage();
-const { exportAddress, fetchMarks, fetchSeries, joined, summary, unread, valueAt } = await import(
+const { fetchMarks } = await import("../../static/js/history-requests.js");
+const { exportAddress, fetchSeries, joined, summary, unread, valueAt } = await import(
   "../../static/js/trends-data.js"
 );
 

@@ -5,7 +5,8 @@ import { at, openPage } from "./page.js";
 
 process.env.TZ = "America/New_York";
 openPage({ language: "de", zone: "Europe/Berlin" });
-const { axisLabels, axisNumbers, dayBefore, fromField, length, formatTime, shiftAt, shortTime, toField } = await import(
+const { formatTime } = await import("../../static/js/site-time.js");
+const { axisLabels, axisNumbers, dayBefore, fromField, length, shiftAt, shortTime, toField } = await import(
   "../../static/js/trends-time.js"
 );
 

@@ -5,7 +5,8 @@ import { at, openPage } from "./page.js";
 
 const NOW = at("2026-11-20T15:30:00");
 openPage({ zone: "UTC", time: NOW });
-const { MAX_VALUES, View, iso } = await import("../../static/js/trends-view.js");
+const { iso } = await import("../../static/js/history-requests.js");
+const { MAX_VALUES, View } = await import("../../static/js/trends-view.js");
 
 const KNOWN = Array.from({ length: 40 }, (_, i) => `line/${i + 1}/actual`);
 const catalogue = { has: (name) => KNOWN.includes(name), first: (count) => KNOWN.slice(0, count) };

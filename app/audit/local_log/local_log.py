@@ -23,8 +23,6 @@ from bus.errors import LinesideError
 from bus.instants import Clock, unix_now
 from bus.messages import Message
 
-WRITE_WITHIN_S = 10.0
-"""How long one transaction may take on its way into the database."""
 FORGET_EVERY_S = 6 * 3600.0
 log = structlog.get_logger()
 FollowedSubscriber = Callable[[Sequence[Event], Sequence[int]], Awaitable[None]]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from app.conditions.of_bus import NO_UNIT_RESPONDS, NO_UNIT_YET
 from app.conditions.of_unit import BLOCKED, DRAW_OUT_OF_BAND, PARAMETER_DRIFT, suspicion
 from app.live.diagnosis.cause import Cause, Level, abnormal, unit_cause
-from app.live.diagnosis.links import bus_facts
+from app.live.diagnosis.links import any_responds, bus_facts
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.draw import draw_of
 from bus.contract import UnitLinkState
@@ -44,8 +44,11 @@ _COUNTED_AS = {
 
 def state_counts(views: Iterable[UnitView]) -> Counter[str]:
     """How many units are in which state, and ``online``. A unit that does not respond is in no state."""
-    states = [view.unit.motion.state for view in views if view.link == "online"]
-    return Counter({"online": len(states)}) + Counter(_COUNTED_AS.get(state, state) for state in states)
+    states = Counter([view.unit.motion.state for view in views if view.link == "online"])
+    counts = Counter({"online": states.total()})
+    for state, count in states.items():
+        counts[_COUNTED_AS.get(state, state)] += count
+    return counts
 
 
 def shown_cause(
@@ -98,6 +101,8 @@ def _others(
 
 def all_offline(bus: BusLive, now: UnixTime) -> Cause | None:
     """That no unit of a bus responds: one cause for all of them, since the last of them was lost."""
+    if any_responds(bus, now):
+        return None
     facts = bus_facts(bus, now)
     if NO_UNIT_YET.holds(facts):
         return abnormal("no_unit_yet")

@@ -15,23 +15,37 @@ from bus.settings import wire_seconds
 
 def bus_facts(bus: BusLive, now: UnixTime) -> BusFacts:
     """Of a bus."""
-    lost = {number for number, unit in bus.units.items() if _lost_at(bus, unit, now) is not None}
-    unread = {number for number, unit in bus.units.items() if unit.reading is None} - lost
+    patience_s = offline_after_s(scan_s_of(bus))
+    lost = unread = 0
+    for unit in bus.units.values():
+        if _lost_at(bus, unit, now, patience_s) is not None:
+            lost += 1
+        elif unit.reading is None:
+            unread += 1
     turnaround_s = wire_seconds(POLL_BYTES, bus.baud) + bus.settings.turnaround_s
     return BusFacts(
         worker_is_lost=bus.worker_lost is not None or worker_timed_out(bus, now),
         port_is_closed=bus.link.link == "closed",
         units=len(bus.units),
-        lost=len(lost),
-        unread=len(unread),
+        lost=lost,
+        unread=unread,
         scan_s=None if bus.figures is None else bus.figures.scan_s,
         longest_scan_s=len(bus.units) * turnaround_s,
     )
 
 
+def any_responds(bus: BusLive, now: UnixTime) -> bool:
+    """Whether any unit of a bus responds; the first one that does is enough."""
+    patience_s = offline_after_s(scan_s_of(bus))
+    return any(
+        unit.reading is not None and _lost_at(bus, unit, now, patience_s) is None
+        for unit in bus.units.values()
+    )
+
+
 def link_facts(bus: BusLive, unit: UnitLive, now: UnixTime, *, bus_is_readable: bool) -> LinkFacts:
     """Of a unit."""
-    lost_at = _lost_at(bus, unit, now)
+    lost_at = _lost_at(bus, unit, now, offline_after_s(scan_s_of(bus)))
     return LinkFacts(
         bus_is_readable=bus_is_readable,
         is_lost=lost_at is not None,
@@ -46,12 +60,12 @@ def unit_facts(bus: BusLive, unit: UnitLive, reading: Reading, *, is_late: bool 
     return UnitFacts(bits, unit.motion.state, reading.commanded, reading.actual, is_late)
 
 
-def _lost_at(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnixTime | None:
-    """When a unit was found not to respond; None: it was not."""
+def _lost_at(bus: BusLive, unit: UnitLive, now: UnixTime, patience_s: float) -> UnixTime | None:
+    """When a unit was found not to respond for ``patience_s``; None: it was not."""
     if unit.reading is not None and unit.link.link == "offline":
         return unit.link.at
     seen_at = bus.link_onset.at if unit.reading is None else unit.reading.at
-    lost_at = seen_at + offline_after_s(scan_s_of(bus))
+    lost_at = seen_at + patience_s
     return lost_at if now > lost_at else None
 
 

@@ -16,7 +16,7 @@ from app.live.screen.cause_text import cause_texts, check_text, joined
 from app.live.screen.diff import FlatFields, Groups, merge_groups, put_fields
 from app.live.screen.fields import Fields, Translator, bus_fields, draw_fields, unit_fields, unit_key
 from app.live.screen.sources import Sources
-from app.live.screen.totals import AbnormalItem, entries_of, line_fields
+from app.live.screen.totals import AbnormalItem, abnormal_of, entries_of, line_fields
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, LiveState, UnitLive
 from app.live.state.draw import draw_of
@@ -41,6 +41,7 @@ class Screen:
     sources: Sources
     shown: Groups = field(default_factory=dict)
     entries: list[AbnormalItem] = field(default_factory=list)
+    """The worst of what is abnormal now, and those of the strip."""
     _views: dict[str, UnitView] = field(default_factory=dict)
 
     def see(self, bus_name: str, units: Iterable[int], now: UnixTime, *, include_bus: bool) -> Groups:
@@ -120,5 +121,6 @@ class Screen:
         buses, views = self.live.here, self._views
         if len(buses) < len(self.live.buses):
             views = {key: view for key, view in views.items() if key.partition("/")[0] in buses}
-        self.entries = entries_of(buses, views, self.translator, now)
-        return line_fields(buses, views, self.entries, self.translator, now)
+        found = abnormal_of(buses, views, now)
+        self.entries = entries_of(found, self.translator, now)
+        return line_fields(buses, views, found, self.entries, self.translator, now)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from app.conditions.priority import PRIORITIES
 from app.live.diagnosis.abnormal import UnitView, all_offline, state_counts
@@ -44,48 +45,54 @@ class AbnormalItem:
         return f"/units/{self.key}" if "/" in self.key else f"/bus/{self.key}"
 
 
-def entries_of(
-    buses: Mapping[str, BusLive], views: Views, translator: Translator, now: UnixTime
-) -> list[AbnormalItem]:
+class NamedCause(NamedTuple):
+    """A cause that is abnormal, with the group and the name of its unit or bus; it has no texts yet."""
+
+    key: str
+    name: str
+    cause: Cause
+
+
+def abnormal_of(buses: Mapping[str, BusLive], views: Views, now: UnixTime) -> list[NamedCause]:
     """Everything abnormal, the worst first, in floor order; one cause is named once."""
-    found: list[tuple[str, str, Cause]] = []
+    found: list[NamedCause] = []
     for name, bus in buses.items():
-        of_bus = [(key, views[key]) for number in bus.units if (key := unit_key(name, number)) in views]
         cause = bus_cause(bus, now) or all_offline(bus, now)
         if cause is not None:
-            found.append((name, name, cause))
-        else:
-            found += [
-                (key, name_on_site(name, view.unit.settings.name, buses), view.cause)
-                for key, view in of_bus
-                if view.cause and view.level
-            ]
-    found.sort(key=lambda entry: LEVELS.index(entry[2].level))
+            found.append(NamedCause(name, name, cause))
+            continue
+        for number in bus.units:
+            view = views.get(key := unit_key(name, number))
+            if view is not None and view.cause is not None and view.cause.level:
+                found.append(NamedCause(key, name_on_site(name, view.unit.settings.name, buses), view.cause))
+    found.sort(key=lambda each: LEVELS.index(each.cause.level))
+    return found
+
+
+def entries_of(found: Sequence[NamedCause], translator: Translator, now: UnixTime) -> list[AbnormalItem]:
+    """The worst of what was found, for the verdict, and those that the strip has room for: no page
+    shows the texts of the others."""
     return [
-        AbnormalItem(
-            key,
-            name,
-            cause.level,
-            *cause_texts(cause, translator, now),
-        )
-        for key, name, cause in found
+        AbnormalItem(key, name, cause.level, *cause_texts(cause, translator, now))
+        for key, name, cause in found[: 1 + MAX_ENTRIES]
     ]
 
 
 def strip_of(entries: list[AbnormalItem]) -> list[AbnormalItem]:
     """The items beside the verdict, which names the worst."""
-    return entries[1 : 1 + MAX_ENTRIES]
+    return entries[1:]
 
 
 def line_fields(
     buses: Mapping[str, BusLive],
     views: Views,
+    found: Sequence[NamedCause],
     entries: list[AbnormalItem],
     translator: Translator,
     now: UnixTime,
 ) -> Fields:
-    """The fields of the line. The verdict is the worst cause, after the name of its unit: ``cause`` after
-    ``name``."""
+    """The fields of the line; ``entries``: of what was ``found``. The verdict is the worst cause, after the
+    name of its unit: ``cause`` after ``name``."""
     counts = state_counts(views.values())
     worst = entries[0] if entries else None
     name, cause = (
@@ -97,13 +104,13 @@ def line_fields(
         "name": name,
         "cause": cause,
         "at": worst.href if worst else "",
-        "counts": translator.t(Message.of("line_abnormal", n=len(entries))) if worst else "",
+        "counts": translator.t(Message.of("line_abnormal", n=len(found))) if worst else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
         "strip": [
             [entry.key, entry.level, entry.name, entry.text, entry.since] for entry in strip_of(entries)
         ],
-        "abnormal": f"{len(entries)}",
-        "named": _named(entries, views, translator),
+        "abnormal": f"{len(found)}",
+        "named": _named(found, views, translator, now),
     } | _figures(buses, translator, now)
 
 
@@ -137,10 +144,14 @@ def holders(held_by: Mapping[str, str], translator: Translator) -> str:
     return ", ".join(one.replace(" ", NO_BREAK) for one in parts)
 
 
-def _named(entries: list[AbnormalItem], views: Views, translator: Translator) -> str:
+def _named(found: Sequence[NamedCause], views: Views, translator: Translator, now: UnixTime) -> str:
     """What the pages without the strip name beside the verdict: each bus that is abnormal, each block."""
-    worst = entries[0].key if entries else ""
-    buses = [f"{entry.name}: {entry.line}" for entry in entries[1:] if "/" not in entry.key]
+    worst = found[0].key if found else ""
+    buses = [
+        f"{name}: {cause_texts(cause, translator, now).line}"
+        for key, name, cause in found[1:]
+        if "/" not in key
+    ]
     blocks = [
         f"{view.unit.settings.name} {translator.t('blocked')}: {view.blocked}"
         for key, view in views.items()
