@@ -150,7 +150,7 @@ async def test_what_was_changed_while_the_server_was_off_is_a_version(tmp_path: 
     async with complete_app(tmp_path, config=config) as house:
         file = house.services[ConfigurationFile]
         assert [each.origin for each in await file.versions()] == ["by_hand", "found"]
-        assert "configuration file changed by hand, version 2" in [
+        assert "configuration file changed outside Lineside, version 2" in [
             event["what"] for event in await house.events("configuration")
         ]
 
@@ -212,7 +212,7 @@ async def test_a_change_by_hand_is_recorded_once_the_audit_log_is_back(
             await file.present()
     await file.present()
     assert (await file.versions())[0].origin == "by_hand"
-    assert "changed by hand" in (await house.events("configuration"))[0]["what"]
+    assert "changed outside Lineside" in (await house.events("configuration"))[0]["what"]
 
 
 async def test_without_the_audit_log_nothing_is_written(

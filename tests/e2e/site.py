@@ -175,6 +175,10 @@ class Site:
         """Its lineside.toml."""
         return self.folder / "lineside.toml"
 
+    def configure(self, toml: str = "", turnaround_ms: int = 500) -> None:
+        """Write its lineside.toml."""
+        self.config.write_text(_configuration(self, toml, turnaround_ms), encoding="utf-8")
+
     def start(self) -> None:
         """Start ``lineside serve`` and wait until it responds."""
         self.log = (self.folder / "serve.log").open("ab")
@@ -317,7 +321,7 @@ def site(
     try:
         for name, count in (more or {}).items():
             made.more[name] = (start_line(folder, count, *line_options, name=name), count)
-        made.config.write_text(_configuration(made, toml, turnaround_ms), encoding="utf-8")
+        made.configure(toml, turnaround_ms)
         made.environment = environment or {}
         made.installed = installed
         made.add_people(store)

@@ -18,13 +18,28 @@ PHONE = {"width": 360, "height": 740}
 BETWEEN_TAPS_MS = 350
 UNITS = (2, 3, 4)
 MAX_ROW_PX = {1280: 48, 360: 140}
-"""Twelve rows of a panel are in its window; on a phone a hundred are in less than twenty screens."""
-MIN_GAP_PX = 8
-GAPS = """rows => {
-    const boxes = [...rows.querySelectorAll("button")].map(button => button.getBoundingClientRect());
-    return boxes.slice(1).map((box, number) => box.top - boxes[number].bottom);
+"""On a phone a hundred rows are in less than twenty screens."""
+MIN_ROWS = 12
+"""In the window of a panel, below the strip of a simulated line."""
+STRIP_PX = 24
+ROWS = """({ strip, row }) => {
+    const { top } = document.querySelector("#alarms tbody").getBoundingClientRect();
+    return (innerHeight - strip - top) / row;
 }"""
-"""From each button of a row to that of the next."""
+MIN_TARGET_PX = 48
+MIN_GAP_PX = 12
+TARGETS = """rows => [...rows.querySelectorAll("button")].map(button => {
+    const { left, top, right, bottom } = button.getBoundingClientRect();
+    const [x, y] = [(left + right) / 2, (top + bottom) / 2];
+    const isHit = (at, to) => button.contains(document.elementFromPoint(at, to));
+    const reach = (across, down) => {
+        let px = 0.5;
+        while (isHit(x + px * across, y + px * down)) px += 0.5;
+        return px - 0.5;
+    };
+    return { left: x - reach(-1, 0), top: y - reach(0, -1), right: x + reach(1, 0), bottom: y + reach(0, 1) };
+})"""
+"""What a finger presses of the button of each row, to half a pixel."""
 NO_TENSION_ALARM = """
 [[built_in_alarm]]
 code = "analog_out_of_limits"
@@ -81,6 +96,7 @@ def places(page: Page) -> dict[int, list[float]]:
     return {unit: row(page, unit).evaluate(PLACE) for unit in UNITS}
 
 
+RENAME = "(place, name) => { place.textContent = name; }"
 BOXES = """() => [...document.querySelectorAll(".top, .top > *, .top__end > *")].map(part => {
     const { left, top, width, height } = part.getBoundingClientRect();
     return [part.className, left, top, width, height];
@@ -93,6 +109,19 @@ def pressed(button: Locator, head: Locator) -> bool:
     if button.is_visible():
         button.click()
     return head.get_attribute("data-is") == "low"
+
+
+def check_targets(page: Page) -> None:
+    """Each button of a row is large enough for a glove, and far enough from those of the other rows."""
+    targets = page.locator("#alarms tbody").evaluate(TARGETS)
+    assert len(targets) == len(UNITS)
+    for at, one in enumerate(targets):
+        size = min(one["right"] - one["left"], one["bottom"] - one["top"])
+        assert size >= MIN_TARGET_PX - 1, "half a pixel at each end is not measured"
+        for other in targets[at + 1 :]:
+            across = max(one["left"] - other["right"], other["left"] - one["right"])
+            down = max(one["top"] - other["bottom"], other["top"] - one["bottom"])
+            assert max(across, down) >= MIN_GAP_PX
 
 
 def row(page: Page, unit: int) -> Locator:
@@ -128,7 +157,15 @@ def test_two_taps_on_one_place_acknowledge_one_alarm(
     before = places(page)
     heights = [height for _, _, _, height in before.values()]
     assert max(heights) <= MAX_ROW_PX[page.viewport_size["width"]]  # type: ignore[index]
-    assert min(page.locator("#alarms tbody").evaluate(GAPS)) >= MIN_GAP_PX
+    check_targets(page)
+    if context["viewport"] == PANEL:
+        assert page.evaluate(ROWS, {"strip": STRIP_PX, "row": max(heights)}) >= MIN_ROWS
+    place = page.locator("#alarms .alarm__place > span").first
+    name = place.inner_text()
+    place.evaluate(RENAME, "Glättwerkzylinder-Oberwalzenantrieb-Nordseite-Trockenpartie")
+    assert places(page) == before
+    assert place.evaluate("place => place.scrollHeight > place.clientHeight"), "it is cut"
+    place.evaluate(RENAME, name)
     order = page.locator("#alarms tbody tr").evaluate_all("rows => rows.map(row => row.id)")
     unit = int(order[0].split(".")[1])
     tap_twice(page, row(page, unit).get_by_role("button"))

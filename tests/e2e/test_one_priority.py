@@ -1,4 +1,5 @@
-"""One condition has one priority wherever it is shown: verdict, tile, faceplate, unit page, alarms, head."""
+"""One condition has one priority wherever it is shown: verdict, tile, faceplate, unit page, alarms, head,
+wallboard."""
 
 from __future__ import annotations
 
@@ -51,6 +52,11 @@ def priorities(page: Page) -> dict[str, str]:
     shown["unit page"] = priority(page.locator(".alarm-words").first)
     page.goto("/alarms")
     shown["list of alarms"] = priority(page.locator(f'[id^="alarm-line.{UNIT}."] .alarm-priority').first)
+    page.goto("/wallboard")
+    section = page.locator(f'.section[data-unit="line/{UNIT}"]')
+    expect(section).not_to_have_attribute("data-is", "")
+    shown["section of the wallboard"] = priority(section)
+    shown["verdict of the wallboard"] = priority(page.locator(".wall__verdict"))
     return shown
 
 
@@ -79,3 +85,24 @@ def test_a_condition_has_one_priority_wherever_it_is_shown(
     finally:
         site.line.remote.do(**end)
         site.end_alarms()
+
+
+COLORS = """section => ["urgent", "high", "medium", "low"].map(level => {
+  section.dataset.is = level;
+  const token = Object.assign(document.createElement("i"), { style: `color: var(--${level})` });
+  section.append(token);
+  const roll = section.querySelector(".section__roll");
+  const colors = [getComputedStyle(roll).borderTopColor, getComputedStyle(token).color];
+  token.remove();
+  return colors;
+})"""
+
+
+@pytest.mark.soak
+def test_a_priority_has_its_color_on_the_wallboard(site: Site, shared_page: OpensPages) -> None:
+    """The roll of a section is in the color that the priority has in the list of alarms."""
+    page = shared_page("operator", site=site, viewport=PANEL)
+    page.goto("/wallboard")
+    found = page.locator(f'.section[data-unit="line/{UNIT}"]').evaluate(COLORS)
+    assert [drawn for drawn, _ in found] == [stated for _, stated in found]
+    assert len({drawn for drawn, _ in found}) == len(found)

@@ -161,6 +161,13 @@ def test_control_is_taken_where_the_line_is_set_to_zero(shared_page: OpensPages)
     expect(page.locator("[data-head-control]")).to_contain_text("Control is free")
 
 
+COVERS = """() => {
+    const { bottom } = document.querySelector("[data-requested]").getBoundingClientRect();
+    return bottom - document.querySelector("main").getBoundingClientRect().top;
+}"""
+"""How many pixels of the page the request for control is over."""
+
+
 def test_control_is_requested_in_the_head_and_a_refused_setpoint_goes_on(
     site: Site, browser_page: OpensPages, axe: Callable[[Page], list[str]]
 ) -> None:
@@ -176,6 +183,7 @@ def test_control_is_requested_in_the_head_and_a_refused_setpoint_goes_on(
     expect(offer).to_contain_text("Requested from operator")
     expect(anna.locator("[role=alert]")).to_contain_text("engineer requests control")
     assert anna.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert anna.evaluate(COVERS) <= 0
     assert axe(anna) == []
     anna.get_by_role("button", name="Hand over control").click()
     expect(ben.locator("[data-head-control]")).to_contain_text("You have control")
@@ -218,6 +226,7 @@ def test_a_request_for_control_is_accessible_and_covers_nothing_of_the_head(
                 page.set_viewport_size({"width": width, "height": 800})
                 buttons = page.locator(".top button:visible, .top a.button:visible")
                 assert buttons.evaluate_all(IN_REACH), width
+                assert page.evaluate(COVERS) <= 0, width
             assert flaws(page, locale) == []
             expect(page.locator("[data-requested]")).to_be_visible()
         finally:

@@ -34,6 +34,8 @@ PATHS = [
     "/recipes",
     "/recipes/1",
     "/notifications",
+    "/configuration",
+    "/configuration/tables/bus.0.unit.0",
     "/account",
 ]
 

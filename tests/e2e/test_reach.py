@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.site import AT_REST, Site
@@ -22,6 +22,8 @@ PAGES = (
     "/bus/line",
     "/sets",
     "/batch/line?number=6",
+    "/configuration",
+    "/configuration/tables/bus.0.unit.0",
 )
 COVERED = """() => {
   const pressed = "a[href], button, summary, input:not([type=hidden]), select, textarea";
@@ -46,6 +48,16 @@ CUT = """() => [...document.querySelectorAll(".table--events td, .parts :is(td, 
   .filter(cell => cell.checkVisibility({contentVisibilityAuto: true}))
   .filter(cell => cell.scrollWidth > cell.clientWidth + 1)
   .map(cell => cell.textContent.trim())"""
+NAMES = (
+    "Glättwerkzylinder-Oberwalzenantrieb-Nordseite-Trockenpartie",
+    "Donaudampfschifffahrtsgesellschaftskapitänsmützenfabrikbande",
+    "وحدة سحب الورق الرئيسية في نهاية خط التجفيف الشمالي",
+)
+RENAME = "(name, text) => { name.textContent = text; }"
+IS_CUT = "name => getComputedStyle(name).overflow === 'hidden' && name.scrollWidth > name.clientWidth"
+HAS_ELLIPSIS = (
+    "name => getComputedStyle(name).textOverflow === 'ellipsis' && name.scrollHeight <= name.clientHeight"
+)
 Axe = Callable[[Page], list[str]]
 
 
@@ -133,3 +145,32 @@ def test_on_paper_a_change_has_all_of_its_units(browser_page: OpensPages) -> Non
     expect(units).to_be_visible()
     assert page.evaluate(TOO_WIDE) == []
     assert page.evaluate(CUT) == []
+
+
+def focused(page: Page, link: Locator) -> None:
+    """Put the focus on a link as a key does."""
+    page.keyboard.press("Tab")
+    link.focus()
+
+
+@pytest.mark.parametrize(
+    ("view", "width"), sizes(("matrix", 360), ("matrix", 1280), ("tiles", 1280), ("rows", 1280))
+)
+def test_a_cut_name_has_an_ellipsis_and_is_complete_at_the_focus(
+    site: Site, shared_page: OpensPages, view: str, width: int
+) -> None:
+    page = shared_page("viewer", viewport={"width": width, "height": 740})
+    page.goto(f"/?view={view}")
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    for unit, text in enumerate(NAMES, start=1):
+        name = page.locator(f'[data-unit="line/{unit}"] :is(.cell__name, .tile__name a, .rows__name a)')
+        assert name.get_attribute("title") == site.unit(unit)["name"]
+        name.evaluate(RENAME, text)
+        assert name.evaluate(IS_CUT)
+        assert name.evaluate(HAS_ELLIPSIS)
+        link = name.locator("xpath=ancestor-or-self::a")
+        assert text in link.aria_snapshot()
+        focused(page, link)
+        assert not name.evaluate(IS_CUT)
+        link.evaluate("link => link.blur()")
+        assert name.evaluate(IS_CUT)

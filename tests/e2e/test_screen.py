@@ -29,6 +29,7 @@ PAGES = [
     "/alarms/performance",
     "/alarms/own?place=line/1&value=actual&above=1&days=1",
     "/notifications",
+    "/configuration",
     "/help/hardware",
 ]
 PHONE = {"width": 360, "height": 740}
