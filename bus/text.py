@@ -14,6 +14,10 @@ _UNSEEN = frozenset(("Cc", "Cs", "Zl", "Zp"))
 """Categories of Unicode: control characters, halves of a pair, separators of lines."""
 _TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 """Direction marks, which make a text read differently from its characters."""
+_JOINING = frozenset("\xad\u061c\u200c\u200d\u200e\u200f")
+"""Format characters that scripts, emoji and hyphenation need between letters."""
+_BLANK = frozenset("\u115f\u1160\u2800\u3164\uffa0")
+"""Letters and symbols without a shape."""
 _BREAKS = frozenset("\t\n\r")
 _CREDENTIALS = re.compile(r"(://)\S+@")
 MASK = "…"
@@ -38,6 +42,17 @@ Lines = Annotated[str, AfterValidator(lambda text: _seen(text, _BREAKS))]
 
 def _seen(text: str, allowed: frozenset[str]) -> str:
     for place, sign in enumerate(text, 1):
-        if sign not in allowed and (unicodedata.category(sign) in _UNSEEN or sign in _TURNING):
+        if sign not in allowed and _is_unseen(sign):
             raise ValueError(Message.of("control_character", n=place, code=f"U+{ord(sign):04X}"))
+    if text and not text.isspace() and not any(map(_has_shape, text)):
+        raise ValueError(Message("nothing_to_see"))
     return text
+
+
+def _is_unseen(sign: str) -> bool:
+    category = unicodedata.category(sign)
+    return category in _UNSEEN or sign in _TURNING or (category == "Cf" and sign not in _JOINING)
+
+
+def _has_shape(sign: str) -> bool:
+    return unicodedata.category(sign)[0] in "LNPS" and sign not in _BLANK
