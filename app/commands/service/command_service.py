@@ -213,6 +213,7 @@ class CommandService:
             await self._rights.check(request.person)
             # Before anything is read for it: a user without the right learns that, not the unit's values.
             self._require_right(request.person, request.action, self._guards.use_control)
+            self.undo.refuse_over(request)
             await self.read_ranges(request.person, request.action, request.deadline)
             self._apply_rules(request.action, confirm)
         already = self._cache.find(request.person, request.key)
