@@ -62,7 +62,7 @@ async def test_an_entry_that_is_none_is_named(log: Log, entry: dict[str, object]
         await log.prove()
 
 
-async def test_a_link_out_of_the_folder_is_not_followed_by_what_is_written(log: Log, tmp_path: Path) -> None:
+async def test_a_link_out_of_the_folder_is_not_followed(log: Log, tmp_path: Path) -> None:
     outside = tmp_path / "outside"
     outside.write_text("theirs")
     (log.folder / FIRST).symlink_to(outside)

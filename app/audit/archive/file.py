@@ -22,8 +22,8 @@ from bus.messages import Message
 
 Entry = dict[str, Any]
 MAX_LINE = 1024 * 1024
-"""Characters of an entry; the longest has a few hundred frames. A file that was put there in place of ours may
-unpack to one line without an end."""
+"""Characters of an entry; the longest has a few hundred frames. A file that was put there in place of ours
+may unpack to one line without an end."""
 
 
 class EventArchiveError(StoreError):
