@@ -315,7 +315,8 @@ async def sip(target: Target, begun: bytes, every_s: float = 0.5) -> None:
     """Send ``begun`` and read its response a few bytes at a time."""
     reader, writer = await target.open(begun)
     try:
-        while target.goes_on and await reader.read(16):
+        while target.goes_on:
+            await asyncio.wait_for(reader.readexactly(16), 30)
             await asyncio.sleep(every_s)
     finally:
         writer.transport.abort()

@@ -39,12 +39,13 @@ def reviewed(live: BusLive, form: FormData) -> dict[int, int]:
         text = str(form.get(f"raw-{number}", ""))
         if not text or number in left_out:
             continue
-        if not text.isdecimal() or len(text) > 6:
+        raw = parse_integer(text, 6)
+        if raw is None:
             raise Problem(422, "invalid", Message("not_what_was_reviewed"))
         present = present_setpoint(live, unit)
         if str(form.get(f"was-{number}", "")) != ("" if present is None else str(present)):
             raise Problem(409, "moved", Message.of("setpoint_of_moved", name=unit.settings.name))
-        setpoints[number] = int(text)
+        setpoints[number] = raw
     return setpoints
 
 
