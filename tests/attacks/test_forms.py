@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+import time
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,13 @@ import pytest
 from app.auth.accounts import Accounts
 from app.tray.contents import Trays
 from app.web.access import Role
+from bus.contract import Reading
 from bus.instants import unix_now
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House, complete_app
+from tests.app.played_commands import HEALTHY, REMOTE
 from tests.app.played_line import BUS, PlayedLine, played_line
+from tests.app.stage import until
 
 CONFIGURATION = f"""
 [server]
@@ -198,3 +202,43 @@ async def test_a_tray_of_an_engineer_is_not_sent_by_an_operator(house: House, li
         refused = await send(again, f"/bus/{BUS}/tray/send", {"row": row, "typed": "WRITE"}, "")
         assert refused.status_code >= 400, refused.text
     assert written(line) == []
+
+
+async def carried_out(line: PlayedLine, sending: asyncio.Future[httpx.Response], raw: int) -> httpx.Response:
+    """The response, once unit 1 has taken the setpoint and reads it."""
+    await until(lambda: line.held, "the command")
+    line.live.buses[BUS].apply([Reading(1, time.time(), raw, 0, 0, REMOTE, HEALTHY)])
+    line.end("verified")
+    return await sending
+
+
+RESENT = {
+    "setpoint": (f"/units/{BUS}/1/speed", {"raw": "5", "was": "0", "how": "now"}),
+    "group change": ("/setpoints", {"bus": BUS, "raw-1": "5", "was-1": "0"}),
+}
+
+
+@pytest.mark.parametrize("form", RESENT)
+async def test_a_form_that_is_sent_again_shows_its_result(house: House, line: PlayedLine, form: str) -> None:
+    """The response was lost on the way: to state that nothing was sent would be wrong."""
+    client = await house.signed_in(Role.ENGINEER)
+    path, fields = RESENT[form]
+    done = await carried_out(line, asyncio.ensure_future(send(client, path, fields, "")), 5)
+    again = await send(client, path, {**fields, "reviewed_at": "0"}, "")
+    assert (done.status_code, again.status_code) == (200, 200)
+    assert "nothing was sent" not in again.text
+    assert len(line.held) == 1
+    other = await send(client, path, {**fields, "id": "another-id-of-a-form"}, "")
+    assert (other.status_code, "nothing was sent" in other.text) == (409, True)
+
+
+async def test_a_tray_that_is_sent_again_states_that_it_was_sent(house: House, line: PlayedLine) -> None:
+    client = await house.signed_in(Role.ENGINEER)
+    await client.post(f"/units/{BUS}/1/parameters/read")
+    await send(client, f"/units/{BUS}/1/tray/parameters/6", {"raw": "5"}, "")
+    review = (await client.get(f"/bus/{BUS}/tray/review", headers={"hx-request": "true"})).text
+    [row] = re.findall(r'name="row" value="([^"]+)"', review)
+    done, again = [await send(client, f"/bus/{BUS}/tray/send", {"row": row}, "") for _ in range(2)]
+    assert (done.status_code, again.status_code) == (200, 409)
+    assert "was sent before" in again.text
+    assert line.written == [(1, 6, 5)]
