@@ -113,7 +113,7 @@ async def test_of_two_browsers_at_once_one_writes_and_the_other_is_shown_what_ch
     assert text_of(tmp_path).count('"Unwinder"') == text_of(tmp_path).count('"Wet"') == 1
 
 
-async def test_a_form_of_an_engineer_who_is_one_no_more(house: House, tmp_path: Path) -> None:
+async def test_a_form_of_an_engineer_with_a_lower_role(house: House, tmp_path: Path) -> None:
     client = await house.signed_in(Role.ENGINEER)
     form = {**await form_of(client, name="Unwinder"), "confirmed": "true"}
     await house.services[Accounts].set_role("the-engineer", Role.OPERATOR, **BY)
