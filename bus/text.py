@@ -49,6 +49,15 @@ def _seen(text: str, allowed: frozenset[str]) -> str:
     return text
 
 
+def escaped(text: str) -> str:
+    """The text with a backslash escape in place of each character that a terminal obeys or does not show;
+    lines stay."""
+    return "".join(
+        sign.encode("unicode_escape").decode() if sign not in _BREAKS and _is_unseen(sign) else sign
+        for sign in text
+    )
+
+
 def _is_unseen(sign: str) -> bool:
     category = unicodedata.category(sign)
     return category in _UNSEEN or sign in _TURNING or (category == "Cf" and sign not in _JOINING)
