@@ -33,6 +33,8 @@ HOSTILE = {
     "tag": "a\U000e0041b",
     "nothing but a joiner": "\u200d",
     "nothing but a filler": "\u3164",
+    "a tower of marks": "e" + "\u0301" * 9,
+    "a tower with joiners": "e" + "\u0301\u200d" * 9,
     "ten thousand combining characters": "e" + "\u0301" * 10_000,
     "half a pair": "HALF",
 }
