@@ -6,6 +6,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Iterator
+from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar, cast, get_args, get_origin
 
@@ -15,13 +16,16 @@ from pydantic_core import ErrorDetails
 from bus.errors import LinesideError
 from bus.messages import Message
 from bus.settings import BusSettings
-from bus.text import without_credentials
+from bus.text import MASK, without_credentials
 from bus.validation import fault_message
 
 KeyStep = str | int
 KeyPath = tuple[KeyStep, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
+SECRET_KEYS = ("url", "password", "token", "secret")
+HOLDS_SECRET = re.compile(rf"(?i)(?:^|[\s{{,.#\"'])(?:{'|'.join(SECRET_KEYS)})[\"']?\s*=")
+"""Of a text of TOML with a key whose value may be a secret."""
 _SYNTAX_PLACE = re.compile(r"\(at (?:line (\d+), column \d+|end of document)\)")
 
 
@@ -89,10 +93,13 @@ def read(path: Path) -> str:
 
 def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> Message:
     place = _SYNTAX_PLACE.search(str(error))
-    line = int(place[1]) if place and place[1] else len(text.splitlines())
+    lines = lines_of(text) or [""]
+    line = int(place[1]) if place and place[1] else len(lines)
     message = _SYNTAX_PLACE.sub("", str(error)).strip()
-    written = (text.splitlines() or [""])[max(0, line - 1)].strip()
-    shown = without_credentials(repr(written))
+    written = lines[max(0, line - 1)].strip()
+    before = max((each.last for each in statements("".join(lines[: line - 1]))), default=0)
+    hides = HOLDS_SECRET.search("".join(lines[before:line])) is not None
+    shown = MASK if hides else without_credentials(repr(written))
     return Message.of("configuration_not_toml", file=str(path), line=line, error=message, text=shown)
 
 
@@ -120,13 +127,19 @@ class TomlStatement(NamedTuple):
     last: int
 
 
+def lines_of(text: str) -> list[str]:
+    """The lines of a TOML text with their ends. Other separators, which ``splitlines`` knows, may be inside
+    of a text or a comment."""
+    return StringIO(text, newline="\n").readlines()
+
+
 def statements(text: str) -> Iterator[TomlStatement]:
     """Yield each header and key of a TOML text, which is parsed statement by statement."""
     counts: dict[KeyPath, int] = {}
     table: KeyPath = ()
     statement, begins = "", 1
-    for number, line in enumerate(text.splitlines(), 1):
-        statement += f"{line}\n"
+    for number, line in enumerate(lines_of(text), 1):
+        statement += line
         try:
             parsed = tomllib.loads(statement)
         except tomllib.TOMLDecodeError:
@@ -175,14 +188,14 @@ def _fault_message(model: type[BaseModel], place: KeyPath, details: ErrorDetails
         return Message.of("configuration_needs_key", table=_inside(place), key=key)
     if "at" in details.get("ctx", {}):
         return cast(Message, details["ctx"]["message"])
-    names = ".".join(step for step in place if isinstance(step, str) and step != "[key]")
+    steps = [step for step in place if isinstance(step, str) and step != "[key]"]
+    names = ".".join(steps)
     if details["type"] == "tuple_type" and isinstance(details["input"], dict):
         return Message.of("configuration_needs_array", table=names)
     is_slug = details["type"] == "string_pattern_mismatch"
     right = Message("configuration_slug") if is_slug else fault_message(details)
-    return Message.of(
-        "configuration_value", key=names, value=without_credentials(repr(details["input"])), right=right
-    )
+    value = without_credentials(repr(details["input"])) if set(steps).isdisjoint(SECRET_KEYS) else MASK
+    return Message.of("configuration_value", key=names, value=value, right=right)
 
 
 def _inside(place: KeyPath) -> str:

@@ -60,14 +60,17 @@ class Dialect(StrictModel):
         return value
 
 
+Label = Annotated[OneLine, Field(max_length=80)]
+
+
 class UnitLabels(StrictModel):
     """Names of what is wired to a unit."""
 
-    output: dict[Annotated[int, Field(ge=1, le=6)], OneLine] = {}
-    input: dict[Literal["run", "estop", "preset", "reverse", "up", "down", "slave"], OneLine] = {}
-    analog: OneLine = ""
-    analog_unit: OneLine = ""
-    unit: OneLine = ""
+    output: dict[Annotated[int, Field(ge=1, le=6)], Label] = {}
+    input: dict[Literal["run", "estop", "preset", "reverse", "up", "down", "slave"], Label] = {}
+    analog: Label = ""
+    analog_unit: Label = ""
+    unit: Label = ""
     """What the display shows, for example m/min."""
 
 
@@ -100,7 +103,7 @@ class UnitSettings(StrictModel):
 
     id: Annotated[int, Field(strict=True, ge=1, le=255)]
     name: Annotated[OneLine, Field(min_length=1, max_length=60)]
-    group: OneLine = ""
+    group: Label = ""
     draw_percent: DrawBand | None = None
     """Band of the draw to the unit before; None: that of the bus."""
     labels: UnitLabels = UnitLabels()

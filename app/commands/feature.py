@@ -54,7 +54,8 @@ def make(services: Services) -> None:
         )
         services.at_home(name).add(f"safeguards of {name}", start=of_bus.add(guards).load)
         live, channel = of_bus[BusLive], of_bus[Channel]
-        of_bus.add(CommandService(live, channel, record, idempotency, guards, rights))
+        service = of_bus.add(CommandService(live, channel, record, idempotency, guards, rights))
+        services.at_home(name).add(f"undo of {name}", start=service.undo.forget)
     here, guards_of = services[LiveState], services.of_buses(Safeguards)
     services.add(HeadControl(lambda: [guards_of[name].bus_control() for name in here.here]))
 

@@ -21,6 +21,8 @@ from bus.catalogue.numbers import ACCELERATION, DECELERATION, MAX_DISPLAY, RATIO
 from bus.instants import UnixTime
 from bus.messages import Message
 
+REVIEW_LASTS_S = 45.0
+"""Thirty seconds on the screen, and something for the way."""
 COARSE_STEPS, FINE_STEPS = 100, 1000
 """A nudge is about a hundredth or a thousandth of the full span."""
 

@@ -23,6 +23,7 @@ from app.web.api_route import ApiRoute
 from app.web.services import service
 from app.web.shape import MessageObject, StrictBody
 from bus.messages import Message
+from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/configuration", tags=["configuration"], route_class=ApiRoute)
 
@@ -31,6 +32,7 @@ ConfigurationChanger = Annotated[Person, CHANGE.permitted]
 SetValue = str | bool | int | float | list[str | int | float]
 TableName = Annotated[str, Path(max_length=80, description="Keys and indexes, such as bus.0.unit.1.")]
 FileDigest = Annotated[str, Field(max_length=64, description="Of the file that the change began from.")]
+MAX_REASON = 200
 VersionNumber = Annotated[int, Path(ge=1, le=2**31, description="Number of a version.")]
 
 
@@ -79,7 +81,7 @@ class ConfigurationRollBackRequest(StrictBody):
     """``review``: nothing is written."""
 
     digest: FileDigest
-    reason: Annotated[str, Field(max_length=200, description="Why, for the audit log.")] = ""
+    reason: Annotated[OneLine, Field(max_length=MAX_REASON, description="Why, for the audit log.")] = ""
     review: bool = False
 
 

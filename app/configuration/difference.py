@@ -13,9 +13,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from bus.configuration import HOLDS_SECRET, lines_of
+
 CONTEXT = 2
 """Lines that are shown around a change."""
-_SECRET = re.compile(r"(?i)(?:^|[\s{,.#\"'])(?:url|password|token|secret)[\"']?\s*=")
 _IN_URL = re.compile(r"(\w+://)[^\s/@\"']*@")
 _KEY = secrets.token_bytes(16)
 """Another one in each run, so that the digest of a simple password cannot be looked up."""
@@ -34,9 +35,9 @@ def masked(text: str) -> str:
     """The text as people see it: of each key that may hold a secret only whether it changes, also in a
     comment. The file of a secret is no secret."""
     lines, open_statement = [], ""
-    for line in text.splitlines():
+    for line in _bare_lines(text):
         statement = f"{open_statement}{line}\n"
-        hides = _SECRET.search(statement) is not None
+        hides = HOLDS_SECRET.search(statement) is not None
         lines.append(
             _masked_line(line, follows=bool(open_statement)) if hides else _IN_URL.sub(r"\1…@", line)
         )
@@ -46,7 +47,11 @@ def masked(text: str) -> str:
 
 def difference(before: str, now: str) -> list[DifferenceLine]:
     """The lines that differ, each with those around it; of secrets, that they differ."""
-    return list(_lines(masked(before).splitlines(), masked(now).splitlines()))
+    return list(_lines(_bare_lines(masked(before)), _bare_lines(masked(now))))
+
+
+def _bare_lines(text: str) -> list[str]:
+    return [line.rstrip("\r\n") for line in lines_of(text)]
 
 
 def _lines(old: list[str], new: list[str]) -> Iterator[DifferenceLine]:

@@ -12,13 +12,14 @@ from datetime import date
 from itertools import pairwise
 from typing import Any
 
-from bus.configuration import KeyPath, statements
+from bus.configuration import KeyPath, lines_of, statements
 from bus.errors import CallerError
 from bus.messages import Message
 
 TomlValue = str | bool | int | float | date | list[Any]
 Edit = Callable[[str], str]
 """Makes the new text of the file from the present one. Raises CallerError."""
+_DELETE = "\x7f"
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -69,7 +70,7 @@ def without(text: str, table: KeyPath) -> str:
     del array[index]
     if not array:
         del at(wanted, table[:-2])[table[-2]]
-    lines = text.splitlines(keepends=True)
+    lines = lines_of(text)
     start, end = _block(lines, text, table)
     while end < len(lines) and not lines[end].strip():
         end += 1
@@ -84,7 +85,7 @@ def moved_up(text: str, table: KeyPath) -> str:
     if not isinstance(array, list) or not isinstance(index, int) or not 0 < index < len(array):
         raise WrittenOtherwiseError
     array[index - 1], array[index] = array[index], array[index - 1]
-    lines = text.splitlines(keepends=True)
+    lines = lines_of(text)
     first, first_end = _block(lines, text, (*table[:-1], index - 1))
     second, second_end = _block(lines, text, table)
     if lines and not lines[-1].endswith("\n"):
@@ -139,7 +140,7 @@ def _data_with(data: Any, table: KeyPath, changes: Mapping[str, TomlValue | None
 
 
 def _with_value(text: str, table: KeyPath, key: tuple[str, ...], value: TomlValue | None) -> str:
-    path, found, lines = table + key, list(statements(text)), text.splitlines(keepends=True)
+    path, found, lines = table + key, list(statements(text)), lines_of(text)
     there = next((each for each in found if not each.is_header and path in each.paths), None)
     if there is not None:
         old = "".join(lines[there.first - 1 : there.last])
@@ -163,7 +164,7 @@ def _with_value(text: str, table: KeyPath, key: tuple[str, ...], value: TomlValu
 
 def _with_element(text: str, table: KeyPath, values: Mapping[str, TomlValue | None]) -> str:
     """A new element of an array goes behind the last one, else behind what it is in, else to the end."""
-    lines, end = text.splitlines(keepends=True), None
+    lines, end = lines_of(text), None
     if table[-1]:
         end = _block(lines, text, (*table[:-1], int(table[-1]) - 1))[1]
     elif len(table) > 2 and any(each.paths[0][: len(table) - 2] == table[:-2] for each in statements(text)):
@@ -238,11 +239,11 @@ def _dotted(path: Any) -> str:
 
 
 def _written(value: TomlValue) -> str:
-    """A value as TOML has it: JSON's texts are TOML's too."""
+    """A value as TOML has it: JSON's texts are TOML's too, but for one control character."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, list):
         return f"[{', '.join(map(_written, value))}]"
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
+        return json.dumps(value, ensure_ascii=False).replace(_DELETE, "\\u007f")
     return value.isoformat() if isinstance(value, date) else repr(value)

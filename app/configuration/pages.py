@@ -12,7 +12,7 @@ from starlette.responses import RedirectResponse, Response
 
 from app.conditions.catalogue import CONDITIONS
 from app.configuration.acts import ROLL_BACK
-from app.configuration.api import ConfigurationChanger, FileOfServer
+from app.configuration.api import MAX_REASON, ConfigurationChanger, FileOfServer
 from app.configuration.difference import difference, masked
 from app.configuration.document import at, content_of
 from app.configuration.edits import act_on, edit_of
@@ -33,9 +33,10 @@ from app.notification.settings import DAYS
 from app.web.access import Person
 from app.web.formats import Formats
 from app.web.templating import render, templates_of
-from bus.configuration import statements
+from bus.configuration import lines_of, statements
 from bus.errors import CallerError
 from bus.messages import Message
+from bus.text import OneLine
 
 router = APIRouter(include_in_schema=False)
 
@@ -47,8 +48,7 @@ _WORDS = {day: Message(f"day_{number}") for number, day in enumerate(DAYS)} | {
     code: Message(CONDITIONS[code].texts[0]) for code in ALARM_CODES
 }
 """Of the choices of a field."""
-MAX_REASON = 200
-ReasonOfChange = Annotated[str, Form(max_length=MAX_REASON)]
+ReasonOfChange = Annotated[OneLine, Form(max_length=MAX_REASON)]
 
 
 class ShownTable(NamedTuple):
@@ -96,13 +96,17 @@ async def configuration_table_page(
 
 @router.post("/configuration/tables/{name}")
 async def change_configuration_table(
-    request: Request, person: ConfigurationChanger, file: FileOfServer, name: str
+    request: Request,
+    person: ConfigurationChanger,
+    file: FileOfServer,
+    name: str,
+    reason_of_change: ReasonOfChange = "",
 ) -> Response:
     """Review what was typed; with ``confirmed`` write it. A file that was changed meanwhile is shown as it is
     now, with what was typed."""
     form = await request.form()
     try:
-        return await _changed(request, person, file, name, form)
+        return await _changed(request, person, file, name, form, reason_of_change)
     except Problem as problem:
         if problem.code != "superseded":
             raise
@@ -110,13 +114,9 @@ async def change_configuration_table(
 
 
 async def _changed(
-    request: Request, person: Person, file: ConfigurationFile, name: str, form: FormData
+    request: Request, person: Person, file: ConfigurationFile, name: str, form: FormData, reason: str
 ) -> Response:
-    digest, reason, present = (
-        _text_in(form, "digest"),
-        _text_in(form, "reason_of_change"),
-        await file.present(),
-    )
+    digest, present = _text_in(form, "digest"), await file.present()
     file.refuse_superseded(present, digest)
     place = place_or_404(name, present.data)
     texts, kind, act = _typed(request, place, form), _text_in(form, "act"), act_on(place)
@@ -134,7 +134,7 @@ async def _changed(
     if not _text_in(form, "confirmed"):
         fields = {"act": kind, **texts}
         return _review(request, file, present, review, f"/configuration/tables/{name}", fields)
-    version = await file.save(person, act, edit, digest, reason[:MAX_REASON])
+    version = await file.save(person, act, edit, digest, reason)
     return RedirectResponse(f"/configuration?done={version.number}", SEE_OTHER)
 
 
@@ -192,7 +192,7 @@ def _review(
         action=action,
         fields=fields,
         shown=shown,
-        is_masked=shown.splitlines() != review.text.splitlines(),
+        is_masked=lines_of(shown) != [f"{line.rstrip()}\n" for line in lines_of(review.text)],
     )
 
 

@@ -25,7 +25,7 @@ from app.errors import Problem
 from app.tray.contents import place_of, steps_of
 from app.tray.own_tray import OwnTray
 from app.tray.rows import ON_OFF, TrayRow, unable_units
-from app.tray.sending import TrayResult, send_changes
+from app.tray.sending import TrayResult, first_id, send_changes
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message, term
 
@@ -132,6 +132,8 @@ async def send_tray(
     from the review."""
     tray, left_out = OwnTray(page), left_out_of(await request.form())
     try:
+        if page.has_sent(first_id(confirmed.id)):
+            raise Problem(409, "not_in_state", Message("tray_sent_before"))
         confirmed.refuse_lapsed()
         _refuse_without_control(page)
         rows = _confirmed_rows(tray, _reviewed(row or []), left_out)

@@ -37,6 +37,11 @@ class TrayResult:
         return not isinstance(self.part, Message) and self.part.outcome in _DONE
 
 
+def first_id(id: str) -> str:
+    """The id of the first command of a change."""
+    return f"{id}-0"
+
+
 async def send_changes(
     commands: CommandService, person: Person, bus: BusLive, changes: Values, id: str, made_at: Monotonic
 ) -> list[TrayResult]:

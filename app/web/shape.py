@@ -19,6 +19,9 @@ from bus.instants import UnixTime
 from bus.messages import ENGLISH, Message, shown
 
 _NUMBER = re.compile(r"-?[\d.,]+")
+_FORMULA = re.compile(r"(?:^|(?<=[;\t\r\n]))(?=[ \"]*[=+\-@\uff1d\uff0b\uff0d\uff20])")
+"""Where a spreadsheet takes what follows for a formula: where a cell begins, by a semicolon, which separates
+cells in most of Europe, too; the wide signs count in Japanese."""
 
 
 class StrictBody(BaseModel):
@@ -85,7 +88,7 @@ def csv_text(rows: Iterable[Iterable[str]]) -> str:
 def csv_cell(value: object) -> str:
     """Text that a spreadsheet would take for a formula is kept text (OWASP, CSV injection)."""
     text = "" if value is None else str(value)
-    return f"'{text}" if text.startswith(("=", "+", "-", "@")) and not _NUMBER.fullmatch(text) else text
+    return text if _NUMBER.fullmatch(text) else _FORMULA.sub("'", text)
 
 
 class MessageShown(TypedDict):

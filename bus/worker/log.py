@@ -9,6 +9,9 @@ from contextlib import suppress
 from typing import TextIO, cast
 
 import structlog
+from structlog.typing import EventDict, WrappedLogger
+
+from bus.text import escaped
 
 
 class BestEffortStream(io.TextIOBase):
@@ -27,16 +30,25 @@ class BestEffortStream(io.TextIOBase):
             self._stream.flush()
 
 
+def without_escapes(_logger: WrappedLogger, _method: str, event: EventDict) -> EventDict:
+    """A line of the log for a terminal, which obeys nothing that a client has sent."""
+    return {name: escaped(value) if isinstance(value, str) else value for name, value in event.items()}
+
+
 def configure_log() -> None:
     """Log on standard error: for people on a terminal, one JSON object a line otherwise."""
-    people = sys.stderr.isatty()
+    renderers = (
+        [without_escapes, structlog.dev.ConsoleRenderer()]
+        if sys.stderr.isatty()
+        else [structlog.processors.JSONRenderer()]
+    )
     structlog.configure(
         processors=[
             structlog.contextvars.merge_contextvars,
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.format_exc_info,
-            structlog.dev.ConsoleRenderer() if people else structlog.processors.JSONRenderer(),
+            *renderers,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
         logger_factory=structlog.PrintLoggerFactory(cast(TextIO, BestEffortStream(sys.stderr))),

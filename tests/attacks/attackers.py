@@ -311,6 +311,55 @@ async def streams_that_no_one_reads(target: Target) -> None:
     await many(target, 100, lambda _: hold(target, head))
 
 
+async def sip(target: Target, begun: bytes, every_s: float = 0.5) -> None:
+    """Send ``begun`` and read its response a few bytes at a time."""
+    reader, writer = await target.open(begun)
+    try:
+        while target.goes_on:
+            await asyncio.wait_for(reader.readexactly(16), 30)
+            await asyncio.sleep(every_s)
+    finally:
+        writer.transport.abort()
+
+
+@attack
+async def streams_read_slowly(target: Target) -> None:
+    heads = [target.head("GET /api/v1/stream", role) + b"\r\n" for role in ("viewer", "operator", "admin")]
+    await many(target, 60, lambda number: sip(target, heads[number % 3]))
+
+
+@attack
+async def streams_without_a_sign_in(target: Target) -> None:
+    head = target.head("GET /api/v1/stream") + b"\r\n"
+    await many(target, 200, lambda _: hold(target, head))
+
+
+@attack
+async def wallboards_without_end(target: Target) -> None:
+    request = target.head("GET /wallboard", "viewer", "Connection: close\r\n") + b"\r\n"
+    await many(target, 12, lambda _: target.send(request))
+
+
+@attack
+async def wallboards_without_a_sign_in(target: Target) -> None:
+    request = target.head("GET /wallboard", more="Connection: close\r\nAccept: text/html\r\n") + b"\r\n"
+    await many(target, 60, lambda _: target.send(request))
+
+
+@attack
+async def wallboards_read_slowly(target: Target) -> None:
+    head = target.head("GET /wallboard", "viewer") + b"\r\n"
+    await many(target, 200, lambda _: sip(target, head))
+
+
+EVERY_LINE = frame(0x81, b'{"lines":true,"want":"snapshot"}')
+
+
+@attack
+async def wallboards_by_the_hundred_that_no_one_reads(target: Target) -> None:
+    await many(target, 200, lambda _: live(target, EVERY_LINE, 0.5, reads=False))
+
+
 @attack
 async def streams_that_open_and_close(target: Target) -> None:
     head = target.head("GET /api/v1/stream", "viewer", "Connection: close\r\n") + b"\r\n"

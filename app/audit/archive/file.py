@@ -21,6 +21,9 @@ from app.errors import StoreError
 from bus.messages import Message
 
 Entry = dict[str, Any]
+MAX_LINE = 1024 * 1024
+"""Characters of an entry; the longest has a few hundred frames. A file that was put there in place of ours
+may unpack to one line without an end."""
 
 
 class EventArchiveError(StoreError):
@@ -58,7 +61,7 @@ class ArchiveWriter:
         if sum(1 for _ in entries_in(self._path)) != self.entries:
             raise EventArchiveError(Message.of("audit_archive_not_read_back", file=str(self._path)))
         for path in (self._folder / name for name in _names(self._month)):
-            if os.path.lexists(path) and digest_of(path) != digest:
+            if os.path.lexists(path) and not (path.is_file() and digest_of(path) == digest):
                 continue
             self._path.replace(path)
             sync_folder(self._folder)
@@ -87,11 +90,19 @@ def entries_in(path: Path) -> Iterator[Entry]:
     """The entries of a file as the store had them, without what they are a part of. Raises EventArchiveError,
     OSError."""
     try:
+        if not path.is_file():
+            raise ValueError("no file")
         with gzip.open(path, "rt", encoding="utf-8") as lines:
-            for line in lines:
-                entry = json.loads(line)
-                if not isinstance(entry, Mapping) or not isinstance(entry.get("id"), int):
-                    raise ValueError("no entry")
-                yield {name: value for name, value in entry.items() if name != "part_of"}
-    except (EOFError, ValueError, zlib.error, gzip.BadGzipFile) as error:
+            while line := lines.readline(MAX_LINE):
+                yield _entry_of(line)
+    except (EOFError, RecursionError, ValueError, zlib.error, gzip.BadGzipFile) as error:
         raise EventArchiveError(Message.of("audit_archive_unreadable", file=path.name)) from error
+
+
+def _entry_of(line: str) -> Entry:
+    entry = json.loads(line)
+    if not isinstance(entry, Mapping) or not isinstance(entry.get("id"), int):
+        raise ValueError("no entry")
+    if any(isinstance(value, dict | list) for value in entry.values()):
+        raise ValueError("no row of the store")
+    return {name: value for name, value in entry.items() if name != "part_of"}

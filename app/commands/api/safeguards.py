@@ -224,7 +224,7 @@ async def request_control(
 ) -> ControlShown:
     """Request control from its holder, on every page that the holder has open. Only the holder grants it."""
     await guards.request(person)
-    response.headers.update(guards.request_limit.headers)
+    response.headers.update(guards.request_limit(person).headers)
     return _control_json(guards)
 
 

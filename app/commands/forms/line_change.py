@@ -31,20 +31,22 @@ def left_out_of(form: FormData) -> set[int]:
     return {unit for unit in units if unit is not None}
 
 
-def reviewed(live: BusLive, form: FormData) -> dict[int, int]:
+def reviewed(live: BusLive, form: FormData, *, is_sent: bool) -> dict[int, int]:
     """The new setpoints, raw, by address, of the units that are not left out. Raises Problem 409 where one
-    has moved since the review."""
+    has moved since the review; ``is_sent``: by this change itself, whose form is here again."""
     setpoints, left_out = {}, left_out_of(form)
     for number, unit in live.units.items():
         text = str(form.get(f"raw-{number}", ""))
         if not text or number in left_out:
             continue
-        if not text.isdecimal() or len(text) > 6:
+        raw = parse_integer(text, 6)
+        if raw is None:
             raise Problem(422, "invalid", Message("not_what_was_reviewed"))
         present = present_setpoint(live, unit)
-        if str(form.get(f"was-{number}", "")) != ("" if present is None else str(present)):
+        was = str(form.get(f"was-{number}", ""))
+        if not is_sent and was != ("" if present is None else str(present)):
             raise Problem(409, "moved", Message.of("setpoint_of_moved", name=unit.settings.name))
-        setpoints[number] = int(text)
+        setpoints[number] = raw
     return setpoints
 
 

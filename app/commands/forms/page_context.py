@@ -17,6 +17,7 @@ from app.commands.catalogue import kind_of_command, timeout_s_for
 from app.commands.forms.outcome import OutcomeText, outcome_text
 from app.commands.forms.undo_shown import UndoShown, undo_shown
 from app.commands.review import (
+    REVIEW_LASTS_S,
     SetpointChange,
     change_of,
     obstacle_of,
@@ -46,8 +47,6 @@ from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
-REVIEW_LASTS_S = 45.0
-"""Thirty seconds on the screen, and something for the way."""
 _RESULT: dict[str, Any] = {"requested": "", "reads": "", "undo": None, "controlled": ""}
 """What a result shows where nothing else is given."""
 
@@ -211,9 +210,14 @@ class BusPage(PageContext):
             self.person, action, deadline=deadline, confirm=True, id=id, origin="page", undoes=undoes
         )
 
+    def has_sent(self, id: str) -> bool:
+        """Whether the form was sent before: its command is not judged again, its result is shown."""
+        return self.commands.has_taken(self.person, id)
+
     async def carry_out(self, action: Action, confirmation: Confirmation) -> Result:
         """Send what was confirmed while its review lasts. Raises Problem where it is not sent."""
-        confirmation.refuse_lapsed()
+        if not self.has_sent(confirmation.id):
+            confirmation.refuse_lapsed()
         return await self.send(action, confirmation.id, undoes=confirmation.undoes)
 
     def outcome(self, result: Result | UnitOutcome, unit: int) -> OutcomeText:

@@ -57,9 +57,11 @@ async def control(
             case "request":
                 await page.guards.request(person)
             case "grant":
-                await page.guards.grant(person)
-            case "decline" | "withdraw":
-                await page.guards.end_request(person)
+                await page.guards.grant(person, shown=to)
+            case "decline":
+                await page.guards.end_request(person, shown=to)
+            case "withdraw":
+                await page.guards.end_request(person, shown=person.account)
             case _ if to in others(page):
                 await page.guards.hand_over(person, to)
             case _:

@@ -104,8 +104,10 @@ async def set_setpoints(
     """Stage all, require every acknowledgement, one broadcast, read each back: all of them or none."""
     of_bus, form, title = page.of_bus(bus), await request.form(), page.translator.t(TITLE)
     try:
-        setpoints = reviewed(of_bus.bus, form)
-        of_bus.refuse_unable(setpoints)
+        is_sent = of_bus.has_sent(confirmed.id)
+        setpoints = reviewed(of_bus.bus, form, is_sent=is_sent)
+        if not is_sent:
+            of_bus.refuse_unable(setpoints)
         result = await of_bus.carry_out(SetLine(setpoints=setpoints), confirmed)
     except Problem as problem:
         return page.refused(problem, title)

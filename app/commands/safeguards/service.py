@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections import defaultdict
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import InitVar, dataclass, field
 
@@ -60,7 +61,10 @@ class Safeguards:
     _block_subscribers: list[UnitSubscriber] = field(default_factory=list)
     _control_subscribers: list[Callable[[], None]] = field(default_factory=list)
     _read_only_ends: asyncio.TimerHandle | None = None
-    _requests: Bucket = field(default_factory=lambda: Bucket(1 / REQUEST_EVERY_S, MAX_REQUESTS))
+    _requests: defaultdict[str, Bucket] = field(
+        default_factory=lambda: defaultdict(lambda: Bucket(1 / REQUEST_EVERY_S, MAX_REQUESTS))
+    )
+    """By account."""
 
     def __post_init__(self, database: Database, control_required: bool, sessions: SignIn) -> None:
         self.limits = LimitsStore(database, self._bus)
@@ -188,32 +192,33 @@ class Safeguards:
 
     async def request(self, person: Person) -> RequestedControl | None:
         """Request control from its holder, on every page that the holder has open. Raises Problem 403, 409,
-        and 429 after too many requests of this bus."""
+        and 429 after too many requests of this account."""
         REQUEST_CONTROL.check(person)
         await self.rights.check(person)
-        now = monotonic_now()
-        if not self._requests.has_room(now):
-            seconds = math.ceil(self._requests.wait_s(now))
+        now, bucket = monotonic_now(), self._requests[person.account]
+        if not bucket.has_room(now):
+            seconds = math.ceil(bucket.wait_s(now))
             problem = Problem(429, "too_many", Message.of("control_requests_too_many", n=seconds))
-            problem.headers.update(self.request_limit.headers)
+            problem.headers.update(self.request_limit(person).headers)
             raise problem.with_headers(Retry_After=str(seconds))
         if self.control.request(person.account, now):
-            self._requests.take(now)
+            bucket.take(now)
             self._publish_control()
             await self._record(REQUEST_CONTROL, person, self.holder(), person.account)
         return self.control.request_now(now)
 
-    @property
-    def request_limit(self) -> RateLimit:
-        """How many more requests of control of this bus are taken now."""
-        return RateLimit.of(self._requests, monotonic_now())
+    def request_limit(self, person: Person) -> RateLimit:
+        """How many more requests of control of this bus are taken of a person now."""
+        return RateLimit.of(self._requests[person.account], monotonic_now())
 
-    async def grant(self, person: Person) -> Holding:
-        """Hand control over to the account that has requested it. Raises Problem 403, 409, and 422 where that
-        account may command the bus no longer."""
+    async def grant(self, person: Person, shown: str | None = None) -> Holding:
+        """Hand control over to the account that has requested it. ``shown``: whose request the person saw;
+        None: whichever is open. Raises Problem 403, 409, and 422 where that account may command the bus no
+        longer."""
         GRANT_CONTROL.check(person)
         await self.rights.check(person)
         to = self.control.requester(person.account, monotonic_now())
+        self._refuse_other_request(shown)
         if await self._who_may_hold(person, to) != to:
             raise Problem(422, "invalid", Message.of("holder_cannot_sign_in", name=to))
         if self.control.requester(person.account, monotonic_now()) != to:
@@ -223,15 +228,22 @@ class Safeguards:
         await self._record(GRANT_CONTROL, person, person.account, to)
         return holding
 
-    async def end_request(self, person: Person) -> None:
-        """Decline the open request as the holder, or withdraw it as its account. Raises Problem 403, 409."""
+    async def end_request(self, person: Person, shown: str | None = None) -> None:
+        """Decline the open request as the holder, or withdraw it as its account; ``shown`` as of
+        :meth:`grant`. Raises Problem 403, 409."""
         END_CONTROL_REQUEST.check(person)
         await self.rights.check(person)
+        self._refuse_other_request(shown)
         request = self.control.end_request(person.account, monotonic_now())
         self._publish_control()
         withdrawn = request.by == person.account
         result = Message("control_withdrawn" if withdrawn else "control_declined")
         await self._record(END_CONTROL_REQUEST, person, request.by, result)
+
+    def _refuse_other_request(self, shown: str | None) -> None:
+        request = self.control.request_now(monotonic_now())
+        if shown is not None and request is not None and request.by != shown:
+            raise controlled(Message("control_not_requested"))
 
     async def hand_over(self, person: Person, to: str) -> Holding:
         """Hand control over; an admin may do so without holding it. Raises Problem 403, 409, and 422 for a

@@ -122,6 +122,10 @@ class CommandService:
         result = await asyncio.shield(kept.result)
         return result if id is None else msgspec.structs.replace(result, id=id)
 
+    def has_taken(self, person: Person, id: str) -> bool:
+        """Whether this person has sent a command with this id: :meth:`send` gives its result again."""
+        return self._cache.find(person, id) is not None
+
     async def reserve(self) -> None:
         """A user may be about to write: reserve the next turn of the wire."""
         await self._channel.reserve()
@@ -213,6 +217,7 @@ class CommandService:
             await self._rights.check(request.person)
             # Before anything is read for it: a user without the right learns that, not the unit's values.
             self._require_right(request.person, request.action, self._guards.use_control)
+            self.undo.refuse_over(request)
             await self.read_ranges(request.person, request.action, request.deadline)
             self._apply_rules(request.action, confirm)
         already = self._cache.find(request.person, request.key)

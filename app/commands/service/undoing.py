@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 
 from app.commands.catalogue import kind_of_command
 from app.commands.service.command_request import CommandRequest
-from app.commands.undo.changes import ValuePlace, Values, action_for, value_now, values_set
+from app.commands.undo.changes import ValuePlace, Values, action_for, is_undo, value_now, values_set
 from app.commands.undo.overlap import WritesUnderWay
 from app.commands.undo.stack import LASTS_S, SentCommand, UndoStack
+from app.errors import Problem
 from app.live.state.bus_live import BusLive
 from app.web.access import Person
 from bus.contract import Action, Result
 from bus.instants import MonotonicClock, UnixTime, unix_now
+from bus.messages import Message
 
 CHANGED = ("verified", "acknowledged")
 
@@ -76,6 +78,20 @@ class Undoing:
         elif request.can_be_undone and new and request.key is not None:
             known = before if before != new else {}
             self._stack.push(sender, SentCommand(request.key, new, known, self._clock()))
+
+    def refuse_over(self, request: CommandRequest) -> None:
+        """Raises Problem 409 for the undo of a command of which something has changed since its review, or
+        that would set something else than what was there before."""
+        if not request.undoes:
+            return
+        sent = self._stack.reviewed(request.person.sender, request.undoes, self._clock())
+        if sent is None or not is_undo(request.action, sent.before):
+            raise Problem(409, "moved", Message("undo_over"))
+
+    async def forget(self) -> None:
+        """The home of the bus was taken: what others did meanwhile is not known here."""
+        self._stack.forget()
+        self._analog.clear()
 
     def offer(self, person: Person, id: str) -> UndoOffer | None:
         """The undo of this person's command; None where it cannot be undone now."""

@@ -89,3 +89,11 @@ def action_for(values: Values) -> Action:
             return WriteAnalogOutput(unit=place.unit, raw=raw)
         case "parameter":
             return WriteParameter(unit=place.unit, number=place.number, raw=raw)
+
+
+def is_undo(action: Action, before: Values) -> bool:
+    """Whether a command sets these values again. A change of several units may leave some of them out."""
+    if not isinstance(action, SetLine):
+        return action == action_for(before)
+    back = {ValuePlace("setpoint", unit): raw for unit, raw in action.setpoints.items()}
+    return bool(back) and back.items() <= before.items()

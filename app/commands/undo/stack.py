@@ -10,6 +10,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass, field
 
+from app.commands.review import REVIEW_LASTS_S
 from app.commands.undo.changes import ValuePlace, Values
 from bus.instants import Monotonic
 
@@ -42,10 +43,15 @@ class UndoStack:
         """The newest command of this sender, which has changed its values."""
         mine = self._sent.setdefault(sender, [])
         mine.append(command)
-        self._sent[sender] = [each for each in mine if each.ends_at() > command.at][-MAX_OF_A_SENDER:]
+        oldest = command.at - REVIEW_LASTS_S
+        self._sent[sender] = [each for each in mine if each.ends_at() > oldest][-MAX_OF_A_SENDER:]
         self._sent.move_to_end(sender)
         while len(self._sent) > MAX_SENDERS:
             self._sent.popitem(last=False)
+
+    def forget(self) -> None:
+        """Nothing that anyone has sent is undone any more."""
+        self._sent.clear()
 
     def clear(self, sender: str) -> None:
         """Nothing that this sender has sent is undone any more."""
@@ -53,11 +59,16 @@ class UndoStack:
 
     def undone(self, sender: str, id: str) -> None:
         """The values from before this command are back."""
-        self._sent[sender] = [each for each in self._sent.get(sender, ()) if each.id != id]
+        if sender in self._sent:
+            self._sent[sender] = [each for each in self._sent[sender] if each.id != id]
 
     def find(self, sender: str, id: str, now: Monotonic) -> SentCommand | None:
         """The command with this id, if it can be undone now."""
         return next((each for each in self._undoable(sender, now) if each.id == id), None)
+
+    def reviewed(self, sender: str, id: str, now: Monotonic) -> SentCommand | None:
+        """The same for one whose undo is confirmed now, in a review that began in time."""
+        return self.find(sender, id, now - REVIEW_LASTS_S)
 
     def newest(self, sender: str, now: Monotonic, units: Set[int]) -> SentCommand | None:
         """The newest command to any of these units that can be undone now."""

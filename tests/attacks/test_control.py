@@ -1,0 +1,149 @@
+"""Control that is granted by another, to another than was seen, too late, twice, or requested without end."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+import app.commands.safeguards.service as service_module
+from app.auth.accounts import Accounts
+from app.commands.safeguards.control import REQUEST_LAPSES_AFTER_S
+from app.commands.safeguards.service import MAX_REQUESTS
+from app.web.access import Role
+from bus.instants import monotonic_now
+from tests.administrator import BY
+from tests.app.complete_app import House, complete_app
+from tests.app.played_line import BUS, played_line
+
+API = f"/api/v1/buses/{BUS}/control"
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with complete_app(tmp_path, control=True) as house:
+        await played_line(house.services)
+        yield house
+
+
+@pytest.fixture
+async def anna(house: House) -> httpx.AsyncClient:
+    """Holds control."""
+    client = await house.signed_in(Role.OPERATOR, "anna")
+    assert (await client.post(f"{API}/take")).status_code == 200
+    return client
+
+
+@pytest.fixture
+async def ben(house: House) -> httpx.AsyncClient:
+    return await house.signed_in(Role.OPERATOR, "ben")
+
+
+async def holder(client: httpx.AsyncClient) -> str | None:
+    found: str | None = (await client.get(API)).json()["holder"]
+    return found
+
+
+async def press(client: httpx.AsyncClient, do: str, to: str = "") -> str:
+    return (await client.post(f"/bus/{BUS}/control", data={"do": do, "to": to})).text
+
+
+async def test_only_its_holder_grants_it_once(
+    house: House, anna: httpx.AsyncClient, ben: httpx.AsyncClient
+) -> None:
+    eve = await house.signed_in(Role.OPERATOR, "eve")
+    admin = await house.signed_in(Role.ADMIN, "boss")
+    assert (await anna.post(f"{API}/grant")).status_code == 409
+    assert (await ben.post(f"{API}/request")).status_code == 200
+    granted = [(await client.post(f"{API}/grant")).status_code for client in (eve, ben, admin, anna, anna)]
+    assert granted == [409, 409, 409, 200, 409]
+    assert await holder(eve) == "ben"
+
+
+async def test_a_grant_is_for_whom_the_holder_saw(
+    house: House, anna: httpx.AsyncClient, ben: httpx.AsyncClient
+) -> None:
+    """Ben withdraws and Eve requests while the page of Anna still names Ben."""
+    eve = await house.signed_in(Role.OPERATOR, "eve")
+    await ben.post(f"{API}/request")
+    seen = (await anna.get("/control")).text
+    assert '"to": "ben"' in seen
+    await ben.delete(f"{API}/request")
+    await eve.post(f"{API}/request")
+    for do in ("grant", "decline"):
+        await press(anna, do, "ben")
+        shown = (await anna.get(API)).json()
+        assert (shown["holder"], shown["request"]["state"]) == ("anna", "pending")
+    await press(eve, "withdraw")
+    await ben.post(f"{API}/request")
+    await press(eve, "withdraw")
+    assert (await anna.get(API)).json()["request"]["by"] == "ben"
+    await press(anna, "grant", "ben")
+    assert await holder(anna) == "ben"
+
+
+async def test_a_lapsed_request_is_not_granted(
+    anna: httpx.AsyncClient, ben: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await ben.post(f"{API}/request")
+    monkeypatch.setattr(service_module, "monotonic_now", lambda: monotonic_now() + REQUEST_LAPSES_AFTER_S)
+    assert (await anna.post(f"{API}/grant")).status_code == 409
+    assert await holder(anna) == "anna"
+
+
+@pytest.mark.parametrize("how", ["signed out", "removed", "disabled", "demoted", "removed and made again"])
+async def test_nothing_is_granted_to_one_who_has_left(
+    house: House, anna: httpx.AsyncClient, ben: httpx.AsyncClient, how: str
+) -> None:
+    await ben.post(f"{API}/request")
+    await leave(house, ben, "ben", how)
+    assert (await anna.post(f"{API}/grant")).status_code in (409, 422)
+    assert await holder(anna) == "anna"
+
+
+@pytest.mark.parametrize("how", ["signed out", "removed", "disabled", "demoted", "removed and made again"])
+async def test_one_who_has_left_grants_nothing(
+    house: House, anna: httpx.AsyncClient, ben: httpx.AsyncClient, how: str
+) -> None:
+    await ben.post(f"{API}/request")
+    await leave(house, anna, "anna", how)
+    assert (await anna.post(f"{API}/grant")).status_code in (401, 403)
+    assert await holder(ben) is None
+    assert (await ben.get(API)).json()["request"] is None
+
+
+async def leave(house: House, client: httpx.AsyncClient, name: str, how: str) -> None:
+    accounts = house.services[Accounts]
+    match how:
+        case "signed out":
+            await client.post("/logout")
+        case "disabled":
+            await accounts.set_disabled(name, True, **BY)
+        case "demoted":
+            await accounts.set_role(name, Role.VIEWER, **BY)
+        case _:
+            await accounts.remove_user(name, **BY)
+    if how == "removed and made again":
+        await house.add(name, Role.OPERATOR)
+
+
+async def test_requests_without_end_disturb_six_times_and_keep_no_one_else_from_one(
+    house: House, anna: httpx.AsyncClient, ben: httpx.AsyncClient
+) -> None:
+    program = await house.program(Role.OPERATOR)
+    sent = [(await program.post(f"{API}/request")).status_code for _ in range(20)]
+    assert set(sent) == {200}
+    await program.delete(f"{API}/request")
+    refused = 0
+    while refused < 20:
+        response = await program.post(f"{API}/request")
+        refused += response.status_code == 429
+        await program.delete(f"{API}/request")
+    assert response.headers["Retry-After"]
+    assert response.headers["RateLimit-Remaining"] == "0"
+    requested = await house.events("control")
+    assert len([each for each in requested if "request" in each["what"]]) <= 2 * MAX_REQUESTS
+    assert (await ben.post(f"{API}/request")).status_code == 200
+    assert await holder(anna) == "anna"
