@@ -9,6 +9,7 @@ import gzip
 import hashlib
 import json
 import os
+import re
 import secrets
 import zlib
 from collections.abc import Iterator, Mapping
@@ -21,6 +22,7 @@ from app.errors import StoreError
 from bus.messages import Message
 
 Entry = dict[str, Any]
+NAME = re.compile(r"events-\d{4}-\d{2}(-[1-9]\d*)?\.jsonl\.gz")
 
 
 class EventArchiveError(StoreError):
