@@ -2,7 +2,8 @@
 
 Lines of the simulator are served and brought into the situations of ``docs.scenes``; Chromium photographs
 them as a phone, a panel and a desktop, by day and by night, in every language, into ``docs/pictures/all``,
-which is not kept. The few pictures of the README are taken on the way, the moving one among them.
+which is not kept. The few pictures of the README and of the operator's guide are taken on the way, the moving
+one among them.
 
     python -m docs.screenshots [--situation NAME …] [--scene NAME …] [--size NAME …] [--look light-en …]
 """
@@ -33,17 +34,25 @@ LOOKS = [f"{scheme}-{language}" for scheme in ("light", "dark") for language in 
 TOML = '[site]\nname = "Coater 2"\nsimulated = true\n'
 SETTLE_MS = 1500
 """For bars to be drawn, short trends to be fetched and fragments to come in."""
-README = {
+KEPT = {
     ("one-off", "line-tiles", "panel", "light-en"): "line",
     ("one-off", "line-tiles", "panel", "dark-en"): "line-dark",
     ("one-off", "line-tiles", "phone", "light-en"): "line-phone",
     ("well", "unit", "panel", "light-en"): "unit",
     ("well", "parameters", "panel", "light-en"): "parameters",
     ("well", "unit-review", "panel", "light-de"): "review",
+    ("one-off", "line-tiles", "panel", "light-de"): "line-de",
+    ("well", "unit", "panel", "light-de"): "unit-de",
+    ("well", "unit-review", "panel", "light-en"): "setpoint",
     ("255-abnormal", "line-matrix", "panel", "dark-en"): "matrix",
 }
 """Situation, scene, size, look → the name of a picture that is kept."""
-CLIPS: dict[str, FloatRect] = {"matrix": {"x": 0, "y": 0, "width": 1280, "height": 610}}
+_BESIDE_RAIL: FloatRect = {"x": 88, "y": 100, "width": 1192, "height": 695}
+CLIPS: dict[str, FloatRect] = {
+    "matrix": {"x": 0, "y": 0, "width": 1280, "height": 610},
+    "setpoint": {"x": 850, "y": 260, "width": 425, "height": 535},
+    **dict.fromkeys(("unit", "unit-de", "review", "parameters"), _BESIDE_RAIL),
+}
 """What of a kept picture is enough; each is to stay below 150 kB."""
 
 STORY = (
@@ -88,7 +97,7 @@ class Camera:
                 if (size, look) == (STORY_SIZE, STORY_LOOK) and (situation.name, scene.name) in STORY:
                     self._frames[situation.name, scene.name] = _webp(page)
                 _keep(page, ALL / f"{name}.png", whole=scene.whole)
-                kept = README.get((situation.name, scene.name, size, look))
+                kept = KEPT.get((situation.name, scene.name, size, look))
                 if kept:
                     page.screenshot(path=PICTURES / f"{kept}.png", clip=CLIPS.get(kept))
 

@@ -21,6 +21,8 @@ from typing import Annotated
 
 import msgspec
 
+from app.audit.archive.file import NAME as ARCHIVED
+from app.audit.archive.file import digest_of
 from app.cli.backup_files import ENCRYPTED, IN_CLEAR, MAX_BYTES
 from app.database.private import FILE_MODE
 from app.database.reserve import free_bytes
@@ -36,9 +38,10 @@ STORES = (HISTORY, STORE_FILE, PICTURES)
 """In the order in which they are copied: a picture is stored before its note, so that each note of the copy
 has its pictures."""
 MAX_ARCHIVE_BYTES = 256 * 2**30
-MAX_MANIFEST_BYTES = 65_536
-MAX_HEADER_BYTES = 16_384
-"""Of all members together: `tarfile` writes at most 1,536 for each, its time in an extended header."""
+MAX_MANIFEST_BYTES = 2**18
+MAX_HEADER_BYTES = 2**21
+"""Of all members together: `tarfile` writes at most 1,536 for each, its time in an extended header. A century
+of archived events has 1,200."""
 MAX_PADDING_BYTES = 2**20
 """After the last member; GNU tar fills up records of at most 512 kB."""
 _EXTENDED = frozenset(("mtime", "atime", "ctime", "size", "uid", "gid", "uname", "gname"))
@@ -56,16 +59,17 @@ class ArchiveError(LinesideError):
 
 class Manifest(msgspec.Struct):
     """``stores``: the SHA-256 of each by its name, hexadecimal; ``files``: the same of the member that has
-    the files of the site; ``time``: Unix time of the backup."""
+    the files of the site; ``events``: of each file of archived events; ``time``: Unix time of the backup."""
 
     time: Annotated[float, msgspec.Meta(ge=0, lt=2**37)]
     stores: Annotated[dict[str, _Digest], msgspec.Meta(min_length=1)]
     files: Annotated[dict[str, _Digest], msgspec.Meta(max_length=1)] = {}
+    events: dict[str, _Digest] = {}
 
     @property
     def digests(self) -> dict[str, str]:
         """Of every other member."""
-        return {**self.stores, **self.files}
+        return {**self.stores, **self.files, **self.events}
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +104,23 @@ class BackupArchive:
         if needed > free:
             raise StoreError(Message.of("backup_needs_space", file=str(self.path), needed=needed, free=free))
         return [self._unpack_one(name, folder / name) for name in stores]
+
+    def unpack_events(self, folder: Path) -> list[Path]:
+        """Write the archived events that are not in the folder; one that is there stays. Raises StoreError
+        where it is another one, OSError."""
+        places = {name: folder / name for name in sorted(self.manifest.events)}
+        absent = {name: place for name, place in places.items() if not os.path.lexists(place)}
+        for name in places.keys() - absent.keys():
+            if digest_of(places[name]) != self.manifest.events[name]:
+                raise StoreError(Message.of("backup_archive_differs", file=str(places[name])))
+        needed, free = sum(self.members[name].size for name in absent), free_bytes(folder)
+        if needed > free:
+            raise StoreError(Message.of("backup_needs_space", file=str(self.path), needed=needed, free=free))
+        for name, place in absent.items():
+            fresh = place.with_name(f".{name}.restored")
+            fresh.unlink(missing_ok=True)
+            self._unpack_one(name, fresh).rename(place)
+        return [*absent.values()]
 
     def files(self) -> tuple[str, bytes]:
         """The member that has the files of the site: its name and its content. Raises StoreError."""
@@ -153,7 +174,8 @@ def _read(file: BufferedReader, path: Path) -> BackupArchive:
         raise ArchiveError("archive_too_large", most=MAX_ARCHIVE_BYTES)
     members = _members(file, found.st_size)
     manifest = _manifest(file, members.pop(MANIFEST, None))
-    if manifest.digests.keys() != members.keys() or not manifest.stores.keys() <= {*STORES}:
+    is_named = manifest.stores.keys() <= {*STORES} and all(map(ARCHIVED.fullmatch, manifest.events))
+    if manifest.digests.keys() != members.keys() or not is_named:
         raise ArchiveError("archive_manifest_differs")
     return BackupArchive(file, path, members, manifest)
 
@@ -188,7 +210,7 @@ def _check(info: tarfile.TarInfo, of_all: Mapping[str, str]) -> None:
     """Raises ArchiveError for a member that backup-store does not write. ``of_all``: what a header states for
     all members."""
     is_plain = info.type in (tarfile.REGTYPE, tarfile.AREGTYPE) and info.sparse is None
-    is_known = info.name in (MANIFEST, *STORES, IN_CLEAR, ENCRYPTED)
+    is_known = info.name in (MANIFEST, *STORES, IN_CLEAR, ENCRYPTED) or ARCHIVED.fullmatch(info.name)
     if of_all or not is_plain or not is_known or info.pax_headers.keys() - _EXTENDED:
         raise ArchiveError("archive_foreign")
 

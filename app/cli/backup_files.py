@@ -1,6 +1,7 @@
-"""The files of a site beside its stores: the configuration and what it names, such as the key of the audit
-log, certificates with their keys, and the files of passwords. In a backup they are one member, which is
-encrypted where ``[backup] key_file`` names a key, and else has the configuration alone."""
+"""The files of a site beside its stores: the configuration with its versions and what it names, such as the
+key of the audit log, certificates with their keys, and the files of passwords. In a backup they are one
+member, which is encrypted where ``[backup] key_file`` names a key, and else has the configuration and its
+versions alone."""
 
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ from pydantic import BaseModel
 
 from app.audit.keys import find_key_file
 from app.cli.backup_cipher import decrypt, encrypt, read_key
+from app.configuration.versions import VersionStore
 from app.database.private import make_folder, write_file
 from app.errors import StoreError
 from app.settings import Settings
@@ -43,6 +45,7 @@ def files_of(settings: Settings) -> SiteFiles:
     """Read the files of a site as the member of a backup. Raises StoreError, also where the key of the
     backups is in their folder: who has one then has the other."""
     configuration = [settings._file] if settings._file is not None else []
+    configuration += VersionStore(settings.server.data).files
     named = sorted({path for path in _named(settings) if path.is_file()} - {settings.backup.key_file})
     if settings.backup.key_file is None:
         return SiteFiles(IN_CLEAR, _packed(configuration), [str(path) for path in named])

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
-from app.backup.settings import BackupSettings
-from app.cli.backup_archive import STORES
 from app.cli.backup_cipher import read_key
 from app.cli.backup_store import space_needed
 from app.cli.findings import Finding, fault, is_read_only, may_make_files_in, user
 from app.database.reserve import free_bytes
 from app.errors import StoreError
+from app.settings import Settings
 from bus.messages import Message
 
 MB = 1_000_000
 
 
-def backup_findings(settings: BackupSettings, data: Path) -> Iterator[Finding]:
-    """The folder of the backups of a data folder, its disk, and their key."""
+def backup_findings(site: Settings) -> Iterator[Finding]:
+    """The folder of the backups, its disk, and their key."""
+    settings = site.backup
     if settings.key_file is not None:
         try:
             read_key(settings.key_file)
@@ -31,7 +30,9 @@ def backup_findings(settings: BackupSettings, data: Path) -> Iterator[Finding]:
         yield fault("check_backup_folder_missing", folder=folder)
     elif is_read_only(settings.folder):
         yield fault("check_disk_read_only", path=folder)
-    elif (needed := space_needed(data / name for name in STORES)) > (free := free_bytes(settings.folder)):
+    elif (needed := space_needed(site.server.data, site.audit.archive)) > (
+        free := free_bytes(settings.folder)
+    ):
         yield fault("check_backup_disk_full", folder=folder, needed=-(-needed // MB), free=free // MB)
     elif not may_make_files_in(settings.folder):
         yield fault("check_backup_folder_not_writable", user=user(), folder=folder)

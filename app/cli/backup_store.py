@@ -16,10 +16,12 @@ import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import click
 
+from app.audit.archive.cuts import cuts_of
+from app.audit.archive.file import digest_of
 from app.cli.backup_archive import MANIFEST, STORES, open_archive
 from app.cli.backup_files import SiteFiles, files_of
 from app.cli.config_option import LINESIDE_TOML, Config
@@ -32,7 +34,7 @@ from app.database.private import make_file, sync_folder, write_file
 from app.database.reserve import free_bytes
 from app.database.words import in_words
 from app.errors import StoreError
-from app.settings import load
+from app.settings import STORE_FILE, load
 from app.version import VERSION
 from bus.instants import unix_now
 from bus.messages import Message
@@ -47,48 +49,67 @@ def backup_store(
     as_json: AsJson = False,
 ) -> None:
     """Copy every store (events, users, sets, history, pictures) of this configuration into one file while the
-    dashboard runs, with the configuration; with [backup] key_file also, encrypted, the key of the audit log,
-    certificates and files of passwords."""
+    dashboard runs, with the archived events, the configuration and its versions; with [backup] key_file also,
+    encrypted, the key of the audit log, certificates and files of passwords."""
     settings = load(config)
     require_files(settings.store, "pg_dump")
     files = files_of(settings)
-    names = write_backup(settings.server.data, file, files)
+    done = write_backup(settings.server.data, file, files, settings.audit.archive)
     if as_json:
-        click.echo(json.dumps({"file": str(file), "stores": names, "left_out": files.left_out}))
+        click.echo(json.dumps({"file": str(file), **done._asdict(), "left_out": files.left_out}))
         return
-    report(Message.of("stores_backed_up", file=str(file), names=[*names]))
+    report(Message.of("stores_backed_up", file=str(file), names=[*done.stores, *done.events]))
+    if done.events_absent:
+        report(Message.of("backup_without_events", files=[*done.events_absent]))
     if files.left_out:
         report(Message.of("backup_leaves_out", files=[*files.left_out]))
 
 
-def write_backup(data: Path, file: Path, files: SiteFiles | None = None) -> list[str]:
-    """Copy the stores of a data folder, and the files of its site; gives the names of the stores. Raises
-    StoreError, also where a store is damaged: it could not be put back; then there is no file."""
+class WrittenBackup(NamedTuple):
+    """The names of the ``stores`` and of the files of archived ``events`` that are in it; ``events_absent``:
+    those of the archive that were not in its folder, as on a medium in a safe."""
+
+    stores: list[str]
+    events: list[str]
+    events_absent: list[str]
+
+
+def write_backup(
+    data: Path, file: Path, files: SiteFiles | None = None, archive: Path | None = None
+) -> WrittenBackup:
+    """Copy the stores of a data folder, the files of its site, and the archived events of its log. Raises
+    StoreError, also where a store or a file of the archive is damaged: it could not be put back; then there
+    is no file."""
     present = [store for name in STORES if (store := data / name).exists()]
     if not present:
         raise StoreError(Message.of("stores_missing", folder=str(data)))
     if file.exists():
         raise StoreError(Message.of("backup_exists", file=str(file)))
     with in_words(file):
-        _refuse_small_disk(present, file)
+        _refuse_small_disk(space_needed(data, archive), file)
     with in_words(file), _working_folder(file.absolute().parent) as folder:
         copies = [_copy(store, folder) for store in present]
         beside = [] if files is None else [folder / files.member]
         for place in beside:
             write_file(place, b"" if files is None else files.content)
+        events, absent = _archived(copies, archive)
         about = {
             "lineside": VERSION,
             "time": unix_now(),
             "stores": dict(map(_digest, copies)),
             "files": dict(map(_digest, beside)),
+            "events": events,
         }
         manifest, tar_file = folder / MANIFEST, folder / "complete.tar"
         write_file(manifest, json.dumps(about, indent=1).encode())
         make_file(tar_file)
         with tar_file.open("wb") as target:
-            with tarfile.open(fileobj=target, mode="w") as archive:
+            with tarfile.open(fileobj=target, mode="w") as packed:
                 for part in (manifest, *copies, *beside):
-                    archive.add(part, part.name)
+                    packed.add(part, part.name)
+                for name in events:
+                    # A month may be a link to another disk.
+                    packed.add((archive or Path()).joinpath(name).resolve(), name)
             target.flush()
             os.fsync(target.fileno())
         with open_archive(tar_file) as written:
@@ -97,7 +118,22 @@ def write_backup(data: Path, file: Path, files: SiteFiles | None = None) -> list
             raise StoreError(Message.of("backup_exists", file=str(file)))
         tar_file.rename(file)
         sync_folder(file.absolute().parent)
-    return [store.name for store in present]
+    return WrittenBackup([store.name for store in present], [*events], absent)
+
+
+def _archived(copies: Sequence[Path], archive: Path | None) -> tuple[dict[str, str], list[str]]:
+    """The SHA-256 of each archived file of a copied log by its name, and the names of those that are not in
+    the folder. They never change, and the copy names none that comes later. Raises StoreError for a damaged
+    one."""
+    digests: dict[str, str] = {}
+    for store in (copy for copy in copies if copy.name == STORE_FILE):
+        with closing(open_for_reading(store)) as connection:
+            digests = {cut.file: cut.digest for cut in cuts_of(connection)}
+    there = {name: digest for name, digest in digests.items() if archive and (archive / name).is_file()}
+    for name, digest in there.items():
+        if digest_of((archive or Path()) / name) != digest:
+            raise StoreError(Message.of("audit_archive_altered", file=name))
+    return there, sorted(digests.keys() - there.keys())
 
 
 @contextmanager
@@ -121,14 +157,20 @@ def _locked(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def space_needed(stores: Iterable[Path]) -> int:
-    """The bytes that a backup of these stores takes while it is made: its copies, and the archive of them."""
-    files = (store.with_name(store.name + suffix) for store in stores for suffix in ("", *COMPANIONS))
-    return 2 * sum(file.stat().st_size for file in files if file.exists())
+def space_needed(data: Path, archive: Path | None) -> int:
+    """The bytes that a backup of a data folder takes while it is made: copies of the stores, and the file
+    with them and the archived events."""
+    stores = (data / f"{name}{suffix}" for name in STORES for suffix in ("", *COMPANIONS))
+    events = archive.glob("events-*.jsonl.gz") if archive else ()
+    return 2 * _bytes_of(stores) + _bytes_of(events)
 
 
-def _refuse_small_disk(stores: Sequence[Path], file: Path) -> None:
-    needed, free = space_needed(stores), free_bytes(file.absolute().parent)
+def _bytes_of(files: Iterable[Path]) -> int:
+    return sum(file.stat().st_size for file in files if file.exists())
+
+
+def _refuse_small_disk(needed: int, file: Path) -> None:
+    free = free_bytes(file.absolute().parent)
     if needed > free:
         raise StoreError(Message.of("backup_disk_full", file=str(file), needed=needed, free=free))
 

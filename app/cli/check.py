@@ -51,7 +51,7 @@ def check(
 def _found(settings: Settings) -> Iterator[Finding]:
     yield from findings(settings)
     yield from store_findings(settings)
-    yield from backup_findings(settings.backup, settings.server.data)
+    yield from backup_findings(settings)
     yield from notification_findings(settings.notify)
     yield from service_findings()
 

@@ -1,11 +1,11 @@
-"""``lineside report``: the hand-over report of a shift from the stores, whether the dashboard runs or not."""
+"""``lineside report``: the report of a shift or a span from the stores, while the dashboard runs or not."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Annotated, Any
 from zoneinfo import ZoneInfo
 
@@ -22,13 +22,14 @@ from app.handover.shift_report import UnitRun, shift_report
 from app.handover.signatures import signed_between
 from app.history.service import FILE as HISTORY
 from app.settings import Settings, load
-from app.web.shape import iso
+from app.web.shape import csv_cell, csv_text, iso
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message, ParamValue, number
 
 MAX_LINES = 50
 """Of a section of the printed report; all are in the JSON."""
+_FIGURES = ("known_s", "running_s", "length", "length_unit")
 
 
 def report(
@@ -38,19 +39,32 @@ def report(
             help="When the shift starts, such as 2026-11-26T06:00; or 'now', or 'last' for the one before."
         ),
     ] = "last",
+    since: Annotated[
+        str, Option(help="Instead of a shift, the span from this time on, such as 2026-11-26T06:00.")
+    ] = "",
+    until: Annotated[str, Option(help="End of the span; without it, now.")] = "",
     config: Config = LINESIDE_TOML,
     as_json: AsJson = False,
+    as_csv: Annotated[bool, Option("--csv", help="The units as CSV, one in a row.")] = False,
 ) -> None:
-    """Show the report of a shift: run time, stops with their causes and length of each unit, alarms, changes
-    and notes. It is read from the stores of this machine, also from a copy of them."""
+    """Show the report of a shift, or of a span: run time, stops with their causes and length of each unit,
+    alarms, drift, changes and notes. It is read from the stores of this machine, also from a copy of them."""
     settings, now = load(config), unix_now()
     with ExitStack() as opened:
         connection = opened.enter_context(reading_site(settings))
         history = _history(settings, opened)
         opened.enter_context(snapshot(connection))
-        found = shift_report(connection, history, settings, _shift_of(connection, settings, shift, now), now)
+        span = (
+            _span_of(settings, since, until, now)
+            if since or until
+            else _shift_of(connection, settings, shift, now)
+        )
+        found = shift_report(connection, history, settings, span, now)
     if as_json:
         click.echo(json.dumps(found, ensure_ascii=False))
+        return
+    if as_csv:
+        click.echo(csv_text(_table(found)), nl=False)
         return
     for line in _lines(found, ZoneInfo(settings.site.zone)):
         click.echo(line)
@@ -69,11 +83,7 @@ def _shift_of(connection: StoreConnection, settings: Settings, named: str, now: 
     present = shift_at(now, starts, zone)
     if named in ("now", "last"):
         return present if named == "now" else shift_at(present.start - 1.0, starts, zone)
-    try:
-        written = datetime.fromisoformat(named)
-    except ValueError:
-        raise CallerError(Message.of("report_shift_malformed", text=named)) from None
-    at = UnixTime((written if written.tzinfo else written.replace(tzinfo=zone)).timestamp())
+    at = _moment(named, zone)
     if not UnixTime(0.0) < at <= now:
         raise CallerError(Message("shift_not_begun"))
     if signed := signed_between(connection, at, at):
@@ -84,17 +94,50 @@ def _shift_of(connection: StoreConnection, settings: Settings, named: str, now: 
     return shift
 
 
-def _lines(found: dict[str, Any], zone: ZoneInfo) -> Iterator[str]:
-    def clock(instant: str) -> str:
-        return datetime.fromisoformat(instant).astimezone(zone).strftime("%H:%M")
+def _span_of(settings: Settings, since: str, until: str, now: UnixTime) -> Shift:
+    """Raises CallerError where it does not end after it begins, or begins in the future."""
+    zone = ZoneInfo(settings.site.zone)
+    end = _moment(until, zone) if until else now
+    if not since or not UnixTime(0.0) < (start := _moment(since, zone)) < min(end, now):
+        raise CallerError(Message("report_span_malformed"))
+    return Shift(start, end)
 
+
+def _moment(text: str, zone: ZoneInfo) -> UnixTime:
+    """A time by the clock of the site. Raises CallerError."""
+    try:
+        written = datetime.fromisoformat(text)
+        return UnixTime((written if written.tzinfo else written.replace(tzinfo=zone)).timestamp())
+    except (ValueError, OverflowError):
+        raise CallerError(Message.of("report_shift_malformed", text=text)) from None
+
+
+def _table(found: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+    """The units as rows; a figure that is not known is empty."""
+    span = (found["start"], found["until"])
+    yield "bus", "unit", "name", "start", "end", *_FIGURES, "stops", "stopped_s"
+    for unit in found["units"]:
+        stops = [stop["seconds"] for stop in unit["stops"]] if "stops" in unit else None
+        figures = [unit.get(name) for name in _FIGURES]
+        stopped = [None, None] if stops is None else [len(stops), round(sum(stops), 3)]
+        cells = [unit["bus"], unit["unit"], unit["name"], *span, *figures, *stopped]
+        yield tuple("" if cell is None else csv_cell(cell) for cell in cells)
+
+
+def _lines(found: dict[str, Any], zone: ZoneInfo) -> Iterator[str]:
     start, until = (datetime.fromisoformat(found[each]).astimezone(zone) for each in ("start", "until"))
-    span = {"site": found["site"], "start": f"{start:%Y-%m-%d %H:%M}", "end": f"{until:%H:%M}"}
+    form = "%H:%M" if until - start < timedelta(days=1) else "%Y-%m-%d %H:%M"
+
+    def clock(instant: str) -> str:
+        return datetime.fromisoformat(instant).astimezone(zone).strftime(form)
+
+    span = {"site": found["site"], "start": f"{start:%Y-%m-%d %H:%M}", "end": clock(found["until"])}
     yield str(Message("report_head", {**span, "zone": found["time_zone"]}))
     for unit in found["units"]:
         yield from map(str, _unit_lines(unit, clock))
     yield from _section("report_alarms", [_alarm(each, clock) for each in found["alarms"]])
     yield from _section("report_standing", [_alarm(each, clock) for each in found["standing"]])
+    yield from _section("report_drift", [_alarm(each, clock) for each in found["drift"]])
     changes = [*found["limits"]["events"], *found["recipes"]["events"], *found["done"]["events"]]
     changes.sort(key=lambda event: int(event["id"]))
     yield from _section("report_changes", [_change(each, clock) for each in changes])

@@ -69,8 +69,16 @@ def restore_store(
     if not yes:
         click.confirm(str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True)
     anchor = settings.audit.anchor
-    done = read_backup(file, server.data, settings.key_files, None if anchor else settings.anchor_file)
+    done = read_backup(
+        file,
+        server.data,
+        settings.key_files,
+        None if anchor else settings.anchor_file,
+        settings.audit.archive,
+    )
     report(Message.of("stores_restored", folder=str(server.data), names=done.names, suffix=ASIDE))
+    for path in done.events:
+        report(Message.of("backup_file_placed", path=str(path)))
     for aside in done.anchors:
         report(Message.of("anchor_put_aside", path=str(aside)))
     if done.withheld is not None:
@@ -83,25 +91,35 @@ def restore_store(
 @dataclass(frozen=True, slots=True)
 class Restored:
     """``names`` of the stores, what was ``withheld`` from the main one where the backup contains it, and the
-    ``anchors`` of the log that it replaced, under their new names."""
+    ``anchors`` of the log that it replaced, under their new names; ``events``: the files that were put into
+    the archive of events."""
 
     names: list[str]
     withheld: Withheld | None
     anchors: tuple[Path, ...]
+    events: tuple[Path, ...]
 
 
-def read_backup(file: Path, data: Path, key_files: Sequence[Path], anchor: Path | None = None) -> Restored:
+def read_backup(
+    file: Path,
+    data: Path,
+    key_files: Sequence[Path],
+    anchor: Path | None = None,
+    event_archive: Path | None = None,
+) -> Restored:
     """Put the stores of a backup into a data folder. The log of the main one continues under the key in the
     first of ``key_files``; ``anchor`` and the one beside the key are put aside, for they name what came after
-    the backup.
+    the backup. ``event_archive``: the folder that gets the archived events that are not there.
 
-    Raises StoreError, and then leaves everything unchanged: every store of the backup is checked, and the
-    main one prepared, before the first is put in its place.
+    Raises StoreError, and then leaves everything unchanged, but for archived events that came back: every
+    store of the backup is checked, and the main one prepared, before the first is put in its place.
     """
     with in_words(file), open_archive(file) as archive:
         # Not before: only root may be able to read the backup.
         become_owner_of(data)
         make_private(data)
+        if archive.manifest.events:
+            _require_archive(event_archive)
         with tempfile.TemporaryDirectory(dir=data) as folder:
             proved = archive.unpack(Path(folder))
             for fresh in proved:
@@ -110,16 +128,26 @@ def read_backup(file: Path, data: Path, key_files: Sequence[Path], anchor: Path 
                 _refuse_while_open(store)
             withheld: Withheld | None = None
             anchors: tuple[Path, ...] = ()
+            events: tuple[Path, ...] = ()
             if (fresh := Path(folder) / STORE_FILE) in proved:
                 try:
                     withheld = make_ready(fresh, data / STORE_FILE, archive.message, key_files)
                 except (sqlite3.Error, ValueError) as error:
                     raise _unsound(file, STORE_FILE, str(error)) from error
+                if archive.manifest.events and event_archive:
+                    events = tuple(archive.unpack_events(event_archive))
                 # Before the stores: a log without an anchor is not taken for one that was cut off.
                 anchors = _anchors_put_aside(key_files, anchor)
             for fresh in proved:
                 _put(fresh, data / fresh.name)
-    return Restored([fresh.name for fresh in proved], withheld, anchors)
+    return Restored([fresh.name for fresh in proved], withheld, anchors, events)
+
+
+def _require_archive(folder: Path | None) -> None:
+    if folder is None:
+        raise StoreError(Message("backup_needs_archive"))
+    if not folder.is_dir():
+        raise StoreError(Message.of("audit_archive_folder_missing", folder=str(folder)))
 
 
 def _anchors_put_aside(key_files: Sequence[Path], anchor: Path | None) -> tuple[Path, ...]:

@@ -124,7 +124,7 @@ def _found(settings: Settings) -> Iterator[Message]:
         for finding in (
             *findings(settings),
             *store_findings(settings),
-            *backup_findings(settings.backup, settings.server.data),
+            *backup_findings(settings),
             *service_findings(),
         ):
             yield finding.message

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
 
@@ -76,6 +77,7 @@ async def configuration_page(
         "configuration/page.html",
         path_of_file=file.path,
         present=present,
+        waiting=await asyncio.to_thread(file.waiting, present),
         shown=shown,
         new={form.kind: end_of(form, data).name for form in FORMS if form.is_listed and len(form.path) < 5},
         duties=[ShownTable(end_of(_DUTY, data, group.place.path), group.title) for group in shown["group"]],

@@ -101,6 +101,10 @@ class ConfigurationFile:
         """Newest first."""
         return [each.version for each in await asyncio.to_thread(self._store.every)]
 
+    def waiting(self, present: PresentFile) -> list[DifferenceLine]:
+        """The lines of the file that take effect at the next start."""
+        return [] if present.is_running else difference(self._settings._text, present.text)
+
     async def version(self, number: int) -> StoredVersion:
         """One of them. Raises Problem 404."""
         found = await asyncio.to_thread(self._store.one, number)

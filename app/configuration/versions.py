@@ -63,6 +63,11 @@ class VersionStore:
         except (OSError, msgspec.MsgspecError):
             return None
 
+    @property
+    def files(self) -> list[Path]:
+        """Where they are, oldest first."""
+        return [self._file(number) for number in reversed(self._numbers())]
+
     def next_number(self) -> int:
         """The number of the next version."""
         return max(self._numbers(), default=0) + 1

@@ -62,12 +62,13 @@ def shift_report(
     shift: Shift,
     now: UnixTime,
 ) -> dict[str, Any]:
-    """The report as the stores are; in a transaction. ``history``: None where there is none."""
-    until = min(shift.end, now)
+    """The report as the stores are; in a transaction. ``shift``: any span. ``history``: None where there is
+    none."""
+    until, signed = min(shift.end, now), signed_sheet(connection, shift.start)
     came = connection.execute(_CAME, (shift.start, until, MAX_ALARMS))
     return {
         **write_sheet(connection, settings, shift, now),
-        "signed": signed_json(signed_sheet(connection, shift.start)),
+        "signed": signed_json(signed if signed and signed.shift == shift else None),
         "units": [] if history is None else _units(history, settings, shift.start, until),
         "alarms": [transition_json(JournalEntry(*row)) for row in came],
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import groupby
@@ -23,7 +24,8 @@ class CallMember:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A call; ``responses``: by status, what they mean. ``can_open``: a browser opens it as it stands."""
+    """A call; ``responses``: by status, what they mean; ``sent``, ``received``: an example of its body and of
+    its response, empty where there is none. ``can_open``: a browser opens it as it stands."""
 
     id: str
     tag: str
@@ -34,6 +36,8 @@ class Call:
     parameters: tuple[CallMember, ...]
     body: tuple[CallMember, ...]
     responses: tuple[tuple[str, str], ...]
+    sent: str
+    received: str
 
     @property
     def can_open(self) -> bool:
@@ -64,7 +68,18 @@ def _calls(document: Mapping[str, Any]) -> Iterator[Call]:
                 tuple(members),
                 tuple(_body(document, operation)),
                 tuple((status, each["description"]) for status, each in operation["responses"].items()),
+                _example(operation.get("requestBody", {})),
+                "".join(
+                    _example(each) for status, each in operation["responses"].items() if status[0] == "2"
+                ),
             )
+
+
+def _example(message: Mapping[str, Any]) -> str:
+    """Of a request or response, in the first of its media types: JSON in lines, or the text."""
+    content: Mapping[str, Any] = next(iter(message.get("content", {}).values()), {})
+    example = content.get("example", "")
+    return example if isinstance(example, str) else json.dumps(example, ensure_ascii=False, indent=2)
 
 
 def _body(document: Mapping[str, Any], operation: Mapping[str, Any]) -> Iterator[CallMember]:

@@ -20,15 +20,18 @@ _FORMATS = {
     "date-time": "2026-11-21T03:12:00.125+00:00",
     "date": "2026-11-21",
 }
-_PLAIN = {"integer": 1, "number": 1.5, "string": "text", "boolean": True, "null": None}
+_PLAIN: dict[str, Any] = {"integer": 1, "number": 1.5, "string": "text", "boolean": True, "null": None}
 
 
 def add_examples(document: dict[str, Any]) -> None:
-    """Give every request and every successful response an example."""
+    """Give every request and every successful response an example, as far as one is known: a document without
+    one is better than none."""
     schemas = document["components"]["schemas"]
     for operation in _operations(document):
         for content in operation.get("requestBody", {}).get("content", {}).values():
-            content["example"] = _WRITTEN["requests"][content["schema"]["$ref"].removeprefix(_REF)]
+            model = content["schema"].get("$ref", "").removeprefix(_REF)
+            if model in _WRITTEN["requests"]:
+                content["example"] = _WRITTEN["requests"][model]
         for status, response in operation["responses"].items():
             for media_type, content in response.get("content", {}).items() if status[0] == "2" else ():
                 written = _WRITTEN["texts"].get(media_type)
@@ -66,7 +69,8 @@ def example_of(schema: Schema, schemas: Schema, name: str = "") -> Any:
             return [example_of(schema["items"], schemas)]
         case {"format": str(form)} if form in _FORMATS:
             return _FORMATS[form]
-    return max(_PLAIN[schema["type"]], schema["minimum"]) if "minimum" in schema else _PLAIN[schema["type"]]
+    plain = _PLAIN.get(schema.get("type", "null"))
+    return max(plain, schema["minimum"]) if plain is not None and "minimum" in schema else plain
 
 
 def _is_of(value: Any, kind: Any) -> bool:

@@ -335,3 +335,16 @@ async def test_a_cookie_of_http_does_not_sign_in_over_https(house: House) -> Non
         other = house.client(cookie=f"{name}={session}")
         other.base_url = f"{scheme}://{HOST}"
         assert (await other.get("/api/v1/me")).status_code == status
+
+
+@pytest.mark.parametrize(
+    "header", ["Remote-User", "X-Remote-User", "X-Forwarded-User", "X-Auth-Request-User", "X-SSL-Client-CN"]
+)
+async def test_no_header_of_a_proxy_signs_anyone_in(tmp_path: Path, header: str) -> None:
+    proxy = '[server]\ndata = "data"\ntrusted_proxies = ["127.0.0.1"]\n'
+    (tmp_path / "lineside.toml").write_text(proxy)
+    async with complete_app(tmp_path, config=tmp_path / "lineside.toml") as house:
+        await house.add("anna", Role.ADMIN)
+        for value in ("anna", "Basic anna"):
+            found = await house.client(**{header: value}).get("/api/v1/buses")
+            assert found.status_code == 401

@@ -186,7 +186,7 @@ def test_the_check_names_what_keeps_a_backup_from_being_written(
 ) -> None:
     (site / "copies").mkdir()
     (site / "lineside.toml").write_text(f"{CONFIGURATION}[backup]\n{written}\n")
-    found = [*backup_findings(load(site / "lineside.toml").backup, site / "data")]
+    found = [*backup_findings(load(site / "lineside.toml"))]
     assert [finding.is_fault for finding in found if text in str(finding.message)] == [is_fault]
 
 

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from zoneinfo import ZoneInfo
 
 import pytest
 
-from app.audit.archive.archiving import EventArchive
-from app.audit.keys import open_keys
-from app.audit.log import EventLog
-from app.audit.store import heads_of
 from app.cli.audit import proof_of
 from app.cli.findings import Finding, findings
 from app.errors import StoreError
 from app.settings import Settings, load
-from bus.instants import UnixTime
 from bus.messages import Message
-from tests.stores import both_engines, open_store, store_table
+from tests.app.archived_site import archived_site
+from tests.stores import both_engines
 
 pytestmark = both_engines
 MONTH_S = 31 * 86_400.0
@@ -25,26 +20,8 @@ MONTH_S = 31 * 86_400.0
 
 @pytest.fixture
 async def site(tmp_path: Path) -> Settings:
-    """Five months of events, of which two are archived."""
-    file = tmp_path / "lineside.toml"
-    data = tmp_path / "data"
-    audit = '[audit]\narchive = "archive"\nkeep_months = 2\n'
-    file.write_text(f'[server]\ndata = "data"\n{store_table(data)}{audit}')
-    for folder in (tmp_path / "archive", data):
-        folder.mkdir()
-    settings, now = load(file), UnixTime(1_768_000_000.0)
-    database = open_store(data / "lineside.db")
-    keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
-    events = EventLog(database, lambda: now, keys)
-    for _ in range(5):
-        await events.record(kind="unit", what="offline", bus="dry-end", unit=1)
-        await events.record(kind="server", what="started")
-        now += MONTH_S
-    await EventArchive(
-        database, events, settings.audit.archive, 2, ZoneInfo("Europe/Berlin"), lambda: now
-    ).archive_due()
-    database.close()
-    return settings
+    """Five months of events, of which the first three are archived."""
+    return await archived_site(tmp_path)
 
 
 def verified(settings: Settings, archive: Path | None = None) -> list[str]:

@@ -68,6 +68,11 @@ async def test_a_unit_is_renamed_after_a_review(engineer: httpx.AsyncClient, fil
     assert "Version 2 is written. It takes effect at the next start of the server." in page
     assert "The server runs with an older configuration than the file." in page
     assert "as on the drawing" in page
+    waiting = page[page.index("Waiting for the next start") :]
+    assert "<del>name = &#34;Unwind&#34;" in waiting
+    assert "sudo systemctl restart lineside" in waiting
+    file.path.write_text(f"# By hand.\n{TEXT}")
+    assert "Waiting for the next start" not in (await engineer.get("/configuration")).text
     assert "the-engineer" in page
 
 

@@ -112,8 +112,12 @@ def test_the_reference_lists_parameters_bodies_and_responses() -> None:
                     "operationId": "set_b",
                     "tags": ["b"],
                     "parameters": [{"name": "n", "schema": {"anyOf": [integer, {"type": "null"}]}}],
-                    "requestBody": {"content": {"x": {"schema": {"$ref": "#/components/schemas/Body"}}}},
-                    "responses": {"200": {"description": "Done"}},
+                    "requestBody": {
+                        "content": {
+                            "x": {"schema": {"$ref": "#/components/schemas/Body"}, "example": {"raw": 4500}}
+                        }
+                    },
+                    "responses": {"200": {"description": "Done", "content": {"y": {"example": "a line"}}}},
                 }
             },
             "/a": {
@@ -138,6 +142,7 @@ def test_the_reference_lists_parameters_bodies_and_responses() -> None:
     ]
     assert post.parameters[0].kind == "integer or null"
     assert post.responses == (("200", "Done"),)
+    assert (post.sent, post.received, get.sent, get.received) == ('{\n  "raw": 4500\n}', "a line", "", "")
     assert not get.can_open
     assert not post.can_open
 

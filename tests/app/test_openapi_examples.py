@@ -10,7 +10,9 @@ import pytest
 from jsonschema_rs import Draft202012Validator
 
 from app.database import Database
+from app.help.reference import calls_of
 from app.main import create_app
+from app.web.examples import add_examples
 from app.web.schema import openapi_document
 from tests.app.complete_app import settings_in
 from tests.app.strict_schema import strict
@@ -50,3 +52,20 @@ def test_every_request_and_response_has_an_example_of_its_schema(document: dict[
                 assert faults == [], f"{method} {path}"
                 count += 1
     assert count > 100
+
+
+def test_the_reference_for_people_shows_each_example(document: dict[str, Any]) -> None:
+    calls = [call for _, group in calls_of(document) for call in group]
+    assert [call.id for call in calls if call.body and not call.sent] == []
+    without = [call for call in calls if not call.received]
+    assert [call.id for call in without if "204" not in dict(call.responses)] == []
+
+
+def test_a_missing_example_leaves_the_document_without_it() -> None:
+    unknown = {"content": {"application/json": {"schema": {"$ref": "#/components/schemas/Unknown"}}}}
+    anything: dict[str, Any] = {"content": {"application/json": {"schema": {}}}}
+    responses = {"200": anything, "404": {"description": "None"}}
+    operation = {"requestBody": unknown, "responses": responses}
+    add_examples({"components": {"schemas": {}}, "paths": {"/": {"post": operation}}})
+    assert "example" not in unknown["content"]["application/json"]
+    assert anything["content"]["application/json"]["example"] is None

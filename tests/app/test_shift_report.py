@@ -163,6 +163,36 @@ def test_a_shift_has_the_run_time_stops_and_length_of_each_unit(config: Path) ->
     assert "0:05:00: commanded speed 0" in shown.stdout
 
 
+def test_any_span_has_the_same_report_and_its_units_as_csv(config: Path) -> None:
+    shelf = Shelf(config.parent / "data" / "history.db")
+    shelf.keep([unit_reading(NOON + second / 4, 60 if second < 1200 else 0) for second in range(2400)])
+    shelf.close()
+    span = ("--since", "2026-11-20T06:00", "--until", "2026-11-22T06:00")
+    found = report_of(config, *span)
+    assert (found["start"][:16], found["end"][:16]) == ("2026-11-20T06:00", "2026-11-22T06:00")
+    assert (found["units"][0]["running_s"], found["signed"]) == (300.0, None)
+    assert "Mill: 2026-11-20 06:00 to 2026-11-22 06:00 (UTC)" in called(config, *span).stdout
+    head, unwind, rewind = called(config, "--csv", *span).stdout.splitlines()
+    assert head == "bus,unit,name,start,end,known_s,running_s,length,length_unit,stops,stopped_s"
+    assert unwind.startswith("dry-end,1,Unwind,2026-11-20T06:00")
+    assert unwind.endswith(",599.75,300.0,300.0,m,1,299.75")
+    assert rewind.endswith(",0.0,0.0,,,0,0")
+
+
+@pytest.mark.parametrize(
+    ("span", "reason"),
+    [
+        (("--until", "2026-11-22T06:00"), "a span begins before now"),
+        (("--since", "2999-01-01T06:00"), "a span begins before now"),
+        (("--since", "2026-11-22T06:00", "--until", "2026-11-22T06:00"), "a span begins before now"),
+        (("--since", "monday"), "'monday' is no"),
+    ],
+)
+def test_a_span_that_is_none_is_wrong_use(config: Path, span: tuple[str, ...], reason: str) -> None:
+    done = called(config, *span)
+    assert (done.exit_code, reason in done.stderr) == (2, True), done.stderr
+
+
 def test_without_history_there_are_the_events(config: Path) -> None:
     found = report_of(config, "--shift", "now")
     assert (found["site"], found["units"], found["alarms"], found["notes"]) == ("Mill", [], [], [])
@@ -174,7 +204,7 @@ def test_without_history_there_are_the_events(config: Path) -> None:
 @pytest.mark.parametrize(
     ("shift", "reason"),
     [
-        ("yesterday", "is no start of a shift"),
+        ("yesterday", "is no time"),
         ("2026-01-01T06:30", "No shift starts at 2026-01-01 06:30"),
         ("2999-01-01T06:00", "has not begun"),
     ],

@@ -141,7 +141,7 @@ def deep_manifest(site: Site) -> None:
 
 
 def large_manifest(site: Site) -> None:
-    site.write((plain(MAIN, site.store()), site.store()), note="x" * 100_000)
+    site.write((plain(MAIN, site.store()), site.store()), note="x" * 300_000)
 
 
 def link(site: Site) -> None:

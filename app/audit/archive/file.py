@@ -9,6 +9,7 @@ import gzip
 import hashlib
 import json
 import os
+import re
 import secrets
 import zlib
 from collections.abc import Iterator, Mapping
@@ -24,6 +25,7 @@ Entry = dict[str, Any]
 MAX_LINE = 1024 * 1024
 """Characters of an entry; the longest has a few hundred frames. A file that was put there in place of ours
 may unpack to one line without an end."""
+NAME = re.compile(r"events-\d{4}-\d{2}(-[1-9]\d*)?\.jsonl\.gz")
 
 
 class EventArchiveError(StoreError):

@@ -1,0 +1,39 @@
+"""A site whose old events are archived."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+from app.audit.archive.archiving import EventArchive
+from app.audit.keys import open_keys
+from app.audit.log import EventLog
+from app.audit.store import heads_of
+from app.settings import Settings, load
+from bus.instants import UnixTime
+from tests.stores import open_store, store_table
+
+MONTH_S = 31 * 86_400.0
+
+
+async def archived_site(tmp_path: Path) -> Settings:
+    """Five months of events, of which the first three are archived."""
+    file = tmp_path / "lineside.toml"
+    data = tmp_path / "data"
+    audit = '[audit]\narchive = "archive"\nkeep_months = 2\n'
+    file.write_text(f'[server]\ndata = "data"\n{store_table(data)}{audit}')
+    for folder in (tmp_path / "archive", data):
+        folder.mkdir()
+    settings, now = load(file), UnixTime(1_768_000_000.0)
+    database = open_store(data / "lineside.db")
+    keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
+    events = EventLog(database, lambda: now, keys)
+    for _ in range(5):
+        await events.record(kind="unit", what="offline", bus="dry-end", unit=1)
+        await events.record(kind="server", what="started")
+        now += MONTH_S
+    await EventArchive(
+        database, events, settings.audit.archive, 2, ZoneInfo("Europe/Berlin"), lambda: now
+    ).archive_due()
+    database.close()
+    return settings
