@@ -20,14 +20,15 @@ from tests.app.stage import Stage, bus_settings, result_of, snapshot
 EXACT = ConfigDict(extra="forbid", strict=True)
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def exact(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is converted, and nothing is left over. TypeAdapter takes it from the class alone, of which other
-    tests make schemas."""
+    """Nothing is converted, and nothing is left over. TypeAdapter takes it from the class alone, of which
+    apps and other tests make schemas."""
     for kind in (BusShown, UnitShown, ParameterShown, CommandResult):
         monkeypatch.setattr(kind, "__pydantic_config__", EXACT, raising=False)
 
 
+@pytest.mark.usefixtures("exact")
 def test_units_and_buses_read_and_unread() -> None:
     live = LiveState([bus_settings()], time.time())
     view = line_view(live, blocks={1: "belt off"})
@@ -44,6 +45,7 @@ def test_units_and_buses_read_and_unread() -> None:
         TypeAdapter(ParameterShown).validate_python(row)
 
 
+@pytest.mark.usefixtures("exact")
 def test_outcomes() -> None:
     live = LiveState([bus_settings()], time.time())
     frame = Frame(at=1.0, direction="out", data=b"x", meanings=[term("m")])
