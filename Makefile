@@ -41,13 +41,13 @@ test: development
 	$(MAKE) --no-print-directory --jobs=3 --keep-going --output-sync=target browser-tests other-tests check
 
 browser-tests: development
-	$(BIN)/pytest -n 3 --dist loadfile tests/e2e
+	$(BIN)/pytest -n 2 --dist loadfile tests/e2e
 
 # Collected once before, which compiles the tests; each process would do that otherwise.
 other-tests: development
 	$(BIN)/pytest --collect-only --quiet --ignore tests/e2e tests >/dev/null
 	node --test tests/js/*.test.js
-	nice -n 5 $(BIN)/pytest -n 5 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
+	nice -n 5 $(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
 
 # What takes long, alone on the machine: it measures. Then each property with many random examples. 52 minutes.
 soak: development
