@@ -89,7 +89,7 @@ check: development
 	node_modules/.bin/tsc
 	node_modules/.bin/tsc --project types/worker
 
-development:
+development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM) $(PROXIES) $(POSTGRESQL)
 
 # The locks are exact and carry a hash for every file. requirements.lock is what runs, and hatchling. What runs
 # is tested with the tools beside it, so it takes the versions that they leave. npm touches the stamp of $(NODE_TOOLS)
