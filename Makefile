@@ -33,9 +33,9 @@ free-port:
 setup: $(VENV)/.lineside
 
 # All at once, each with its output in one piece. The modules are compiled once, and not by each of the processes
-# that begin together. The browser tests come before the others in the use of the cores. Of both there are more
-# processes than cores, because much of their time is a wait for a line. Those of complete paths wait longest, so they
-# begin.
+# that begin together. The browser tests come before the others in the use of the cores. Of the others there are more
+# processes than cores, because much of their time is a wait for a line; still more only get in each other's way. Those
+# of complete paths wait longest, so they begin.
 test: development
 	$(BIN)/python -m compileall -q app bus
 	$(MAKE) --no-print-directory --jobs=3 --keep-going --output-sync=target browser-tests other-tests check
@@ -49,7 +49,7 @@ other-tests: development
 	node --test tests/js/*.test.js
 	nice -n 5 $(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
 
-# What takes long, alone on the machine: it measures. Then each property with many random examples. 52 minutes.
+# What takes long, alone on the machine: it measures. Then each property with many random examples. 56 minutes.
 soak: development
 	$(BIN)/python -m tests.soak
 
