@@ -24,7 +24,7 @@ from bus.messages import Message
 from tests.app.history_line import BUS
 
 T = TypeVar("T")
-MOST = 1_000_000
+MAX_SPOOLED = 1_000_000
 
 
 class AwayDatabase(SqliteDatabase):
@@ -83,7 +83,7 @@ def writer_of(
     *,
     store: StoreSettings = IN_FILES,
     share: StoreShare = COMPLETE,
-    most: int = MOST,
+    most: int = MAX_SPOOLED,
 ) -> Writer:
     """A writer that spools, with its thread."""
     outage = Outage(Spool(folder / "spool", most), on_event)

@@ -21,6 +21,9 @@ from tests.app.played_line import BUS, played_line
 API = f"/api/v1/buses/{BUS}/control"
 
 
+WAYS_TO_LEAVE = ("signed out", "removed", "disabled", "demoted", "removed and made again")
+
+
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with complete_app(tmp_path, control=True) as house:
@@ -93,7 +96,7 @@ async def test_a_lapsed_request_is_not_granted(
     assert await holder(anna) == "anna"
 
 
-@pytest.mark.parametrize("how", ["signed out", "removed", "disabled", "demoted", "removed and made again"])
+@pytest.mark.parametrize("how", WAYS_TO_LEAVE)
 async def test_nothing_is_granted_to_one_who_has_left(
     house: House, anna: httpx.AsyncClient, ben: httpx.AsyncClient, how: str
 ) -> None:
@@ -103,7 +106,7 @@ async def test_nothing_is_granted_to_one_who_has_left(
     assert await holder(anna) == "anna"
 
 
-@pytest.mark.parametrize("how", ["signed out", "removed", "disabled", "demoted", "removed and made again"])
+@pytest.mark.parametrize("how", WAYS_TO_LEAVE)
 async def test_one_who_has_left_grants_nothing(
     house: House, anna: httpx.AsyncClient, ben: httpx.AsyncClient, how: str
 ) -> None:
