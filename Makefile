@@ -41,13 +41,11 @@ test: development
 	$(MAKE) --no-print-directory --jobs=3 --keep-going --output-sync=target browser-tests other-tests check
 
 browser-tests: development
-	$(BIN)/pytest -n 2 --dist loadfile tests/e2e
+	$(BIN)/pytest --processes 2 tests/e2e
 
-# Collected once before, which compiles the tests; each process would do that otherwise.
 other-tests: development
-	$(BIN)/pytest --collect-only --quiet --ignore tests/e2e tests >/dev/null
 	node --test tests/js/*.test.js
-	nice -n 5 $(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
+	nice -n 5 $(BIN)/pytest --processes 4 --ignore tests/e2e tests/path tests
 
 # What takes long, alone on the machine: it measures. Then each property with many random examples. 56 minutes.
 soak: development
@@ -55,12 +53,12 @@ soak: development
 
 # The browser tests N times: how often each failed.
 flaky: development
-	$(BIN)/python -m tests.flaky $(N) -n 3 --dist loadfile tests/e2e
+	$(BIN)/python -m tests.flaky $(N) --processes 3 tests/e2e
 
 # Every line and branch of the pure modules, each by its own tests, and 90 % of all the rest.
 coverage: development
 	$(BIN)/python -m tests.covered
-	$(COVERAGE) run -m pytest -q -n 2 --dist loadfile --ignore tests/e2e
+	$(COVERAGE) run -m pytest -q --processes 2 --ignore tests/e2e
 	$(COVERAGE) combine --quiet
 	$(COVERAGE) report
 

@@ -40,13 +40,15 @@ settings.register_profile("lineside", derandomize=True, deadline=None, max_examp
 settings.register_profile("soak", deadline=None, max_examples=1000)
 settings.load_profile("lineside")
 
+pytest_plugins = ["tests.processes"]
+
 COMPLETE_SITES = {"e2e", "path"}
 HISTORY_MIGRATIONS = MIGRATIONS.parents[1] / "history" / "migrations"
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep the order of files in which xdist distributes them, with ``--no-loadscope-reorder``."""
+    """The order of files in which the processes take them."""
     items.sort(key=lambda item: item.path.parent.name not in COMPLETE_SITES)
 
 

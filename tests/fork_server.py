@@ -27,8 +27,11 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, Literal
+from uuid import uuid4
 
 Program = Literal["lineside", "bus"]
+RUN = os.environ.setdefault("LINESIDE_TESTS_RUN", uuid4().hex[:12])
+"""This run of the tests: what its processes share has it in its name."""
 ROOT = Path(__file__).resolve().parent.parent
 ENTRY_POINTS: dict[Program, tuple[str, str]] = {
     "lineside": ("app.cli", str(Path(sys.executable).with_name("lineside"))),
@@ -159,7 +162,7 @@ def _stream(given: IO[Any] | int | None, default: IO[Any] | None) -> tuple[IO[st
 def _server() -> socket.socket:
     """The connection to the fork server. All processes of a run have one together, which ends with the last
     of them: each would take two seconds to import the program."""
-    address = f"\0lineside-tests-{os.environ.get('PYTEST_XDIST_TESTRUNUID', os.getpid())}"
+    address = f"\0lineside-tests-{RUN}"
     ours = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     while ours.connect_ex(address):
         _begin(address)

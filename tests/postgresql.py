@@ -25,6 +25,7 @@ import pytest
 from app.database import Database
 from app.database.migration import MIGRATIONS
 from app.database.settings import StoreSettings
+from tests.fork_server import RUN
 
 if TYPE_CHECKING:
     import psycopg
@@ -81,8 +82,7 @@ needs_postgresql = pytest.mark.skipif(bool(unusable()), reason=unusable())
 def socket_folder() -> Path:
     """The folder of the socket on which the PostgreSQL of this run of the tests listens; it is started first
     where no process of the run has done that."""
-    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", f"{os.getpid()}")
-    folder = Path(tempfile.gettempdir(), f"lineside-postgresql-{run[:12]}")
+    folder = Path(tempfile.gettempdir(), f"lineside-postgresql-{RUN}")
     folder.mkdir(mode=0o755, exist_ok=True)
     with (folder / "starting").open("a") as starting:
         fcntl.flock(starting, fcntl.LOCK_EX)

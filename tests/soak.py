@@ -18,10 +18,7 @@ MAX_MINUTES = 56.0
 """On two cores, with nothing beside it."""
 HALVES = {
     "long tests": ("-m", "soak", "-s"),
-    "properties with random examples": (
-        *("-m", "hypothesis", "--hypothesis-profile=soak"),
-        *("-n", "2", "--dist", "loadfile"),
-    ),
+    "properties with random examples": ("-m", "hypothesis", "--hypothesis-profile=soak", "--processes", "2"),
 }
 
 
