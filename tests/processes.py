@@ -100,7 +100,7 @@ class Reporting:
         self._connection = connection
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
-        """Tell which test runs."""
+        """Name the test that runs."""
         self._connection.send(nodeid)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -152,7 +152,7 @@ def report_again(session: pytest.Session, message: dict[str, Any]) -> None:
 
 
 def judge_end(session: pytest.Session, process: Process) -> None:
-    """Fail the session where a process has not come to the end of its tests."""
+    """Fail the session where a process has not reached the end of its tests."""
     code = os.waitstatus_to_exitcode(os.waitpid(process.pid, 0)[1])
     if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         session.shouldfail = f"a process of the tests ended with {code}, while it ran {process.test}"

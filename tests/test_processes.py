@@ -50,7 +50,7 @@ def test_every_test_runs_once_and_each_process_has_its_fixtures_to_its_end(tmp_p
     assert sorted((tmp_path / "ended").read_text("utf-8").split()) == sorted(begun)
 
 
-def test_a_failure_is_reported_with_the_output_of_its_own_test(tmp_path: Path) -> None:
+def test_a_failure_is_reported_with_the_output_of_that_test(tmp_path: Path) -> None:
     """All that is printed at the same time, by processes or by what they start, stays apart."""
     failing = (
         "import os\ndef test_it():\n    for _ in range(99): os.system('echo from {0}')\n    assert 0, '{0}'"
