@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import socket
+from hashlib import sha256
 from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
 from pathlib import Path
 from typing import Annotated
@@ -31,6 +32,7 @@ from app.messages.languages import catalogs
 from app.notification.settings import NotifySettings, WebUrl, refuse_unknown_names
 from app.server.settings import TlsSettings
 from app.time_zone import is_zone, machine_zone
+from app.version import VERSION
 from bus import configuration
 from bus.configuration import ConfigurationError
 from bus.messages import Message
@@ -207,6 +209,13 @@ class Settings(StrictModel):
         """Where the head of the audit log is noted: as configured, or beside the data folder."""
         data = self.server.data
         return self.audit.anchor or data.parent / f"{data.name}{ANCHOR_SUFFIX}"
+
+    @property
+    def page_digest(self) -> str:
+        """Identifies what a page is rendered with and no later message changes: the release, and the site and
+        its units as they are called."""
+        units = [(bus.name, bus.draw_percent, bus.unit) for bus in self.bus]
+        return sha256(repr((VERSION, self.site, units)).encode()).hexdigest()[:16]
 
     @property
     def store_name(self) -> str:

@@ -251,6 +251,7 @@ def _become(request: Mapping[str, Any], streams: list[int]) -> Program:
     tempfile.tempdir = None
     program: Program = request["program"]
     sys.argv = [ENTRY_POINTS[program][1], *request["words"]]
+    sys.orig_argv = [sys.executable, *sys.argv]
     return program
 
 

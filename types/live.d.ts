@@ -40,9 +40,9 @@ interface Frame {
   valid: boolean;
 }
 
-/** `n`: the number of a message, `p`: of the one before; `t`: Unix time, seconds. */
+/** `digest`: of what a page is rendered with now; `n`: the number of a message, `p`: of the one before; `t`: Unix time, seconds. */
 type LiveMessage =
-  | { is: "snapshot"; n: number; t: number; f: Groups }
+  | { is: "snapshot"; digest: string; n: number; t: number; f: Groups }
   | { is: "changes"; p: number; n: number; t: number; f: Groups }
   | { is: "lines"; f: Groups }
   | { is: "frames"; frames: Frame[] };

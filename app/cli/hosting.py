@@ -72,9 +72,12 @@ def host(
     manager: ServiceManager,
     *,
     demo: bool = False,
-) -> None:
-    """Serve at ``listening`` until SIGTERM or SIGINT. Raises HostingError and StoreError in words."""
+) -> bool:
+    """Serve at ``listening`` until SIGTERM or SIGINT, or until a person restarts the server: then True.
+    Raises HostingError and StoreError in words."""
+    rights = os.geteuid()
     become_owner_of(settings.server.data)
+    can_restart = os.geteuid() == rights and settings.server.port != 0 and not demo
     configure_log()
     structlog.get_logger().info("lineside", version=VERSION)
     sys.setswitchinterval(SWITCH_S)
@@ -82,7 +85,7 @@ def host(
     is_encrypted = settings.server.tls is not None
     own = listen("127.0.0.1", 0, Message("choose_port")) if is_encrypted else nullcontext(None)
     with only_one(settings.server.data), own as feed:
-        uvloop.run(_host(settings, config, listening, feed, manager, demo=demo))
+        return uvloop.run(_host(settings, config, listening, feed, manager, demo=demo, restarts=can_restart))
 
 
 async def _host(
@@ -93,9 +96,11 @@ async def _host(
     manager: ServiceManager,
     *,
     demo: bool,
-) -> None:
+    restarts: bool,
+) -> bool:
     """The workers begin while the dashboard is still being read, and end before it does; where servers share
-    the store, each with the home of its bus. ``feed``: where they find it; None: where browsers do."""
+    the store, each with the home of its bus. ``feed``: where they find it; None: where browsers do;
+    ``restarts``: whether a person may restart it, as one has where this is True."""
     address, port = listening.getsockname()[:2]
     url = url_of(address, port, "http" if feed is None else "https")
     feed_url = url_of(*(feed or listening).getsockname()[:2])
@@ -103,13 +108,13 @@ async def _host(
     tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus if bus.worker == "server"}
     leased = bool(settings.store.url)
     workers = WorkerProcesses(config, tokens, feed_url, leased=leased)
-    stopping = _stop_requested()
+    stopping, restart = _stop_requested(), asyncio.Event()
     if not leased:
         workers.start_all()
     try:
         with loading():
             if (module := await _server_module(stopping)) is None:
-                return
+                return False
             server = module.Server(
                 with_port(settings, port) if leased else settings,
                 demo,
@@ -120,16 +125,24 @@ async def _host(
             )
         workers.watch(server.worker_responds)
         server.each_second(module.Liveness(manager, server.services[module.Database], workers.are_kept).tick)
+        if restarts:
+            restart = server.services[module.Restart].offer()
+        restarting = asyncio.create_task(restart.wait())
         serving = asyncio.create_task(server.serve([listening]))
-        await asyncio.wait({serving, stopping}, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait({serving, stopping, restarting}, return_when=asyncio.FIRST_COMPLETED)
+        restarting.cancel()
     finally:
         stopping.cancel()
-        manager.stopping()
+        if restart.is_set():
+            manager.restarting()
+        else:
+            manager.stopping()
         await workers.stop_all()
     server.end()
     await serving
     if not server.started:
         raise HostingError(Message("dashboard_not_started"))
+    return restart.is_set()
 
 
 def _report_serving(url: str, manager: ServiceManager, code: str) -> None:

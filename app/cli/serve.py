@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated
@@ -46,7 +48,11 @@ def serve(
             from app.cli.new_site import begin_new_site
 
             begin_new_site(settings)
-        host(settings, config.resolve(), port, manager)
+        restarts = host(settings, config.resolve(), port, manager)
+    if restarts:
+        # The same command in the same process, which a service manager goes on to watch. What the server had
+        # open is closed by now, and no descriptor is inherited.
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
 @contextmanager

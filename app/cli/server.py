@@ -15,6 +15,7 @@ from uvicorn.config import Config
 
 from app.auth.first_admin import FirstAdmin
 from app.cli.liveness import Liveness as Liveness
+from app.configuration.restart import Restart as Restart
 from app.database import Database as Database
 from app.feature import Services
 from app.feed.workers import Workers

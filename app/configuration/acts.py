@@ -10,4 +10,6 @@ CHANGE_MAIL = Act("change_mail_server", Role.ADMIN, "configuration", "event_conf
 """The server sends its password to the mail server that is named here."""
 ROLL_BACK = Act("roll_back_configuration", Role.ADMIN, "configuration", "event_configuration_rolled_back")
 """It may change everything, also what only the file has."""
-ACTS = (CHANGE, CHANGE_MAIL, ROLL_BACK)
+RESTART = Act("restart_server", Role.ADMIN, "server", "event_restart_requested")
+"""For a few seconds no drive of the server is monitored."""
+ACTS = (CHANGE, CHANGE_MAIL, ROLL_BACK, RESTART)

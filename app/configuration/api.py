@@ -10,10 +10,11 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.audit.act import Act
-from app.configuration.acts import CHANGE, ROLL_BACK
+from app.configuration.acts import CHANGE, RESTART, ROLL_BACK
 from app.configuration.difference import DifferenceLine, difference
 from app.configuration.document import Edit, at
 from app.configuration.edits import act_on, edit_of
+from app.configuration.restart import Restart
 from app.configuration.service import ConfigurationFile
 from app.configuration.tables import TableKind, TablePlace, place_or_404, places_of, text_of
 from app.configuration.versions import ConfigurationVersion
@@ -28,6 +29,7 @@ from bus.text import OneLine
 router = APIRouter(prefix="/api/v1/configuration", tags=["configuration"], route_class=ApiRoute)
 
 FileOfServer = Annotated[ConfigurationFile, service(ConfigurationFile)]
+RestartOfServer = Annotated[Restart, service(Restart)]
 ConfigurationChanger = Annotated[Person, CHANGE.permitted]
 SetValue = str | bool | int | float | list[str | int | float]
 TableName = Annotated[str, Path(max_length=80, description="Keys and indexes, such as bus.0.unit.1.")]
@@ -77,11 +79,16 @@ class ConfigurationChange(TypedDict):
     difference: list[DifferenceLine]
 
 
-class ConfigurationRollBackRequest(StrictBody):
-    """``review``: nothing is written."""
+class RestartRequest(StrictBody):
+    """The server restarts with the text of the file that has this digest, and no other."""
 
     digest: FileDigest
     reason: Annotated[OneLine, Field(max_length=MAX_REASON, description="Why, for the audit log.")] = ""
+
+
+class ConfigurationRollBackRequest(RestartRequest):
+    """``review``: nothing is written."""
+
     review: bool = False
 
 
@@ -147,6 +154,15 @@ async def roll_back_configuration(
     """Write the text of a version, as a version itself."""
     stored = await file.version(version_number)
     return await _done(person, file, ROLL_BACK, lambda _: stored.text, body)
+
+
+@router.post("/restart", status_code=204)
+async def restart_server(
+    person: Annotated[Person, RESTART.permitted], restart: RestartOfServer, body: RestartRequest
+) -> None:
+    """Restart the server with what the file has. The drives keep their speed; for a few seconds they are
+    neither monitored nor commanded."""
+    await restart.request(person, body.digest, body.reason)
 
 
 async def _done(

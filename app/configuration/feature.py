@@ -5,6 +5,7 @@ from __future__ import annotations
 from app.audit.log import EventLog
 from app.configuration import api, pages
 from app.configuration.acts import ACTS
+from app.configuration.restart import Restart
 from app.configuration.service import ConfigurationFile
 from app.configuration.versions import VersionStore
 from app.feature import Feature, Services
@@ -14,6 +15,7 @@ def make(services: Services) -> None:
     settings = services.settings
     store = VersionStore(settings.server.data)
     file = services.add(ConfigurationFile(settings, store, services[EventLog]))
+    services.add(Restart(file, services[EventLog]))
     services.lifespan.add("configuration", start=file.begin)
 
 

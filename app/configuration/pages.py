@@ -12,8 +12,8 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.conditions.catalogue import CONDITIONS
-from app.configuration.acts import ROLL_BACK
-from app.configuration.api import MAX_REASON, ConfigurationChanger, FileOfServer
+from app.configuration.acts import RESTART, ROLL_BACK
+from app.configuration.api import MAX_REASON, ConfigurationChanger, FileOfServer, RestartOfServer
 from app.configuration.difference import difference, masked
 from app.configuration.document import at, content_of
 from app.configuration.edits import act_on, edit_of
@@ -43,6 +43,7 @@ router = APIRouter(include_in_schema=False)
 
 SEE_OTHER = 303
 _DUTY = next(form for form in FORMS if form.kind == "duty")
+Restarter = Annotated[Person, RESTART.permitted]
 RollBacker = Annotated[Person, ROLL_BACK.permitted]
 Digest = Annotated[str, Form(max_length=64)]
 _WORDS = {day: Message(f"day_{number}") for number, day in enumerate(DAYS)} | {
@@ -61,7 +62,12 @@ class ShownTable(NamedTuple):
 
 @router.get("/configuration")
 async def configuration_page(
-    request: Request, _: ConfigurationChanger, file: FileOfServer, done: int = 0
+    request: Request,
+    _: ConfigurationChanger,
+    file: FileOfServer,
+    restart: RestartOfServer,
+    done: int = 0,
+    restarting: bool = False,
 ) -> Response:
     """The tables of the file, what it lacks, and its newest versions."""
     try:
@@ -83,6 +89,8 @@ async def configuration_page(
         duties=[ShownTable(end_of(_DUTY, data, group.place.path), group.title) for group in shown["group"]],
         versions=await file.versions(),
         done=done,
+        can_restart=restart.is_offered and not present.faults,
+        restarting=restarting,
     )
 
 
@@ -172,6 +180,15 @@ async def roll_back_configuration_page(
         saved = await file.save(person, ROLL_BACK, lambda _: stored.text, digest, reason_of_change)
         return RedirectResponse(f"/configuration?done={saved.number}", SEE_OTHER)
     return _review(request, file, present, review, f"/configuration/versions/{number}/roll-back", {})
+
+
+@router.post("/configuration/restart")
+async def restart_server_page(
+    person: Restarter, restart: RestartOfServer, digest: Digest = "", reason_of_change: ReasonOfChange = ""
+) -> Response:
+    """Restart with the lines that the page has shown."""
+    await restart.request(person, digest, reason_of_change)
+    return RedirectResponse("/configuration?restarting=true", SEE_OTHER)
 
 
 def _review(

@@ -32,6 +32,12 @@ class ServiceManager:
         """Every part has moved on: the watchdog begins its time again."""
         self._send("WATCHDOG=1")
 
+    def restarting(self, environment: MutableMapping[str, str] = os.environ) -> None:
+        """The server starts again in this process, which finds the socket in its environment."""
+        self._send("RELOADING=1", "STATUS=restarts with the changed configuration")
+        if self.is_there:
+            environment[NOTIFY_SOCKET] = self._address.replace("\0", "@", 1)
+
     def stopping(self) -> None:
         self._send("STOPPING=1")
 

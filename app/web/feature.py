@@ -20,6 +20,7 @@ def make(services: Services) -> None:
             settings.site,
             demo=services.demo,
             kept_in=settings.server.data / "compiled",
+            page_digest=settings.page_digest,
         )
     )
 

@@ -71,12 +71,11 @@ class Compiled(FileSystemBytecodeCache):
 
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
-    ``language``, ``languages``, ``site``, ``Role``, ``demo``, ``navigation()``, ``on_phone``,
-    ``help_of``; in a page or fragment of a request also ``person``, ``request``, ``path``,
+    ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``, ``navigation()``,
+    ``on_phone``, ``help_of``; in a page or fragment of a request also ``person``, ``request``, ``path``,
     ``head_alarms()``, ``head_away()``, ``controls()``, ``trays()``, ``head_others()``, ``has_lines()``,
     ``elsewhere()``, ``home_server()`` and ``may()``, whether the person may send a command or perform an
-    act, by its name. ``kept_in``: where they
-    stay compiled between two starts."""
+    act, by its name. ``kept_in``: where they stay compiled between two starts."""
 
     def __init__(
         self,
@@ -86,9 +85,11 @@ class Templates:
         *,
         demo: bool = False,
         kept_in: Path | None = None,
+        page_digest: str = "",
     ) -> None:
         self.languages = Languages(kept_in=kept_in, time_zone=site.zone)
         self.site = site
+        self.page_digest = page_digest
         self._demo = demo
         self._roles: dict[str, Role] = {}
         self._assets = assets
@@ -115,6 +116,7 @@ class Templates:
             "asset": self._assets.url,
             "imports": self._assets.imports,
             "site": self.site,
+            "page_digest": self.page_digest,
             "demo": self._demo,
             "Role": Role,
             "navigation": pages_for,

@@ -28,6 +28,12 @@ def joined(made: Broadcast) -> Browser:
     return browser
 
 
+async def test_a_snapshot_states_what_a_page_is_rendered_with() -> None:
+    made = Broadcast(screen(line()), lambda: 100.0, "3f9a")
+    (snapshot,) = await sent(joined(made))
+    assert snapshot["digest"] == "3f9a"
+
+
 async def test_few_pages_are_updated_at_once() -> None:
     made = broadcast()
     browser = joined(made)

@@ -61,6 +61,18 @@ def test_it_sends_each_state_and_no_child_inherits_the_socket(address: str, list
     assert listened.received() == ["READY=1\nSTATUS=serving at http://a", "WATCHDOG=1", "STOPPING=1"]
 
 
+def test_a_server_that_restarts_in_its_process_finds_the_manager_again(
+    address: str, listened: Listened
+) -> None:
+    environment = {"NOTIFY_SOCKET": address}
+    ServiceManager(environment).restarting(environment)
+    assert environment == {"NOTIFY_SOCKET": address}
+    ServiceManager(environment).ready("serving at http://a")
+    assert [each.split("\n")[0] for each in listened.received()] == ["RELOADING=1", "READY=1"]
+    ServiceManager(nowhere := dict[str, str]()).restarting(nowhere)
+    assert not nowhere
+
+
 def test_without_a_manager_or_with_one_that_has_gone_nothing_happens(tmp_path: Path) -> None:
     gone = {"NOTIFY_SOCKET": str(tmp_path / "gone")}
     for environment in (dict[str, str](), gone):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.settings import ConfigurationError, Site, load
+from app.settings import ConfigurationError, Site, load, parse
 from app.time_zone import machine_zone
 
 BUSES = """\
@@ -182,3 +182,20 @@ def test_a_device_server_is_taken_over_and_a_local_port_is_not_unless_the_bus_st
     assert not of("/dev/ttyUSB0")
     assert of("/dev/ttyUSB0", 'take_over = "automatic"\n')
     assert not of("socket://10.0.0.1:4001", 'take_over = "manual"\n')
+
+
+def test_the_digest_of_pages_is_another_one_for_other_names_and_not_for_what_no_page_shows() -> None:
+    text = '[[bus]]\nname = "dry"\nport = "/dev/null"\n[[bus.unit]]\nid = 1\nname = "Nip"\n'
+    digest = parse(text, Path("lineside.toml")).page_digest
+    for same in (
+        text + "# a comment",
+        text.replace("/dev/null", "/dev/ttyS0"),
+        f"[history]\nyears = 9\n{text}",
+    ):
+        assert parse(same, Path("lineside.toml")).page_digest == digest
+    for other in (
+        text.replace("Nip", "Coater"),
+        text.replace("id = 1", "id = 2"),
+        f'[site]\nname = "B"\n{text}',
+    ):
+        assert parse(other, Path("lineside.toml")).page_digest != digest

@@ -1,4 +1,6 @@
-"""The configuration file in a browser: a unit is renamed after a review, and the file rolled back."""
+"""The configuration file in a browser: a unit is renamed after a review, the server restarted, and the file
+rolled back.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,13 @@ from tests.e2e.conftest import OpensPages
 from tests.e2e.site import AT_REST, Site
 
 PHONE = {"width": 360, "height": 740}
+MAX_MS = 60_000
+"""For a server to end and to start."""
 
 
 @pytest.mark.soak
-def test_a_unit_is_renamed_and_the_file_rolled_back(
+@pytest.mark.provokes("WebSocket connection")
+def test_a_unit_is_renamed_the_server_restarted_and_the_file_rolled_back(
     line_server: Callable[..., Site], browser_page: OpensPages, flaws: Callable[..., list[str]]
 ) -> None:
     site = line_server(1, line_options=AT_REST)
@@ -32,6 +37,13 @@ def test_a_unit_is_renamed_and_the_file_rolled_back(
     expect(page.get_by_text("It takes effect at the next start of the server.")).to_be_visible()
     written = site.config.read_text(encoding="utf-8")
     assert written == before.replace('name = "Unwind"', 'name = "Unwind north"', 1)
+    line = browser_page("viewer", site)
+    line.goto("/")
+    assert flaws(page) == []
+    page.get_by_role("button", name="Restart the server").click()
+    # A page that was open has the new name too.
+    expect(line.get_by_text("Unwind north").first).to_be_visible(timeout=MAX_MS)
+    expect(page.get_by_text("Waiting for the next start")).to_have_count(0, timeout=MAX_MS)
     page.get_by_role("link", name="Compare with the file").last.click()
     page.get_by_role("button", name="Roll back to this version").click()
     page.get_by_role("button", name="Write the file").click()

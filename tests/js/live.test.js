@@ -46,9 +46,11 @@ async function openLive() {
     }
   };
   let number = 0;
-  receive({ is: "snapshot", n: 0, t: 0, f: {} });
+  document.body.dataset.digest = "a";
+  receive({ is: "snapshot", digest: "a", n: 0, t: 0, f: {} });
   const page = {
     lost,
+    receive,
     isLive,
     speak: () => receive({ is: "changes", p: number, n: ++number, t: clock.ms / 1000, f: {} }),
     run(ms, every = Number.POSITIVE_INFINITY) {
@@ -107,4 +109,18 @@ test("a page that is kept from its turns again and again still finds its server 
   page.run(3000, 1000);
   for (let turn = 0; turn < 5; turn++) page.stand(1000);
   assert.ok(page.lost.length > 0);
+});
+
+test("a server that starts again with other names has the page load them once, also beside one with the former", async () => {
+  const page = await openLive();
+  const stored = {};
+  globalThis.sessionStorage = { getItem: (key) => stored[key], setItem: (key, text) => (stored[key] = text) };
+  let loaded = 0;
+  location.reload = () => loaded++;
+  page.receive({ is: "snapshot", digest: "a", n: 7, t: 0, f: {} });
+  assert.equal(loaded, 0);
+  page.receive({ is: "snapshot", digest: "b", n: 0, t: 0, f: {} });
+  assert.equal(loaded, 1);
+  page.receive({ is: "snapshot", digest: "b", n: 0, t: 0, f: {} });
+  assert.equal(loaded, 1);
 });

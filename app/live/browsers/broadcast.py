@@ -20,10 +20,12 @@ from bus.instants import Clock
 
 @dataclass(eq=False, slots=True)
 class Broadcast:
-    """Sends what changes to every open page of one language. ``clock`` returns Unix time in seconds."""
+    """Sends what changes to every open page of one language. ``clock`` returns Unix time in seconds;
+    ``page_digest`` identifies what a page is rendered with now."""
 
     screen: Screen
     clock: Clock
+    page_digest: str = ""
     flow: Flow = field(default_factory=Flow)
     browsers: deque[Browser] = field(default_factory=deque)
     """Each browser is the first in its turn: writing to all takes a while; none is always the last."""
@@ -48,7 +50,13 @@ class Broadcast:
     def send_snapshot(self, browser: Browser) -> None:
         """The snapshot, to a page that opened or missed a number."""
         browser.send(
-            {"is": "snapshot", "n": self.number, "t": round(self.clock(), 3), "f": self.screen.shown}
+            {
+                "is": "snapshot",
+                "digest": self.page_digest,
+                "n": self.number,
+                "t": round(self.clock(), 3),
+                "f": self.screen.shown,
+            }
         )
 
     def publish(self, groups: Groups, *, always: bool = False) -> None:

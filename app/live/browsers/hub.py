@@ -87,7 +87,9 @@ class Hub:
         """The screen of a language, up to date."""
         broadcast = self._broadcasts.get(language)
         if broadcast is None:
-            broadcast = self._broadcasts[language] = Broadcast(self._new_screen(language), self._clock)
+            broadcast = self._broadcasts[language] = Broadcast(
+                self._new_screen(language), self._clock, self._templates.page_digest
+            )
         screen = broadcast.screen
         if not broadcast.browsers:
             # With a page open it follows every report: to render a long line for each that opens takes the
