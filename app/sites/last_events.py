@@ -22,6 +22,8 @@ SHOWN: frozenset[EventKind] = frozenset(
     ("block", "bus", "command", "estop", "mode", "recipe", "restore", "run", "swap", "unit", "worker")
 )
 """The kinds that explain what a line does; control, sign-ins and notes do not."""
+LATE = "event_readings_late"
+"""At each start of the server: its worker begins before it."""
 DONE = ("verified", "acknowledged")
 
 
@@ -62,7 +64,7 @@ class LastEvents:
             with suppress(StoreError):
                 found, _ = await self.events.page(Filter(bus=bus, folded=True), NEWEST)
                 self._changed.discard(bus)
-                last = next((event for event in found if event["kind"] in SHOWN), None)
+                last = next((event for event in found if _is_shown(event)), None)
                 if last is not None and last["time"]:
                     self._last[bus] = EventSummary(float(last["time"]), self._text(last))
 
@@ -79,6 +81,11 @@ class LastEvents:
         if unit is None:
             return text
         return Message.of("line_event_at", name=unit.settings.name, event=text)
+
+
+def _is_shown(event: Event) -> bool:
+    what = _field(event, "what")
+    return event["kind"] in SHOWN and not (isinstance(what, Message) and what.code == LATE)
 
 
 def _field(event: Event, name: str) -> ParamValue:

@@ -70,7 +70,8 @@ function late({ ctx, bbox, valToPos }, [from, to], label) {
   ctx.fillRect(left, bottom - height, Math.max(height, right - left), height);
   ctx.fillStyle = colour("--quiet");
   ctx.textAlign = "left";
-  ctx.fillText(label, Math.max(left, bbox.left + height), bottom - 2 * height);
+  const rightmost = bbox.left + bbox.width - ctx.measureText(label).width;
+  ctx.fillText(label, Math.min(Math.max(left, bbox.left + height), rightmost), bottom - 2 * height);
   ctx.restore();
 }
 

@@ -71,6 +71,10 @@ async def test_the_last_event_names_unit_change_and_result(tmp_path: Path) -> No
         await log.record(kind="command", outcome="verified", what="Set line", bus="dry-end")
         await last.read()
         assert str(last.of("dry-end").text) == "Set line"  # type: ignore[union-attr]
+        late = Message.of("event_readings_late", count=1, since="", until="")
+        await log.record(kind="worker", what=late, bus="dry-end")
+        await last.read()
+        assert str(last.of("dry-end").text) == "Set line"  # type: ignore[union-attr]
 
 
 async def test_recipe_and_last_event_come_from_summaries(tmp_path: Path) -> None:
