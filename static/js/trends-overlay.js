@@ -95,6 +95,15 @@ function hatch({ ctx, bbox, valToPos }, [from, to]) {
   ctx.restore();
 }
 
+/** Before the lane, or within it where the window is too narrow for the word.
+ * @param {uPlot} plot @param {string} word @param {number} y */
+function nameLane({ ctx, bbox }, word, y) {
+  const gap = 8 * devicePixelRatio;
+  const fits = ctx.measureText(word).width + gap <= bbox.left;
+  ctx.textAlign = fits ? "right" : "left";
+  ctx.fillText(word, fits ? bbox.left - gap : bbox.left + gap, y);
+}
+
 /** @param {uPlot} plot @param {Overlay} overlay @param {Span} range @param {LaneWords} words */
 function drawLanes(plot, { alarms, notes }, range, words) {
   const { ctx, bbox } = plot;
@@ -108,9 +117,8 @@ function drawLanes(plot, { alarms, notes }, range, words) {
   ctx.fillStyle = colour("--panel");
   ctx.fillRect(bbox.left, top, bbox.width, bbox.top - top - GAP * devicePixelRatio);
   ctx.fillStyle = colour("--quiet");
-  const before = bbox.left - 8 * devicePixelRatio;
-  ctx.fillText(words.alarms, before, top + row / 2);
-  if (notes.length) ctx.fillText(words.notes, before, top + (rows + 0.5) * row);
+  nameLane(plot, words.alarms, top + row / 2);
+  if (notes.length) nameLane(plot, words.notes, top + (rows + 0.5) * row);
   ctx.beginPath();
   ctx.rect(bbox.left - row / 2, top, bbox.width + row, bbox.top - top);
   ctx.clip();
