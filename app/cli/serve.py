@@ -24,11 +24,13 @@ from app.settings import Settings, load
 from bus.configuration import ConfigurationError
 from bus.messages import Message
 
+NEW = "--new"
+
 
 def serve(
     config: Config = LINESIDE_TOML,
     new: Annotated[
-        bool, Option("--new", help="Begin a new site where the store is missing, empty or damaged.")
+        bool, Option(NEW, help="Begin a new site where the store is missing, empty or damaged.")
     ] = False,
 ) -> None:
     """Serve the dashboard and every bus, until Ctrl-C or SIGTERM."""
@@ -51,8 +53,9 @@ def serve(
         restarts = host(settings, config.resolve(), port, manager)
     if restarts:
         # The same command in the same process, which a service manager goes on to watch. What the server had
-        # open is closed by now, and no descriptor is inherited.
-        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+        # open is closed by now, and no descriptor is inherited. The site is no new one any more.
+        words = (word for word in sys.orig_argv[1:] if word != NEW)
+        os.execv(sys.executable, [sys.executable, *words])
 
 
 @contextmanager

@@ -122,11 +122,13 @@ def test_a_server_restarts_in_its_process_with_the_changed_file(tmp_path: Path) 
     config, port = tmp_path / "lineside.toml", free_port()
     text = CONFIG.format(port=tmp_path / "absent").replace("port = 0", f"port = {port}")
     config.write_text(text, "utf-8")
-    made = fork_server.run("token", "create", "admin", "--role", "admin", "--config", config)
-    program = httpx.Client(
-        headers={"authorization": f"Bearer {made.stdout.split()[-1]}"}, trust_env=False, timeout=30
-    )
-    with program, started("serve", "--config", str(config), as_installed=True) as (process, url):
+    begins = ("serve", "--new", "--config", str(config))
+    with (
+        httpx.Client(trust_env=False, timeout=30) as program,
+        started(*begins, as_installed=True) as (process, url),
+    ):
+        made = fork_server.run("token", "create", "admin", "--role", "admin", "--config", config)
+        program.headers["authorization"] = f"Bearer {made.stdout.split()[-1]}"
         worker = only_child(process)
         config.write_text(text.replace("Unwind", "Unwinder"), "utf-8")
         digest = program.get(url + API).json()["digest"]
