@@ -81,7 +81,8 @@ class OwnLines:
             for number in bus.units
         ]
         origin = LineOrigin(self.site, self.homes.server, self.homes.epoch(name))
-        trace = self._traces.get(name, SpeedTrace())
+        trace = self._traces.setdefault(name, SpeedTrace())
+        trace.note(bus, now)
         found = summary_of(bus, views, self._alarms_of(name), trace.points, origin, now)
         return replace(found, recipe=self._recipe(name), event=self.events.of(name))
 

@@ -29,12 +29,15 @@ class SpeedTrace:
     _next_at: UnixTime = UnixTime(0.0)
 
     def note(self, bus: BusLive, now: UnixTime) -> None:
-        """Take a point when one is due; after a pause, what lies between is unknown."""
+        """Take a point when one is due; until the next it is that of the present. After a pause, what lies
+        between is unknown."""
+        speed = _line_speed(bus, now)
         if now < self._next_at:
+            self.points[-1] = speed
             return
         missed = int((now - self._next_at) // POINT_S) if self.points else 0
         self.points.extend([None] * min(missed, MAX_POINTS))
-        self.points.append(_line_speed(bus, now))
+        self.points.append(speed)
         self._next_at = now + POINT_S
 
 

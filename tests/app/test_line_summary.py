@@ -76,6 +76,9 @@ def test_the_speed_has_a_point_each_ten_seconds_and_gaps() -> None:
         bus.apply([reading(1, at=100.0 + second)])
         trace.note(bus, 100.0 + second)
     assert list(trace.points) == [120.0, 120.0, 120.0]
+    bus.apply([reading(1, at=125.0, actual=1180)])
+    trace.note(bus, 125.0)
+    assert list(trace.points) == [120.0, 120.0, 118.0], "the newest is of the present"
     trace.note(bus, 130.0)
     assert list(trace.points)[-1] is None, "the reading is old"
     trace.note(bus, 130.0 + 5 * POINT_S)
