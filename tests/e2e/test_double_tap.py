@@ -7,6 +7,7 @@ kind is what a button does, without the number of its unit or row. Between two p
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -55,6 +56,8 @@ LINKED = (
     ("/shifts/present", r"/shifts/.*/note"),
 )
 """A page, and the path of one that it links."""
+MAX_MISSES = 8
+"""Taps of one kind for which its review had closed before: a value of the unit had moved."""
 DANGEROUS = (
     *(r'"take"', r'"release"', r'"request"', r'"decline"', r'"grant"', r"/alarms/acknowledge", r"/nudge"),
     *(r"/units/line/#/speed", r"/units/line/#/execute", r"/outputs/#", r"/parameters/# \|", r"/line/zero"),
@@ -82,7 +85,7 @@ class Walk:
     sent: list[Request] = field(default_factory=list)
     under_way: set[Request] = field(default_factory=set)
     changing: set[str] = field(default_factory=set)
-    missed: set[str] = field(default_factory=set)
+    missed: Counter[str] = field(default_factory=Counter)
     pressed: str = ""
     wrong: list[str] = field(default_factory=list)
 
@@ -159,13 +162,13 @@ class Walk:
         self.page.mouse.dblclick(*place, delay=5)
         presses = self._at_rest("presses")
         # What came in between is under the finger: the button is pressed another time.
-        if presses or kind in self.missed:
+        if presses or self.missed[kind] == MAX_MISSES:
             self.seen.add(kind)
         else:
             # A review may have closed in between: what opened it is pressed another time, too.
             self.seen.discard(self.pressed)
         self.pressed = kind
-        self.missed.add(kind)
+        self.missed[kind] += 1
         if self.sent:
             self.changing.add(kind)
         if presses > 1 or len(self.sent) > 1:
