@@ -110,6 +110,7 @@ class Backups:
             "app.cli",
             "backup-store",
             str(file),
+            "--share-events",
             "--config",
             str(self._config),
         )

@@ -24,6 +24,7 @@ import msgspec
 from app.audit.archive.file import NAME as ARCHIVED
 from app.audit.archive.file import digest_of
 from app.cli.backup_files import ENCRYPTED, IN_CLEAR, MAX_BYTES
+from app.cli.kept_events import FOLDER, copy_anew, is_kept, kept_file
 from app.database.private import FILE_MODE
 from app.database.reserve import free_bytes
 from app.errors import StoreError
@@ -59,17 +60,24 @@ class ArchiveError(LinesideError):
 
 class Manifest(msgspec.Struct):
     """``stores``: the SHA-256 of each by its name, hexadecimal; ``files``: the same of the member that has
-    the files of the site; ``events``: of each file of archived events; ``time``: Unix time of the backup."""
+    the files of the site; ``events``: of each file of archived events that is a member, ``kept_events``: of
+    each that is in the folder beside the backups; ``time``: Unix time of the backup."""
 
     time: Annotated[float, msgspec.Meta(ge=0, lt=2**37)]
     stores: Annotated[dict[str, _Digest], msgspec.Meta(min_length=1)]
     files: Annotated[dict[str, _Digest], msgspec.Meta(max_length=1)] = {}
     events: dict[str, _Digest] = {}
+    kept_events: dict[str, _Digest] = {}
 
     @property
     def digests(self) -> dict[str, str]:
         """Of every other member."""
         return {**self.stores, **self.files, **self.events}
+
+    @property
+    def all_events(self) -> dict[str, str]:
+        """Of each file of archived events, wherever it is."""
+        return {**self.events, **self.kept_events}
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +90,14 @@ class Extent:
 
 @dataclass(frozen=True, slots=True)
 class BackupArchive:
-    """An open backup whose members and manifest are as they should be; none is read yet."""
+    """An open backup whose members and manifest are as they should be; none is read yet. ``kept``: the folder
+    of the archived events that it refers to."""
 
     file: BufferedReader
     path: Path
     members: Mapping[str, Extent]
     manifest: Manifest
+    kept: Path
 
     @property
     def message(self) -> Message:
@@ -107,20 +117,40 @@ class BackupArchive:
 
     def unpack_events(self, folder: Path) -> list[Path]:
         """Write the archived events that are not in the folder; one that is there stays. Raises StoreError
-        where it is another one, OSError."""
-        places = {name: folder / name for name in sorted(self.manifest.events)}
+        where it is another one, OSError. What is kept beside the backup and is lost or damaged there is left
+        out: the stores come back without."""
+        digests = self.manifest.all_events
+        places = {name: folder / name for name in sorted(digests)}
         absent = {name: place for name, place in places.items() if not os.path.lexists(place)}
         for name in places.keys() - absent.keys():
-            if digest_of(places[name]) != self.manifest.events[name]:
+            if digest_of(places[name]) != digests[name]:
                 raise StoreError(Message.of("backup_archive_differs", file=str(places[name])))
-        needed, free = sum(self.members[name].size for name in absent), free_bytes(folder)
+        for name in self.lost_events:
+            absent.pop(name, None)
+        needed, free = sum(map(self._size_of_events, absent)), free_bytes(folder)
         if needed > free:
             raise StoreError(Message.of("backup_needs_space", file=str(self.path), needed=needed, free=free))
         for name, place in absent.items():
             fresh = place.with_name(f".{name}.restored")
             fresh.unlink(missing_ok=True)
-            self._unpack_one(name, fresh).rename(place)
+            if name in self.members:
+                self._unpack_one(name, fresh)
+            else:
+                copy_anew(kept_file(self.kept, digests[name]), fresh)
+                self._compare(name, digest_of(fresh))
+            fresh.rename(place)
         return [*absent.values()]
+
+    def _size_of_events(self, name: str) -> int:
+        if (extent := self.members.get(name)) is not None:
+            return extent.size
+        return kept_file(self.kept, self.manifest.kept_events[name]).stat().st_size
+
+    @property
+    def lost_events(self) -> list[str]:
+        """The files of archived events that it refers to and that are not beside it, or damaged."""
+        kept = self.manifest.kept_events
+        return sorted(name for name, digest in kept.items() if not is_kept(self.kept, digest))
 
     def files(self) -> tuple[str, bytes]:
         """The member that has the files of the site: its name and its content. Raises StoreError."""
@@ -133,16 +163,22 @@ class BackupArchive:
         raise ArchiveError("archive_without_files")
 
     def verify(self) -> None:
-        """Read every member as it is in the file. Raises StoreError where it is not what was backed up."""
+        """Read every member as it is in the file, and what is kept beside it. Raises StoreError where one is
+        not what was backed up."""
         for name, extent in self.members.items():
             digest = hashlib.sha256()
             for chunk in _chunks(self.file, extent):
                 digest.update(chunk)
             self._compare(name, digest.hexdigest())
+        for name in self.lost_events:
+            raise self._damaged(name)
 
     def _compare(self, name: str, digest: str) -> None:
-        if digest != self.manifest.digests[name]:
-            raise StoreError(Message.of("backup_damaged", file=str(self.path), store=name))
+        if digest != {**self.manifest.digests, **self.manifest.kept_events}[name]:
+            raise self._damaged(name)
+
+    def _damaged(self, name: str) -> StoreError:
+        return StoreError(Message.of("backup_damaged", file=str(self.path), store=name))
 
     def _unpack_one(self, name: str, place: Path) -> Path:
         digest, flags = hashlib.sha256(), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
@@ -155,18 +191,19 @@ class BackupArchive:
 
 
 @contextmanager
-def open_archive(path: Path) -> Iterator[BackupArchive]:
-    """Open a backup. Raises StoreError for a file that is none."""
+def open_archive(path: Path, kept: Path | None = None) -> Iterator[BackupArchive]:
+    """Open a backup. ``kept``: the folder of the archived events that it refers to, where that is not beside
+    it. Raises StoreError for a file that is none."""
     # A FIFO would be waited for.
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     with os.fdopen(descriptor, "rb") as file:
         try:
-            yield _read(file, path)
+            yield _read(file, path, kept or path.absolute().parent / FOLDER)
         except ArchiveError as error:
             raise StoreError(Message.of("backup_malformed", file=str(path), error=error.message)) from error
 
 
-def _read(file: BufferedReader, path: Path) -> BackupArchive:
+def _read(file: BufferedReader, path: Path, kept: Path) -> BackupArchive:
     found = os.fstat(file.fileno())
     if not stat.S_ISREG(found.st_mode):
         raise ArchiveError("archive_not_regular")
@@ -174,10 +211,11 @@ def _read(file: BufferedReader, path: Path) -> BackupArchive:
         raise ArchiveError("archive_too_large", most=MAX_ARCHIVE_BYTES)
     members = _members(file, found.st_size)
     manifest = _manifest(file, members.pop(MANIFEST, None))
-    is_named = manifest.stores.keys() <= {*STORES} and all(map(ARCHIVED.fullmatch, manifest.events))
-    if manifest.digests.keys() != members.keys() or not is_named:
+    is_named = manifest.stores.keys() <= {*STORES} and all(map(ARCHIVED.fullmatch, manifest.all_events))
+    is_twice = not manifest.events.keys().isdisjoint(manifest.kept_events)
+    if manifest.digests.keys() != members.keys() or not is_named or is_twice:
         raise ArchiveError("archive_manifest_differs")
-    return BackupArchive(file, path, members, manifest)
+    return BackupArchive(file, path, members, manifest, kept)
 
 
 def _members(file: BufferedReader, size: int) -> dict[str, Extent]:

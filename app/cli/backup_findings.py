@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from app.cli.backup_cipher import read_key
 from app.cli.backup_store import space_needed
 from app.cli.findings import Finding, fault, is_read_only, may_make_files_in, user
+from app.cli.kept_events import FOLDER
 from app.database.reserve import free_bytes
 from app.errors import StoreError
 from app.settings import Settings
@@ -30,7 +31,7 @@ def backup_findings(site: Settings) -> Iterator[Finding]:
         yield fault("check_backup_folder_missing", folder=folder)
     elif is_read_only(settings.folder):
         yield fault("check_disk_read_only", path=folder)
-    elif (needed := space_needed(site.server.data, site.audit.archive)) > (
+    elif (needed := space_needed(site.server.data, site.audit.archive, settings.folder / FOLDER)) > (
         free := free_bytes(settings.folder)
     ):
         yield fault("check_backup_disk_full", folder=folder, needed=-(-needed // MB), free=free // MB)

@@ -14,7 +14,7 @@ import sqlite3
 import tarfile
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -26,7 +26,8 @@ from app.cli.backup_archive import MANIFEST, STORES, open_archive
 from app.cli.backup_files import SiteFiles, files_of
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
-from app.cli.options import Argument, AsJson
+from app.cli.kept_events import FOLDER, keep, remove_others, shared_folder
+from app.cli.options import Argument, AsJson, Option
 from app.database.connection import open_for_reading
 from app.database.copies import COMPANIONS
 from app.database.opening import require_files
@@ -47,6 +48,13 @@ def backup_store(
     file: Annotated[Path, Argument(help="The file to write; it must not exist yet.")],
     config: Config = LINESIDE_TOML,
     as_json: AsJson = False,
+    share_events: Annotated[
+        bool,
+        Option(
+            "--share-events",
+            help=f"Keep the archived events once for all backups beside it, in the folder {FOLDER}.",
+        ),
+    ] = False,
 ) -> None:
     """Copy every store (events, users, sets, history, pictures) of this configuration into one file while the
     dashboard runs, with the archived events, the configuration and its versions; with [backup] key_file also,
@@ -54,7 +62,7 @@ def backup_store(
     settings = load(config)
     require_files(settings.store, "pg_dump")
     files = files_of(settings)
-    done = write_backup(settings.server.data, file, files, settings.audit.archive)
+    done = write_backup(settings.server.data, file, files, settings.audit.archive, share=share_events)
     if as_json:
         click.echo(json.dumps({"file": str(file), **done._asdict(), "left_out": files.left_out}))
         return
@@ -75,30 +83,41 @@ class WrittenBackup(NamedTuple):
 
 
 def write_backup(
-    data: Path, file: Path, files: SiteFiles | None = None, archive: Path | None = None
+    data: Path,
+    file: Path,
+    files: SiteFiles | None = None,
+    archive: Path | None = None,
+    *,
+    share: bool = False,
 ) -> WrittenBackup:
     """Copy the stores of a data folder, the files of its site, and the archived events of its log. Raises
     StoreError, also where a store or a file of the archive is damaged: it could not be put back; then there
-    is no file."""
+    is no file. ``share``: the archived events are kept once beside the file, for it and others."""
     present = [store for name in STORES if (store := data / name).exists()]
     if not present:
         raise StoreError(Message.of("stores_missing", folder=str(data)))
     if file.exists():
         raise StoreError(Message.of("backup_exists", file=str(file)))
+    beside_file = file.absolute().parent
     with in_words(file):
-        _refuse_small_disk(space_needed(data, archive), file)
-    with in_words(file), _working_folder(file.absolute().parent) as folder:
+        _refuse_small_disk(space_needed(data, archive, beside_file / FOLDER if share else None), file)
+    sharing = shared_folder(beside_file) if share else nullcontext()
+    with in_words(file), _working_folder(beside_file) as folder, sharing as kept:
         copies = [_copy(store, folder) for store in present]
         beside = [] if files is None else [folder / files.member]
         for place in beside:
             write_file(place, b"" if files is None else files.content)
         events, absent = _archived(copies, archive)
+        # A month may be a link to another disk.
+        sources = {name: (archive or Path()).joinpath(name).resolve() for name in events}
+        if kept is not None:
+            keep({events[name]: source for name, source in sources.items()}, kept)
         about = {
             "lineside": VERSION,
             "time": unix_now(),
             "stores": dict(map(_digest, copies)),
             "files": dict(map(_digest, beside)),
-            "events": events,
+            "events" if kept is None else "kept_events": events,
         }
         manifest, tar_file = folder / MANIFEST, folder / "complete.tar"
         write_file(manifest, json.dumps(about, indent=1).encode())
@@ -107,18 +126,32 @@ def write_backup(
             with tarfile.open(fileobj=target, mode="w") as packed:
                 for part in (manifest, *copies, *beside):
                     packed.add(part, part.name)
-                for name in events:
-                    # A month may be a link to another disk.
-                    packed.add((archive or Path()).joinpath(name).resolve(), name)
+                for name, source in sources.items() if kept is None else ():
+                    packed.add(source, name)
             target.flush()
             os.fsync(target.fileno())
-        with open_archive(tar_file) as written:
+        with open_archive(tar_file, kept) as written:
             written.verify()
         if file.exists():
             raise StoreError(Message.of("backup_exists", file=str(file)))
         tar_file.rename(file)
-        sync_folder(file.absolute().parent)
+        sync_folder(beside_file)
+        if kept is not None:
+            _remove_unreferred(kept)
     return WrittenBackup([store.name for store in present], [*events], absent)
+
+
+def _remove_unreferred(kept: Path) -> None:
+    """Delete the archived events to which no backup beside them refers, unless one of the backups cannot be
+    read."""
+    referred: set[str] = set()
+    for backup in kept.parent.glob("*.tar"):
+        try:
+            with open_archive(backup) as archive:
+                referred.update(archive.manifest.kept_events.values())
+        except (OSError, StoreError):
+            return
+    remove_others(kept, referred)
 
 
 def _archived(copies: Sequence[Path], archive: Path | None) -> tuple[dict[str, str], list[str]]:
@@ -157,12 +190,13 @@ def _locked(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def space_needed(data: Path, archive: Path | None) -> int:
+def space_needed(data: Path, archive: Path | None, kept: Path | None = None) -> int:
     """The bytes that a backup of a data folder takes while it is made: copies of the stores, and the file
-    with them and the archived events."""
+    with them and the archived events. ``kept``: a folder that has archived events already."""
     stores = (data / f"{name}{suffix}" for name in STORES for suffix in ("", *COMPANIONS))
-    events = archive.glob("events-*.jsonl.gz") if archive else ()
-    return 2 * _bytes_of(stores) + _bytes_of(events)
+    events = _bytes_of(archive.glob("events-*.jsonl.gz")) if archive else 0
+    events_kept = _bytes_of(kept.glob("*.jsonl.gz")) if kept else 0
+    return 2 * _bytes_of(stores) + max(0, events - events_kept)
 
 
 def _bytes_of(files: Iterable[Path]) -> int:

@@ -24,6 +24,7 @@ from app.cli.backup_files import place_files
 from app.cli.backup_store import fault_of
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
+from app.cli.kept_events import FOLDER
 from app.cli.options import Argument, Option
 from app.cli.rights import become_owner_of
 from app.cli.site_log import open_log, record
@@ -79,6 +80,12 @@ def restore_store(
     report(Message.of("stores_restored", folder=str(server.data), names=done.names, suffix=ASIDE))
     for path in done.events:
         report(Message.of("backup_file_placed", path=str(path)))
+    if done.events_lost:
+        report(
+            Message.of(
+                "backup_events_lost", folder=str(file.absolute().parent / FOLDER), files=[*done.events_lost]
+            )
+        )
     for aside in done.anchors:
         report(Message.of("anchor_put_aside", path=str(aside)))
     if done.withheld is not None:
@@ -92,12 +99,13 @@ def restore_store(
 class Restored:
     """``names`` of the stores, what was ``withheld`` from the main one where the backup contains it, and the
     ``anchors`` of the log that it replaced, under their new names; ``events``: the files that were put into
-    the archive of events."""
+    the archive of events, ``events_lost``: those that should be beside the backup and in no place are."""
 
     names: list[str]
     withheld: Withheld | None
     anchors: tuple[Path, ...]
     events: tuple[Path, ...]
+    events_lost: tuple[str, ...]
 
 
 def read_backup(
@@ -118,7 +126,7 @@ def read_backup(
         # Not before: only root may be able to read the backup.
         become_owner_of(data)
         make_private(data)
-        if archive.manifest.events:
+        if archive.manifest.all_events:
             _require_archive(event_archive)
         with tempfile.TemporaryDirectory(dir=data) as folder:
             proved = archive.unpack(Path(folder))
@@ -129,18 +137,20 @@ def read_backup(
             withheld: Withheld | None = None
             anchors: tuple[Path, ...] = ()
             events: tuple[Path, ...] = ()
+            lost: tuple[str, ...] = ()
             if (fresh := Path(folder) / STORE_FILE) in proved:
                 try:
                     withheld = make_ready(fresh, data / STORE_FILE, archive.message, key_files)
                 except (sqlite3.Error, ValueError) as error:
                     raise _unsound(file, STORE_FILE, str(error)) from error
-                if archive.manifest.events and event_archive:
+                if archive.manifest.all_events and event_archive:
                     events = tuple(archive.unpack_events(event_archive))
+                    lost = tuple(name for name in archive.lost_events if not (event_archive / name).exists())
                 # Before the stores: a log without an anchor is not taken for one that was cut off.
                 anchors = _anchors_put_aside(key_files, anchor)
             for fresh in proved:
                 _put(fresh, data / fresh.name)
-    return Restored([fresh.name for fresh in proved], withheld, anchors, events)
+    return Restored([fresh.name for fresh in proved], withheld, anchors, events, lost)
 
 
 def _require_archive(folder: Path | None) -> None:
