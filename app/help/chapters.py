@@ -32,15 +32,23 @@ class Chapter:
         """What its address ends with."""
         return str(PurePosixPath(self.file).with_suffix("")).removeprefix("guide/")
 
+    @property
+    def is_one_page(self) -> bool:
+        """Whether it is printed on one page."""
+        return self.name.removesuffix("-page") in WITH_A_PAGE
+
     def file_in(self, language: str) -> str:
         """The file for a reader of this language."""
         return self.file.removesuffix(".md") + f".{language}.md" if language in self.languages else self.file
 
 
 GERMAN = ("de",)
+WITH_A_PAGE = ("operator", "electrician", "engineer", "administrator")
+"""Those who have one page to print."""
 CHAPTERS = (
     Chapter("guide/tutorial.md", LEARN),
     Chapter("guide/operator.md", LEARN, GERMAN),
+    *(Chapter(f"guide/{role}-page.md", LEARN, GERMAN) for role in WITH_A_PAGE),
     Chapter("guide/troubleshooting.md", DO, GERMAN),
     Chapter("hardware.md", DO),
     Chapter("guide/recipes.md", DO),

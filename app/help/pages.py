@@ -67,7 +67,9 @@ async def chapter_page(request: Request, _: Viewer, name: str) -> Response:
     language = _language(request)
     rendered = await parse_apart(partial(service_of(request, Handbook).chapter, chapter, language))
     written_in = language if chapter.file_in(language) != chapter.file else "en"
-    return render(request, "help/chapter.html", chapter=rendered, written_in=written_in)
+    return render(
+        request, "help/chapter.html", chapter=rendered, written_in=written_in, is_one_page=chapter.is_one_page
+    )
 
 
 @router.get("/docs")

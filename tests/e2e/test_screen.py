@@ -8,6 +8,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, WebSocketRoute, expect
 
+from app.help.chapters import WITH_A_PAGE
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.limits import UNIT_MS
 from tests.e2e.site import Site, eventually
@@ -60,6 +61,16 @@ def test_a_page_is_accessible_and_fits_its_window(
     expect(page.locator(".rail__item[aria-current]:visible")).to_be_in_viewport(ratio=1)
     assert flaws(page, locale) == []
     expect(page.locator(".rail__item[aria-current]:visible")).to_be_in_viewport(ratio=1)
+
+
+@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
+def test_the_page_of_each_role_is_one_sheet_of_paper(shared_page: OpensPages, locale: str) -> None:
+    page = shared_page("engineer", viewport=PANEL, locale=locale)
+    for role in WITH_A_PAGE:
+        opened(page, f"/help/{role}-page")
+        assert page.locator("article.help").get_attribute("lang") == locale[:2]
+        paper = page.pdf(format="A4", prefer_css_page_size=True)
+        assert len(re.findall(rb"/Type */Page[^s]", paper)) == 1, role
 
 
 def test_a_cell_of_the_matrix_draws_what_its_unit_is_off_by(shared_page: OpensPages) -> None:
