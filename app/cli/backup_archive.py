@@ -24,7 +24,7 @@ import msgspec
 from app.audit.archive.file import NAME as ARCHIVED
 from app.audit.archive.file import digest_of
 from app.cli.backup_files import ENCRYPTED, IN_CLEAR, MAX_BYTES
-from app.cli.kept_events import FOLDER, copy_anew, is_kept, kept_file
+from app.cli.kept_events import FOLDER, copy_file, is_kept, kept_file
 from app.database.private import FILE_MODE
 from app.database.reserve import free_bytes
 from app.errors import StoreError
@@ -117,7 +117,7 @@ class BackupArchive:
 
     def unpack_events(self, folder: Path) -> list[Path]:
         """Write the archived events that are not in the folder; one that is there stays. Raises StoreError
-        where it is another one, OSError. What is kept beside the backup and is lost or damaged there is left
+        where it is another one, OSError. Those kept beside the backup that are missing or damaged are left
         out: the stores come back without."""
         digests = self.manifest.all_events
         places = {name: folder / name for name in sorted(digests)}
@@ -136,7 +136,7 @@ class BackupArchive:
             if name in self.members:
                 self._unpack_one(name, fresh)
             else:
-                copy_anew(kept_file(self.kept, digests[name]), fresh)
+                copy_file(kept_file(self.kept, digests[name]), fresh)
                 self._compare(name, digest_of(fresh))
             fresh.rename(place)
         return [*absent.values()]

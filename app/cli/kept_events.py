@@ -44,12 +44,12 @@ def keep(sources: Mapping[str, Path], folder: Path) -> None:
         if not is_kept(folder, digest):
             fresh = folder / f".{digest}"
             fresh.unlink(missing_ok=True)
-            copy_anew(source, fresh)
+            copy_file(source, fresh)
             fresh.rename(kept_file(folder, digest))
     sync_folder(folder)
 
 
-def copy_anew(source: Path, place: Path) -> None:
+def copy_file(source: Path, place: Path) -> None:
     """Copy a file to where none is, for this user alone; on disk when this returns. Raises OSError."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
     with source.open("rb") as content, os.fdopen(os.open(place, flags, FILE_MODE), "wb") as target:

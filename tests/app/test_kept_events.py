@@ -83,14 +83,14 @@ def test_a_damaged_file_is_found_by_a_restore_and_copied_again_by_the_next_backu
     shutil.copytree(archive, tmp_path / "safe")
     lose_archive(tmp_path)
     done = restored(tmp_path, first)
-    assert (done.exit_code, "lost or damaged in" in done.stdout) == (0, True), done.output
+    assert (done.exit_code, "missing or damaged in" in done.stdout) == (0, True), done.output
     assert len([*archive.iterdir()]) == len(MONTHS) - 1, "the others come back, and all stores"
     shutil.copytree(tmp_path / "safe", archive, dirs_exist_ok=True)
     written(tmp_path, "2.tar")
     assert is_kept(place.parent, digest)
     lose_archive(tmp_path)
     done = restored(tmp_path, first)
-    assert (done.exit_code, "lost or damaged" in done.stdout) == (0, False), done.output
+    assert (done.exit_code, "missing or damaged" in done.stdout) == (0, False), done.output
     assert len([*archive.iterdir()]) == len(MONTHS)
 
 
@@ -136,7 +136,7 @@ def test_a_folder_that_is_a_link_is_refused(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "backups").iterdir()] == [FOLDER]
 
 
-def test_the_next_backup_needs_no_room_for_what_is_kept(site: Settings, tmp_path: Path) -> None:
+def test_the_next_backup_needs_no_room_for_kept_events(site: Settings, tmp_path: Path) -> None:
     data, archive = site.server.data, site.audit.archive
     beside = tmp_path / "backups" / FOLDER
     assert space_needed(data, archive, beside) > space_needed(data, None)
