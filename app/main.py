@@ -34,6 +34,7 @@ from app.live.browsers import feature as browsers
 from app.metrics import feature as metrics
 from app.notification import feature as notification
 from app.recipes import feature as recipes
+from app.reports import feature as reports
 from app.routing import feature as routing
 from app.routing.home_router import HomeRouter
 from app.routing.hop_admission import HopAdmission
@@ -79,6 +80,7 @@ FEATURES = (
     recipes.FEATURE,
     tray.FEATURE,
     alarms.FEATURE,
+    reports.FEATURE,
     notification.FEATURE,
     handover.FEATURE,
     sites.FEATURE,

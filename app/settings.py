@@ -30,6 +30,7 @@ from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
 from app.notification.settings import NotifySettings, WebUrl, refuse_unknown_names
+from app.reports.settings import ReportSettings, refuse_unsendable
 from app.server.settings import TlsSettings
 from app.time_zone import is_zone, machine_zone
 from app.version import VERSION
@@ -198,6 +199,7 @@ class Settings(StrictModel):
     built_in_alarm: tuple[BuiltInAlarmSettings, ...] = ()
     notify: NotifySettings = NotifySettings()
     shift: ShiftSettings = ShiftSettings()
+    report: Annotated[tuple[ReportSettings, ...], Field(max_length=50)] = ()
     backup: BackupSettings = BackupSettings()
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""
@@ -260,6 +262,7 @@ class Settings(StrictModel):
         refuse_misplaced(self.alarm, self.bus)
         refuse_built_in(self.built_in_alarm, self.bus)
         refuse_unknown_names(self.notify, self.bus)
+        refuse_unsendable(self.report, self.notify, self.bus)
         _refuse_unknown_homes(self.server, self.bus)
         if self.backup.folder is not None and self.store.url:
             message = Message("setting_backup_of_database")

@@ -47,6 +47,7 @@ TESTS = {
     "app/alarms/rules/suppression.py": "tests/app/test_alarm_rules.py",
     "app/handover/rules/orientation.py": "tests/app/test_shift_pictures.py",
     "app/handover/rules/pictures.py": "tests/app/test_shift_pictures.py",
+    "app/handover/rules/scope.py": "tests/app/test_report_spans.py",
     "app/handover/rules/shift_times.py": "tests/app/test_shift_times.py",
     "app/auth/rules.py": "tests/app/test_auth_rules.py",
     "app/commands/catalogue.py": "tests/app/test_command_check.py",
@@ -56,6 +57,7 @@ TESTS = {
     "app/commands/rules/setpoint.py": "tests/app/test_command_check.py",
     "app/commands/rules/setpoint_range.py": "tests/app/test_setpoint_range.py",
     "app/commands/rules/slowing.py": "tests/app/test_slowing.py",
+    "app/reports/rules/spans.py": "tests/app/test_report_spans.py",
     "app/recipes/rules.py": "tests/app/test_recipes.py",
     "app/swap/rules.py": "tests/app/test_swap.py",
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from datetime import datetime, timedelta
 from typing import Annotated, Any
@@ -17,19 +17,24 @@ from app.cli.site_reading import reading_site
 from app.database import StoreConnection
 from app.database.engine import snapshot
 from app.database.opening import examining_main
+from app.handover.rules.scope import EVERYTHING
 from app.handover.rules.shift_times import Shift, shift_at, site_time
-from app.handover.shift_report import UnitRun, shift_report
 from app.handover.signatures import signed_between
+from app.history.query.unit_report import UnitReport, stored_tail
 from app.history.service import FILE as HISTORY
+from app.reports.report import ReportedUnit, reported_buses, span_report
+from app.reports.rules.spans import DAY_S, MAX_DAYS
+from app.reports.tables import stop_rows, unit_rows
 from app.settings import Settings, load
-from app.web.shape import csv_cell, csv_text, iso
+from app.web.formats import lasting
+from app.web.shape import csv_text, iso
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message, ParamValue, number
+from bus.settings import BusSettings
 
 MAX_LINES = 50
 """Of a section of the printed report; all are in the JSON."""
-_FIGURES = ("known_s", "running_s", "length", "length_unit")
 
 
 def report(
@@ -46,9 +51,11 @@ def report(
     config: Config = LINESIDE_TOML,
     as_json: AsJson = False,
     as_csv: Annotated[bool, Option("--csv", help="The units as CSV, one in a row.")] = False,
+    stops: Annotated[bool, Option("--stops", help="The stops of all units as CSV, one in a row.")] = False,
 ) -> None:
-    """Show the report of a shift, or of a span: run time, stops with their causes and length of each unit,
-    alarms, drift, changes and notes. It is read from the stores of this machine, also from a copy of them."""
+    """Show the report of a shift, or of a span: run time, time at speed, stops with their causes, length
+    and draw of each unit, alarms, drift, changes and notes. It is read from the stores of this machine, also
+    from a copy of them."""
     settings, now = load(config), unix_now()
     with ExitStack() as opened:
         connection = opened.enter_context(reading_site(settings))
@@ -59,12 +66,13 @@ def report(
             if since or until
             else _shift_of(connection, settings, shift, now)
         )
-        found = shift_report(connection, history, settings, span, now)
+        figures = [] if history is None else _figures(history, settings, span, now)
+        found = span_report(connection, settings, span, now, EVERYTHING, figures)
     if as_json:
         click.echo(json.dumps(found, ensure_ascii=False))
         return
-    if as_csv:
-        click.echo(csv_text(_table(found)), nl=False)
+    if as_csv or stops:
+        click.echo(csv_text((stop_rows if stops else unit_rows)(found)), nl=False)
         return
     for line in _lines(found, ZoneInfo(settings.site.zone)):
         click.echo(line)
@@ -75,6 +83,18 @@ def _history(settings: Settings, opened: ExitStack) -> StoreConnection | None:
     if not settings.store.url and not file.exists():
         return None
     return opened.enter_context(examining_main(settings.store, file, file.stem))
+
+
+def _figures(
+    history: StoreConnection, settings: Settings, span: Shift, now: UnixTime
+) -> list[tuple[BusSettings, UnitReport]]:
+    tail = stored_tail(history)
+    return [
+        (bus, found)
+        for bus, figures in reported_buses(settings, EVERYTHING, span, now)
+        for found in [figures.read(history, tail, unit) for unit in figures.units]
+        if found is not None
+    ]
 
 
 def _shift_of(connection: StoreConnection, settings: Settings, named: str, now: UnixTime) -> Shift:
@@ -99,7 +119,9 @@ def _span_of(settings: Settings, since: str, until: str, now: UnixTime) -> Shift
     zone = ZoneInfo(settings.site.zone)
     end = _moment(until, zone) if until else now
     if not since or not UnixTime(0.0) < (start := _moment(since, zone)) < min(end, now):
-        raise CallerError(Message("report_span_malformed"))
+        raise CallerError(Message("report_span_reversed"))
+    if end - start > MAX_DAYS * DAY_S:
+        raise CallerError(Message.of("report_span_too_long", days=MAX_DAYS))
     return Shift(start, end)
 
 
@@ -110,18 +132,6 @@ def _moment(text: str, zone: ZoneInfo) -> UnixTime:
         return UnixTime((written if written.tzinfo else written.replace(tzinfo=zone)).timestamp())
     except (ValueError, OverflowError):
         raise CallerError(Message.of("report_shift_malformed", text=text)) from None
-
-
-def _table(found: dict[str, Any]) -> Iterator[tuple[str, ...]]:
-    """The units as rows; a figure that is not known is empty."""
-    span = (found["start"], found["until"])
-    yield "bus", "unit", "name", "start", "end", *_FIGURES, "stops", "stopped_s"
-    for unit in found["units"]:
-        stops = [stop["seconds"] for stop in unit["stops"]] if "stops" in unit else None
-        figures = [unit.get(name) for name in _FIGURES]
-        stopped = [None, None] if stops is None else [len(stops), round(sum(stops), 3)]
-        cells = [unit["bus"], unit["unit"], unit["name"], *span, *figures, *stopped]
-        yield tuple("" if cell is None else csv_cell(cell) for cell in cells)
 
 
 def _lines(found: dict[str, Any], zone: ZoneInfo) -> Iterator[str]:
@@ -154,13 +164,13 @@ def _section(code: str, lines: list[str]) -> Iterator[str]:
     yield from (f"  {line}" for line in lines[-MAX_LINES:])
 
 
-def _unit_lines(unit: UnitRun, clock: Any) -> Iterator[Message]:
+def _unit_lines(unit: ReportedUnit, clock: Callable[[str], str]) -> Iterator[Message]:
     place: dict[str, ParamValue] = {"bus": unit["bus"], "unit": unit["unit"], "name": unit["name"]}
     if "running_s" not in unit:
         yield Message("report_unit_ratio", place)
         return
     stops = unit["stops"]
-    place |= {"ran": _hours(unit["running_s"]), "known": _hours(unit["known_s"]), "n": len(stops)}
+    place |= {"ran": lasting(unit["running_s"]), "known": lasting(unit["known_s"]), "n": len(stops)}
     if unit["length"] is None:
         yield Message("report_unit", place)
     else:
@@ -168,21 +178,23 @@ def _unit_lines(unit: UnitRun, clock: Any) -> Iterator[Message]:
         yield Message(
             "report_unit_length", place | {"length": length, "length_unit": unit["length_unit"] or ""}
         )
+    draw = unit["draw"]
+    yield Message.of(
+        "report_unit_at_speed", at_speed=lasting(unit["at_speed_s"]), unread=lasting(unit["unread_s"])
+    )
+    if draw is not None:
+        average, least, greatest = (
+            number(f"{each:.2f}") for each in (draw["average"], draw["least"], draw["greatest"])
+        )
+        yield Message.of("report_unit_draw", average=average, least=least, greatest=greatest)
     for stop in stops[-MAX_LINES:]:
         yield Message.of(
             "report_stop",
             start=clock(stop["start"]),
             end=clock(stop["end"]),
-            lasted=_hours(stop["seconds"]),
+            lasted=lasting(stop["seconds"]),
             cause=Message(f"report_stop_{stop['cause']}"),
         )
-
-
-def _hours(seconds: float) -> str:
-    """Hours, minutes and seconds, such as 7:05:00."""
-    all_minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(all_minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}"
 
 
 def _alarm(each: dict[str, Any], clock: Any) -> str:

@@ -131,7 +131,7 @@ async def note_page(
         corrected=next((note for note in (*sheet["notes"], *later) if note["id"] == correct), None),
         pinned_place=place,
         pinned_alarm=pinned_alarm and readable(transition_json(pinned_alarm)),
-        places=_places(alarms),
+        places=places_of(alarms),
         place_of=alarms.place,
         is_present=shift == shifts.present(),
         key=secrets.token_urlsafe(16),
@@ -198,7 +198,7 @@ def _place(written: str) -> tuple[str | None, int | None]:
     return bus or None, address
 
 
-def _places(alarms: LineAlarms) -> list[tuple[str, Any]]:
+def places_of(alarms: LineAlarms) -> list[tuple[str, Any]]:
     """Each bus and each of its units."""
     places: list[tuple[str, Any]] = []
     for name, bus in alarms.buses.items():

@@ -17,6 +17,7 @@ from app.audit.log import Event
 from app.audit.store import Filter
 from app.database import StoreConnection
 from app.database.engine import json_member
+from app.handover.rules.scope import EVERYTHING, Scope
 from app.handover.rules.shift_times import Shift
 from bus.instants import UnixTime
 
@@ -43,7 +44,7 @@ _EXTENT = "SELECT min(id), max(id) FROM events WHERE about IS NULL AND time >= ?
 _COUNTS = f"""
 SELECT e.kind, {_OUTCOME}, count(*) FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.about IS NULL AND e.id BETWEEN ? AND ? AND e.time >= ? AND e.time < ?
-AND e.id NOT IN (SELECT event FROM event_parts) GROUP BY 1, 2
+AND e.id NOT IN (SELECT event FROM event_parts)
 """
 
 
@@ -58,9 +59,10 @@ class ShiftEventsShown(TypedDict):
 class ShiftEvents:
     """Reads the events of one shift, in one transaction."""
 
-    def __init__(self, connection: StoreConnection, shift: Shift) -> None:
+    def __init__(self, connection: StoreConnection, shift: Shift, scope: Scope = EVERYTHING) -> None:
         self._connection = connection
         self._shift = shift
+        self._scope = scope
         self._first, self._last = connection.execute(_EXTENT, (shift.start, shift.end)).fetchone()
         self._counted = self._count()
 
@@ -84,6 +86,8 @@ class ShiftEvents:
             before=self._last + 1,
             after=self._first - 1,
             kind=kind,
+            bus=self._scope.bus,
+            unit=self._scope.unit,
             since=self._shift.start,
             until=self._shift.end,
             folded=True,
@@ -91,9 +95,10 @@ class ShiftEvents:
         return store.select(self._connection, wanted, MAX_EVENTS)
 
     def _count(self) -> dict[str, Counter[str]]:
-        bounds = (self._first or 0, self._last or 0, self._shift.start, self._shift.end)
+        where, values = self._scope.conditions("e.")
+        bounds = (self._first or 0, self._last or 0, self._shift.start, self._shift.end, *values)
         counted: dict[str, Counter[str]] = {}
-        for kind, outcome, times in self._connection.execute(_COUNTS, bounds):
+        for kind, outcome, times in self._connection.execute(f"{_COUNTS}{where} GROUP BY 1, 2", bounds):
             counted.setdefault(kind, Counter())[outcome] = times
         return counted
 

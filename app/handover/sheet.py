@@ -24,6 +24,7 @@ from app.handover.record import (
     first_gap,
     last_events,
 )
+from app.handover.rules.scope import EVERYTHING, Scope
 from app.handover.rules.shift_times import Shift, site_time
 from app.handover.signatures import MissingSignature, ShiftSignature, SignedSheet
 from app.settings import Settings
@@ -122,14 +123,23 @@ class ShiftSheet(SignedShiftSheet, SignaturesOfSheet):
 
 
 def write_sheet(
-    connection: StoreConnection, settings: Settings, shift: Shift, now: UnixTime
+    connection: StoreConnection,
+    settings: Settings,
+    shift: Shift,
+    now: UnixTime,
+    scope: Scope = EVERYTHING,
 ) -> dict[str, Any]:
-    """The sheet of a shift as the store is at one instant; in a transaction."""
+    """The sheet of a shift as the store is at one instant; in a transaction. ``scope``: of a line or a unit
+    only, with the notes about the site."""
     until = min(shift.end, now)
     seen = Shift(shift.start, until)
-    alarms, events = alarms_at(connection, until), ShiftEvents(connection, seen)
-    blocked = [each for each in last_events(connection, "block", until) if each["new"] is not None]
-    before = last_events(connection, "control", shift.start)
+    alarms = [each for each in alarms_at(connection, until) if scope.holds(each.bus, each.unit)]
+    events = ShiftEvents(connection, seen, scope)
+    last = last_events(connection, "block", until)
+    blocked = [each for each in last if each["new"] is not None and scope.holds(each["bus"], each["unit"])]
+    control = last_events(connection, "control", shift.start)
+    before = [each for each in control if scope.concerns(each["bus"], None)]
+    notes = [each for each in notes_of(connection, shift) if scope.concerns(each.bus, each.unit)]
     return {
         "start": iso(shift.start),
         "end": iso(shift.end),
@@ -143,7 +153,7 @@ def write_sheet(
         "blocked": [event_json(each) for each in blocked],
         **{name: events.of(kinds) for name, kinds in SECTIONS.items()},
         "control_before": [event_json(each) for each in before],
-        "notes": notes_json(notes_of(connection, shift)),
+        "notes": notes_json(notes),
         "omissions": [*map(message_shown, _omissions(connection, settings, seen, alarms))],
     }
 

@@ -53,6 +53,7 @@ CHAPTERS = (
     Chapter("hardware.md", DO),
     Chapter("guide/recipes.md", DO),
     Chapter("guide/own-alarms.md", DO),
+    Chapter("guide/reports.md", DO),
     Chapter("guide/replace-a-drive.md", DO),
     Chapter("guide/several-lines.md", DO),
     Chapter("guide/users.md", DO),

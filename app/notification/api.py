@@ -157,5 +157,5 @@ def _delivery(delivery: NotificationDelivery) -> NotificationDeliveryShown:
         "tried_at": iso(delivery.tried_at) if delivery.attempts else None,
         "result": maybe_shown(delivery.result),
         "kinds": list(dict.fromkeys(item.kind for item in delivery.items)),
-        "alarms": [item.notice.id for item in delivery.items if item.notice is not None],
+        "alarms": [item.of_alarm.id for item in delivery.items if item.of_alarm is not None],
     }

@@ -9,7 +9,8 @@ from typing import Any
 
 from app.conditions.priority import PRIORITIES
 from app.messages.languages import Language
-from app.notification.notice import OutboxItem
+from app.notification.attachment import Attachment
+from app.notification.notice import OutboxItem, ReportNotice
 from app.notification.outbox import NotificationDelivery
 from app.notification.rules.notices import UNACKNOWLEDGED
 from app.web.formats import Formats
@@ -30,6 +31,7 @@ class Letter:
     body: str
     at: datetime
     is_urgent: bool = False
+    pages: tuple[Attachment, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,16 +43,23 @@ class Composer:
     formats: Formats
     link: LinkMaker
 
-    def letter(self, delivery: NotificationDelivery, now: UnixTime) -> Letter:
-        """One message of all items of a delivery."""
+    def letter(
+        self, delivery: NotificationDelivery, now: UnixTime, pages: Sequence[Attachment] = ()
+    ) -> Letter:
+        """One message of all items of a delivery. ``pages``: of its reports."""
         items = sorted(delivery.items, key=_rank)
+        summary = [
+            "\n".join((page.name, *(_one_line(self.language.t(line)) for line in page.summary)))
+            for page in pages
+        ]
         footer = Message.of("notify_footer", site=self.site, id=delivery.message_id)
         return Letter(
             id=delivery.message_id,
             subject=_one_line(self.language.t(self._subject(items))),
-            body="\n\n".join((*map(self._paragraph, items), self.language.t(footer))) + "\n",
+            body="\n\n".join((*map(self._paragraph, items), *summary, self.language.t(footer))) + "\n",
             at=datetime.fromtimestamp(float(now), UTC),
             is_urgent=any(item.kind == "alarm" and _is_urgent(item) for item in items),
+            pages=tuple(pages),
         )
 
     def _subject(self, items: Sequence[OutboxItem]) -> Message:
@@ -60,7 +69,9 @@ class Composer:
         return Message.of("notify_subject_digest", site=self.site, n=len(items), urgent=urgent)
 
     def _subject_of(self, item: OutboxItem) -> Message:
-        notice = item.notice
+        notice = item.of_alarm
+        if isinstance(item.notice, ReportNotice):
+            return item.notice.name
         if notice is None:
             return Message.of(f"notify_subject_{item.kind}", site=self.site)
         code = "escalated" if notice.escalated and item.kind == "alarm" else item.kind
@@ -76,7 +87,7 @@ class Composer:
         return "\n".join(_one_line(self.language.t(line)) for line in lines)
 
     def _lines(self, item: OutboxItem) -> Iterator[Message]:
-        notice = item.notice
+        notice = item.of_alarm
         if notice is None:
             yield Message.of(f"notify_body_{item.kind}", site=self.site)
             return
@@ -92,7 +103,7 @@ class Composer:
 def hook_body(site: str, delivery: NotificationDelivery, now: UnixTime) -> dict[str, Any]:
     """The body of a webhook; its texts are English, as those of the API."""
     item = delivery.items[0]
-    notice = item.notice
+    notice = item.of_alarm
     body: dict[str, Any] = {"id": delivery.message_id, "kind": item.kind, "time": iso(now), "site": site}
     if notice is not None:
         text = Message.of("alarm_text", name=notice.name, response=notice.response)
@@ -117,12 +128,13 @@ def hook_body(site: str, delivery: NotificationDelivery, now: UnixTime) -> dict[
 
 def _rank(item: OutboxItem) -> tuple[int, bool, int]:
     """Alarms by priority, then what is about none, then all-clears."""
-    priority = len(PRIORITIES) if item.notice is None else PRIORITIES.index(item.notice.priority)
+    notice = item.of_alarm
+    priority = len(PRIORITIES) if notice is None else PRIORITIES.index(notice.priority)
     return priority if item.kind != "clear" else len(PRIORITIES) + 1, item.kind == "clear", item.id
 
 
 def _is_urgent(item: OutboxItem) -> bool:
-    return item.notice is not None and item.notice.priority == "urgent"
+    return item.of_alarm is not None and item.of_alarm.priority == "urgent"
 
 
 def _one_line(text: str) -> str:

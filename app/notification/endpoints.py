@@ -42,9 +42,10 @@ class NotificationEndpoint:
 
 
 class NotificationPlan:
-    """The configuration: endpoints by key, rosters of keys by group, and rules."""
+    """The configuration: endpoints by key, rosters of keys by group, and rules. ``readers``: addresses that
+    get reports, and are notified of nothing by that."""
 
-    def __init__(self, settings: NotifySettings) -> None:
+    def __init__(self, settings: NotifySettings, readers: Iterable[str] = ()) -> None:
         self.settings = settings
         self.rosters = {group.name: _roster_of(group) for group in settings.group}
         smtp = settings.smtp
@@ -58,7 +59,7 @@ class NotificationPlan:
         self.rules = [*mail, *own, *of_groups]
         rosters = (*(rule.roster for rule in mail), *self.rosters.values())
         people = (key.removeprefix("mail:") for roster in rosters for key in roster.addresses())
-        every = [*(NotificationEndpoint("mail", address) for address in people), *programs]
+        every = [*(NotificationEndpoint("mail", each) for each in (*people, *readers)), *programs]
         self.endpoints = {endpoint.key: endpoint for endpoint in every}
 
     def on_duty(self, group: str, local: datetime) -> list[str]:

@@ -9,6 +9,7 @@ from app.database import Database
 from app.feature import Feature, Services
 from app.notification import api, pages
 from app.notification.acts import ACTS
+from app.notification.attachment import ReportAttachments
 from app.notification.notifier import AlarmNotifier
 from app.notification.service import Notification
 from app.web.templating import Templates
@@ -18,7 +19,15 @@ def make(services: Services) -> None:
     database, events, languages = services[Database], services[EventLog], services[Templates].languages
     failing = services[FailingEndpoints]
     notification = services.add(
-        Notification(services.settings, database, events, failing, languages, services.local_time)
+        Notification(
+            services.settings,
+            database,
+            events,
+            failing,
+            languages,
+            services.local_time,
+            services[ReportAttachments],
+        )
     )
     services.lifespan.add("outbox", start=notification.listen)
     services.lifespan.add("notification", start=notification.load)

@@ -111,6 +111,8 @@ def _message(sender: str, to: str, letter: Letter) -> EmailMessage:
     if letter.is_urgent:
         message["Importance"] = "high"
     message.set_content(letter.body)
+    for page in letter.pages:
+        message.add_attachment(page.page, subtype="html", filename=page.name)
     return message
 
 

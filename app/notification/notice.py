@@ -13,7 +13,7 @@ from app.conditions.priority import AlarmPriority
 from bus.instants import UnixTime
 from bus.messages import Message
 
-NoticeKind = Literal["alarm", "clear", "heartbeat", "test"]
+NoticeKind = Literal["alarm", "clear", "heartbeat", "test", "report"]
 
 
 class AlarmNotice(msgspec.Struct, frozen=True):
@@ -36,6 +36,25 @@ class AlarmNotice(msgspec.Struct, frozen=True):
     """Whether it was not acknowledged within the time of a rule."""
 
 
+class ReportNotice(msgspec.Struct, frozen=True):
+    """A report that is due. ``start`` and ``end`` in Unix seconds; ``first`` and ``last``: these by the clock
+    of the site; ``place``: what it is of, for people; ``bus`` None: of the site."""
+
+    every: Literal["shift", "day", "week"]
+    start: float
+    end: float
+    first: str
+    last: str
+    place: str
+    bus: str | None = None
+    unit: int | None = None
+
+    @property
+    def name(self) -> Message:
+        """What it is the report of."""
+        return Message.of(f"notify_report_{self.every}", place=self.place, first=self.first, last=self.last)
+
+
 @dataclass(frozen=True, slots=True)
 class OutboxItem:
     """One notice to one address. ``key`` with ``endpoint`` is in the outbox once, whatever happens."""
@@ -44,10 +63,15 @@ class OutboxItem:
     endpoint: str
     kind: NoticeKind
     created_at: UnixTime
-    notice: AlarmNotice | None = None
+    notice: AlarmNotice | ReportNotice | None = None
     alarm: str = ""
     occurrence: int = 0
     id: int = 0
+
+    @property
+    def of_alarm(self) -> AlarmNotice | None:
+        """The notice, where it is about an alarm."""
+        return self.notice if isinstance(self.notice, AlarmNotice) else None
 
 
 def notice_of(

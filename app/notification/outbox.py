@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, fields
 import msgspec
 
 from app.database import Database, StoreConnection, engine
-from app.notification.notice import AlarmNotice, OutboxItem
+from app.notification.notice import AlarmNotice, OutboxItem, ReportNotice
 from app.notification.rules.delivery import FLOOD_WINDOW_S, DeliveryState, EndpointLoad, Retry
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -244,6 +244,7 @@ def _items_of(connection: StoreConnection, delivery: int) -> tuple[OutboxItem, .
     query = f"SELECT {', '.join(_ITEM)} FROM notification_item WHERE delivery = ? ORDER BY id"
     found = []
     for row in connection.execute(query, (delivery,)):
-        notice = None if row["notice"] is None else msgspec.json.decode(row["notice"], type=AlarmNotice)
+        kind: type[AlarmNotice | ReportNotice] = ReportNotice if row["kind"] == "report" else AlarmNotice
+        notice = None if row["notice"] is None else msgspec.json.decode(row["notice"], type=kind)
         found.append(OutboxItem(**{**dict(row), "notice": notice}))
     return tuple(found)

@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING
 import structlog
 
 from app.notification import apprise_url, webhook
+from app.notification.attachment import Attachment, ReportAttachments
 from app.notification.compose import Composer, hook_body
 from app.notification.endpoints import NotificationEndpoint
+from app.notification.notice import ReportNotice
 from app.notification.outbox import NotificationDelivery
 from app.notification.secret_file import NotDeliveredError
 from app.notification.settings import AppriseSettings, SmtpSettings, WebhookSettings
+from bus.errors import LinesideError
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -27,15 +30,23 @@ log = structlog.get_logger()
 
 
 class Senders:
-    """``smtp``: the mail server; None: there is none."""
+    """``smtp``: the mail server; None: there is none. ``reports``: makes the pages of reports; None: none is
+    sent."""
 
-    def __init__(self, smtp: SmtpSettings | None, composer: Composer, attempt_s: float = ATTEMPT_S) -> None:
+    def __init__(
+        self,
+        smtp: SmtpSettings | None,
+        composer: Composer,
+        reports: ReportAttachments | None = None,
+        attempt_s: float = ATTEMPT_S,
+    ) -> None:
         self._server: MailServer | None = None
         if smtp is not None:
             from app.notification.mail import MailServer  # most sites send no mail: it delays their start
 
             self._server = MailServer(smtp)
         self._composer = composer
+        self._reports = reports
         self._attempt_s = attempt_s
         self._mail = asyncio.Semaphore(MAIL_CONNECTIONS)
 
@@ -69,4 +80,14 @@ class Senders:
             case None:
                 if self._server is None:
                     raise NotDeliveredError(Message("setting_mail_server_missing"))
-                await self._server.send(endpoint.address, self._composer.letter(delivery, now))
+                letter = self._composer.letter(delivery, now, await self._pages(delivery))
+                await self._server.send(endpoint.address, letter)
+
+    async def _pages(self, delivery: NotificationDelivery) -> list[Attachment]:
+        notices = [item.notice for item in delivery.items if isinstance(item.notice, ReportNotice)]
+        if not notices or self._reports is None:
+            return []
+        try:
+            return [await self._reports.of(notice) for notice in notices]
+        except LinesideError as error:
+            raise NotDeliveredError(Message.of("notify_report_failed", reason=error.message)) from None

@@ -18,6 +18,7 @@ from app.errors import Problem
 from app.messages.languages import Languages
 from app.notification.acknowledge_link import acknowledge_link, check_link
 from app.notification.acts import SEND_TEST
+from app.notification.attachment import ReportAttachments
 from app.notification.away import AwayNotification
 from app.notification.compose import Composer
 from app.notification.dispatcher import Dispatcher
@@ -72,9 +73,11 @@ class Notification:
         failing: FailingEndpoints,
         languages: Languages,
         local_time: Callable[[], datetime],
+        reports: ReportAttachments | None = None,
         clock: Clock = unix_now,
     ) -> None:
-        self.plan = NotificationPlan(settings.notify)
+        readers = (address for report in settings.report for address in report.to)
+        self.plan = NotificationPlan(settings.notify, readers)
         self.store = NotificationStore(database)
         self.outbox = NotificationOutbox(database)
         self.buses = [bus.name for bus in settings.bus]
@@ -89,7 +92,7 @@ class Notification:
         language = languages[settings.site.language]
         formats = Formats(language.locale, settings.site.zone)
         composer = Composer(settings.site.name, language, formats, self._link)
-        senders = Senders(settings.notify.smtp, composer)
+        senders = Senders(settings.notify.smtp, composer, reports)
         self.away = AwayNotification(self.plan, senders, events, clock)
         self.dispatcher = Dispatcher(self.plan, self.outbox, senders, events, failing, local_time, clock)
 

@@ -19,6 +19,13 @@ UNKNOWN = "\N{EN DASH}"
 """Shown in place of a value that was never read."""
 
 
+def lasting(seconds: float) -> str:
+    """Hours, minutes and seconds, such as 7:05:00, in every language."""
+    all_minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(all_minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}"
+
+
 class Formats:
     """Formatting for one locale and one time zone."""
 
@@ -81,6 +88,15 @@ class Formats:
             return clock
         day = format_skeleton("MMMd" if then.year == today.year else "yMMMd", then, locale=self.locale)
         return f"{day}, {clock}"
+
+    def lasting(self, seconds: float | None) -> str:
+        """A duration as :func:`lasting`."""
+        return UNKNOWN if seconds is None else lasting(seconds)
+
+    def span(self, start: UnixTime | datetime, end: UnixTime | datetime) -> str:
+        """Two moments to the minute, with the date of the second where it is another or a day later."""
+        is_short = (self.local(end) - self.local(start)).total_seconds() < 2 * HALF_DAY_S
+        return self.hours(start, end) if is_short else f"{self.minute(start)} \N{EN DASH} {self.minute(end)}"
 
     def iso(self, at: UnixTime | datetime) -> str:
         """ISO 8601 with zone, for ``<time datetime>``."""

@@ -69,7 +69,7 @@ TYPED_BY_PEOPLE = {
     *("Alarm.hidden_by", "Alarm.reason", "AlarmTransition.reason", "LineOfSite.home", "elsewhere"),
     *(f"OwnAlarm.{name}" for name in ("cause", "consequence", "response")),
     *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
-    "ConfigurationVersion.reason",
+    *("ConfigurationVersion.reason", "ReportedUnit.length_unit", "ReportedUnit.speed_unit"),
     *("ReadOnly.reason", "RecurringMaintenance.buses", "RecurringMaintenance.reason"),
 }
 IN_THE_READERS_LANGUAGE = {

@@ -28,6 +28,7 @@ PATHS = [
     "/events",
     "/shifts",
     "/shifts/present",
+    "/reports",
     "/sets",
     "/sets/1",
     "/sets/compare?left=golden:line:1&right=live:line:1",

@@ -29,6 +29,7 @@ PAGES = [
     "/alarms/journal",
     "/alarms/performance",
     "/alarms/own?place=line/1&value=actual&above=1&days=1",
+    "/reports?span=today",
     "/notifications",
     "/configuration",
     "/help/hardware",

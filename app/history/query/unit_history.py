@@ -172,12 +172,11 @@ def rollups(source: StoredUnit, tier: tables.RollupTier, value: Value, start: in
 
 
 def minutes_of(source: StoredUnit, start: int, end: int) -> list[Rollup]:
-    """The minutes that are stored of a span, µs, in order of time."""
+    """The minutes of a span, µs, in order of time."""
     rows = chain.from_iterable(content for _, content in source.blocks("minutes", start, end, unpack_rollups))
     since = start - start % MINUTE
-    return [
-        row for row in replace_rows(rows, _unpacked(source, since, end, MINUTE)) if start <= row.start < end
-    ]
+    newer = chain(_unpacked(source, since, end, MINUTE), _tail_rollups(source, MINUTE))
+    return [row for row in replace_rows(rows, newer) if start <= row.start < end]
 
 
 def _unpacked(source: StoredUnit, since: int, end: int, step: int) -> list[Rollup]:

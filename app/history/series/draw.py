@@ -3,12 +3,61 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 from app.history.series.downsampling import Series
 from app.history.series.gaps import LONG_GAP
+from app.history.series.runs import MINUTE
 
 STORED_DECIMALS = 2
+
+
+class SpeedStretch(NamedTuple):
+    """A speed from one time until another, µs."""
+
+    at: int
+    until: int
+    speed: float
+
+
+class DrawFigures(NamedTuple):
+    """In percent: of all web that passed, and of the minutes with the least and the greatest draw."""
+
+    average: float
+    least: float
+    greatest: float
+
+
+def draw_figures(before: Sequence[SpeedStretch], section: Sequence[SpeedStretch]) -> DrawFigures | None:
+    """The draw of a section over the time in which both it and the section before have a speed, which is not
+    0; None where they never have one at the same time. Each in order of time."""
+    minutes: dict[int, tuple[float, float]] = {}
+    for at, until, speed_before, speed in _together(before, section):
+        passed, went = minutes.get(at // MINUTE, (0.0, 0.0))
+        lasting = until - at
+        minutes[at // MINUTE] = passed + speed_before * lasting, went + speed * lasting
+    if not minutes:
+        return None
+    draws = [_draw(*lengths) or 0.0 for lengths in minutes.values()]
+    passed, went = (sum(lengths) for lengths in zip(*minutes.values(), strict=True))
+    return DrawFigures(_draw(passed, went) or 0.0, min(draws), max(draws))
+
+
+def _together(
+    before: Sequence[SpeedStretch], section: Sequence[SpeedStretch]
+) -> Iterator[tuple[int, int, float, float]]:
+    """The time that both cover, piece by piece, with both speeds."""
+    i = j = 0
+    while i < len(before) and j < len(section):
+        one, other = before[i], section[j]
+        at, until = max(one.at, other.at), min(one.until, other.until)
+        if until > at:
+            yield at, until, one.speed, other.speed
+        if one.until <= other.until:
+            i += 1
+        else:
+            j += 1
 
 
 def draw_series(before: Series, section: Series, width: int) -> Series:

@@ -1,23 +1,27 @@
-"""How long a unit ran, when it stood still and why, and how far it went. Pure.
+"""How long a unit ran and was at speed, when it stood still and why, and how far it went. Pure.
 
-A unit runs while its actual speed is not 0. A reading counts until the next one, unless there is a hole
-between."""
+A unit runs while its actual speed is not 0. It is at speed while it runs with a setpoint above 0 and reports
+the bit *at speed* of ST2: its actual speed is within the window of parameter 12 around the commanded one, as
+the line shows it and the condition ``not_at_speed`` judges it. A reading counts until the next one, unless
+there is a hole between, which counts as neither."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import Literal, NamedTuple
 
-from app.history.series.gaps import long_gap, usual_interval
+from app.history.series.gaps import Marks, holes, usual_interval
 from app.history.series.rollup import Rollup
 from app.history.series.runs import MINUTE, Run
+from app.history.series.values import VALUES
 from bus.catalogue.status import status_bits
 
 StopCause = Literal["estop", "run_off", "speed_zero", "unknown"]
 SpeedOf = Callable[[int, int], float]
 """The speed that a raw value stood for at a time, µs."""
+_AT_SPEED = 1 << VALUES["at_speed"].bit
 
 
 @dataclass(slots=True)
@@ -31,33 +35,45 @@ class Stop:
 
 @dataclass(slots=True)
 class RunFigures:
-    """``known``: for how long there are readings; ``running``: for how long of that it ran, both µs;
-    ``travel``: speed times µs; ``by_minute``: from averages of minutes, since the readings are not kept."""
+    """``known``: for how long there are readings; ``running``: for how long of that it ran; ``at_speed``: for
+    how long of that it was at speed, all µs; ``travel``: speed times µs; ``fastest``: the greatest speed;
+    ``by_minute``: from averages of minutes, and not from each reading."""
 
     known: int = 0
     running: int = 0
+    at_speed: int = 0
     travel: float = 0.0
+    fastest: float = 0.0
     stops: list[Stop] = field(default_factory=list)
     by_minute: bool = False
 
 
-class _Stretch(NamedTuple):
+class RunStretch(NamedTuple):
+    """For how long a run of readings counts, µs."""
+
     at: int
     until: int
     run: Run
 
+    @property
+    def is_at_speed(self) -> bool:
+        run = self.run
+        return bool(run.actual and run.commanded > 0 and run.word & _AT_SPEED)
 
-def run_figures(
-    runs: Sequence[Run], start: int, end: int, estop_healthy: int, speed_of: SpeedOf
-) -> RunFigures:
-    """The figures of the runs of a unit over a span, µs, in order of time."""
+
+def run_figures(stretches: Iterable[RunStretch], estop_healthy: int, speed_of: SpeedOf) -> RunFigures:
+    """The figures of a unit from its readings, in order of time."""
     figures = RunFigures()
     stop: Stop | None = None
-    for at, until, run in _stretches(runs, start, end):
+    for stretch in stretches:
+        at, until, run = stretch
         figures.known += until - at
         if run.actual:
+            speed = speed_of(at, run.actual)
             figures.running += until - at
-            figures.travel += speed_of(at, run.actual) * (until - at)
+            figures.travel += speed * (until - at)
+            figures.fastest = max(figures.fastest, speed)
+            figures.at_speed += until - at if stretch.is_at_speed else 0
             stop = None
         elif stop is None:
             stop = Stop(at, until, _cause(run, estop_healthy))
@@ -68,7 +84,8 @@ def run_figures(
 
 
 def runs_of_minutes(minutes: Iterable[Rollup]) -> list[Run]:
-    """Each minute as one run of its averages; a unit that moved at all ran."""
+    """Each minute as one run of its averages; a unit that moved at all ran, and one that was at speed in each
+    reading was at speed."""
     return [
         Run(
             at=each.start,
@@ -83,13 +100,18 @@ def runs_of_minutes(minutes: Iterable[Rollup]) -> list[Run]:
     ]
 
 
-def _stretches(runs: Sequence[Run], start: int, end: int) -> Iterator[_Stretch]:
-    longest = long_gap(usual_interval(runs))
-    for run, following in zip_longest(runs, runs[1:]):
-        goes_on = following is not None and following.at - run.until <= longest
-        at, until = max(run.at, start), min(following.at if goes_on else run.until, end)
+def stretches(runs: Sequence[Run], start: int, end: int, marks: Marks) -> list[RunStretch]:
+    """The runs of a unit over a span, µs, in order of time, each up to the next or to the hole after it.
+    Runs from outside of the span show how long those at its ends count."""
+    edges = [time for run in runs for time in (run.at, run.until)]
+    broken = {position // 2 for position in holes(edges, marks, usual_interval(runs)) if position % 2}
+    found = []
+    for position, (run, following) in enumerate(zip_longest(runs, runs[1:])):
+        lasts = run.until if following is None or position in broken else following.at
+        at, until = max(run.at, start), min(lasts, end)
         if until > at:
-            yield _Stretch(at, until, run)
+            found.append(RunStretch(at, until, run))
+    return found
 
 
 def _cause(run: Run, estop_healthy: int) -> StopCause:

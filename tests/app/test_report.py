@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,10 @@ from app.database import SqliteDatabase
 from app.handover.notes import Note
 from app.handover.notes import add as add_note
 from app.handover.rules.shift_times import Shift
+from app.history.series.draw import SpeedStretch, draw_figures
+from app.history.series.gaps import Marks
 from app.history.series.rollup import rollup
-from app.history.series.run_time import RunFigures, run_figures, runs_of_minutes
+from app.history.series.run_time import RunFigures, run_figures, runs_of_minutes, stretches
 from app.history.series.runs import MINUTE, SECOND, Run
 from bus.contract import Reading
 from bus.instants import UnixTime
@@ -33,6 +36,7 @@ SHIFT = "2026-11-21T06:00"
 """It has NOON in it."""
 RUN, ESTOP_HEALTHY = 1, 2
 ON = RUN | ESTOP_HEALTHY
+AT_SPEED = 0x8000
 
 
 def run(at: float, until: float, actual: int, *, commanded: int = 100, inputs: int = ON) -> Run:
@@ -40,8 +44,11 @@ def run(at: float, until: float, actual: int, *, commanded: int = 100, inputs: i
     return Run(round(at * SECOND), round(until * SECOND), readings, commanded, actual, 0, inputs)
 
 
-def figures(runs: Sequence[Run], start: float = 0, end: float = 100) -> RunFigures:
-    return run_figures(runs, round(start * SECOND), round(end * SECOND), 1, lambda _, raw: raw / 10)
+def figures(
+    runs: Sequence[Run], start: float = 0, end: float = 100, marks: Marks | None = None
+) -> RunFigures:
+    counted = stretches(runs, round(start * SECOND), round(end * SECOND), marks or Marks())
+    return run_figures(counted, 1, lambda _, raw: raw / 10)
 
 
 def test_it_runs_while_its_speed_is_not_zero_and_each_stop_has_its_cause() -> None:
@@ -79,18 +86,67 @@ def test_readings_outside_of_the_span_do_not_count() -> None:
     assert [stop.until for stop in found.stops] == [40 * SECOND]
 
 
+def test_at_speed_is_what_the_unit_reports_while_it_runs_with_a_setpoint() -> None:
+    found = figures(
+        [
+            run(0, 10, 50),
+            run(10, 20, 100, inputs=ON | AT_SPEED),
+            run(20, 30, 0, commanded=0, inputs=ON | AT_SPEED),
+            run(30, 40, 1, commanded=0, inputs=ON | AT_SPEED),
+            run(40, 50, 100, inputs=ON | AT_SPEED),
+        ]
+    )
+    assert (found.running, found.at_speed) == (40 * SECOND, 20 * SECOND)
+    assert found.fastest == 10.0
+
+
+def test_a_short_hole_that_the_worker_reported_counts_as_nothing() -> None:
+    runs = [run(0, 10, 100, inputs=ON | AT_SPEED), run(15, 20, 100, inputs=ON | AT_SPEED)]
+    assert figures(runs).known == 20 * SECOND
+    found = figures(runs, marks=Marks(lost=[11 * SECOND], found=[15 * SECOND]))
+    assert (found.known, found.running, found.at_speed) == (15 * SECOND,) * 3
+
+
 def test_nothing_known_is_nothing() -> None:
     assert figures([]) == RunFigures()
 
 
-@given(st.lists(st.tuples(st.integers(1, 200), st.integers(0, 3)), max_size=40))
-def test_running_and_stops_fill_the_known_time(parts: list[tuple[int, int]]) -> None:
+@given(
+    st.lists(st.tuples(st.integers(1, 200), st.integers(0, 3), st.booleans()), max_size=40),
+    st.lists(st.integers(0, 8000), max_size=5),
+)
+def test_running_and_stops_fill_the_known_time(parts: list[tuple[int, int, bool]], cuts: list[int]) -> None:
     runs, at = [], 0
-    for lasting, actual in parts:
-        runs.append(run(at, at + lasting, actual))
+    for lasting, actual, is_at_speed in parts:
+        runs.append(run(at, at + lasting, actual, inputs=ON | (AT_SPEED if is_at_speed else 0)))
         at += lasting
     found = figures(runs, end=10_000)
     assert found.running + sum(stop.until - stop.at for stop in found.stops) == found.known == at * SECOND
+    assert 0 <= found.at_speed <= found.running
+    edges = [0, *sorted(cuts), 10_000]
+    pieces = [figures(runs, start, end) for start, end in pairwise(edges)]
+    for name in ("known", "running", "at_speed"):
+        assert sum(getattr(piece, name) for piece in pieces) == getattr(found, name), "spans add up"
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 100), st.integers(1, 50)), min_size=1, max_size=20),
+    st.floats(0.5, 2.0),
+)
+def test_a_draw_is_of_the_web_that_passed_whatever_the_pieces(
+    parts: list[tuple[int, int]], ratio: float
+) -> None:
+    before, at = [], 0
+    for lasting, speed in parts:
+        before.append(SpeedStretch(at * SECOND, (at + lasting) * SECOND, speed))
+        at += lasting
+    section = [each._replace(speed=each.speed * ratio) for each in before]
+    found = draw_figures(before, section)
+    assert found is not None
+    assert found == pytest.approx([100 * (ratio - 1)] * 3, abs=0.011)
+    assert found.least <= found.average <= found.greatest
+    later = [each._replace(at=each.at + at * SECOND, until=each.until + at * SECOND) for each in section]
+    assert draw_figures(before, later) is None, "at no time both have a speed"
 
 
 def test_minutes_whose_readings_are_given_up_count_as_minutes() -> None:
@@ -173,10 +229,16 @@ def test_any_span_has_the_same_report_and_its_units_as_csv(config: Path) -> None
     assert (found["units"][0]["running_s"], found["signed"]) == (300.0, None)
     assert "Mill: 2026-11-20 06:00 to 2026-11-22 06:00 (UTC)" in called(config, *span).stdout
     head, unwind, rewind = called(config, "--csv", *span).stdout.splitlines()
-    assert head == "bus,unit,name,start,end,known_s,running_s,length,length_unit,stops,stopped_s"
+    assert head.startswith("bus,unit,name,start,end,known_s,running_s,length,length_unit,stops,stopped_s,")
     assert unwind.startswith("dry-end,1,Unwind,2026-11-20T06:00")
-    assert unwind.endswith(",599.75,300.0,300.0,m,1,299.75")
-    assert rewind.endswith(",0.0,0.0,,,0,0")
+    assert ",599.75,300.0,300.0,m,1,299.75,0.0,172200.25,60.0,60.0,m/min," in unwind
+    assert ",0.0,0.0,,,0,0," in rewind
+    head, stop = called(config, "--stops", *span).stdout.splitlines()
+    assert head == "bus,unit,name,began,ended,seconds,reason"
+    assert stop.startswith(
+        "dry-end,1,Unwind,2026-11-21T12:05:00.000+00:00,2026-11-21T12:09:59.750+00:00,299.75"
+    )
+    assert stop.endswith(",speed_zero")
 
 
 @pytest.mark.parametrize(
@@ -186,6 +248,7 @@ def test_any_span_has_the_same_report_and_its_units_as_csv(config: Path) -> None
         (("--since", "2999-01-01T06:00"), "a span begins before now"),
         (("--since", "2026-11-22T06:00", "--until", "2026-11-22T06:00"), "a span begins before now"),
         (("--since", "monday"), "'monday' is no"),
+        (("--since", "2016-11-22T06:00"), "92 days at most"),
     ],
 )
 def test_a_span_that_is_none_is_wrong_use(config: Path, span: tuple[str, ...], reason: str) -> None:

@@ -1,0 +1,94 @@
+"""Reports of any span over HTTP: as JSON, as CSV, and as one HTML file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Annotated, Any, NamedTuple
+
+from fastapi import APIRouter, Depends, Query
+from starlette.responses import Response
+
+from app.handover.api import HTML
+from app.handover.document import APART
+from app.handover.rules.scope import Scope
+from app.handover.rules.shift_times import Shift
+from app.history.api.spans import SpanOf
+from app.history.service import seconds
+from app.reports.document import ReportDocuments, file_name
+from app.reports.report import SpanReport
+from app.reports.service import Reports
+from app.reports.tables import stop_rows, unit_rows
+from app.web.access import Viewer
+from app.web.api_route import ApiRoute
+from app.web.services import service
+from app.web.shape import csv_text, json_response
+from app.web.turns import DOWNLOAD, SEARCH
+from bus.text import OneLine
+
+router = APIRouter(prefix="/api/v1/report", tags=["reports"], route_class=ApiRoute)
+
+CSV: dict[int | str, dict[str, Any]] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
+ReportsOf = Annotated[Reports, service(Reports)]
+DocumentsOf = Annotated[ReportDocuments, service(ReportDocuments)]
+Rows = Callable[[Mapping[str, Any]], Iterator[tuple[str, ...]]]
+
+
+class WantedReport(NamedTuple):
+    """What a request names."""
+
+    span: Shift
+    scope: Scope
+
+
+async def _wanted_report(
+    reports: ReportsOf,
+    span: SpanOf,
+    bus: Annotated[OneLine | None, Query(max_length=80, description="Without it, all.")] = None,
+    unit: Annotated[int | None, Query(ge=1, le=255, description="Needs bus.")] = None,
+) -> WantedReport:
+    wanted = Shift(seconds(span.start), seconds(span.end))
+    return WantedReport(wanted, reports.scope(bus, unit))
+
+
+ReportOfQuery = Annotated[WantedReport, Depends(_wanted_report)]
+
+
+@router.get("", response_model=SpanReport, dependencies=[SEARCH])
+async def get_report(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery) -> Response:
+    """What the units did in a span of at most 92 days: run time, time at speed, stops with duration and
+    cause, speed, length, draw; alarms, commands, drift and notes. Time without readings is apart."""
+    report = await reports.report(wanted.span, wanted.scope)
+    return await json_response(lambda: report)
+
+
+@router.get("/units.csv", response_class=Response, responses=CSV, dependencies=[DOWNLOAD])
+async def get_report_units(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery) -> Response:
+    """The units of a report, one in a row."""
+    return await _csv(reports, wanted, "units", unit_rows)
+
+
+@router.get("/stops.csv", response_class=Response, responses=CSV, dependencies=[DOWNLOAD])
+async def get_report_stops(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery) -> Response:
+    """The stops of a report, one in a row: unit, began, ended, seconds, reason."""
+    return await _csv(reports, wanted, "stops", stop_rows)
+
+
+@router.get("/report.html", response_class=Response, responses=HTML, dependencies=[DOWNLOAD])
+async def get_report_document(
+    _: Viewer, reports: ReportsOf, documents: DocumentsOf, wanted: ReportOfQuery
+) -> Response:
+    """A report as one HTML file that needs no server, in the language of the site."""
+    report = await reports.report(wanted.span, wanted.scope)
+    headers = APART | _attachment(f"{file_name(report, wanted.scope)}.html")
+    text = documents.document(report, wanted.scope)
+    return Response(text, media_type="text/html; charset=utf-8", headers=headers)
+
+
+async def _csv(reports: Reports, wanted: WantedReport, what: str, rows: Rows) -> Response:
+    report = await reports.report(wanted.span, wanted.scope)
+    headers = _attachment(f"{file_name(report, wanted.scope)}-{what}.csv")
+    return Response(csv_text(rows(report)), media_type="text/csv; charset=utf-8", headers=headers)
+
+
+def _attachment(name: str) -> dict[str, str]:
+    return {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-store"}

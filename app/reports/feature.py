@@ -1,0 +1,33 @@
+"""Reports on a page, as files and by mail."""
+
+from __future__ import annotations
+
+from app.alarms.line_alarms import LineAlarms
+from app.database import Database
+from app.feature import Feature, Services
+from app.find.finders import Finders, FixedPlace
+from app.history.service import History
+from app.notification.attachment import ReportAttachments
+from app.notification.outbox import NotificationOutbox
+from app.reports import api, pages
+from app.reports.document import ReportDocuments
+from app.reports.schedule import ReportSchedule
+from app.reports.service import Reports
+from app.web.assets import Assets
+from app.web.templating import Templates
+from bus.messages import Message
+
+
+def make(services: Services) -> None:
+    settings, database = services.settings, services[Database]
+    reports = services.add(Reports(settings, database, services[History]))
+    templates, assets = services[Templates], services[Assets]
+    documents = services.add(ReportDocuments(reports, templates, assets, services[LineAlarms]))
+    services.add(ReportAttachments(documents.attachment))
+    services[Finders].add_links("find_actions", [FixedPlace(Message("find_report"), "/reports")])
+    if settings.report:
+        schedule = ReportSchedule(settings, NotificationOutbox(database))
+        services.at_home().add("reports", schedule.follow)
+
+
+FEATURE = Feature(make, (api.router, pages.router))
