@@ -87,8 +87,9 @@ def test_the_image_installs_the_bundle_and_is_not_root() -> None:
 
 
 def test_its_user_owns_the_configuration_outside() -> None:
-    [number] = re.findall(r"--uid (\d+)", " ".join(image("RUN")))
-    assert set(re.findall(r"-[og] (\d+)", TEXT)) == {number}
+    numbers = re.findall(r"--[ug]id (\d+)", " ".join(image("RUN")))
+    assert set(re.findall(r"-[og] (\d+)", TEXT)) == set(numbers)
+    assert numbers == [numbers[0]] * 3, "of the group, of the user, and of the user's group"
     assert f"--home-dir {DATA} " in " ".join(image("RUN"))
     assert image("VOLUME") == [str(DATA)]
 
