@@ -1,4 +1,4 @@
-"""The files of docs/containers.md name paths, ports and commands that there are."""
+"""The files of docs/containers.md and docs/scale.md name paths, ports and commands that there are."""
 
 from __future__ import annotations
 
@@ -87,8 +87,9 @@ def test_the_image_installs_the_bundle_and_is_not_root() -> None:
 
 
 def test_its_user_owns_the_configuration_outside() -> None:
-    [number] = re.findall(r"--uid (\d+)", " ".join(image("RUN")))
-    assert set(re.findall(r"-[og] (\d+)", TEXT)) == {number}
+    numbers = re.findall(r"--[ug]id (\d+)", " ".join(image("RUN")))
+    assert set(re.findall(r"-[og] (\d+)", TEXT)) == set(numbers)
+    assert numbers == [numbers[0]] * 3, "of the group, of the user, and of the user's group"
     assert f"--home-dir {DATA} " in " ".join(image("RUN"))
     assert image("VOLUME") == [str(DATA)]
 
@@ -138,3 +139,23 @@ def test_the_worker_outside_goes_to_the_published_port(settings: Settings) -> No
     address = f"http://127.0.0.1:{settings.server.port}"
     assert command == usual.replace("http://server:8000", address)
     assert parsed(shlex.split(command)[1:])["bus"] == settings.bus[0].name
+
+
+def test_two_servers_get_the_password_and_a_name_each() -> None:
+    services = yaml.safe_load(text_of(DEPLOY / "compose-two-servers.yaml"))["services"]
+    servers = {name: service for name, service in services.items() if service["image"] == "lineside"}
+    assert len(servers) == 2
+    for name, server in servers.items():
+        assert server["secrets"] == services["db-1"]["secrets"]
+        assert server["hostname"] == name, "the one of a container is a number that changes with it"
+
+
+def test_the_documented_servers_believe_each_other(tmp_path: Path) -> None:
+    """They pass requests on only where one verifies the certificate of the other."""
+    tables = re.findall(r"```toml\n(.*?)```", text_of(ROOT / "docs" / "scale.md"), re.S)
+    [toml] = [table for table in tables if "[server.tls]" in table]
+    file = tmp_path / "lineside.toml"
+    file.write_text(toml)
+    tls = load(file).server.tls
+    assert tls is not None
+    assert tls.client_ca is not None
