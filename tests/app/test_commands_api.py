@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 from app.commands.api.trace_file import parse_trace_line
+from app.web.access import Person, Role
 from app.web.shape import iso
+from app.web.turns import Turns
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Command,
@@ -30,7 +32,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.messages import term
-from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, snapshot, unit_state
+from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, snapshot, unit_state, until
 
 
 @pytest.fixture
@@ -494,6 +496,25 @@ async def test_the_trace_is_read_in_pieces_and_its_file_can_be_read_back(
     assert parse_trace_line(lines[7]).data == frames[7].data
     shown = (await stage.request("GET", "/trace?limit=3")).json()["frames"]
     assert [frame["at"] for frame in shown] == [iso(frame.at) for frame in frames[-3:]]
+
+
+async def test_an_account_reads_two_traces_at_a_time(stage: Stage, worker: PlayedWorker) -> None:
+    """Each is thousands of frames to decode and to write."""
+
+    async def play(command: Command) -> Sequence[Update]:
+        return [result_of(command, "verified")]
+
+    worker.play = play
+    downloads, account = (
+        stage.app.state.services[Turns].downloads,
+        Person("eva", Role.ENGINEER, "session").account,
+    )
+    async with downloads.turn(account), downloads.turn(account):
+        third = asyncio.create_task(stage.request("GET", "/trace", role="engineer", name="eva"))
+        await until(lambda: downloads.count_of(account) == 3, "a third waits")
+        assert (await stage.request("GET", "/trace", role="engineer", name="ben")).status_code == 200
+        assert len(worker.commands) == 1
+    assert (await third).status_code == 200
 
 
 async def test_the_shown_speed_changes_by_readings_alone(stage: Stage, worker: PlayedWorker) -> None:

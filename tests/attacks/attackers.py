@@ -270,6 +270,7 @@ ATTACKS: dict[str, tuple[int, Attack]] = {
     "searches": (12, sent(get(f"{EVENTS}&search=no-such-word", "viewer"))),
     "pages of a thousand events": (12, sent(get(EVENTS, "viewer"))),
     "downloads of events": (12, sent(get("/api/v1/events.csv", "viewer"))),
+    "traces of two thousand frames": (12, sent(get("/api/v1/buses/line/trace?limit=2000", "engineer"))),
     "tokens to guess": (12, sent(get("/api/v1/line", more=f"Authorization: Bearer guess\r\n{CLOSE}"))),
     "pages without a sign in": (12, sent(get("/login", more=GERMAN))),
     "snapshots without end": (20, flooded(LIVE, SNAPSHOT * 2000, every_s=1.0, reads=False)),
