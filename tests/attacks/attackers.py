@@ -235,6 +235,7 @@ SPEED = "/api/v1/buses/line/units/1/speed"
 RESTORES = "/api/v1/buses/line/units/1/restores"
 JSON = "application/json"
 KEYS = ("{" + ",".join(f'"{n}":0' for n in range(24_000)) + ',"0":0}').encode()
+SETPOINT = b'{"raw":100}'
 MEGABYTE = json.dumps({"document": "".join(f"k{n} = 1\n" for n in range(110_000))}).encode()
 DOTS = json.dumps({"document": "a." * 500_000 + "a = 1"}).encode()
 PUNYCODE = b'--b\r\nContent-Disposition: form-data; name="name"\r\n\r\n' + b"9" * 60_000 + b"\r\n--b--\r\n"
@@ -265,6 +266,7 @@ ATTACKS: dict[str, tuple[int, Attack]] = {
         sent(post("/login", PUNYCODE, "multipart/form-data; charset=punycode; boundary=b")),
     ),
     "keys by the thousand": (12, sent(*(post(SPEED, KEYS, JSON, role) for role in ("viewer", "engineer")))),
+    "setpoints without end": (30, sent(post("/api/v1/buses/line/units/2/speed", SETPOINT, JSON, "engineer"))),
     "documents of a megabyte": (6, sent(post(RESTORES, MEGABYTE, JSON, "engineer"))),
     "keys with dots": (6, sent(post(RESTORES, DOTS, JSON, "engineer"))),
     "searches": (12, sent(get(f"{EVENTS}&search=no-such-word", "viewer"))),
