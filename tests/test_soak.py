@@ -61,4 +61,4 @@ def test_both_halves_run_and_the_exit_code_is_of_both(
         ["app/test_b", "1", "tests,", "1", "failed,", "90", "s"],
         ["app/test_a", "2", "tests,", "1", "failed,", "62", "s"],
     ]
-    assert "in all 0.0 of at most 56 min" in printed
+    assert "in all 0.0 of at most 60 min" in printed

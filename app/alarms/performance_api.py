@@ -19,6 +19,7 @@ from app.audit.api import CSV
 from app.errors import Problem
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
+from app.web.bounds import refuse_year
 from app.web.shape import iso
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
@@ -32,6 +33,9 @@ COLUMNS = ("code", "value", "at_most", "at_least", "met", "from", "to", "observe
 
 def month_at_most(since: datetime | None, until: datetime | None) -> tuple[UnixTime, UnixTime]:
     """From ``since`` to ``until``; the last week by default. Raises Problem 422."""
+    for name, at in (("from", since), ("to", until)):
+        if at is not None:
+            refuse_year(at, name)
     end = unix_now() if until is None else UnixTime(until.timestamp())
     start = end - USUAL_DAYS * DAY_S if since is None else UnixTime(since.timestamp())
     if start >= end:

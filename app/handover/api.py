@@ -99,7 +99,7 @@ async def get_shifts(
     limit: Annotated[int, Query(ge=1, le=MAX_SHIFTS)] = 30,
 ) -> ShiftsShown:
     """The shift under way and those before it."""
-    found = await shifts.summaries(UnixTime(before.timestamp()) if before else None, limit)
+    found = await shifts.summaries(before, limit)
     return {"shifts": found, "next": iso(found[-1].start)}
 
 

@@ -50,7 +50,7 @@ async def shifts_page(
     request: Request, _: Viewer, shifts: Shifts, before: AwareDatetime | None = None
 ) -> Response:
     """The shift under way, and those before it."""
-    found = await shifts.summaries(UnixTime(before.timestamp()) if before else None, ON_A_PAGE)
+    found = await shifts.summaries(before, ON_A_PAGE)
     return render(
         request,
         "handover/page.html",

@@ -37,6 +37,7 @@ from app.handover.signatures import (
 from app.notification.settings import minute_of_day
 from app.settings import Settings
 from app.web.access import Person
+from app.web.bounds import refuse_year
 from app.web.services import unknown_bus, unknown_unit
 from app.web.shape import InstantObject, iso
 from bus.instants import Clock, UnixTime, unix_now
@@ -127,10 +128,15 @@ class Handover:
         """The shift that a moment is in."""
         return shift_at(at, self._starts, self.zone)
 
-    async def summaries(self, before: UnixTime | None, limit: int) -> list[ShiftSummary]:
-        """The shifts that begin before a moment, newest first; None: from the present one on."""
-        now = self._clock()
-        latest = now if before is None else min(now, before - 1.0)
+    async def summaries(self, before: datetime | None, limit: int) -> list[ShiftSummary]:
+        """The shifts that begin before a moment, newest first; None: from the present one on.
+
+        Raises Problem 422 for a year before any shift.
+        """
+        latest = self._clock()
+        if before is not None:
+            refuse_year(before, "before")
+            latest = min(latest, UnixTime(before.timestamp() - 1.0))
         shifts = list(islice(shifts_until(latest, self._starts, self.zone), limit))
         return await self._database.read(lambda connection: _summaries(connection, shifts, latest))
 

@@ -142,6 +142,8 @@ async def save_entered(
 ) -> Response:
     """Everything is entered from the sheet: read the complete unit and save it as a set."""
     unit_or_404(live, swap.bus, swap.unit)
+    if swap.source is not None:
+        raise Problem(409, "not_in_state", Message("swap_with_set"))
     kept = await keeper.take(person, [swap.unit], "", "", "from the sheet")
     await swaps.save_entered(person, swap, kept)
     return RedirectResponse(f"/sets/{kept.id}", 303)

@@ -65,6 +65,18 @@ class Swap:
         return self.restore.state == "equal"
 
     @property
+    def not_restored(self) -> list[int]:
+        """The rows of the set that the spare was not given, as it lacks them or they were not chosen."""
+        restore = self.restore
+        if restore is None:
+            return []
+        return [
+            left.number
+            for left in restore.left_out
+            if left.reason != "address" and restore.wanted.raw(left.number) is not None
+        ]
+
+    @property
     def source_message(self) -> Message:
         """Where its parameters come from."""
         return Message("swap_sheet") if self.source is None else self.source.message(self.unit)

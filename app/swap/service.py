@@ -13,7 +13,7 @@ from typing import Any
 from app.audit.log import EventLog
 from app.commands.api.responses import outcome_message
 from app.commands.service.command_service import CommandService
-from app.errors import Problem, or_404
+from app.errors import Problem, StoreError
 from app.live.state.bus_live import LiveState
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import FormSource
@@ -59,7 +59,15 @@ class SwapService:
 
     def of_or_404(self, bus: str, unit: int) -> Swap:
         """The swap of a section. Raises Problem 404 where none is begun."""
-        return or_404(self.of(bus, unit), "unknown_swap", Message.of("swap_not_begun", unit=unit))
+        swap = self.of(bus, unit)
+        if swap is None:
+            raise _not_begun(unit)
+        return swap
+
+    def _refuse_closed(self, swap: Swap) -> None:
+        """Raise Problem 404 where it was closed while its unit was read: another may have begun since."""
+        if self.of(swap.bus, swap.unit) is not swap:
+            raise _not_begun(swap.unit)
 
     async def begin(self, person: Person, bus: str, unit: int, source: SwapSource | None) -> Swap:
         """Begin the swap of a section's unit; ``source`` is what the spare shall become.
@@ -72,8 +80,13 @@ class SwapService:
             other = Message.of("swap_under_way", who=account_shown(under_way.who), unit=unit)
             raise Problem(409, "busy", other)
         swap = Swap(bus, unit, person.name, source, self._clock())
-        await self._store.save(swap)
+        # Before the wait for the store: of two who begin at once, one is refused.
         self._swaps[bus, unit] = swap
+        try:
+            await self._store.save(swap)
+        except StoreError:
+            self._swaps.pop((bus, unit))
+            raise
         performed = BEGIN.by(person, source=swap.source_message)
         await self._events.record(**performed, bus=bus, unit=unit)
         return swap
@@ -90,7 +103,7 @@ class SwapService:
         done, _ = await asyncio.wait({running}, timeout=LOOK_WAIT_S)
         if done and swap.look is running:
             swap.look = None
-            if swap.saw(running.result()):
+            if swap.saw(running.result()) and self.of(swap.bus, swap.unit) is swap:
                 await self._store.save(swap)
         if swap.state is None:
             return None
@@ -99,6 +112,7 @@ class SwapService:
     async def confirm_spare(self, person: Person, swap: Swap) -> None:
         """A person confirmed that the unit at the section's address is the spare."""
         CONFIRM_SPARE.check(person)
+        self._refuse_closed(swap)
         swap.is_new = True
         swap.seen.append(Message(CONFIRM_SPARE.event))
         await self._store.save(swap)
@@ -106,12 +120,14 @@ class SwapService:
     async def begin_restore(self, person: Person, swap: Swap, restore: Restore) -> None:
         """The restore of it has been planned."""
         RESTORE_SPARE.check(person)
+        self._refuse_closed(swap)
         swap.restore = restore
         await self._store.save(swap)
 
     async def cancel(self, person: Person, swap: Swap) -> None:
         """Close a swap that is not continued, or that was verified."""
         CANCEL.check(person)
+        self._refuse_closed(swap)
         del self._swaps[swap.bus, swap.unit]
         await self._store.remove(swap)
         if not swap.proven:
@@ -119,9 +135,10 @@ class SwapService:
             await self._events.record(**performed, bus=swap.bus, unit=swap.unit, message=swap.story)
 
     async def on_restore_end(self, restore: Restore) -> None:
-        """A restore is over: where it belongs to a swap and the full read was equal, so is the swap."""
+        """A restore is over: where it belongs to a swap and the full read was equal, so is the swap. What a
+        restore of another set finds equal is nothing about the set of the swap."""
         swap = self.of(restore.bus, restore.unit)
-        if swap is None or restore.planned_at < swap.began_at or swap.proven:
+        if swap is None or not restore.for_swap or restore.planned_at < swap.began_at or swap.proven:
             return
         swap.restore = restore
         swap.proven = restore.state == "equal"
@@ -149,6 +166,7 @@ class SwapService:
     async def save_entered(self, person: Person, swap: Swap, kept: ParameterSet) -> None:
         """Everything was entered from the sheet, and the complete unit was read and saved as ``kept``."""
         SAVE_ENTERED.check(person)
+        self._refuse_closed(swap)
         swap.proven = True
         await self._store.save(swap)
         story = joined([swap.story, Message("entered_from_sheet"), Message.of("kept_as_set", set=kept.id)])
@@ -157,12 +175,18 @@ class SwapService:
         )
 
 
+def _not_begun(unit: int) -> Problem:
+    return Problem(404, "unknown_swap", Message.of("swap_not_begun", unit=unit))
+
+
 def step_text(advice: Advice, swap: Swap) -> Message:
     """What to do; of a restore that was tried how it ended, of a sheet what to do with it."""
     if swap.source is None and advice.step == "restore":
         return Message("swap_enter_sheet")
     if swap.source is None and advice.step == "proven":
         return Message("swap_compare_with_sheet")
+    if advice.step == "proven" and (kept := swap.not_restored):
+        return Message.of("swap_proven_except", rows=listed([f"#{number}" for number in kept]))
     if advice.step == "restore" and swap.restore is not None and swap.equal is False:
         return Message("swap_restore_unfinished")
     return advice.text

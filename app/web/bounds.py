@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from datetime import datetime
 from typing import TypeVar
 
 from starlette.datastructures import Headers
@@ -29,6 +30,8 @@ MAX_PLAIN_BODY_BYTES = 64 * 1024
 LONGEST_PATH = 1000
 LONGEST_QUERY = 20_000
 """Bytes; the longest that a page makes names a value of each of 255 units."""
+FIRST_YEAR, LAST_YEAR = 1970, 9998
+"""Years in which every instant has a date in every time zone."""
 MAX_PARAMETERS = 600
 LONGEST_CONTENT_TYPE = 200
 """A boundary of a multipart body has at most 70 characters (RFC 2046, 5.1.1)."""
@@ -127,3 +130,11 @@ _THREAD = ThreadPoolExecutor(1, thread_name_prefix="parsing")
 async def parse_apart(parse: Callable[[], T]) -> T:
     """What ``parse`` returns or raises; it runs after all that was given before."""
     return await asyncio.get_running_loop().run_in_executor(_THREAD, parse)
+
+
+def refuse_year(at: datetime, name: str) -> None:
+    """Raise Problem 422 for the time that ``name`` gives where it has no date in some time zone, or is before
+    any record."""
+    if not FIRST_YEAR <= at.year <= LAST_YEAR:
+        years = {"lowest": FIRST_YEAR, "highest": LAST_YEAR, "year": at.year}
+        raise Problem(422, "invalid", Message.of("year_out_of_range", name=name, **years))

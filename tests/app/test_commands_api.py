@@ -7,10 +7,14 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import httpx
 import pytest
 
 from app.commands.api.trace_file import parse_trace_line
+from app.commands.service.command_service import MAX_AT_ONCE
+from app.web.access import Person, Role
 from app.web.shape import iso
+from app.web.turns import Turns
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Command,
@@ -30,7 +34,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.messages import term
-from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, snapshot, unit_state
+from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, snapshot, unit_state, until
 
 
 @pytest.fixture
@@ -494,6 +498,51 @@ async def test_the_trace_is_read_in_pieces_and_its_file_can_be_read_back(
     assert parse_trace_line(lines[7]).data == frames[7].data
     shown = (await stage.request("GET", "/trace?limit=3")).json()["frames"]
     assert [frame["at"] for frame in shown] == [iso(frame.at) for frame in frames[-3:]]
+
+
+async def test_an_account_reads_two_traces_at_a_time(stage: Stage, worker: PlayedWorker) -> None:
+    """Each is thousands of frames to decode and to write."""
+
+    async def play(command: Command) -> Sequence[Update]:
+        return [result_of(command, "verified")]
+
+    worker.play = play
+    downloads, account = (
+        stage.app.state.services[Turns].downloads,
+        Person("eva", Role.ENGINEER, "session").account,
+    )
+    async with downloads.turn(account), downloads.turn(account):
+        third = asyncio.create_task(stage.request("GET", "/trace", role="engineer", name="eva"))
+        await until(lambda: downloads.count_of(account) == 3, "a third waits")
+        assert (await stage.request("GET", "/trace", role="engineer", name="ben")).status_code == 200
+        assert len(worker.commands) == 1
+    assert (await third).status_code == 200
+
+
+async def test_what_one_account_sends_keeps_no_other_waiting(stage: Stage, worker: PlayedWorker) -> None:
+    """A program that writes without end has two writes in progress; what slows has turns of its own."""
+
+    def write(name: str, raw: int, timeout_s: float = 30.0) -> asyncio.Task[httpx.Response]:
+        body = {"raw": raw, "timeout_s": timeout_s}
+        return asyncio.create_task(stage.request("POST", "/units/1/speed", body, "operator", name=name))
+
+    worker.play = None
+    flood = [write("anna", 1100 + number) for number in range(5)]
+    await worker.receive(Command, MAX_AT_ONCE)
+    late = await write("anna", 1200, 0.1)
+    assert (late.status_code, late.json()["outcome"]) == (503, "not_sent")
+    others = [write("ben", 1300), write("anna", 0)]
+    await worker.receive(Command, MAX_AT_ONCE + len(others))
+    sent = [command.action.raw for command in worker.commands if isinstance(command.action, SetSpeed)]
+    assert sorted(sent[MAX_AT_ONCE:]) == [0, 1300]
+
+    async def verified(command: Command) -> Sequence[Update]:
+        return [result_of(command, "verified")]
+
+    worker.play = verified
+    for each in tuple(worker.commands):
+        await worker.update(result_of(each, "verified"))
+    assert {(await task).status_code for task in (*flood, *others)} == {200}
 
 
 async def test_the_shown_speed_changes_by_readings_alone(stage: Stage, worker: PlayedWorker) -> None:

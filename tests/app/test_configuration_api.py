@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +10,13 @@ import pytest
 
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
-from tests.app.configuration_file import TEXT, PlantFile, written
+from tests.app.configuration_file import TEXT, PlantFile, house_with_file, plant_file
 
 API = "/api/v1/configuration"
 UNIT = f"{API}/tables/bus.0.unit.0"
 
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path, config=written(tmp_path)) as house:
-        yield house
-
-
-@pytest.fixture
-def file(tmp_path: Path) -> PlantFile:
-    return PlantFile(tmp_path / "lineside.toml")
+house = pytest.fixture(house_with_file)
+file = pytest.fixture(plant_file)
 
 
 @pytest.fixture

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import AsyncIterator
 from html import unescape
 from pathlib import Path
 
@@ -14,44 +12,23 @@ import app.configuration.service as service_module
 from app.configuration.service import ConfigurationFile
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
-from tests.app.configuration_file import TEXT, PlantFile, written
+from tests.app.configuration_file import (
+    TEXT,
+    UNIT,
+    PlantFile,
+    fields_of,
+    form_of,
+    house_with_file,
+    plant_file,
+)
 
-UNIT = "/configuration/tables/bus.0.unit.0"
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path, config=written(tmp_path)) as house:
-        yield house
-
-
-@pytest.fixture
-def file(tmp_path: Path) -> PlantFile:
-    return PlantFile(tmp_path / "lineside.toml")
+house = pytest.fixture(house_with_file)
+file = pytest.fixture(plant_file)
 
 
 @pytest.fixture
 async def engineer(house: House) -> httpx.AsyncClient:
     return await house.signed_in(Role.ENGINEER)
-
-
-def fields_of(page: str) -> dict[str, str]:
-    """What a browser would send of the form of a page: its fields with their values."""
-    form = re.findall(r'<form[^>]*action="/configuration.*?</form>', page, re.DOTALL)[-1]
-    fields = {}
-    for tag in re.findall(r"<input[^>]*>", form, re.DOTALL):
-        attributes = dict(re.findall(r'([\w-]+)="([^"]*)"', tag))
-        if attributes.get("type") != "checkbox" or " checked" in tag:
-            fields[attributes["name"]] = unescape(attributes["value"])
-    for name, options in re.findall(r'<select[^>]*name="([^"]+)"(.*?)</select>', form, re.DOTALL):
-        fields[name] = re.findall(r'value="([^"]*)" selected', options)[0]
-    return fields
-
-
-async def form_of(client: httpx.AsyncClient, path: str = UNIT, **typed: str) -> dict[str, str]:
-    page = await client.get(path)
-    assert page.status_code == 200, page.text
-    return {**fields_of(page.text), "act": "change", **typed}
 
 
 async def test_a_unit_is_renamed_after_a_review(engineer: httpx.AsyncClient, file: PlantFile) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from app.web.access import Person, Role
 from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
-from tests.app.configuration_file import TEXT, mode_of, written
+from tests.app.configuration_file import TEXT, house_with_file, mode_of, written
 
 ANN = Person("ann", Role.ENGINEER, "session")
 ADA = Person("ada", Role.ADMIN, "session")
@@ -31,10 +30,7 @@ def named(name: str) -> Edit:
     return lambda text: with_values(text, ("bus", 0, "unit", 0), {"name": name})
 
 
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path, config=written(tmp_path)) as house:
-        yield house
+house = pytest.fixture(house_with_file)
 
 
 @pytest.fixture

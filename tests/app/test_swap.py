@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +12,7 @@ import pytest
 
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
-from app.sets.model import ParameterSet, ParameterSetSummary, UnitRows
+from app.sets.model import ParameterRow, ParameterSet, ParameterSetSummary, UnitRows
 from app.sets.order import Write
 from app.sets.plan import LeftOut, RestorePlan
 from app.sets.restore import EndSubscriber
@@ -20,11 +20,12 @@ from app.sets.restore_record import Restore, RestoreState, RowResult
 from app.sets.sides import offers
 from app.sets.store import SetStore
 from app.swap.record import Swap, SwapSource
-from app.swap.rules import STEPS, ProbeFinding, SwapState, advice, done_steps
+from app.swap.rules import PROVEN, STEPS, ProbeFinding, SwapState, advice, done_steps
 from app.swap.service import MAX_PROBES, SwapService, look, step_text
 from app.swap.store import SwapStore
 from app.web.access import Person, Role
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
+from bus.instants import UnixTime
 from bus.messages import Message, term
 from bus.settings import BusSettings
 from tests.app.played_commands import ANNA, Noted
@@ -162,6 +163,58 @@ async def test_a_restore_from_before_the_swap_verifies_nothing_about_it(scene: S
     assert (swap.restore, swap.proven) == (None, False)
 
 
+async def test_another_restore_of_the_unit_verifies_nothing_about_the_swap(scene: Scene) -> None:
+    swap = await scene.begin()
+    await scene.swaps.on_restore_end(a_restore(state="equal", for_swap=False))
+    assert (swap.restore, swap.proven) == (None, False)
+    assert len(scene.events.events) == 1
+
+
+def test_what_the_spare_was_not_given_is_named_with_the_result() -> None:
+    swap, restore = Swap("dry-end", 2, "anna", SwapSource(1, 2), UnixTime(100.0)), a_restore(state="equal")
+    restore.wanted = UnitRows(2, "Nip", {number: ParameterRow(number, 5) for number in (6, 7, 17)})
+    swap.restore, swap.proven = restore, True
+    assert step_text(PROVEN, swap) == Message("swap_proven")
+    left = LeftOut(7, "deselected", Message("row_deselected"))
+    restore.plan = replace(restore.plan, left_out=(*restore.left_out, left))
+    assert str(step_text(PROVEN, swap)) == (
+        "The new unit has the parameters of the old unit, verified by a full read, except what was not"
+        " written: #7. The report states why."
+    )
+
+
+async def test_of_two_who_begin_at_once_one_is_refused(scene: Scene) -> None:
+    begun = await asyncio.gather(scene.begin(), scene.begin(), return_exceptions=True)
+    assert [type(each) for each in begun] == [Swap, Problem]
+    assert scene.swaps.of("dry-end", 2) is begun[0]
+    assert len(scene.events.events) == 1
+
+
+async def test_a_closed_swap_stays_closed_while_its_unit_is_read(scene: Scene) -> None:
+    """Another person cancels it, and perhaps begins another, while the requests of the first still read."""
+    swap = await scene.begin()
+
+    async def late() -> SwapState:
+        await scene.swaps.cancel(ANNA, swap)
+        return state("silent")
+
+    await scene.swaps.look(swap, late)
+    kept = ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9)
+    for step in (
+        scene.swaps.begin_restore(ANNA, swap, a_restore(state="planned")),
+        scene.swaps.confirm_spare(ANNA, swap),
+        scene.swaps.save_entered(ANNA, swap, kept),
+        scene.swaps.cancel(ANNA, swap),
+    ):
+        with pytest.raises(Problem, match="no replacement of unit 2") as refused:
+            await step
+        assert refused.value.status == 404
+    later = scene.another()
+    await later.load("dry-end")
+    assert (later.of("dry-end", 2), swap.proven) == (None, False)
+    assert [event["what"] for event in scene.events.events][-1] == "unit replacement canceled"
+
+
 @both_engines
 async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     swap, restore = await scene.begin(), a_restore(state="different")
@@ -264,12 +317,12 @@ async def test_a_look_that_came_to_no_end_shows_nothing(scene: Scene) -> None:
     assert not swap.is_new
 
 
-def a_restore(state: RestoreState, planned_at: float = 101.0) -> Restore:
+def a_restore(state: RestoreState, planned_at: float = 101.0, *, for_swap: bool = True) -> Restore:
     write = Write(6, present=100, wanted=50)
     plan = RestorePlan((write,), (LeftOut(17, "address", Message("row_address")),), equal=38)
     empty = UnitRows(2, "Nip", {})
     rows = [RowResult(write, "verified")]
-    return Restore("r", "dry-end", 2, "anna", empty, empty, plan, rows, planned_at, state)
+    return Restore("r", "dry-end", 2, "anna", empty, empty, plan, rows, planned_at, state, for_swap=for_swap)
 
 
 def test_all_steps_are_done_only_when_it_is_verified() -> None:

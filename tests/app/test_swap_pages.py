@@ -87,3 +87,12 @@ async def test_the_restore_of_a_spare_leads_back_to_the_swap_and_no_other_does(
         await house.services[RestoreService].background.settled()
         links.append(f'href="{SWAP}"' in (await client.get(path)).text)
     assert links == [True, True, False]
+
+
+async def test_a_spare_with_a_set_is_not_called_verified_by_the_sheet(
+    house: House, client: httpx.AsyncClient
+) -> None:
+    await client.post(SWAP, data={"source": f"set:{await stored(client)}:2"})
+    refused = await client.post(f"{SWAP}/entered", headers={"accept": "application/json"})
+    assert (refused.status_code, refused.json()["code"]) == (409, "not_in_state")
+    assert not house.services[SwapService].of_or_404(BUS, 2).proven

@@ -12,16 +12,19 @@ import sys
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import cycle
 from urllib.parse import urlsplit
 
 Attack = Callable[["Target"], Awaitable[None]]
-ATTACKS: dict[str, Attack] = {}
 HANDSHAKE = (
     "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
     "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
 )
 ERRORS = (OSError, EOFError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError)
+CLOSE = "Connection: close\r\n"
+GERMAN = f"Accept-Language: de\r\nAccept: text/html\r\n{CLOSE}"
+CHUNKED = "Transfer-Encoding: chunked\r\n"
 
 
 @dataclass
@@ -56,158 +59,23 @@ class Target:
             writer.close()
 
 
-def attack(function: Attack) -> Attack:
-    """Known by its name, with spaces."""
-    ATTACKS[function.__name__.replace("_", " ")] = function
-    return function
-
-
-async def many(target: Target, count: int, one: Callable[[int], Awaitable[None]]) -> None:
+async def many(target: Target, count: int, one: Attack) -> None:
     """Run ``count`` at a time, each repeatedly until the end."""
 
-    async def again(number: int) -> None:
+    async def again() -> None:
         while target.goes_on:
             begun = time.monotonic()
             with suppress(*ERRORS):
-                await one(number)
+                await one(target)
             await asyncio.sleep(0.02 if time.monotonic() - begun < 0.02 else 0)
 
-    await asyncio.gather(*(again(number) for number in range(count)))
+    await asyncio.gather(*(again() for _ in range(count)))
 
 
-async def hold(target: Target, begun: bytes, more: bytes = b"", every_s: float = 1.0) -> None:
-    """Open a connection and keep it, with ``more`` now and then."""
-    _, writer = await target.open(begun)
-    try:
-        while target.goes_on and not writer.is_closing():
-            await asyncio.sleep(every_s)
-            writer.write(more)
-    finally:
-        writer.transport.abort()
-
-
-@attack
-async def nothing(target: Target) -> None:
-    await asyncio.sleep(target.end - time.monotonic())
-
-
-@attack
-async def connections_without_a_request(target: Target) -> None:
-    await many(target, 600, lambda _: hold(target, b""))
-
-
-@attack
-async def heads_without_an_end(target: Target) -> None:
-    await many(target, 600, lambda _: hold(target, target.head("GET /login"), b"X-A: b\r\n"))
-
-
-@attack
-async def bodies_without_an_end(target: Target) -> None:
-    head = target.head("POST /login", more="Content-Length: 50000\r\n") + b"\r\n"
-    await many(target, 600, lambda _: hold(target, head, b"x"))
-
-
-@attack
-async def chunks_without_an_end(target: Target) -> None:
-    head = target.head("POST /login", more="Transfer-Encoding: chunked\r\n") + b"\r\n"
-    await many(target, 200, lambda _: hold(target, head, b"1\r\nx\r\n", 0.05))
-
-
-@attack
-async def unread_responses(target: Target) -> None:
-    head = target.head("GET /api/v1/events.csv", "viewer") + b"\r\n"
-    await many(target, 200, lambda _: hold(target, head))
-
-
-@attack
-async def requests_by_the_thousand_at_once(target: Target) -> None:
-    await many(target, 8, lambda _: target.send((target.head("GET /login") + b"\r\n") * 3000))
-
-
-@attack
-async def addresses_with_patterns(target: Target) -> None:
-    line = "GET /static/x/" + "%3A%20" * 150
-    await many(target, 12, lambda _: target.send(target.head(line, more=GERMAN) + b"\r\n"))
-
-
-GERMAN = "Accept-Language: de\r\nAccept: text/html\r\nConnection: close\r\n"
-
-
-@attack
-async def queries_with_patterns(target: Target) -> None:
-    line = "GET /login?next=/&" + "%3B%20a%3A%20=" * 1200
-    await many(target, 12, lambda _: target.send(target.head(line, more=GERMAN) + b"\r\n"))
-
-
-@attack
-async def cookies_to_unquote(target: Target) -> None:
-    cookie = 'Cookie: lineside_session="' + "\\\\" * 14_000 + '"\r\nConnection: close\r\n'
-    await many(target, 12, lambda _: target.send(target.head("GET /login", more=cookie) + b"\r\n"))
-
-
-def post(target: Target, path: str, body: bytes, kind: str, role: str = "") -> bytes:
-    more = f"Content-Type: {kind}\r\nContent-Length: {len(body)}\r\nConnection: close\r\n"
-    return target.head(f"POST {path}", role, more) + b"\r\n" + body
-
-
-@attack
-async def forms_in_punycode(target: Target) -> None:
-    part = b'--b\r\nContent-Disposition: form-data; name="name"\r\n\r\n' + b"9" * 60_000 + b"\r\n--b--\r\n"
-    request = post(target, "/login", part, "multipart/form-data; charset=punycode; boundary=b")
-    await many(target, 12, lambda _: target.send(request))
-
-
-@attack
-async def keys_by_the_thousand(target: Target) -> None:
-    body = ("{" + ",".join(f'"{n}":0' for n in range(24_000)) + ',"0":0}').encode()
-    path = "/api/v1/buses/line/units/1/speed"
-    requests = [post(target, path, body, "application/json", role) for role in ("viewer", "engineer")]
-    await many(target, 12, lambda number: target.send(requests[number % 2]))
-
-
-@attack
-async def documents_of_a_megabyte(target: Target) -> None:
-    document = "".join(f"k{n} = 1\n" for n in range(110_000))
-    body = json.dumps({"document": document}).encode()
-    request = post(target, "/api/v1/buses/line/units/1/restores", body, "application/json", "engineer")
-    await many(target, 6, lambda _: target.send(request))
-
-
-@attack
-async def keys_with_dots(target: Target) -> None:
-    body = json.dumps({"document": "a." * 500_000 + "a = 1"}).encode()
-    request = post(target, "/api/v1/buses/line/units/1/restores", body, "application/json", "engineer")
-    await many(target, 6, lambda _: target.send(request))
-
-
-@attack
-async def searches(target: Target) -> None:
-    head = "GET /api/v1/events?limit=1000&search=no-such-word"
-    request = target.head(head, "viewer", "Connection: close\r\n") + b"\r\n"
-    await many(target, 12, lambda _: target.send(request))
-
-
-@attack
-async def pages_of_a_thousand_events(target: Target) -> None:
-    request = target.head("GET /api/v1/events?limit=1000", "viewer", "Connection: close\r\n") + b"\r\n"
-    await many(target, 12, lambda _: target.send(request))
-
-
-@attack
-async def downloads_of_events(target: Target) -> None:
-    request = target.head("GET /api/v1/events.csv", "viewer", "Connection: close\r\n") + b"\r\n"
-    await many(target, 12, lambda _: target.send(request))
-
-
-@attack
-async def tokens_to_guess(target: Target) -> None:
-    more = "Authorization: Bearer guess\r\nConnection: close\r\n"
-    await many(target, 12, lambda _: target.send(target.head("GET /api/v1/line", more=more) + b"\r\n"))
-
-
-@attack
-async def pages_without_a_sign_in(target: Target) -> None:
-    await many(target, 12, lambda _: target.send(target.head("GET /login", more=GERMAN) + b"\r\n"))
+async def _read(reader: asyncio.StreamReader) -> None:
+    with suppress(*ERRORS):
+        while await reader.read(65536):
+            pass
 
 
 def frame(opcode: int, payload: bytes = b"", size: int | None = None) -> bytes:
@@ -219,310 +87,234 @@ def frame(opcode: int, payload: bytes = b"", size: int | None = None) -> bytes:
     return bytes([opcode]) + length + b"\0\0\0\0" + payload
 
 
-async def live(target: Target, flood: bytes, every_s: float, *, reads: bool) -> None:
-    """A page that sends ``flood`` again and again."""
-    origin = f"Origin: http://{target.host}:{target.port}\r\n"
-    reader, writer = await target.open(target.head("GET /live", "viewer", origin + HANDSHAKE) + b"\r\n")
-    reading = None
-    try:
-        await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 60)
-        reading = asyncio.create_task(_read(reader)) if reads else None
-        while target.goes_on and not writer.is_closing():
-            writer.write(flood)
-            await asyncio.wait_for(writer.drain(), 10)
-            await asyncio.sleep(every_s)
-    finally:
-        writer.transport.abort()
-        if reading is not None:
-            reading.cancel()
+@dataclass(frozen=True)
+class Begun:
+    """What a connection begins with: a head and ``body``, ``times`` over.
+
+    ``is_page``: with the origin of the server, as a browser states it. ``end``: of the head; none for a head
+    that goes on.
+    """
+
+    line: str
+    role: str = ""
+    more: str = ""
+    body: bytes = b""
+    times: int = 1
+    is_page: bool = False
+    end: bytes = b"\r\n"
+
+    def on(self, target: Target) -> bytes:
+        """The bytes for this server."""
+        origin = f"Origin: http://{target.host}:{target.port}\r\n" if self.is_page else ""
+        return (target.head(self.line, self.role, origin + self.more) + self.end + self.body) * self.times
 
 
-async def _read(reader: asyncio.StreamReader) -> None:
-    with suppress(*ERRORS):
-        while await reader.read(65536):
-            pass
+def post(path: str, body: bytes, kind: str, role: str = "") -> Begun:
+    """A request with its body."""
+    return Begun(
+        f"POST {path}", role, f"Content-Type: {kind}\r\nContent-Length: {len(body)}\r\n{CLOSE}", body
+    )
 
 
-SNAPSHOT = frame(0x81, b'{"want":"snapshot"}')
-EVERYTHING = frame(0x81, json.dumps({"units": [f"line/{n}" for n in range(1, 256)]}).encode())
+def get(path: str, role: str = "", more: str = CLOSE) -> Begun:
+    """A request, after whose response the connection ends."""
+    return Begun(f"GET {path}", role, more)
 
 
-@attack
-async def snapshots_without_end(target: Target) -> None:
-    await many(target, 20, lambda _: live(target, SNAPSHOT * 2000, 1.0, reads=False))
+LIVE = Begun("GET /live", "viewer", HANDSHAKE, is_page=True)
+FEED = Begun("GET /feed", "worker", HANDSHAKE)
 
 
-@attack
-async def snapshots_at_the_limit(target: Target) -> None:
-    await many(target, 50, lambda _: live(target, SNAPSHOT, 0.2, reads=True))
+def sent(*begun: Begun) -> Attack:
+    """Each in turn on a new connection, whose response is read to its end."""
+    turns = cycle(begun)
+    return lambda target: target.send(next(turns).on(target))
 
 
-@attack
-async def pages_by_the_hundred(target: Target) -> None:
-    await many(target, 400, lambda _: live(target, EVERYTHING, 2.0, reads=True))
+def held(begun: Begun | None, more: bytes = b"", every_s: float = 1.0) -> Attack:
+    """Keep a connection on which nothing is read, with ``more`` now and then."""
 
-
-@attack
-async def pages_that_turn(target: Target) -> None:
-    turning = EVERYTHING + frame(0x81, b"{}")
-    await many(target, 50, lambda _: live(target, turning, 0.25, reads=True))
-
-
-async def open_and_close(target: Target) -> None:
-    """A page that leaves once its WebSocket is open."""
-    begun = target.head("GET /live", "viewer", f"Origin: http://{target.host}:{target.port}\r\n" + HANDSHAKE)
-    reader, writer = await target.open(begun + b"\r\n")
-    try:
-        await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10)
-    finally:
-        writer.transport.abort()
-
-
-@attack
-async def pages_that_open_and_close(target: Target) -> None:
-    await many(target, 12, lambda _: open_and_close(target))
-
-
-@attack
-async def pages_by_the_hundred_that_open_and_close(target: Target) -> None:
-    await many(target, 200, lambda _: open_and_close(target))
-
-
-@attack
-async def forms_in_two_parts(target: Target) -> None:
-    more = "Content-Type: application/x-www-form-urlencoded\r\nContent-Length: 6\r\nConnection: close\r\n"
-    head = target.head("POST /login", more=f"{more}Accept: text/html\r\n") + b"\r\n"
-
-    async def one(_: int) -> None:
-        reader, writer = await target.open(head)
+    async def hold(target: Target) -> None:
+        _, writer = await target.open(begun.on(target) if begun else b"")
         try:
-            await asyncio.sleep(0.05)
-            writer.write(b"name=a")
-            await asyncio.wait_for(reader.read(), 30)
-        finally:
-            writer.close()
-
-    await many(target, 300, one)
-
-
-@attack
-async def streams_that_no_one_reads(target: Target) -> None:
-    head = target.head("GET /api/v1/stream", "viewer") + b"\r\n"
-    await many(target, 100, lambda _: hold(target, head))
-
-
-async def sip(target: Target, begun: bytes, every_s: float = 0.5) -> None:
-    """Send ``begun`` and read its response a few bytes at a time."""
-    reader, writer = await target.open(begun)
-    try:
-        while target.goes_on:
-            await asyncio.wait_for(reader.readexactly(16), 30)
-            await asyncio.sleep(every_s)
-    finally:
-        writer.transport.abort()
-
-
-@attack
-async def streams_read_slowly(target: Target) -> None:
-    heads = [target.head("GET /api/v1/stream", role) + b"\r\n" for role in ("viewer", "operator", "admin")]
-    await many(target, 60, lambda number: sip(target, heads[number % 3]))
-
-
-@attack
-async def streams_without_a_sign_in(target: Target) -> None:
-    head = target.head("GET /api/v1/stream") + b"\r\n"
-    await many(target, 200, lambda _: hold(target, head))
-
-
-@attack
-async def wallboards_without_end(target: Target) -> None:
-    request = target.head("GET /wallboard", "viewer", "Connection: close\r\n") + b"\r\n"
-    await many(target, 12, lambda _: target.send(request))
-
-
-@attack
-async def wallboards_without_a_sign_in(target: Target) -> None:
-    request = target.head("GET /wallboard", more="Connection: close\r\nAccept: text/html\r\n") + b"\r\n"
-    await many(target, 60, lambda _: target.send(request))
-
-
-@attack
-async def wallboards_read_slowly(target: Target) -> None:
-    head = target.head("GET /wallboard", "viewer") + b"\r\n"
-    await many(target, 200, lambda _: sip(target, head))
-
-
-EVERY_LINE = frame(0x81, b'{"lines":true,"want":"snapshot"}')
-
-
-@attack
-async def wallboards_by_the_hundred_that_no_one_reads(target: Target) -> None:
-    await many(target, 200, lambda _: live(target, EVERY_LINE, 0.5, reads=False))
-
-
-@attack
-async def streams_that_open_and_close(target: Target) -> None:
-    head = target.head("GET /api/v1/stream", "viewer", "Connection: close\r\n") + b"\r\n"
-
-    async def one(_: int) -> None:
-        reader, writer = await target.open(head)
-        try:
-            await asyncio.wait_for(reader.read(1), 30)
-        finally:
-            writer.close()
-
-    await many(target, 40, one)
-
-
-@attack
-async def pings_without_end(target: Target) -> None:
-    await many(target, 20, lambda _: live(target, frame(0x89, b"x" * 100) * 2000, 0.05, reads=False))
-
-
-@attack
-async def frames_of_a_hundred_megabytes(target: Target) -> None:
-    flood = frame(0x81, b"x" * 60_000, size=100_000_000)
-    await many(target, 20, lambda _: live(target, flood, 0.05, reads=True))
-
-
-@attack
-async def fragments_without_end(target: Target) -> None:
-    await many(target, 20, lambda _: live(target, frame(0x01) + frame(0x00) * 5000, 0.05, reads=True))
-
-
-@attack
-async def frames_before_the_response(target: Target) -> None:
-    head = target.head("GET /live", "viewer", f"Origin: http://{target.host}:{target.port}\r\n" + HANDSHAKE)
-    flood = head + b"\r\n" + frame(0x81, b"x" * 60_000, size=100_000_000)
-    await many(target, 20, lambda _: target.send(flood))
-
-
-async def pour(target: Target, head: bytes, flood: bytes) -> None:
-    """Send a head and then ``flood`` as quickly as it is taken, until the server ends the connection."""
-    reader, writer = await target.open(head)
-    reading = asyncio.create_task(_read(reader))
-    try:
-        while target.goes_on and not writer.is_closing():
-            writer.write(flood)
-            await asyncio.wait_for(writer.drain(), 10)
-    finally:
-        writer.transport.abort()
-        reading.cancel()
-
-
-def chunked(target: Target) -> bytes:
-    """The head of a form whose body comes in chunks."""
-    return target.head("POST /login", more="Transfer-Encoding: chunked\r\n") + b"\r\n"
-
-
-CHUNKS = b"1\r\na\r\n" * 20_000
-EXTENSION = b"1;" + b"x" * 120_000 + b"\r\na\r\n"
-
-
-@attack
-async def chunks_of_a_byte(target: Target) -> None:
-    await many(target, 1, lambda _: pour(target, chunked(target), CHUNKS))
-
-
-@attack
-async def chunks_of_a_byte_four_times(target: Target) -> None:
-    await many(target, 4, lambda _: pour(target, chunked(target), CHUNKS))
-
-
-@attack
-async def chunk_extensions_without_end(target: Target) -> None:
-    await many(target, 4, lambda _: pour(target, chunked(target), EXTENSION))
-
-
-@attack
-async def one_chunk_extension_without_end(target: Target) -> None:
-    await many(target, 4, lambda _: pour(target, chunked(target) + b"1;", b"x" * 120_000))
-
-
-@attack
-async def blank_lines_without_end(target: Target) -> None:
-    request = target.head("GET /healthz") + b"\r\n"
-    await many(target, 4, lambda _: pour(target, request, b"\r\n" * 60_000))
-
-
-@attack
-async def health_by_64_connections(target: Target) -> None:
-    request = target.head("GET /healthz") + b"\r\n"
-
-    async def poll(_: int) -> None:
-        reader, writer = await target.open(request * 6)
-        try:
-            while target.goes_on:
-                await asyncio.wait_for(reader.readuntil(b'{"status":"ok"}'), 30)
-                writer.write(request)
+            while target.goes_on and not writer.is_closing():
+                await asyncio.sleep(every_s)
+                writer.write(more)
         finally:
             writer.transport.abort()
 
-    await many(target, 64, poll)
+    return hold
 
 
-@attack
-async def a_connection_for_each_request(target: Target) -> None:
-    request = target.head("GET /healthz", more="Connection: close\r\n") + b"\r\n"
+def sipped(*begun: Begun, every_s: float = 0.5) -> Attack:
+    """Read the response a few bytes at a time."""
+    turns = cycle(begun)
 
-    async def one_after_another(_: int) -> None:
-        while target.goes_on:
-            await target.send(request)
+    async def sip(target: Target) -> None:
+        reader, writer = await target.open(next(turns).on(target))
+        try:
+            while target.goes_on:
+                await asyncio.wait_for(reader.readexactly(16), 30)
+                await asyncio.sleep(every_s)
+        finally:
+            writer.transport.abort()
 
-    await many(target, 32, one_after_another)
-
-
-@attack
-async def descriptions_of_every_call(target: Target) -> None:
-    more = "Connection: close\r\n"
-    request = target.head("GET /api/v1/openapi.json", "viewer", more) + b"\r\n"
-    await many(target, 16, lambda _: target.send(request))
+    return sip
 
 
-@attack
-async def descriptions_compressed(target: Target) -> None:
-    more = "Accept-Encoding: gzip\r\nConnection: close\r\n"
-    request = target.head("GET /api/v1/openapi.json", "viewer", more) + b"\r\n"
-    await many(target, 16, lambda _: target.send(request))
+def flooded(
+    begun: Begun, flood: bytes = b"", *, once: bytes = b"", every_s: float = 0.0, reads: bool = True
+) -> Attack:
+    """Send ``once`` and then ``flood`` as quickly as it is taken, until the server ends the connection; on a
+    WebSocket once it is open."""
+
+    async def pour(target: Target) -> None:
+        reader, writer = await target.open(begun.on(target))
+        reading = None
+        try:
+            if HANDSHAKE in begun.more:
+                await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 60)
+            reading = asyncio.create_task(_read(reader)) if reads else None
+            writer.write(once)
+            while target.goes_on and not writer.is_closing() and not reader.at_eof():
+                writer.write(flood)
+                await asyncio.wait_for(writer.drain(), 10)
+                await asyncio.sleep(every_s)
+        finally:
+            writer.transport.abort()
+            if reading is not None:
+                reading.cancel()
+
+    return pour
 
 
-async def feed(target: Target, begun: bytes, flood: bytes = b"", *, reads: bool = True) -> None:
-    """A stolen worker token: ``begun`` before any Hello, and ``flood`` without end."""
-    reader, writer = await target.open(target.head("GET /feed", "worker", HANDSHAKE) + b"\r\n")
-    reading = None
+def left(begun: Begun) -> Attack:
+    """Leave once the head of the response has come."""
+
+    async def leave(target: Target) -> None:
+        reader, writer = await target.open(begun.on(target))
+        try:
+            await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 30)
+        finally:
+            writer.transport.abort()
+
+    return leave
+
+
+HEALTH = get("/healthz", more="")
+
+
+async def _polls(target: Target) -> None:
+    request = HEALTH.on(target)
+    reader, writer = await target.open(request * 6)
     try:
-        await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 60)
-        reading = asyncio.create_task(_read(reader)) if reads else None
-        writer.write(begun)
-        while target.goes_on and not writer.is_closing() and not reader.at_eof():
-            writer.write(flood)
-            await asyncio.wait_for(writer.drain(), 10)
-            await asyncio.sleep(0 if flood else 0.2)
+        while target.goes_on:
+            await asyncio.wait_for(reader.readuntil(b'{"status":"ok"}'), 30)
+            writer.write(request)
     finally:
         writer.transport.abort()
-        if reading is not None:
-            reading.cancel()
 
 
-@attack
-async def empty_messages_before_hello(target: Target) -> None:
-    await many(target, 8, lambda _: feed(target, b"", frame(0x82) * 20_000))
+async def _one_after_another(target: Target) -> None:
+    while target.goes_on:
+        await target.send(get("/healthz").on(target))
 
 
-@attack
-async def pings_before_hello(target: Target) -> None:
-    await many(target, 8, lambda _: feed(target, b"", frame(0x89) * 20_000))
+async def _form_in_two_parts(target: Target) -> None:
+    head, body = post("/login", b"name=a", "application/x-www-form-urlencoded").on(target), 6
+    reader, writer = await target.open(head[:-body])
+    try:
+        await asyncio.sleep(0.05)
+        writer.write(head[-body:])
+        await asyncio.wait_for(reader.read(), 30)
+    finally:
+        writer.close()
 
 
-@attack
-async def empty_fragments_before_hello(target: Target) -> None:
-    await many(target, 8, lambda _: feed(target, frame(0x02), frame(0x00) * 20_000))
+SPEED = "/api/v1/buses/line/units/1/speed"
+RESTORES = "/api/v1/buses/line/units/1/restores"
+JSON = "application/json"
+KEYS = ("{" + ",".join(f'"{n}":0' for n in range(24_000)) + ',"0":0}').encode()
+SETPOINT = b'{"raw":100}'
+MEGABYTE = json.dumps({"document": "".join(f"k{n} = 1\n" for n in range(110_000))}).encode()
+DOTS = json.dumps({"document": "a." * 500_000 + "a = 1"}).encode()
+PUNYCODE = b'--b\r\nContent-Disposition: form-data; name="name"\r\n\r\n' + b"9" * 60_000 + b"\r\n--b--\r\n"
+QUOTED = 'Cookie: lineside_session="' + "\\\\" * 14_000 + f'"\r\n{CLOSE}'
+FORM = Begun("POST /login", more="Content-Length: 50000\r\n")
+CHUNKS = Begun("POST /login", more=CHUNKED)
+STREAMS = tuple(get("/api/v1/stream", role, "") for role in ("viewer", "operator", "admin"))
+SNAPSHOT = frame(0x81, b'{"want":"snapshot"}')
+EVERYTHING = frame(0x81, json.dumps({"units": [f"line/{n}" for n in range(1, 256)]}).encode())
+EVERY_LINE = frame(0x81, b'{"lines":true,"want":"snapshot"}')
+TOO_LARGE = frame(0x81, b"x" * 60_000, size=100_000_000)
+GZIP = f"Accept-Encoding: gzip\r\n{CLOSE}"
+EVENTS = "/api/v1/events?limit=1000"
 
-
-@attack
-async def unfinished_messages_before_hello(target: Target) -> None:
-    begun = frame(0x82, b"x" * 3_000_000, size=4_000_000)
-    await many(target, 20, lambda _: feed(target, begun))
+ATTACKS: dict[str, tuple[int, Attack]] = {
+    "nothing": (0, held(None)),
+    "connections without a request": (600, held(None)),
+    "heads without an end": (600, held(Begun("GET /login", end=b""), b"X-A: b\r\n")),
+    "bodies without an end": (600, held(FORM, b"x")),
+    "chunks without an end": (200, held(CHUNKS, b"1\r\nx\r\n", 0.05)),
+    "unread responses": (200, held(get("/api/v1/events.csv", "viewer", ""))),
+    "requests by the thousand at once": (8, sent(Begun("GET /login", times=3000))),
+    "addresses with patterns": (12, sent(get("/static/x/" + "%3A%20" * 150, more=GERMAN))),
+    "queries with patterns": (12, sent(get("/login?next=/&" + "%3B%20a%3A%20=" * 1200, more=GERMAN))),
+    "cookies to unquote": (12, sent(get("/login", more=QUOTED))),
+    "forms in punycode": (
+        12,
+        sent(post("/login", PUNYCODE, "multipart/form-data; charset=punycode; boundary=b")),
+    ),
+    "keys by the thousand": (12, sent(*(post(SPEED, KEYS, JSON, role) for role in ("viewer", "engineer")))),
+    "setpoints without end": (30, sent(post("/api/v1/buses/line/units/2/speed", SETPOINT, JSON, "engineer"))),
+    "documents of a megabyte": (6, sent(post(RESTORES, MEGABYTE, JSON, "engineer"))),
+    "keys with dots": (6, sent(post(RESTORES, DOTS, JSON, "engineer"))),
+    "searches": (12, sent(get(f"{EVENTS}&search=no-such-word", "viewer"))),
+    "pages of a thousand events": (12, sent(get(EVENTS, "viewer"))),
+    "downloads of events": (12, sent(get("/api/v1/events.csv", "viewer"))),
+    "traces of two thousand frames": (12, sent(get("/api/v1/buses/line/trace?limit=2000", "engineer"))),
+    "tokens to guess": (12, sent(get("/api/v1/line", more=f"Authorization: Bearer guess\r\n{CLOSE}"))),
+    "pages without a sign in": (12, sent(get("/login", more=GERMAN))),
+    "snapshots without end": (20, flooded(LIVE, SNAPSHOT * 2000, every_s=1.0, reads=False)),
+    "snapshots at the limit": (50, flooded(LIVE, SNAPSHOT, every_s=0.2)),
+    "pages by the hundred": (400, flooded(LIVE, EVERYTHING, every_s=2.0)),
+    "pages that turn": (50, flooded(LIVE, EVERYTHING + frame(0x81, b"{}"), every_s=0.25)),
+    "pages that open and close": (12, left(LIVE)),
+    "pages by the hundred that open and close": (200, left(LIVE)),
+    "forms in two parts": (300, _form_in_two_parts),
+    "streams that no one reads": (100, held(STREAMS[0])),
+    "streams read slowly": (60, sipped(*STREAMS)),
+    "streams without a sign in": (200, held(get("/api/v1/stream", more=""))),
+    "wallboards without end": (12, sent(get("/wallboard", "viewer"))),
+    "wallboards without a sign in": (60, sent(get("/wallboard", more=f"Accept: text/html\r\n{CLOSE}"))),
+    "wallboards read slowly": (200, sipped(get("/wallboard", "viewer", ""))),
+    "wallboards by the hundred that no one reads": (
+        200,
+        flooded(LIVE, EVERY_LINE, every_s=0.5, reads=False),
+    ),
+    "streams that open and close": (40, left(STREAMS[0])),
+    "pings without end": (20, flooded(LIVE, frame(0x89, b"x" * 100) * 2000, every_s=0.05, reads=False)),
+    "frames of a hundred megabytes": (20, flooded(LIVE, TOO_LARGE, every_s=0.05)),
+    "fragments without end": (20, flooded(LIVE, frame(0x01) + frame(0x00) * 5000, every_s=0.05)),
+    "frames before the response": (20, sent(replace(LIVE, body=TOO_LARGE))),
+    "chunks of a byte": (1, flooded(CHUNKS, b"1\r\na\r\n" * 20_000)),
+    "chunks of a byte four times": (4, flooded(CHUNKS, b"1\r\na\r\n" * 20_000)),
+    "chunk extensions without end": (4, flooded(CHUNKS, b"1;" + b"x" * 120_000 + b"\r\na\r\n")),
+    "one chunk extension without end": (4, flooded(replace(CHUNKS, body=b"1;"), b"x" * 120_000)),
+    "blank lines without end": (4, flooded(HEALTH, b"\r\n" * 60_000)),
+    "health by 64 connections": (64, _polls),
+    "a connection for each request": (32, _one_after_another),
+    "descriptions of every call": (16, sent(get("/api/v1/openapi.json", "viewer"))),
+    "descriptions compressed": (16, sent(get("/api/v1/openapi.json", "viewer", GZIP))),
+    "empty messages before hello": (8, flooded(FEED, frame(0x82) * 20_000)),
+    "pings before hello": (8, flooded(FEED, frame(0x89) * 20_000)),
+    "empty fragments before hello": (8, flooded(FEED, frame(0x00) * 20_000, once=frame(0x02))),
+    "unfinished messages before hello": (
+        20,
+        flooded(FEED, once=frame(0x82, b"x" * 3_000_000, size=4_000_000), every_s=0.2),
+    ),
+}
+"""By name: on how many connections at a time, and what is done on each, again and again."""
 
 
 async def main(name: str, url: str, seconds: float, tokens: dict[str, str]) -> None:
@@ -530,8 +322,10 @@ async def main(name: str, url: str, seconds: float, tokens: dict[str, str]) -> N
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     parts = urlsplit(url)
     target = Target(parts.hostname or "", parts.port or 80, tokens, time.monotonic() + seconds)
+    count, one = ATTACKS[name]
     with suppress(TimeoutError):
-        await asyncio.wait_for(ATTACKS[name](target), seconds + 1)
+        await asyncio.wait_for(many(target, count, one), seconds + 1)
+    await asyncio.sleep(target.end - time.monotonic())
 
 
 if __name__ == "__main__":

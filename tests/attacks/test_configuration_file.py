@@ -14,8 +14,7 @@ from app.auth.accounts import Accounts
 from app.web.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import House, complete_app
-from tests.app.configuration_file import TEXT, written
-from tests.app.test_configuration_pages import UNIT, fields_of, form_of
+from tests.app.configuration_file import TEXT, UNIT, fields_of, form_of, written
 
 API = "/api/v1/configuration"
 TABLE = f"{API}/tables/bus.0.unit.0"

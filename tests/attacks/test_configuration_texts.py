@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import AsyncIterator
 from itertools import cycle
-from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
@@ -14,25 +12,16 @@ import httpx
 import pytest
 
 from app.web.access import Role
-from tests.app.complete_app import House, complete_app
-from tests.app.configuration_file import TEXT, PlantFile, written
-from tests.app.test_configuration_pages import UNIT, form_of
+from tests.app.complete_app import House
+from tests.app.configuration_file import TEXT, UNIT, PlantFile, form_of, house_with_file, plant_file
 from tests.attacks.test_free_texts import HOSTILE
 
 TABLE = "/api/v1/configuration/tables/bus.0.unit.0"
 FIELDS = ("name", "group", "labels.output.1", "labels.input.run", "labels.analog_unit")
 INJECTED = ['x"\n[server]\nhost = "0.0.0.0"', 'x" #', "x\\", '"""', "'''", "# x", "${HOME}", "]]", "x\\u000a"]
 
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path, config=written(tmp_path)) as house:
-        yield house
-
-
-@pytest.fixture
-def file(tmp_path: Path) -> PlantFile:
-    return PlantFile(tmp_path / "lineside.toml")
+house = pytest.fixture(house_with_file)
+file = pytest.fixture(plant_file)
 
 
 async def put(client: httpx.AsyncClient, values: dict[str, str], reason: str = "") -> httpx.Response:

@@ -97,24 +97,29 @@ async def test_a_lapsed_request_is_not_granted(
 
 
 @pytest.mark.parametrize("how", WAYS_TO_LEAVE)
-async def test_nothing_is_granted_to_one_who_has_left(
-    house: House, anna: httpx.AsyncClient, ben: httpx.AsyncClient, how: str
+@pytest.mark.parametrize(
+    ("name", "refused", "then"),
+    [
+        pytest.param("ben", {409, 422}, "anna", id="who requested"),
+        pytest.param("anna", {401, 403}, None, id="who holds"),
+    ],
+)
+async def test_nothing_is_granted_by_or_to_one_who_has_left(
+    house: House,
+    anna: httpx.AsyncClient,
+    ben: httpx.AsyncClient,
+    name: str,
+    refused: set[int],
+    then: str | None,
+    how: str,
 ) -> None:
     await ben.post(f"{API}/request")
-    await leave(house, ben, "ben", how)
-    assert (await anna.post(f"{API}/grant")).status_code in (409, 422)
-    assert await holder(anna) == "anna"
-
-
-@pytest.mark.parametrize("how", WAYS_TO_LEAVE)
-async def test_one_who_has_left_grants_nothing(
-    house: House, anna: httpx.AsyncClient, ben: httpx.AsyncClient, how: str
-) -> None:
-    await ben.post(f"{API}/request")
-    await leave(house, anna, "anna", how)
-    assert (await anna.post(f"{API}/grant")).status_code in (401, 403)
-    assert await holder(ben) is None
-    assert (await ben.get(API)).json()["request"] is None
+    clients = {"anna": anna, "ben": ben}
+    await leave(house, clients.pop(name), name, how)
+    assert (await anna.post(f"{API}/grant")).status_code in refused
+    (stays,) = clients.values()
+    shown = (await stays.get(API)).json()
+    assert (shown["holder"], shown["request"]) == (then, None)
 
 
 async def leave(house: House, client: httpx.AsyncClient, name: str, how: str) -> None:

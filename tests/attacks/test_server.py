@@ -1,7 +1,7 @@
 """Attacks on a running server: others are served meanwhile, and it is over when they stop.
 
 ``make test`` carries out each once, briefly; ``make soak`` measures and prints what others notice. A new
-one is a function in `tests.attacks.attackers` and needs nothing else.
+one is a row in `tests.attacks.attackers` and needs nothing else.
 """
 
 from __future__ import annotations

@@ -5,8 +5,9 @@ The frames show every value that passed, so this needs an engineer.
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
@@ -22,6 +23,7 @@ from app.commands.service.writer import Commands, permitted
 from app.errors import Problem
 from app.web.access import Person
 from app.web.api_route import ApiRoute
+from app.web.turns import DOWNLOAD
 from bus.contract import Frame, ReadTrace
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
@@ -46,7 +48,7 @@ TRACE: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get("/trace", responses=TRACE)
+@router.get("/trace", responses=TRACE, dependencies=[DOWNLOAD])
 async def get_trace(
     person: Annotated[Person, permitted(READ_TRACE)],
     commands: Commands,
@@ -61,7 +63,7 @@ async def get_trace(
         frames: deque[Frame] = deque(maxlen=limit)
         async for piece in _pieces(commands, person, now - RECENT_S):
             frames.extend(piece)
-        return JSONResponse({"bus": bus, "frames": [frame_json(frame) for frame in frames]})
+        return JSONResponse({"bus": bus, "frames": [shown async for shown in _shown(frames)]})
     pieces = _pieces(commands, person, now - seconds)
     first: list[Frame] = await anext(pieces, [])
     name = f"{bus}-{datetime.fromtimestamp(float(now), UTC):%Y%m%dT%H%M%SZ}.trace.txt"
@@ -81,6 +83,13 @@ async def _pieces(commands: CommandService, person: Person, since: UnixTime) -> 
         if len(result.frames) < PIECE:
             return
         since = frames[-1].at
+
+
+async def _shown(frames: Iterable[Frame]) -> AsyncIterator[FrameShown]:
+    """Each frame for programs. Two thousand take a tenth of a second, in which others have their turns."""
+    for frame in frames:
+        yield frame_json(frame)
+        await asyncio.sleep(0)
 
 
 async def _lines(first: list[Frame], pieces: AsyncIterator[list[Frame]]) -> AsyncIterator[str]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any, Protocol
 
 import msgspec
@@ -27,6 +28,7 @@ from app.feed.channel import Channel
 from app.live.command_ids import new_command_id
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
+from app.server.fair_queue import FairQueue, TooManyWaitingError
 from app.web.access import Person, refuse_without
 from app.web.arrival import Deadline
 from bus.contract import Action, Command, ReadParameters, Result
@@ -38,6 +40,10 @@ ACTED = ("verified", "acknowledged", "unverified")
 RANGE_PASSES = 2
 """Which parameters bound a setpoint depends on the mode (#8), which may have to be read itself."""
 
+MAX_AT_ONCE = 2
+"""Writes of an account that the worker has at a time. It carries them out in the order in which they come."""
+MAX_WAITING = 60
+"""Writes of an account that may wait for that."""
 RECHECK_S = 0.25
 """How often the rights of the sender are looked at: most commands are over by then; a change of the baud rate
 or of many units is not."""
@@ -61,6 +67,9 @@ class CommandService:
     _rights: Rights
     _monotonic: MonotonicClock = monotonic_now
     _moves: Moves = field(default_factory=Moves)
+    _turns: FairQueue[tuple[str, bool]] = field(
+        default_factory=lambda: FairQueue(inf, MAX_AT_ONCE, MAX_WAITING)
+    )
     _under_way: set[asyncio.Task[Result]] = field(default_factory=set)
     _write_subscribers: list[WriteSubscriber] = field(default_factory=list)
 
@@ -258,15 +267,30 @@ class CommandService:
                 self._moves.take_back(steps, at)
 
     async def _transmit(self, request: CommandRequest) -> Result:
+        """Send it in the turn of its account: however much a program sends, others wait for little of it.
+        What only slows has turns beside what does not."""
+        slows = kind_of_command(request.action).only_slows(request.action, self._live)
+        if not request.action.writes:
+            return await self._send_now(request, slows=slows)
+        async with AsyncExitStack() as turn:
+            try:
+                async with asyncio.timeout(request.deadline.left_s):
+                    await turn.enter_async_context(self._turns.turn((request.person.account, slows)))
+            except TimeoutError:
+                return _not_sent(request, Message("deadline_passed"))
+            except TooManyWaitingError:
+                return _not_sent(request, Message("too_many_commands"))
+            return await self._send_now(request, slows=slows)
+
+    async def _send_now(self, request: CommandRequest, *, slows: bool) -> Result:
         link = self._live.link
         if link.link == "closed":
             refusal = link.refusal
             return Result(id=request.id, at=unix_now(), outcome="bus_closed", message=refusal)
         # Storing the intent and what the unit was may have taken a while on a slow disk.
-        slows = kind_of_command(request.action).only_slows(request.action, self._live)
         reason = await self._why_no_longer(request, slows=slows)
         if reason is not None:
-            return Result(id=request.id, at=unix_now(), outcome="not_sent", message=reason)
+            return _not_sent(request, reason)
         # This clock first: whatever stops this process between the two makes the deadline earlier.
         deadline = unix_now() + request.deadline.left_s
         command = Command(id=request.id, deadline=deadline, action=request.action)
@@ -295,6 +319,10 @@ class CommandService:
             if block is not None:
                 return block.refusal(unit)
         return self._guards.objection(request.person.account)
+
+
+def _not_sent(request: CommandRequest, reason: Message) -> Result:
+    return Result(id=request.id, at=unix_now(), outcome="not_sent", message=reason)
 
 
 def _steps(action: Action, live: BusLive) -> dict[int, int]:

@@ -15,6 +15,7 @@ from app.history.query.query import SeriesQuery
 from app.history.series.runs import HOUR, micros
 from app.history.series.values import VALUES
 from app.history.service import History
+from app.web.bounds import refuse_year
 from app.web.services import service, unknown_bus, unknown_unit
 from app.web.shape import DATE_TIME, parse_integer
 from bus.instants import unix_now
@@ -22,8 +23,6 @@ from bus.messages import Message
 
 MAX_POINTS = 20_000
 MAX_SERIES = 32
-FIRST_YEAR, LAST_YEAR = 1970, 9998
-"""Years in which every instant has a date in every time zone."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
 _PLUS_LOST = re.compile(r"(:\d\d(?:\.\d+)?) (\d\d:?\d\d)$")
@@ -55,9 +54,7 @@ def moment(text: str, name: str) -> int:
     if at is None or at.tzinfo is None:
         wrong = Message.of("time_malformed", field=name, example="2026-11-21T03:12:00Z", text=text)
         raise Problem(422, "invalid", wrong)
-    if not FIRST_YEAR <= at.year <= LAST_YEAR:
-        years = {"lowest": FIRST_YEAR, "highest": LAST_YEAR, "year": at.year}
-        raise Problem(422, "invalid", Message.of("year_out_of_range", name=name, **years))
+    refuse_year(at, name)
     return (at - _EPOCH) // _MICROSECOND
 
 
