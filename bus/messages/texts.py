@@ -17,6 +17,8 @@ class Plural(NamedTuple):
 EnglishText: TypeAlias = str | Plural
 TEXTS: dict[str, EnglishText] = {}
 """By code: of the bus, and of the app where that is imported."""
+PARAMETER_NAMES: dict[int, str] = {}
+"""By number: of the catalogue, where that is imported. Each language has its own in its catalog."""
 
 
 def add_texts(package: Path) -> None:
