@@ -100,7 +100,7 @@ class Templates:
         self.environment = cache(self._environment)
 
     def _environment(self, tag: str) -> Environment:
-        language = self.languages[tag]
+        language = self.languages[tag].on_screen
         environment = Environment(
             loader=self._loader,
             bytecode_cache=self._compiled,
@@ -126,6 +126,7 @@ class Templates:
             "help_of": HELP,
         }
         environment.filters["parameter"] = lambda number: language.t(parameter_name(number))
+        environment.filters["isolated"] = language.isolated
         return environment
 
     @property
@@ -175,7 +176,7 @@ def render(
     """A page or fragment in the language of the request, never kept by a cache."""
     templates = templates_of(request)
     person: Person | None = person_of(request)
-    language = templates.language_of(request)
+    language = templates.language_of(request).on_screen
     context = {
         "person": person,
         "may": partial(templates.may, person),

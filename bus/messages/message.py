@@ -150,6 +150,8 @@ def shown(value: ParamValue, catalog: Catalog) -> str:
             return str(value).replace(".", catalog.point)
         case str() if _TIME.fullmatch(value):
             return catalog.time(value)
+        case str():
+            return catalog.isolated(value)
         case _:
             return str(value)
 

@@ -71,7 +71,7 @@ class PageContext:
 
     def __init__(self, request: Request) -> None:
         templates = templates_of(request)
-        language = templates.language_of(request)
+        language = templates.language_of(request).on_screen
         self.request = request
         self.translator = Translator(language, templates.formats(language.tag))
         self.live = service_of(request, LiveState)
