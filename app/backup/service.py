@@ -135,7 +135,7 @@ class Backups:
 
 
 def left_out_of(written: Mapping[str, Any]) -> Message | None:
-    """What is not in a backup, by what ``lineside backup-store --json`` prints; None where all is."""
+    """What a backup lacks, by what ``lineside backup-store --json`` prints; None where all is."""
     lists = (("left_out", "backup_leaves_out"), ("events_absent", "backup_without_events"))
     return joined(Message(code, {"files": files}) for name, code in lists if (files := written[name]))
 

@@ -103,7 +103,7 @@ class RecipeBook:
     ) -> Result:
         """Load it as one change: staged, broadcast, read back. ``left_out``: the units that keep their
         present setpoint. With a ``command_id`` that this person has used the result of that load is given
-        again: neither is the line judged as it is now, nor is the recipe loaded anew.
+        again: neither is the line judged as it is now, nor is the recipe noted as loaded a second time.
 
         Raises Problem 409 where another unit cannot take it, 422 where all are left out.
         """

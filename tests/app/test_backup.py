@@ -157,7 +157,7 @@ async def test_the_oldest_backup_gives_way(tmp_path: Path) -> None:
     assert night.events.codes == ["event_backup_written"] * 3
 
 
-async def test_the_event_names_what_is_not_in_it(tmp_path: Path) -> None:
+async def test_the_event_names_the_files_that_it_lacks(tmp_path: Path) -> None:
     left_out = left_out_of({"left_out": ["audit.key", "cert.key"], "events_absent": ["line-2025-01.gz"]})
 
     async def write(file: Path) -> Message | None:

@@ -59,8 +59,8 @@ async def blocked(house: House) -> httpx.AsyncClient:
     client = await house.signed_in(Role.ADMIN)
     client.headers["Accept"] = "text/html"
     body = {"reason": REASON}
-    answer = await client.post("/api/v1/buses/dry-end/units/1/block", json=body)
-    assert answer.status_code == 200, answer.text
+    response = await client.post("/api/v1/buses/dry-end/units/1/block", json=body)
+    assert response.status_code == 200, response.text
     return client
 
 

@@ -105,7 +105,7 @@ def test_every_row_can_be_deselected(
             True,
             422,
             "invalid",
-            "Master/Slave/Inverse Mode (parameter 8) cannot be written: no change while Run is on",
+            "Master/Slave/Inverse Mode (parameter 8) cannot be written: no change while the run input is on",
         ),
         (
             18,
