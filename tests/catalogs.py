@@ -103,6 +103,7 @@ def in_tables() -> set[str]:
         TURNING,
         *STAGE_WORDS.values(),
         *(unit_error_name(code) for code in UnitErrorCode),
+        *(parameter.name for parameter in parameters),
         *(parameter.meaning for parameter in parameters),
         *(parameter.group for parameter in parameters),
         *(parameter.dangerous for parameter in parameters if parameter.dangerous),

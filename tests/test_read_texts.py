@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 
 import pytest
@@ -33,6 +34,12 @@ def test_no_document_has_a_word_to_avoid() -> None:
 
 def test_no_german_text_has_a_word_to_avoid() -> None:
     assert [text for text in read_texts.translations("de") if GERMAN.search(text[1])] == []
+
+
+def test_a_german_text_requests_in_the_infinitive() -> None:
+    """As buttons do; one form for every text."""
+    texts = read_texts.translations("de")
+    assert [text for text in texts if re.search(r"\b\w+en Sie\b", text[1])] == []
 
 
 def test_no_text_of_the_screen_has_a_word_that_operators_did_not_understand() -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import structlog
@@ -18,13 +20,13 @@ from app.backup.settings import BackupSettings
 from app.errors import system_error
 from bus.errors import LinesideError
 from bus.instants import Clock, UnixTime, unix_now
-from bus.messages import Message
+from bus.messages import Message, joined
 
 LOOK_S = 30.0
 """How often the clock is looked at: one that is set moves the next backup."""
 NICE = 15
 log = structlog.get_logger()
-WriteBackup = Callable[[Path], Awaitable[None]]
+WriteBackup = Callable[[Path], Awaitable[Message | None]]
 
 
 class BackupError(LinesideError):
@@ -32,7 +34,8 @@ class BackupError(LinesideError):
 
 
 class Backups:
-    """The backups of one server. ``write`` makes one file, and verifies it."""
+    """The backups of one server. ``write`` makes one file, verifies it, and returns what
+    is not in it."""
 
     def __init__(
         self,
@@ -78,7 +81,7 @@ class Backups:
         file = self._folder / name_of(begun, self._zone)
         try:
             await asyncio.to_thread(self._prepare)
-            await self._write(file)
+            left_out = await self._write(file)
             await asyncio.to_thread(self._remove_older, file)
         except (LinesideError, OSError) as error:
             reason = error.message if isinstance(error, LinesideError) else system_error(error)
@@ -87,7 +90,7 @@ class Backups:
             await self._record("event_backup_failed", file, reason)
             return
         self._written, self._failed = begun, None
-        await self._record("event_backup_written", file)
+        await self._record("event_backup_written", file, left_out or "")
 
     async def _record(self, code: str, file: Path, reason: Message | str = "") -> None:
         await self._events.record(kind="server", what=Message.of(code, file=file.name), message=reason)
@@ -101,7 +104,7 @@ class Backups:
         for name in too_many((path.name for path in self._folder.iterdir()), self._keep, file.name):
             (self._folder / name).unlink(missing_ok=True)
 
-    async def _by_command(self, file: Path) -> None:
+    async def _by_command(self, file: Path) -> Message | None:
         """By ``lineside backup-store``. Raises BackupError with what it complained of."""
         words = (
             sys.executable,
@@ -113,21 +116,29 @@ class Backups:
             "--share-events",
             "--config",
             str(self._config),
+            "--json",
         )
         process = await asyncio.create_subprocess_exec(
             *words,
-            stdout=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
             preexec_fn=lambda: os.nice(NICE),
         )
         try:
-            _, complaint = await process.communicate()
+            done, complaint = await process.communicate()
         except asyncio.CancelledError:
             process.kill()
             raise
         if process.returncode:
             text = complaint.decode(errors="replace").strip().removeprefix("lineside: ")
             raise BackupError(Message.of("system_error", error=text or f"exit code {process.returncode}"))
+        return left_out_of(json.loads(done))
+
+
+def left_out_of(written: Mapping[str, Any]) -> Message | None:
+    """What a backup lacks, by what ``lineside backup-store --json`` prints; None where all is."""
+    lists = (("left_out", "backup_leaves_out"), ("events_absent", "backup_without_events"))
+    return joined(Message(code, {"files": files}) for name, code in lists if (files := written[name]))
 
 
 def newest_in(folder: Path, now: UnixTime) -> UnixTime | None:

@@ -38,7 +38,7 @@ def backup(
     unit: Annotated[int | None, Option(help="One unit; without it, every unit of the bus.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Read all parameters from the units and write them to a file (#21 is masked)."""
+    """Read all parameters from the units and write them to a file (the operator password is masked)."""
     with dashboard(url, bearer_token(token, token_file)) as there:
         _check_place(out)
         wanted = [unit] if unit is not None else list(there.units(bus))

@@ -17,7 +17,7 @@ from app.cli.ending import complain, report
 from app.cli.options import Argument, AsJson, Option
 from app.sets.document import write_document
 from app.sets.model import ParameterSet
-from bus.messages import Message, ParamValue
+from bus.messages import Message, ParamValue, listed, parameter_name
 
 _ENDED = ("equal", "different", "stopped")
 _LOOK_AGAIN_S = 0.2
@@ -141,5 +141,5 @@ def _ending_text(ended: Any) -> str:
 def _why(ended: Any) -> str | Message:
     if ended["cause"]:
         return _detail(ended["cause"])
-    rows = [f"#{row['number']}" for row in ended["remaining"] or []]
-    return Message.of("rows_still_differ", n=len(rows), rows=rows) if rows else Message("see_rows")
+    rows = [parameter_name(row["number"]) for row in ended["remaining"] or []]
+    return Message.of("rows_still_differ", n=len(rows), rows=listed(rows)) if rows else Message("see_rows")

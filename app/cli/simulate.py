@@ -28,7 +28,7 @@ from bus.validation import fault_message
 
 def simulate(
     units: Annotated[int, Option(min=1, max=255, help="Number of units, at addresses 1, 2, …")] = 8,
-    baud: Annotated[int, Option(help="Baud rate (#18): 300 to 9600.")] = 9600,
+    baud: Annotated[int, Option(help="Baud rate (parameter 18): 300 to 9600.")] = 9600,
     tcp: Annotated[
         int | None, Option(min=0, max=65535, help="Serve a TCP port instead; 0 takes a free one.")
     ] = None,

@@ -12,6 +12,7 @@ from app.live.screen.fields import unit_key
 from app.live.state.bus_live import LiveState, UnitLive
 from bus.catalogue.parameter import Parameter
 from bus.catalogue.parameters import PARAMETERS
+from bus.messages import parameter_name
 
 
 class _Page(NamedTuple):
@@ -24,7 +25,7 @@ class ParameterFinder:
         self._live = live
 
     async def __call__(self, search: Search) -> Iterable[FoundPlace]:
-        """Of "coater ramp", the ramp of Coater; of "#9" alone, that of the unit of the page, or the first."""
+        """Of "coater ramp", the ramp of Coater; of "9" alone, that of the unit of the page, or the first."""
         pages = [
             _Page(unit_key(name, number), unit)
             for name, bus in self._live.here.items()
@@ -41,12 +42,14 @@ class ParameterFinder:
 def _of_parameter(
     search: Search, parameter: Parameter, pages: list[_Page], near: list[_Page]
 ) -> Iterator[FoundPlace]:
-    names = [str(parameter.number), parameter.name, search.language.t(parameter.meaning)]
+    texts = (search.language.t(text) for text in (parameter.name, parameter.meaning))
+    names = [str(parameter.number), parameter.name, *texts]
     of_unit = missing(search.words, names)
     if len(of_unit) == len(search.words):
         return
     how_well = rank([word for word in search.words if word not in of_unit], names) or 0
     named = [page for page in pages if rank(of_unit, unit_names(page.unit)) is not None] if of_unit else near
+    title = search.language.t(parameter_name(parameter.number))
     for page in named[:MAX_OF_KIND]:
         href = f"/units/{page.key}/parameters#parameter-{parameter.number}"
-        yield FoundPlace(f"#{parameter.number} {parameter.name}", href, page.unit.settings.name, how_well + 1)
+        yield FoundPlace(title, href, page.unit.settings.name, how_well + 1)

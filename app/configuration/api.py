@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from datetime import date
 from typing import Annotated, Any, Literal
 
@@ -54,6 +55,9 @@ class ConfigurationShown(TypedDict):
     digest: str
     writable: bool
     running: bool
+    waiting: Annotated[
+        list[DifferenceLine], Field(description="Lines that take effect at the next start; secrets masked.")
+    ]
     faults: list[MessageObject]
     tables: list[ConfigurationTable]
 
@@ -109,6 +113,7 @@ async def get_configuration(_: Engineer, file: FileOfServer) -> ConfigurationSho
         "digest": present.digest,
         "writable": present.is_writable,
         "running": present.is_running,
+        "waiting": await asyncio.to_thread(file.waiting, present),
         "faults": list(present.faults),
         "tables": [_table_shown(place, present.data) for place in places_of(present.data)],
     }

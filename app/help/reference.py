@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
+from markupsafe import Markup, escape
+
 ALTERNATIVES = ("anyOf", "oneOf")
-PRIMARY = "200"
+_CODE = re.compile(r"(`+)(.+?)\1", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +22,7 @@ class CallMember:
     name: str
     kind: str
     is_required: bool
-    words: str
+    words: Markup
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +35,10 @@ class Call:
     method: str
     path: str
     summary: str
-    words: str
+    words: Markup
     parameters: tuple[CallMember, ...]
     body: tuple[CallMember, ...]
-    responses: tuple[tuple[str, str], ...]
+    responses: tuple[tuple[str, Markup], ...]
     sent: str
     received: str
 
@@ -64,15 +67,20 @@ def _calls(document: Mapping[str, Any]) -> Iterator[Call]:
                 method.upper(),
                 path,
                 operation.get("summary", ""),
-                operation.get("description", ""),
+                in_html(operation.get("description", "")),
                 tuple(members),
                 tuple(_body(document, operation)),
-                tuple((status, each["description"]) for status, each in operation["responses"].items()),
+                tuple(_responses(operation)),
                 _example(operation.get("requestBody", {})),
                 "".join(
                     _example(each) for status, each in operation["responses"].items() if status[0] == "2"
                 ),
             )
+
+
+def _responses(operation: Mapping[str, Any]) -> Iterator[tuple[str, Markup]]:
+    for status, each in operation["responses"].items():
+        yield status, in_html(each["description"])
 
 
 def _example(message: Mapping[str, Any]) -> str:
@@ -92,7 +100,7 @@ def _body(document: Mapping[str, Any], operation: Mapping[str, Any]) -> Iterator
 
 
 def _member(name: str, schema: Mapping[str, Any], words: Mapping[str, Any], *, required: bool) -> CallMember:
-    return CallMember(name, _kind(schema), required, words.get("description", ""))
+    return CallMember(name, _kind(schema), required, in_html(words.get("description", "")))
 
 
 def _kind(schema: Mapping[str, Any]) -> str:
@@ -108,6 +116,11 @@ def _kind(schema: Mapping[str, Any]) -> str:
         return str(schema["const"])
     kind = schema.get("type", "any")
     return f"array of {_kind(schema['items'])}" if kind == "array" and "items" in schema else str(kind)
+
+
+def in_html(description: str) -> Markup:
+    """A description of the document for a page. Of CommonMark it has code between backquotes alone."""
+    return Markup(_CODE.sub(r"<code>\2</code>", str(escape(description))))
 
 
 def _named(reference: str) -> str:

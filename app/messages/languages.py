@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import gettext
 import hashlib
-from collections.abc import Iterator
+import unicodedata
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from datetime import datetime
 from functools import cache, cached_property
@@ -38,12 +39,12 @@ class Language:
         if isinstance(text, Message):
             return text.render(self)
         text = self.term(text)
-        return text.format(**values) if values else text
+        return text.format(**self._isolated(values)) if values else text
 
     def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
         """The text for a count: ``one`` for exactly one, else ``many`` (as this language divides them);
         ``{n}`` in it is the count."""
-        return self.catalog.ngettext(one, many, n).format(n=n, **values)
+        return self.catalog.ngettext(one, many, n).format(n=n, **self._isolated(values))
 
     def term(self, text: str) -> str:
         """A text of the catalog in this language; as it is where there is no translation."""
@@ -62,6 +63,19 @@ class Language:
             return moment(at.astimezone(ZoneInfo(self._time_zone)), locale)
         except (ValueError, OverflowError):
             return text
+
+    def isolated(self, text: str) -> str:
+        """As it is: in mail, CSV and the API, programs compare names."""
+        return text
+
+    def _isolated(self, values: Mapping[str, object]) -> dict[str, object]:
+        """Markup has its own isolation, by its elements."""
+        return {name: self.isolated(value) if type(value) is str else value for name, value in values.items()}
+
+    @cached_property
+    def on_screen(self) -> Language:
+        """This language for pages, and for what a script shows on them."""
+        return _OnScreen(self)
 
     def template(self, code: str, n: object) -> str | None:
         """The text of a message, its names in braces; None: there is no such code."""
@@ -92,6 +106,30 @@ class Language:
     @cached_property
     def catalog(self) -> gettext.GNUTranslations:
         return compiled(self._path, self._kept_in)
+
+
+FIRST_STRONG_ISOLATE, POP_DIRECTIONAL_ISOLATE = "\u2068", "\u2069"
+"""Around a text whose own letters decide its direction, as ``<bdi>`` does (Unicode Annex 9), but also in
+titles, in attributes and in what a script shows."""
+_FROM_RIGHT_TO_LEFT = frozenset(("R", "AL"))
+
+
+class _OnScreen(Language):
+    """A language whose texts isolate each name with letters from right to left."""
+
+    def __init__(self, plain: Language) -> None:
+        super().__init__(plain._path, plain._kept_in, plain._time_zone)
+        self._plain = plain
+
+    def isolated(self, text: str) -> str:
+        """The text between isolates where it has such letters; no other character of it changes."""
+        if text.isascii() or _FROM_RIGHT_TO_LEFT.isdisjoint(map(unicodedata.bidirectional, text)):
+            return text
+        return f"{FIRST_STRONG_ISOLATE}{text}{POP_DIRECTIONAL_ISOLATE}"
+
+    @cached_property
+    def catalog(self) -> gettext.GNUTranslations:
+        return self._plain.catalog
 
 
 DIGEST_BYTES = 32

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Literal
 
@@ -15,7 +15,7 @@ from app.errors import Problem
 from app.live.state.bus_live import BusLive, LiveState
 from app.recipes import rules
 from app.recipes.acts import DELETE, LOAD, SAVE
-from app.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, RecipeSetpoint
+from app.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, RecipeDryRunStep, RecipeSetpoint
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
 from app.web.arrival import Deadline
@@ -38,6 +38,8 @@ class RecipeBook:
         self.store = store
         self._events = events
         self._loaded: dict[str, Loaded] = {}
+        self._under_way: set[tuple[str, str | None]] = set()
+        """The loads that are being sent, each by its sender and id."""
 
     async def load_mark(self, bus: str) -> None:
         """Read which recipe was loaded last; when the home of a bus is taken."""
@@ -100,19 +102,43 @@ class RecipeBook:
         left_out: Collection[int] = (),
     ) -> Result:
         """Load it as one change: staged, broadcast, read back. ``left_out``: the units that keep their
-        present setpoint. Raises Problem 409 where another cannot take it, 422 where all are left out."""
+        present setpoint. With a ``command_id`` that this person has used the result of that load is given
+        again: neither is the line judged as it is now, nor is the recipe noted as loaded a second time.
+
+        Raises Problem 409 where another unit cannot take it, 422 where all are left out.
+        """
         steps = self.try_out(person, recipe).steps
         taking = [step for step in steps if step.unit not in left_out]
-        why = [
-            Message.of("of_unit", name=step.name, reason=step.obstacle) for step in taking if step.obstacle
-        ]
-        if why:
-            message = Message.of("recipe_not_loadable", name=recipe.name, why=why)
-            raise Problem(409, "not_loadable", message)
         if not taking:
             raise Problem(422, "invalid", Message.of("recipe_all_left_out", name=recipe.name))
+        if command_id is not None and await self._is_repeated(person, recipe.bus, command_id):
+            return await self._send(person, recipe, taking, made_at, confirm, command_id)
+        _refuse_obstacles(recipe, taking)
+        load = (person.sender, command_id)
+        self._under_way.add(load)
+        try:
+            result = await self._send(person, recipe, taking, made_at, confirm, command_id)
+            if result.outcome == "verified":
+                await self._mark(person, recipe, [step.name for step in steps if step.unit in left_out])
+        finally:
+            self._under_way.discard(load)
+        return result
+
+    async def _is_repeated(self, person: Person, bus: str, command_id: str) -> bool:
+        is_known = await self._commands[bus].has_taken(person, command_id)
+        return is_known or (person.sender, command_id) in self._under_way
+
+    async def _send(
+        self,
+        person: Person,
+        recipe: Recipe,
+        taking: Sequence[RecipeDryRunStep],
+        made_at: Monotonic,
+        confirm: bool,
+        command_id: str | None,
+    ) -> Result:
         action = SetLine(setpoints={step.unit: step.raw for step in taking})
-        result = await self._commands[recipe.bus].send(
+        return await self._commands[recipe.bus].send(
             person,
             action,
             deadline=Deadline(made_at, SET_LINE.timeout_s(action, self._bus(recipe))),
@@ -120,14 +146,14 @@ class RecipeBook:
             id=command_id,
             origin=Message.of("origin_recipe", name=recipe.name),
         )
-        if result.outcome == "verified":
-            loaded = self._loaded[recipe.bus] = Loaded(recipe, person.name, unix_now())
-            await self.store.mark_loaded(recipe.bus, recipe.id, loaded.who, loaded.at)
-            names = [step.name for step in steps if step.unit in left_out]
-            await self._record(
-                LOAD, person, recipe, Message.of("recipe_left_out", names=names) if names else ""
-            )
-        return result
+
+    async def _mark(self, person: Person, recipe: Recipe, left_out: Sequence[str | Message]) -> None:
+        """Note that it is the loaded one of its bus; ``left_out``: the names of units."""
+        loaded = self._loaded[recipe.bus] = Loaded(recipe, person.name, unix_now())
+        await self.store.mark_loaded(recipe.bus, recipe.id, loaded.who, loaded.at)
+        await self._record(
+            LOAD, person, recipe, Message.of("recipe_left_out", names=[*left_out]) if left_out else ""
+        )
 
     def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> Message | None:
         """Why this setpoint would be refused now, confirmed as it will be; None when it would not."""
@@ -148,6 +174,13 @@ class RecipeBook:
         if bus is None:
             raise Problem(409, "unknown_bus", Message.of("recipe_for_other_bus", bus=recipe.bus))
         return bus
+
+
+def _refuse_obstacles(recipe: Recipe, steps: Sequence[RecipeDryRunStep]) -> None:
+    """Raises Problem 409 where a unit cannot take its setpoint now."""
+    why = [Message.of("of_unit", name=step.name, reason=step.obstacle) for step in steps if step.obstacle]
+    if why:
+        raise Problem(409, "not_loadable", Message.of("recipe_not_loadable", name=recipe.name, why=why))
 
 
 def _setpoint(bus: BusLive, unit: int, raw: int) -> RecipeSetpoint:

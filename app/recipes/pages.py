@@ -121,7 +121,7 @@ async def load(
     """Stage every unit, broadcast once, read back each unit."""
     of_bus, form = page.of_bus(recipe.bus), await request.form()
     try:
-        is_sent = of_bus.has_sent(confirmed.id)
+        is_sent = await of_bus.has_sent(confirmed.id)
         if not is_sent:
             confirmed.refuse_lapsed()
         setpoints = reviewed(of_bus.bus, form, is_sent=is_sent)

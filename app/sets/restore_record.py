@@ -15,7 +15,7 @@ from bus.catalogue.numbers import FOLLOWER_MODE
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Outcome
 from bus.instants import UnixTime
-from bus.messages import Message, joined, listed
+from bus.messages import Message, joined, listed, parameter_name
 
 RestoreState = Literal["planned", "running", "proving", "equal", "different", "stopped"]
 UNDER_WAY: frozenset[RestoreState] = frozenset({"running", "proving"})
@@ -106,7 +106,7 @@ class Restore:
     def account(self) -> Message | None:
         """Which rows were written and verified, which are unverified or refused, which were not tried."""
         return joined(
-            Message(code, {"rows": listed([f"#{number}" for number in numbers])})
+            Message(code, {"rows": listed([parameter_name(number) for number in numbers])})
             for code, outcomes in _ACCOUNT.items()
             if (numbers := [row.write.number for row in self.rows if row.outcome in outcomes])
         )

@@ -22,7 +22,7 @@ async def lines_page(request: Request, _: Viewer, fleet: FleetLookup, site: str 
     """Every line of every server, the worst first; ``site``: only of this one, where there is one of its
     name."""
     templates = templates_of(request)
-    language = templates.language_of(request)
+    language = templates.language_of(request).on_screen
     translator = Translator(language, templates.formats(language.tag))
     lines = fleet.board.lines()
     sites = sorted({line.summary.site for line in lines if line.summary is not None})

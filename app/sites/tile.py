@@ -70,7 +70,7 @@ def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fie
             "verdict": translator.t(Message("line_never_reported")),
         }
     place, verdict, level = *_place_and_verdict(summary, translator, now), shown_level(line)
-    before = f"{place} · {verdict}" if place else verdict
+    before = f"{translator.isolated(place)} · {verdict}" if place else verdict
     return {
         "level": level,
         "level_text": translator.t(level),
@@ -109,7 +109,7 @@ def shown_level(line: LineOnBoard) -> Level:
 def verdict_text(summary: LineSummary, translator: Translator, now: UnixTime) -> str:
     """The verdict, after the name of the unit that it is about."""
     place, text = _place_and_verdict(summary, translator, now)
-    return f"{place} · {text}" if place else text
+    return f"{translator.isolated(place)} · {text}" if place else text
 
 
 def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTime) -> tuple[str, str]:

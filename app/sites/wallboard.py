@@ -45,7 +45,7 @@ class LineOnWall:
 async def wallboard_page(request: Request, _: Viewer, fleet: FleetLookup, bus: str = "") -> Response:
     """Every line of every server in turn, or only that of ``bus``. Raises Problem 404."""
     templates, hub = templates_of(request), service_of(request, Hub)
-    language = templates.language_of(request)
+    language = templates.language_of(request).on_screen
     reported = fleet.board.lines()
     configured = list(hub.live.buses)
     others = sorted({line.bus for line in reported} - set(configured))

@@ -132,7 +132,7 @@ async def send_tray(
     from the review."""
     tray, left_out = OwnTray(page), left_out_of(await request.form())
     try:
-        if page.has_sent(first_id(confirmed.id)):
+        if await page.has_sent(first_id(confirmed.id)):
             raise Problem(409, "not_in_state", Message("tray_sent_before"))
         confirmed.refuse_lapsed()
         _refuse_without_control(page)

@@ -24,6 +24,7 @@ from app.web.head_control import HeadControl
 from app.web.head_tray import HeadTray
 from app.web.navigation import HELP, ON_PHONE, pages_for
 from app.web.services import service_of
+from bus.messages import parameter_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,8 @@ class Compiled(FileSystemBytecodeCache):
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``, ``navigation()``,
-    ``on_phone``, ``help_of``; in a page or fragment of a request also ``person``, ``request``, ``path``,
+    ``on_phone``, ``help_of``, and the filters ``parameter``, which names one by its number, and ``isolated``,
+    for a name beside other text; in a page or fragment of a request also ``person``, ``request``, ``path``,
     ``head_alarms()``, ``head_away()``, ``controls()``, ``trays()``, ``head_others()``, ``has_lines()``,
     ``elsewhere()``, ``home_server()`` and ``may()``, whether the person may send a command or perform an
     act, by its name. ``kept_in``: where they stay compiled between two starts."""
@@ -98,7 +100,7 @@ class Templates:
         self.environment = cache(self._environment)
 
     def _environment(self, tag: str) -> Environment:
-        language = self.languages[tag]
+        language = self.languages[tag].on_screen
         environment = Environment(
             loader=self._loader,
             bytecode_cache=self._compiled,
@@ -123,6 +125,8 @@ class Templates:
             "on_phone": ON_PHONE,
             "help_of": HELP,
         }
+        environment.filters["parameter"] = lambda number: language.t(parameter_name(number))
+        environment.filters["isolated"] = language.isolated
         return environment
 
     @property
@@ -172,7 +176,7 @@ def render(
     """A page or fragment in the language of the request, never kept by a cache."""
     templates = templates_of(request)
     person: Person | None = person_of(request)
-    language = templates.language_of(request)
+    language = templates.language_of(request).on_screen
     context = {
         "person": person,
         "may": partial(templates.may, person),

@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 from bus.catalogue import numbers
 from bus.catalogue.parameter import Parameter, Scale
+from bus.messages import PARAMETER_NAMES
 
 SPEED, MODES, RATIO, RAMPS = "Speed and display", "Mode", "Ratio", "Ramps"
 STEPS, INPUTS = "Presets and jumps", "Inputs"
@@ -24,7 +25,7 @@ _ROWS = (
               "Motor speed at full scale.",
               unit="rpm"),
     Parameter(2, "Maximum Display Value", "ULNG", 0, 99999, "C", SPEED,
-              "The number displayed at the maximum motor speed (#1).",
+              "The number displayed at the maximum motor speed (parameter 1).",
               scale=Scale.SPEED),
     Parameter(3, "Decimal Location", "UCHR", 0, 4, "C", SPEED,
               "Number of decimal places of every displayed speed."),
@@ -96,7 +97,7 @@ _ROWS = (
               "Protocol of the bus; which number is which is not known.",
               dangerous="The manual does not explain its values; a wrong one ends communication"),
     Parameter(28, "D to A Source", "UCHR", 0, 3, "A", ANALOG_OUT,
-              "Source of the analog output; the host can set it (88h) only while this is 2.",
+              "Source of the analog output; the host can set it only while this is 2.",
               choices={2: "RS-422 bus"}),
     Parameter(29, "D to A Low Engineering Units", "ULNG", 0, 99999, "A", ANALOG_OUT,
               "Value for 0 V at the analog output."),
@@ -130,6 +131,7 @@ _ROWS = (
 
 PARAMETERS: Mapping[int, Parameter] = MappingProxyType({row.number: row for row in _ROWS})
 """Every parameter by its number, 1 to 40."""
+PARAMETER_NAMES.update({row.number: row.name for row in _ROWS})
 NEEDED_TO_SHOW = (
     *(numbers.MAX_RPM, numbers.MAX_DISPLAY, numbers.DECIMALS, numbers.FOLLOWER_MODE, numbers.AT_SPEED_WINDOW),
     *(numbers.ANALOG_IN_LOW, numbers.ANALOG_IN_HIGH),

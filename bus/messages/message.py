@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from bus.messages.texts import ENGLISH, Catalog
+from bus.messages.texts import ENGLISH, PARAMETER_NAMES, Catalog
 
 DEEPEST = 8
 """Messages inside messages."""
@@ -26,6 +26,9 @@ TERM = "term"
 """Code of a fixed word of the program: ``text`` is looked up in the catalog as it is."""
 LIST = "list"
 """Code of a list whose messages are joined by commas: ``items``."""
+PARAMETER = "parameter"
+"""Code of a parameter of a unit: each language shows its name with its ``number``. In a text, the brace of
+this name stands for the parameter of the message's own ``number``."""
 _TIME = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:\d\d)?)?")
 """A date or a time as programs write it."""
 _BRACES = re.compile(r"\{(\w+)\}")
@@ -81,6 +84,8 @@ class Message(msgspec.Struct, frozen=True):
             return ", ".join(shown(each, catalog) for each in (items if isinstance(items, list) else []))
         if self.code == TERM:
             return catalog.term(str(self.params.get("text", "")))
+        if self.code == PARAMETER:
+            return _with_name(self.params.get("number", "")).render(catalog)
         template = catalog.template(self.code, self.params.get("n"))
         if template is None:
             template = " ".join([self.code, *(f"{{{name}}}" for name in self.params)])
@@ -88,6 +93,8 @@ class Message(msgspec.Struct, frozen=True):
 
     def _filled(self, found: re.Match[str], catalog: Catalog) -> str:
         value = self.params.get(found[1])
+        if value is None and found[1] == PARAMETER and "number" in self.params:
+            value = Message(PARAMETER, {"number": self.params["number"]})
         return found[0] if value is None else shown(value, catalog)
 
 
@@ -114,6 +121,18 @@ def term(text: str) -> Message:
     return Message(TERM, {"text": text})
 
 
+def parameter_name(number: int) -> Message:
+    """The name of a parameter with its number, as the value of another message."""
+    return Message(PARAMETER, {"number": number})
+
+
+def _with_name(number: ParamValue) -> Message:
+    """A number that is in no list may come from another process."""
+    if not isinstance(number, int) or (name := PARAMETER_NAMES.get(number)) is None:
+        return Message.of("parameter_not_listed", number=number)
+    return Message("parameter_named", {"name": term(name), "number": number})
+
+
 def listed(items: Sequence[int | str | Message]) -> Message:
     """Several values as the value of another message, joined by commas."""
     return Message.of(LIST, items=list(items))
@@ -131,6 +150,8 @@ def shown(value: ParamValue, catalog: Catalog) -> str:
             return str(value).replace(".", catalog.point)
         case str() if _TIME.fullmatch(value):
             return catalog.time(value)
+        case str():
+            return catalog.isolated(value)
         case _:
             return str(value)
 

@@ -17,6 +17,8 @@ class Plural(NamedTuple):
 EnglishText: TypeAlias = str | Plural
 TEXTS: dict[str, EnglishText] = {}
 """By code: of the bus, and of the app where that is imported."""
+PARAMETER_NAMES: dict[int, str] = {}
+"""By number: of the catalogue, where that is imported. Each language has its own in its catalog."""
 
 
 def add_texts(package: Path) -> None:
@@ -49,6 +51,10 @@ class Catalog(Protocol):
     def time(self, text: str) -> str:
         """A date or a time in ISO 8601 as readers of this language write it."""
 
+    def isolated(self, text: str) -> str:
+        """What a person wrote, such as a name, as it is put into a text: letters from right to left turn
+        what is beside them on a screen. For all that programs read, as it is."""
+
 
 class EnglishCatalog:
     """The English texts, for the log, the command line and ``detail`` of the API."""
@@ -65,6 +71,9 @@ class EnglishCatalog:
         return text
 
     def time(self, text: str) -> str:
+        return text
+
+    def isolated(self, text: str) -> str:
         return text
 
 

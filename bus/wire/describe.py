@@ -13,7 +13,7 @@ from typing import TypeAlias
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, status_bits
 from bus.errors import unit_error
-from bus.messages import Message
+from bus.messages import Message, parameter_name
 from bus.settings import Dialect
 from bus.wire.bodies import IllegalRequest, parse_reply, parse_request
 from bus.wire.commands import (
@@ -127,11 +127,11 @@ def _request_detail(request: Request) -> Detail:
     kind = TRAITS[request.COMMAND].name
     match request:
         case ReadParameterRequest(number=number):
-            meaning = Message.of("request_read_parameter_number", parameter=_title(number))
+            meaning = Message.of("request_read_parameter_number", parameter=parameter_name(number))
             return kind, {"number": number, "name": _name(number)}, meaning
         case WriteParameterRequest(number=number, raw=raw):
             shown = _unless_secret(request, raw)
-            meaning = Message.of("request_write_parameter_to", parameter=_title(number), raw=shown)
+            meaning = Message.of("request_write_parameter_to", parameter=parameter_name(number), raw=shown)
             return kind, {"number": number, "name": _name(number), "raw": raw}, meaning
         case (
             StageSpeedRequest(raw=raw)
@@ -163,11 +163,6 @@ def _name(number: int) -> str | None:
     return PARAMETERS[number].name if number in PARAMETERS else None
 
 
-def _title(number: int) -> str | Message:
-    name = _name(number)
-    return f"#{number} {name}" if name else Message.of("parameter_not_listed", number=number)
-
-
 # --- responses -----------------------------------------------------------------------------------
 
 
@@ -192,7 +187,7 @@ def _in_context(reply: Reply, request: Request, dialect: Dialect) -> Detail:
             return _nak(reply.code, request)
         case ParameterReply() if isinstance(request, ReadParameterRequest):
             number, shown = request.number, _unless_secret(request, reply.raw)
-            value = Message.of("parameter_response", parameter=_title(number), raw=shown)
+            value = Message.of("parameter_response", parameter=parameter_name(number), raw=shown)
             return "parameter_value", {"number": number, "name": _name(number), "raw": reply.raw}, value
         case _:
             data = reply.data if isinstance(reply, Ack) else b""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import tomllib
-from collections.abc import Awaitable, Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any, cast
@@ -18,7 +17,7 @@ from pydantic import ValidationError
 
 from app.audit.log import EventLog
 from app.backup.schedule import RETRY_S, name_of, next_after, next_due, too_many
-from app.backup.service import Backups, newest_in
+from app.backup.service import Backups, WriteBackup, left_out_of, newest_in
 from app.backup.settings import BackupSettings
 from app.cli.backup_store import write_backup
 from app.conditions.of_server import backup_is_overdue
@@ -122,7 +121,7 @@ class Recorded:
 class Night:
     """Backups whose clock and whose way of writing are the test's."""
 
-    def __init__(self, folder: Path, write: Callable[[Path], Awaitable[None]], keep: int = 2) -> None:
+    def __init__(self, folder: Path, write: WriteBackup, keep: int = 2) -> None:
         self.now, self.events = moment("2026-11-26T02:29"), Recorded()
         self.config = folder / "lineside.toml"
         self.config.write_text("[site]\n")
@@ -143,8 +142,9 @@ class Night:
         return sorted(path.name for path in self.folder.iterdir())
 
 
-async def write_one(file: Path) -> None:
+async def write_one(file: Path) -> Message | None:
     await asyncio.to_thread(file.write_text, "a backup")
+    return None
 
 
 async def test_the_oldest_backup_gives_way(tmp_path: Path) -> None:
@@ -157,8 +157,24 @@ async def test_the_oldest_backup_gives_way(tmp_path: Path) -> None:
     assert night.events.codes == ["event_backup_written"] * 3
 
 
+async def test_the_event_names_the_files_that_it_lacks(tmp_path: Path) -> None:
+    left_out = left_out_of({"left_out": ["audit.key", "cert.key"], "events_absent": ["line-2025-01.gz"]})
+
+    async def write(file: Path) -> Message | None:
+        await write_one(file)
+        return left_out
+
+    night = Night(tmp_path, write)
+    await night.backups.back_up()
+    assert night.events.reasons == [
+        "not in it, as [backup] names no key_file to encrypt them; copy them elsewhere: audit.key, cert.key; "
+        "not in it, as they are not in the archive of events; copy them elsewhere: line-2025-01.gz"
+    ]
+    assert left_out_of({"left_out": [], "events_absent": []}) is None
+
+
 async def test_one_that_fails_deletes_nothing_and_is_an_event_with_its_reason(tmp_path: Path) -> None:
-    async def fail(_file: Path) -> None:
+    async def fail(_file: Path) -> Message | None:
         raise StoreError(Message.of("system_error", error="disk is full"))
 
     night = Night(tmp_path, write_one, keep=1)
@@ -264,6 +280,8 @@ async def test_the_command_writes_what_restore_store_takes(tmp_path: Path) -> No
     assert events.codes == ["event_backup_written"], events.reasons
     [archive] = (tmp_path / "copies").glob("*.tar")
     assert archive.stat().st_mode & 0o077 == 0
+    assert events.reasons[0].startswith("not in it, as [backup] names no key_file to encrypt them")
+    assert "audit.key" in events.reasons[0]
     failing = Backups(settings.backup, tmp_path / "no.toml", BERLIN, cast(EventLog, events))
     await failing.back_up()
     assert events.codes[-1] == "event_backup_failed"

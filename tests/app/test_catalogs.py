@@ -15,7 +15,7 @@ import pytest
 from app.conditions.catalogue import CONDITIONS
 from app.messages import Languages
 from app.messages.languages import DEFAULT, FOLDER, catalogs, compiled
-from bus.messages import TEXTS, Message, Plural, number, term
+from bus.messages import PARAMETER, TEXTS, Message, Plural, listed, number, parameter_name, term
 from bus.messages.texts import add_texts
 from hatch_build import different_names
 from tests.catalogs import catalog_at, in_code, in_templates, key_of, leftovers, wanted
@@ -23,6 +23,7 @@ from tests.catalogs import catalog_at, in_code, in_templates, key_of, leftovers,
 ROOT = Path(__file__).resolve().parents[2]
 TRANSLATED = {tag: path for tag, path in catalogs().items() if tag != DEFAULT}
 BRACES = re.compile(r"\{(\w*)\}")
+BARE_NUMBER = re.compile(r"(?<!&)#(\d|\{)")
 MANY = re.compile(r"\{n\} (units|rows|addresses|values|parameters|followers|sets|events|frames|readings)\b")
 
 
@@ -72,6 +73,36 @@ def test_a_code_is_in_one_file_only(tmp_path: Path) -> None:
     assert before == TEXTS
 
 
+def bare_numbers(texts: Iterable[str]) -> list[str]:
+    """Texts with a parameter that is a number alone."""
+    return [text for text in texts if BARE_NUMBER.search(text)]
+
+
+@pytest.mark.parametrize("path", TRANSLATED.values(), ids=TRANSLATED)
+def test_a_parameter_has_its_name_in_every_text(path: Path) -> None:
+    """The number follows in words; a number alone is a column of a table, beside the name."""
+    english = [each for text in wanted().values() for each in each_text(text)]
+    assert bare_numbers(english) == []
+    assert bare_numbers(each for message in catalog_at(path) for each in each_text(message.string)) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["set #18 to 96", "#{number} differs", "its ratio (#37)", "read parameter #6"]
+)
+def test_a_bare_number_of_a_parameter_is_found(text: str) -> None:
+    assert bare_numbers([text, "a ramp (parameter 7)", "&#160;"]) == [text]
+
+
+def test_a_parameter_is_named_in_each_language_by_its_number() -> None:
+    drift = Message.of("drift", n=1, number=7)
+    german = Languages()["de"]
+    assert str(drift) == "Deceleration Ramp Rate (parameter 7) differs from the golden set"
+    assert german.t(drift) == "Rücklauframpe (Parameter 7) weicht vom Referenzsatz ab"
+    assert german.t(listed([parameter_name(6), parameter_name(41)])) == (
+        "Hochlauframpe (Parameter 6), Parameter 41 (nicht in der Liste)"
+    )
+
+
 def test_a_text_is_beside_the_code_that_uses_it() -> None:
     """In the folder of a module that makes its message, or above it; those of a condition beside its row."""
     of_rows = {code for row in CONDITIONS.values() for code in row.texts}
@@ -89,6 +120,11 @@ def names_of(code: str) -> set[str]:
     if isinstance(text, Plural):
         return {"n", *BRACES.findall(text.one), *BRACES.findall(text.many)}
     return set(BRACES.findall(text))
+
+
+def filled_by(names: set[str]) -> set[str]:
+    """The braces that these params fill: a number also that of the name of its parameter."""
+    return names | {PARAMETER} if "number" in names else names
 
 
 def codes_of(node: ast.expr) -> set[str]:
@@ -146,7 +182,7 @@ def test_each_message_has_a_text_and_its_values() -> None:
         (module.path, code, names)
         for module in modules()
         for code, names in module.messages
-        if code not in TEXTS or ("**" not in names and not names >= names_of(code))
+        if code not in TEXTS or ("**" not in names and not filled_by(names) >= names_of(code))
     ]
     assert wrong == []
 

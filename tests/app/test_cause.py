@@ -71,7 +71,7 @@ def test_a_unit_at_speed_in_remote_has_none() -> None:
             STOPPED | {"inputs": HEALTHY},
             "high",
             "Stopped: run input off since 02:22",
-            "Steht: Lauf-Eingang aus seit 02:22",
+            "Steht: Eingang Lauf aus seit 02:22",
         ),
         (
             {"inputs": HEALTHY},
@@ -93,7 +93,7 @@ def test_a_unit_at_speed_in_remote_has_none() -> None:
             "Nicht auf Sollwert: in LOCAL seit 02:22",
         ),
         (OFF_SPEED, "high", "Off speed since 02:22", "Nicht auf Sollwert seit 02:22"),
-        (STOPPED, "high", "Stopped with run input on since 02:22", "Steht trotz Lauf-Eingang seit 02:22"),
+        (STOPPED, "high", "Stopped with run input on since 02:22", "Steht trotz Eingang Lauf seit 02:22"),
     ],
 )
 def test_the_first_broken_rung_is_named_with_its_time(
@@ -217,7 +217,7 @@ def test_what_was_there_at_the_start_is_first_seen_then() -> None:
     live.buses["dry"].units[1] = LiveState([live.buses["dry"].settings], 0.0).buses["dry"].units[1]
     live.buses["dry"].apply([reading(1, at=NOW, **(STOPPED | {"inputs": HEALTHY}))])
     assert shown_cause(live)[1] == "Stopped: run input off since at least 02:22"
-    assert shown_cause(live, tag="de")[1] == "Steht: Lauf-Eingang aus mindestens seit 02:22"
+    assert shown_cause(live, tag="de")[1] == "Steht: Eingang Lauf aus mindestens seit 02:22"
 
 
 def test_the_text_of_the_strip_has_no_time() -> None:

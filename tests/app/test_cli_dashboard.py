@@ -283,7 +283,13 @@ def test_the_result_for_programs_has_the_rows_left_out_too(file: Path) -> None:
     assert rows[1]["message"]["detail"] == "Changes the machine's speed now"
 
 
-@pytest.mark.parametrize(("numbers", "words"), [((6,), "#6 differs;"), ((6, 7), "#6, #7 differ;")])
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ((6,), "Acceleration Ramp Rate (parameter 6) differs;"),
+        ((6, 7), "Acceleration Ramp Rate (parameter 6), Deceleration Ramp Rate (parameter 7) differ;"),
+    ],
+)
 def test_what_still_differs_is_named(file: Path, numbers: tuple[int, ...], words: str) -> None:
     remaining = [{"number": number} for number in numbers]
     done, _ = restore(file, "--yes", ended={"state": "different", "remaining": remaining})

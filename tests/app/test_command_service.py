@@ -48,7 +48,7 @@ async def test_the_intent_is_on_disk_before_anything_is_sent(stage: Stage, worke
 
     worker.play = play
     await stage.commands.send(ANNA, COMMAND)
-    assert seen == [("set speed (84h)", None)]
+    assert seen == [("set speed", None)]
     assert (await commands(stage))[0]["outcome"] == "verified"
 
 

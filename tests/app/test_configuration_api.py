@@ -37,7 +37,7 @@ async def put(
 
 async def test_the_tables_of_the_file(engineer: httpx.AsyncClient) -> None:
     shown = (await engineer.get(API)).json()
-    assert (shown["writable"], shown["running"], shown["faults"]) == (True, True, [])
+    assert (shown["writable"], shown["running"], shown["faults"], shown["waiting"]) == (True, True, [], [])
     tables = {each["name"]: (each["kind"], each["values"]) for each in shown["tables"]}
     assert tables["bus.0.unit.1"] == ("unit", {"name": "Nip"})
     assert "notify.webhook.0" not in tables
@@ -55,7 +55,12 @@ async def test_a_change_is_reviewed_then_written(engineer: httpx.AsyncClient, fi
     done = (await put(engineer, values, reason="as drawn")).json()
     assert (done["version"]["number"], done["version"]["reason"]) == (2, "as drawn")
     assert 'name = "Unwinder"   # as people call it\nlabels.output.1 = "Brake"\n' in file.text
-    assert not (await engineer.get(API)).json()["running"]
+    shown = (await engineer.get(API)).json()
+    assert not shown["running"]
+    assert [each["text"] for each in shown["waiting"] if each["kind"] == "new"] == [
+        'name = "Unwinder"   # as people call it',
+        'labels.output.1 = "Brake"',
+    ]
 
 
 async def test_lists_and_numbers_have_their_types(engineer: httpx.AsyncClient, file: PlantFile) -> None:

@@ -66,11 +66,12 @@ async def test_units_parameters_recipes_events_and_pages_are_found(tmp_path: Pat
             return PLACE.findall(response.text)
 
         assert (await found("nip"))[0] == ("/units/dry-end/2", "Nip")
-        assert ("/units/dry-end/2/parameters#parameter-6", "#6 Acceleration Ramp Rate") in await found(
-            "nip accel"
-        )
+        assert (
+            "/units/dry-end/2/parameters#parameter-6",
+            "Acceleration Ramp Rate (parameter 6)",
+        ) in await found("nip accel")
         near = await found("#6", near="/units/dry-end/2")
-        assert ("/units/dry-end/2/parameters#parameter-6", "#6 Acceleration Ramp Rate") in near
+        assert ("/units/dry-end/2/parameters#parameter-6", "Acceleration Ramp Rate (parameter 6)") in near
         assert ("/recipes/1", "Board 200") in await found("board")
         assert ("/alarms", "Alarms") in await found("alarms")
         events_found = [label for href, label in await found("nip") if "#event-" in href]

@@ -10,7 +10,7 @@ import pytest
 from jsonschema_rs import Draft202012Validator
 
 from app.database import Database
-from app.help.reference import calls_of
+from app.help.reference import calls_of, in_html
 from app.main import create_app
 from app.web.examples import add_examples
 from app.web.schema import openapi_document
@@ -59,6 +59,16 @@ def test_the_reference_for_people_shows_each_example(document: dict[str, Any]) -
     assert [call.id for call in calls if call.body and not call.sent] == []
     without = [call for call in calls if not call.received]
     assert [call.id for call in without if "204" not in dict(call.responses)] == []
+
+
+def test_the_reference_for_people_shows_code_without_its_backquotes(document: dict[str, Any]) -> None:
+    calls = [call for _, group in calls_of(document) for call in group]
+    words = [call.words for call in calls]
+    words += [each.words for call in calls for each in (*call.parameters, *call.body)]
+    words += [each for call in calls for _, each in call.responses]
+    assert len([each for each in words if "<code>" in each]) > 20
+    assert [each for each in words if "`" in each] == []
+    assert in_html("``a < b``, `id` & more") == "<code>a &lt; b</code>, <code>id</code> &amp; more"
 
 
 def test_a_missing_example_leaves_the_document_without_it() -> None:

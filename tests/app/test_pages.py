@@ -195,6 +195,6 @@ async def test_a_raw_value_and_a_choice_are_in_the_readers_language(house: House
     assert "1234 roh" in page
     assert "1234 raw" not in page
     review = await client.post("/units/dry-end/1/parameters/16/review", data={"value": "1"})
-    assert "#16 schreiben: Ja" in review.text
+    assert "Einrichten im Lauf (Parameter 16) schreiben: Ja" in review.text
     speed = await client.post("/units/dry-end/1/parameters/1/review", data={"value": "1750"})
     assert "<small>1/min</small>" in speed.text

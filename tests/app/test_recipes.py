@@ -75,7 +75,7 @@ async def test_a_complete_list_has_an_end(scene: Scene, monkeypatch: pytest.Monk
 
 
 async def test_a_unit_whose_mode_was_never_read_cannot_be_in_a_recipe(scene: Scene) -> None:
-    with pytest.raises(Problem, match="#8"):
+    with pytest.raises(Problem, match=r"\(parameter 8\)"):
         await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200})
 
 

@@ -145,7 +145,7 @@ async def test_a_value_that_moved_since_the_plan_stops_it(
     assert (end["state"], end["cause_code"], line.written) == ("stopped", "moved", [])
     assert {row["outcome"] for row in end["rows"]} == {"not_sent"}
     page = await client.get(f"/restores/{planned['id']}", headers={"accept-language": "de"})
-    assert "der Regler hat sich seit der Prüfung geändert" in page.text
+    assert "der Regler hat sich seit dem Prüfen geändert" in page.text
 
 
 async def test_the_page_selects_the_golden_set_and_writes_checked_rows(

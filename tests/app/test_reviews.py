@@ -199,7 +199,7 @@ async def test_in_german_too(house: House) -> None:
     assert texts == [
         ": seine letzte Antwort ist N s alt",
         ": Not\u2011Halt ist aktiv: der Sollwert wirkt, sobald er aufgehoben ist",
-        ": Lauf-Eingang ist aus: der Sollwert wirkt, sobald er an ist",
+        ": Eingang Lauf ist aus: der Sollwert wirkt, sobald er an ist",
         ": ändert sich sofort: seine Rampe ist 0,0 s",
         "ausgelassen: nicht in REMOTE",
     ]

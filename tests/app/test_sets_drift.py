@@ -69,8 +69,14 @@ async def test_a_command_is_named_with_its_hour_and_a_hand_at_the_panel_too(scen
     assert await scene.text() == ""
     await scene.sent("anna", 12, 21)
     scene.reads(12, 21)
-    assert await scene.text() == "#12 differs from the golden set: changed by anna 14:20"
-    assert await scene.text("de") == "#12 weicht vom Referenzsatz ab: geändert von anna 14:20"
+    assert (
+        await scene.text()
+        == "Up to Speed Tolerance (parameter 12) differs from the golden set: changed by anna 14:20"
+    )
+    assert (
+        await scene.text("de")
+        == "Toleranz für „auf Sollwert“ (Parameter 12) weicht vom Referenzsatz ab: geändert von anna 14:20"
+    )
     scene.reads(6, 33)
     scene.reads(7, 34)
     assert (
@@ -86,10 +92,16 @@ async def test_the_hand_that_came_after_the_command_is_the_one(scene: Scene) -> 
     await scene.sent("anna", 12, 21)
     scene.reads(12, 21)
     scene.reads(12, 22)
-    assert await scene.text() == "#12 differs from the golden set, changed at the keypad"
+    assert (
+        await scene.text()
+        == "Up to Speed Tolerance (parameter 12) differs from the golden set, changed at the keypad"
+    )
     await scene.sent("berta", 12, 22)
     scene.reads(12, 22)
-    assert await scene.text() == "#12 differs from the golden set: changed by berta 14:20"
+    assert (
+        await scene.text()
+        == "Up to Speed Tolerance (parameter 12) differs from the golden set: changed by berta 14:20"
+    )
 
 
 @pytest.mark.parametrize("outcome", ["refused", "invalid", "not_sent"])
@@ -99,7 +111,10 @@ async def test_a_command_that_was_not_carried_out_changed_nothing(scene: Scene, 
     scene.reads(12, 21)
     assert "by anna" in await scene.text()
     scene.reads(12, 99)
-    assert await scene.text() == "#12 differs from the golden set, changed at the keypad"
+    assert (
+        await scene.text()
+        == "Up to Speed Tolerance (parameter 12) differs from the golden set, changed at the keypad"
+    )
 
 
 async def test_number_1_is_not_number_12_and_a_command_older_than_the_set_is_none(scene: Scene) -> None:
@@ -107,14 +122,20 @@ async def test_number_1_is_not_number_12_and_a_command_older_than_the_set_is_non
     scene.now = GOLDEN_READ - 1
     await scene.sent("anna", 1, 21)
     scene.reads(1, 21)
-    assert await scene.text() == "#1 differs from the golden set, changed at the keypad"
+    assert (
+        await scene.text()
+        == "Maximum Motor Speed (parameter 1) differs from the golden set, changed at the keypad"
+    )
 
 
 async def test_the_last_write_of_the_operator_password_is_named_unseen(
     scene: Scene,
 ) -> None:
     scene.reads(21, 4711)
-    assert await scene.text() == "#21 differs from the golden set, changed at the keypad"
+    assert (
+        await scene.text()
+        == "Operator Password (parameter 21) differs from the golden set, changed at the keypad"
+    )
     fields: dict[str, Any] = {"who": "anna", "origin": "api", "bus": "dry-end", "unit": 1}
     what = Message.of("event_write_parameter", number=21, called="Operator Password")
     await scene.events.record(kind="command", what=what, outcome="verified", **fields)

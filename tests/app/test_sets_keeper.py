@@ -139,7 +139,7 @@ async def test_drift_is_what_departs_from_the_golden_set(scene: Scene) -> None:
     scene.report(1, 20, raw=500)
     assert [one.row.number for one in drift.of(1)] == [6]
     assert drift.of(2) == []
-    assert scene.line_reports(1) == "#6 differs from the golden set"
+    assert scene.line_reports(1) == "Acceleration Ramp Rate (parameter 6) differs from the golden set"
     scene.report(1, 6, raw=0)
     assert (drift.of(1), scene.line_reports(1)) == ([], "")
     with pytest.raises(Problem):

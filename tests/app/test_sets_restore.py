@@ -26,6 +26,8 @@ from tests.stores import both_engines, open_store
 
 BEN = Person("ben", Role.ENGINEER, "session")
 WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}
+RAMPS = "Acceleration Ramp Rate (parameter 6), Deceleration Ramp Rate (parameter 7)"
+WINDOW, PRESET = "Up to Speed Tolerance (parameter 12)", "Preset Speed (parameter 9)"
 
 
 def rows(values: dict[int, int]) -> UnitRows:
@@ -184,7 +186,9 @@ async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: Set
     assert (found.state, found.who) == ("stopped", "anna")
     assert [row.outcome for row in found.rows] == ["verified", "verified", "unverified", "not_sent"]
     assert scene.events.events[-1]["outcome"] == "stopped"
-    assert scene.events.events[-1]["message"].endswith("done: #6, #7; not verified: #12; not written: #9")
+    assert scene.events.events[-1]["message"].endswith(
+        f"done: {RAMPS}; not verified: {WINDOW}; not written: {PRESET}"
+    )
     await scene.restores.background.close()
 
     scene.commands.hangs_after, scene.restores = None, after
@@ -339,4 +343,4 @@ async def test_an_objection_to_the_requester_stops_it_between_two_rows(a_scene: 
     restore = await scene.run()
     assert (restore.state, restore.cause_code, str(restore.cause)) == ("stopped", code, "no longer")
     assert [row.outcome for row in restore.rows] == ["verified", "verified", "not_sent", "not_sent"]
-    assert scene.events.events[-1]["message"] == "no longer; done: #6, #7; not written: #12, #9"
+    assert scene.events.events[-1]["message"] == f"no longer; done: {RAMPS}; not written: {WINDOW}, {PRESET}"

@@ -131,8 +131,8 @@ async def test_a_swap_ends_with_one_complete_event(scene: Scene) -> None:
     for part in (
         "no response at address 5 and two units respond at address 1",
         "from set 1:",
-        "done: #6",
-        "#17: the address is set at the keypad only",
+        "done: Acceleration Ramp Rate (parameter 6)",
+        "Unit ID Number (parameter 17): the address is set at the keypad only",
         "verified by a full read",
     ):
         assert part in end["message"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from html.parser import HTMLParser
 from pathlib import Path
 
 import httpx
@@ -19,22 +18,11 @@ from app.web.templating import Templates
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
 from tests.app.complete_app import House, complete_app
+from tests.app.page_texts import PAGES, Texts
 from tests.app.stage import snapshot
 from tests.catalogs import wanted, write
 
-PAGES = [
-    *("/", "/?view=rows", "/?view=matrix", "/setpoints", "/line/zero", "/units/dry-end/1"),
-    *("/units/dry-end/1/outputs/1", "/units/dry-end/1/parameters", "/units/dry-end/1/execute"),
-    *("/units/dry-end/1/restore", "/units/dry-end/1/drift", "/units/dry-end/99", "/bus/dry-end"),
-    *("/bus/dry-end/units", "/bus/dry-end/control", "/bus/dry-end/baud", "/trends", "/sets"),
-    *("/sets/compare", "/batch/dry-end?parameter=6", "/swap/dry-end/1", "/recipes", "/users", "/account"),
-    *("/users/the-admin/remove", "/events", "/login", "/offline", "/nowhere"),
-]
-SHOWN = {"aria-label", "title", "placeholder", "alt"}
-NO_TEXT = {"data-is", "data-live-var", "data-catalogue", "data-value-words"}
-"""Names of fields, and JSON."""
 AS_THEY_ARE = {
-    *(parameter.name for parameter in PARAMETERS.values()),
     *(re.escape(name) for name in ("Mill 7", "Unwind", "Nip", "dry-end", "/dev/null", "m/min", "the-admin")),
     *("REMOTE", "CSV", "Parquet", "Etc/UTC", "Deutsch", "English", "français", r"\d+ \w+\.? \d{4}", "test"),
 }
@@ -42,29 +30,6 @@ AS_THEY_ARE = {
 NAMES = re.compile("|".join(sorted(AS_THEY_ARE, key=len, reverse=True)))
 MARKED = re.compile("⟦[^⟦⟧]*⟧")
 WORD = re.compile(r"[^\W\d_]{3,}")
-
-
-class Texts(HTMLParser):
-    """What a person reads of a page."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.found: list[str] = []
-        self._hidden = 0
-        self.feed(page)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self._hidden += tag in ("script", "style")
-        for name, value in attrs:
-            if name in SHOWN or (name.startswith("data-") and name not in NO_TEXT and " " in (value or "")):
-                self.found.append(value or "")
-
-    def handle_endtag(self, tag: str) -> None:
-        self._hidden -= tag in ("script", "style")
-
-    def handle_data(self, data: str) -> None:
-        if not self._hidden:
-            self.found.append(data)
 
 
 def not_of_the_catalog(page: str) -> Iterator[str]:

@@ -21,10 +21,10 @@ def test_a_frame_in_german() -> None:
         "at": 100.1234,
         "direction": "out",
         "hex": "10 02 03 86 06 00 00 00 32 10 03 3F",
-        "meaning": "Regler 3: Parameter #6 Acceleration Ramp Rate = 50 schreiben",
+        "meaning": "Regler 3: Hochlauframpe (Parameter 6) = 50 schreiben",
         "valid": True,
     }
-    assert frame.meaning == "unit 3: write parameter #6 Acceleration Ramp Rate = 50"
+    assert frame.meaning == "unit 3: write Acceleration Ramp Rate (parameter 6) = 50"
 
 
 def test_each_statement_of_a_frame_is_shown() -> None:

@@ -80,7 +80,7 @@ def words(row: TrayRow) -> tuple[str, str, str, str, str, str]:
             75,
             (
                 "Unwind",
-                "#6 Acceleration Ramp Rate",
+                "Acceleration Ramp Rate (parameter 6)",
                 "10.0",
                 "7.5",
                 "s",

@@ -92,7 +92,7 @@ def test_a_value_beyond_what_the_parser_takes(tmp_path: Path, value: str) -> Non
         (15, "nmae = 3", "unknown key nmae in [[bus.unit]]; did you mean name?"),
         (17, 'output.7 = "x"', "bus.unit.labels.output.7 = '7': it must be at most 6"),
         (17, 'outputs.1 = "x"', "unknown key outputs in [bus.unit.labels]; did you mean output?"),
-        (21, "id = 1", "unit id 1 is given twice; every unit on a bus has its own (#17)"),
+        (21, "id = 1", "unit id 1 is given twice; every unit on a bus has its own (parameter 17)"),
     ],
 )
 def test_each_fault_names_its_line(tmp_path: Path, line: int, written: str, fault_text: str) -> None:

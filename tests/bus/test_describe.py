@@ -51,7 +51,7 @@ def test_vectors(vector: dict[str, Any]) -> None:
     [
         ("10 02 04 82 00 00 02 10 10 10 03 68", "unit 4: set speed (staged) 528"),
         ("10 02 00 83 10 03 7D", "all units: execute speed"),
-        ("10 02 01 85 10 10 10 03 6A", "unit 1: read parameter #16 Allow Setup During Run"),
+        ("10 02 01 85 10 10 10 03 6A", "unit 1: read Allow Setup During Run (parameter 16)"),
         ("10 02 05 87 06 01 10 03 6D", "unit 5: write auxiliary output 6 on"),
         ("10 02 01 15 89 10 03 61", "unit 1: NAK, illegal command"),
         ("10 02 04 06 10 03 F6", "unit 4: ACK, write accepted"),
@@ -79,7 +79,7 @@ def test_the_request_before_it_determines_the_meaning_of_a_response() -> None:
     described = describe_bytes(request + response)[1]
     assert isinstance(described, Described)
     assert described.fields == {"number": 6, "name": "Acceleration Ramp Rate", "raw": 50}
-    assert str(described.meaning) == "unit 1: #6 Acceleration Ramp Rate is 50"
+    assert str(described.meaning) == "unit 1: Acceleration Ramp Rate (parameter 6) is 50"
 
 
 def test_a_response_to_a_parameter_write_with_a_value() -> None:

@@ -31,7 +31,7 @@ from bus.contract import (
 from bus.line.port.port import OpenPort, Receiver
 from bus.line.schedule.arbiter import RESERVED_S
 from bus.line.schedule.baud_search import LOOK_ELSEWHERE_S
-from bus.messages import Message
+from bus.messages import Message, parameter_name
 from bus.simulator.faults import FaultKind
 from bus.simulator.record import WireEventKind
 from tests.bus.judge import made_up
@@ -468,7 +468,8 @@ def test_a_unit_that_stops_responding_ends_its_reading() -> None:
         line.faults.set(FaultKind.DEAD, 1, 1)
         result = await line.perform(ReadParameters(1), within_s=30)
         assert result.outcome == "unverified"
-        assert str(result.message) == "unit 1: 0 of 40 parameters were read, then: no response to #2"
+        why = f"no response to {parameter_name(2)}"
+        assert str(result.message) == f"unit 1: 0 of 40 parameters were read, then: {why}"
 
     run(scene, 2)
 
@@ -616,7 +617,7 @@ def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
         result = _result_of(line, command)
         assert result.outcome == "unverified"
         assert "unit 2 rejected" in str(result.message)
-        assert "At the keypad of unit 2: set #18 to 96" in str(result.message)
+        assert "At the keypad of unit 2: set the baud rate (parameter 18) to 96" in str(result.message)
         assert {each.unit: each.outcome for each in result.units} == {
             1: "verified",
             2: "unverified",

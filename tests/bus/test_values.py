@@ -126,13 +126,13 @@ def test_analog_output_follows_the_manuals_formula_not_its_second_example(
 
 
 def test_analog_output_without_a_span_means_nothing() -> None:
-    with pytest.raises(CallerError, match="#29 and #30 are equal"):
+    with pytest.raises(CallerError, match="29 and 30\\) are equal"):
         analog_output_volts(5, 7, 7)
 
 
 def test_rpm() -> None:
     assert rpm(5000, 1750, 10_000) == 875
-    with pytest.raises(CallerError, match="#2 is 0"):
+    with pytest.raises(CallerError, match="parameter 2\\) is 0"):
         rpm(5000, 1750, 0)
 
 

@@ -19,7 +19,7 @@ def test_a_parameter_is_found_and_opened_by_keyboard(
     page.keyboard.press("Control+k")
     page.keyboard.type("accel")
     place = page.locator(".find__place").first
-    expect(place).to_contain_text("#6")
+    expect(place).to_contain_text("(parameter 6)")
     assert flaws(page, ENGLISH) == []
     page.keyboard.press("ArrowDown")
     expect(place).to_be_focused()

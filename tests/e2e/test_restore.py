@@ -198,7 +198,7 @@ def test_a_setpoint_is_left_out_until_it_is_ticked(site: Site, browser_page: Ope
     expect(page.get_by_text("The unit runs: the marked rows change the speed of the machine")).to_be_visible()
     row = page.get_by_role("table", name="Setpoints").get_by_role("row", name="Speed Setpoint")
     expect(row).to_contain_text("Changes the machine's speed now")
-    tick = page.get_by_role("checkbox", name="Write #20 Speed Setpoint")
+    tick = page.get_by_role("checkbox", name="Write Speed Setpoint (parameter 20)")
     expect(tick).not_to_be_checked()
     mark = len(writes(site))
     page.get_by_role("button", name="Write 1 row to unit 2").click()

@@ -85,7 +85,10 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
         page.goto("/")
         status = page.get_by_role("region", name="Line status")
         expect(status).to_contain_text(
-            re.compile(r"#12 differs from the golden set: changed by engineer-program \d\d:\d\d")
+            re.compile(
+                r"Up to Speed Tolerance \(parameter 12\) differs from the golden set: "
+                r"changed by engineer-program \d\d:\d\d"
+            )
         )
         site.line.remote.do("parameter", unit=3, number=7, raw=61)
         client.get("/buses/line/units/3/parameters", params={"refresh": "true"})

@@ -120,7 +120,9 @@ def test_from_the_failed_unit_to_the_verified_spare(site: Site, browser_page: Op
     shows(page, "The new unit has the parameters of the old unit, verified by a full read.")
     expect(page.get_by_role("link", name="Open the report")).to_be_visible()
 
-    expect(page.get_by_text("The setpoint is not restored: #20 is 0")).to_be_visible()
+    expect(
+        page.get_by_text("The setpoint is not restored: Speed Setpoint (parameter 20) is 0")
+    ).to_be_visible()
     assert [line_remote.do("parameter", unit=3, number=number) for number in (6, 9, 22, 20)] == [
         33,
         444,
@@ -134,7 +136,7 @@ def test_from_the_failed_unit_to_the_verified_spare(site: Site, browser_page: Op
         "two units respond at address 1",
         "not in REMOTE",
         "in REMOTE",
-        "#6",
+        "(parameter 6)",
         ("verified by a full read"),
     ):
         assert part in end["message"], end["message"]
@@ -154,7 +156,7 @@ def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
     proven = page.locator("#restore-progress").get_by_text("equals the set except for the rows left out")
     expect(proven).to_be_visible(timeout=PROCEDURE_MS)
-    assert "#38: this unit does not have it" in events(site, "swap")[0]["message"]
+    assert "Minimum Ratio (parameter 38): this unit does not have it" in events(site, "swap")[0]["message"]
 
 
 def test_two_units_at_the_address_of_the_section(site: Site, browser_page: OpensPages) -> None:

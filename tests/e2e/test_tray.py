@@ -282,7 +282,7 @@ def test_a_restore_and_a_recipe_go_to_the_tray(site: Site, page: Page) -> None:
     page.get_by_role("button", name="Add to tray").click()
     expect(strip(page)).to_contain_text("3 changes")
     goto(page, "/tray")
-    expect(page.locator("main")).to_contain_text("#12 Up to Speed Tolerance")
+    expect(page.locator("main")).to_contain_text("Up to Speed Tolerance (parameter 12)")
     page.get_by_role("button", name="Remove Setpoint of Unwind from the tray").click()
     expect(strip(page)).to_contain_text("2 changes")
 

@@ -71,7 +71,7 @@ class PageContext:
 
     def __init__(self, request: Request) -> None:
         templates = templates_of(request)
-        language = templates.language_of(request)
+        language = templates.language_of(request).on_screen
         self.request = request
         self.translator = Translator(language, templates.formats(language.tag))
         self.live = service_of(request, LiveState)
@@ -210,13 +210,13 @@ class BusPage(PageContext):
             self.person, action, deadline=deadline, confirm=True, id=id, origin="page", undoes=undoes
         )
 
-    def has_sent(self, id: str) -> bool:
+    async def has_sent(self, id: str) -> bool:
         """Whether the form was sent before: its command is not judged again, its result is shown."""
-        return self.commands.has_taken(self.person, id)
+        return await self.commands.has_taken(self.person, id)
 
     async def carry_out(self, action: Action, confirmation: Confirmation) -> Result:
         """Send what was confirmed while its review lasts. Raises Problem where it is not sent."""
-        if not self.has_sent(confirmation.id):
+        if not await self.has_sent(confirmation.id):
             confirmation.refuse_lapsed()
         return await self.send(action, confirmation.id, undoes=confirmation.undoes)
 

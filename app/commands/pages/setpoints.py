@@ -104,7 +104,7 @@ async def set_setpoints(
     """Stage all, require every acknowledgement, one broadcast, read each back: all of them or none."""
     of_bus, form, title = page.of_bus(bus), await request.form(), page.translator.t(TITLE)
     try:
-        is_sent = of_bus.has_sent(confirmed.id)
+        is_sent = await of_bus.has_sent(confirmed.id)
         setpoints = reviewed(of_bus.bus, form, is_sent=is_sent)
         if not is_sent:
             of_bus.refuse_unable(setpoints)

@@ -74,7 +74,7 @@ async def set_speed(
     """Send the reviewed setpoint, once, and show its result."""
     action = SetSpeed(unit=page.id, raw=raw, execute=how == "now")
     try:
-        if not page.has_sent(confirmed.id):
+        if not await page.has_sent(confirmed.id):
             _refuse_moved(page, was)
         result = await page.carry_out(action, confirmed)
     except Problem as problem:
@@ -145,7 +145,7 @@ async def review_execute(page: OfUnit) -> Response:
 async def execute(page: OfUnit, confirmed: Confirmed, raw: SetpointField, was: Was = "") -> Response:
     """Send 83h to one unit if its staged and its commanded value are still the reviewed ones."""
     try:
-        if not page.has_sent(confirmed.id):
+        if not await page.has_sent(confirmed.id):
             if page.unit.staged != raw:
                 raise Problem(409, "moved", Message("staged_moved"))
             _refuse_moved(page, was)

@@ -131,9 +131,10 @@ class CommandService:
         result = await asyncio.shield(kept.result)
         return result if id is None else msgspec.structs.replace(result, id=id)
 
-    def has_taken(self, person: Person, id: str) -> bool:
-        """Whether this person has sent a command with this id: :meth:`send` gives its result again."""
-        return self._cache.find(person, id) is not None
+    async def has_taken(self, person: Person, id: str) -> bool:
+        """Whether this person has sent a command with this id, also before a restart: :meth:`send` gives its
+        result again."""
+        return self._cache.find(person, id) is not None or await self._record.has(person, id)
 
     async def reserve(self) -> None:
         """A user may be about to write: reserve the next turn of the wire."""

@@ -11,7 +11,7 @@ from app.errors import Problem
 from app.live.state.bus_live import BusLive
 from bus.contract import Action, Outcome, Result, UnitOutcome
 from bus.instants import UnixTime
-from bus.messages import Message
+from bus.messages import Message, listed, parameter_name
 
 
 class UnreadError(Problem):
@@ -49,6 +49,6 @@ def unread_by_unit(
 
 def unread(unit: int, numbers: Sequence[int]) -> UnreadError:
     """The refusal of a command that cannot be judged without these."""
-    named = [f"#{number}" for number in numbers]
+    named = listed([parameter_name(number) for number in numbers])
     message = Message.of("unit_gave_too_little", unit=unit, numbers=named)
     return UnreadError(504, "unverified", message, outcome="unverified", unit=unit)

@@ -61,6 +61,10 @@ class CommandRecord:
         idempotency.refuse_other(key, same=idempotency.is_digest_of(found.command, ring, bus, action))
         return found.result
 
+    async def has(self, person: Person, key: str) -> bool:
+        """Whether this sender has used the key, also before a restart."""
+        return await self._find(person.sender, key) is not None
+
     async def _find(self, sender: str, key: str) -> idempotency.Earlier | None:
         """While the database is away: of what is in the local log. A command that is sent then may be sent
         again by its key from before a restart: it makes nothing faster."""

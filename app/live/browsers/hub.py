@@ -111,7 +111,9 @@ class Hub:
         }
 
     def _new_screen(self, language: str) -> Screen:
-        translator = Translator(self._templates.languages[language], self._templates.formats(language))
+        translator = Translator(
+            self._templates.languages[language].on_screen, self._templates.formats(language)
+        )
         return Screen(self.live, translator, self._sources)
 
     def join(self, browser: Browser) -> None:

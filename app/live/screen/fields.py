@@ -54,6 +54,10 @@ class Translator:
         """The text for a count: ``one`` for exactly one, else ``many``; ``{n}`` in it is the count."""
         return self.language.tn(one, many, n, **values)
 
+    def isolated(self, text: str) -> str:
+        """A name beside other text, as it is put into a text of this language."""
+        return self.language.isolated(text)
+
 
 def unit_key(bus: str, unit: int) -> str:
     return f"{bus}/{unit}"

@@ -96,7 +96,9 @@ def line_fields(
     counts = state_counts(views.values())
     worst = entries[0] if entries else None
     name, cause = (
-        (f"{worst.name} ·", worst.line) if worst else ("", translator.t(all_well(len(views), counts)))
+        (f"{translator.isolated(worst.name)} ·", worst.line)
+        if worst
+        else ("", translator.t(all_well(len(views), counts)))
     )
     return {
         "level": worst.level if worst else "",
@@ -148,12 +150,12 @@ def _named(found: Sequence[NamedCause], views: Views, translator: Translator, no
     """What the pages without the strip name beside the verdict: each bus that is abnormal, each block."""
     worst = found[0].key if found else ""
     buses = [
-        f"{name}: {cause_texts(cause, translator, now).line}"
+        f"{translator.isolated(name)}: {cause_texts(cause, translator, now).line}"
         for key, name, cause in found[1:]
         if "/" not in key
     ]
     blocks = [
-        f"{view.unit.settings.name} {translator.t('blocked')}: {view.blocked}"
+        f"{translator.isolated(view.unit.settings.name)} {translator.t('blocked')}: {view.blocked}"
         for key, view in views.items()
         if view.blocked and not (key == worst and view.cause and view.cause.code == "blocked")
     ]
