@@ -520,7 +520,7 @@ async def test_an_account_reads_two_traces_at_a_time(stage: Stage, worker: Playe
 
 
 async def test_what_one_account_sends_keeps_no_other_waiting(stage: Stage, worker: PlayedWorker) -> None:
-    """A program that writes without end has two writes in progress; what slows has turns of its own."""
+    """A program that writes without end has two writes in progress; what slows has separate turns."""
 
     def write(name: str, raw: int, timeout_s: float = 30.0) -> asyncio.Task[httpx.Response]:
         body = {"raw": raw, "timeout_s": timeout_s}

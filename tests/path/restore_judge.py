@@ -16,7 +16,7 @@ READ, WRITE = 0x85, 0x86
 
 
 class Seen(NamedTuple):
-    """An 85h that a unit answered, or an 86h that it carried out, acknowledged alone, or refused."""
+    """An 85h to which a unit responded, or an 86h that it carried out, acknowledged alone, or refused."""
 
     what: Literal["read", "written", "acknowledged", "refused"]
     number: int

@@ -299,7 +299,7 @@ def test_no_claim_of_a_restore_is_false(tmp_path: Path, seed: int, restores: int
 
 
 def claim(state: str, outcome: str | None, remaining: tuple[int, ...] = ()) -> dict[str, Any]:
-    """What a restore of #6 says of itself."""
+    """What a restore of #6 reports."""
     rows = [{"number": 6, "selected": True, "outcome": outcome}]
     cause = "why" if state == "stopped" else None
     left = [{"number": number} for number in remaining]
