@@ -16,6 +16,7 @@ from app.history.service import History
 from app.reports.report import reported_buses, span_report
 from app.reports.rules.spans import SpanName, named_span, span_fault
 from app.settings import Settings
+from app.web.bounds import refuse_year
 from app.web.services import unknown_bus, unknown_unit
 from app.web.shape import parse_integer
 from bus.instants import Clock, UnixTime, unix_now
@@ -102,6 +103,7 @@ class Reports:
     def _moment(self, text: str, name: str) -> UnixTime:
         try:
             written = datetime.fromisoformat(text.strip())
+            refuse_year(written, name)
             return UnixTime((written if written.tzinfo else written.replace(tzinfo=self.zone)).timestamp())
         except (ValueError, OverflowError):
             wrong = Message.of("time_malformed", field=name, example="2026-11-21T06:00", text=text)

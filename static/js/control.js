@@ -1,9 +1,7 @@
 // Control of the line in the head and in place: a request that has just come, and what goes on once control is there.
 // What was refused is repeated as the person pressed it; a command still has its review.
 const FRESH_MS = 1000;
-/** What lies below a request that comes or goes has moved: a finger on its way meets what it did not aim at. */
 const MOVED_MS = 500;
-let movedAt = Number.NEGATIVE_INFINITY;
 /** What was pressed last outside of the review, to be pressed again.
  * @type {{ source: HTMLElement, submitter: HTMLElement | null } | null} */
 let pressed = null;
@@ -22,19 +20,15 @@ function shield() {
     choice.inert = true;
     setTimeout(() => (choice.inert = false), FRESH_MS);
   }
-  if (now !== known) movedAt = performance.now();
+  if (now !== known) rest();
   known = now;
 }
 
-/** @param {EventTarget | null} target */
-const isOfPage = (target) => target instanceof Element && target.closest(".main") !== null;
-
-/** @param {MouseEvent} event */
-function aim(event) {
-  const isByFinger = event.isTrusted && event.detail > 0;
-  if (!isByFinger || performance.now() - movedAt >= MOVED_MS || !isOfPage(event.target)) return;
-  event.preventDefault();
-  event.stopImmediatePropagation();
+/** The page has moved: a finger on its way presses nothing. */
+function rest() {
+  const { style } = /** @type {HTMLElement} */ (document.querySelector(".main"));
+  style.pointerEvents = "none";
+  setTimeout(() => (style.pointerEvents = ""), MOVED_MS);
 }
 
 function resume() {
@@ -66,6 +60,5 @@ export function start() {
     goesOn = false;
     resume();
   });
-  addEventListener("click", aim, { capture: true });
   shield();
 }

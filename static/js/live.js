@@ -13,7 +13,6 @@ const STILL_MS = 2 * CHECK_MS;
 /** Time to handle the messages that arrived while the page stood still. */
 const CATCH_UP_MS = 50;
 const SPEAK_MS = 10_000;
-/** Key of the session: the digest for which the page was loaded again. */
 const RELOADED = "reloaded-for";
 const RETRY_MS = [200, 500, 1000, 2000];
 
@@ -92,11 +91,8 @@ function onLines(lines) {
   document.dispatchEvent(new CustomEvent("lineside:lines", { detail: Object.keys(lines) }));
 }
 
-/**
- * Whether the page has names or scripts of before the last start of its server. Once for each digest: where two
- * servers with different files take turns, a page would reload without end.
- * @param {string} digest
- */
+/** Whether the page is of before the last start of its server. Once for each digest: two servers may take turns.
+ * @param {string} digest */
 function isOutdated(digest) {
   if (digest === body.dataset.digest || sessionStorage.getItem(RELOADED) === digest) return false;
   sessionStorage.setItem(RELOADED, digest);

@@ -25,7 +25,7 @@ def test_a_ramp_explains_what_the_machine_will_do() -> None:
     assert row.meaning is not None
     assert row.meaning.code == "differs_acceleration"
     assert str(row.meaning) == "accelerates in 3.0 s instead of 5.0 s"
-    assert Languages()["de"].t(row.meaning) == "beschleunigt in 3,0 s statt 5,0 s"
+    assert Languages()["de"].t(row.meaning) == "fährt in 3,0 s statt 5,0 s hoch"
 
 
 def test_each_side_shows_speeds_with_its_decimals() -> None:

@@ -44,7 +44,7 @@ def test_the_verdict_is_read_from_six_meters_and_nothing_is_cut_off(shared_page:
         assert page.locator(".wall__words, .web, .wall__fact dd").evaluate_all(CUT_OFF) == []
     # Of a few sections, a roll has room for its draw above and its name below.
     page.locator(".section:nth-child(n + 4)").evaluate_all("all => all.forEach(each => each.remove())")
-    for size in ({"width": 1280, "height": 800}, HALL):
+    for size in (HALL, {"width": 1280, "height": 800}):
         page.set_viewport_size(size)
         assert page.locator(".web").evaluate_all(CUT_OFF) == []
     page.locator(".wall__cause").evaluate("(cause, text) => { cause.textContent = text; }", LONG)
