@@ -35,6 +35,8 @@ def step(page: Page) -> Locator:
 
 
 def let_pass(page: Page, ms: int) -> None:
+    # What is pressed while the response to the press before is on its way is dropped.
+    expect(page.locator(".htmx-request")).to_have_count(0)
     page.evaluate("ms => sessionStorage.setItem('test-now', Date.now() + ms)", ms)
 
 
