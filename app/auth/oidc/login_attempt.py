@@ -33,13 +33,13 @@ class LoginAttempt(msgspec.Struct, frozen=True, array_like=True):
     @property
     def challenge(self) -> str:
         """The challenge of the verifier, by S256."""
-        return urlsafe_b64encode(sha256(self.verifier.encode()).digest()).rstrip(b"=").decode()
+        return _text(sha256(self.verifier.encode()).digest())
 
     def has_state(self, state: str) -> bool:
         return hmac.compare_digest(state.encode(), self.state.encode())
 
     def to_cookie(self) -> str:
-        return urlsafe_b64encode(msgspec.json.encode(self)).decode()
+        return _text(msgspec.json.encode(self))
 
 
 def new_attempt(next_page: str) -> LoginAttempt:
@@ -55,6 +55,11 @@ def attempt_of(cookie: str) -> LoginAttempt | None:
     if not 0 < len(cookie) <= MAX_COOKIE_BYTES or not cookie.isascii():
         return None
     try:
-        return msgspec.json.decode(urlsafe_b64decode(cookie), type=LoginAttempt)
+        return msgspec.json.decode(urlsafe_b64decode(cookie + "=" * (-len(cookie) % 4)), type=LoginAttempt)
     except (msgspec.MsgspecError, ValueError):
         return None
+
+
+def _text(content: bytes) -> str:
+    """Base64 for addresses, without padding (RFC 7636, A)."""
+    return urlsafe_b64encode(content).rstrip(b"=").decode()
