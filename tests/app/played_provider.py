@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import ssl
 from base64 import b64decode, urlsafe_b64encode
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
@@ -38,6 +39,7 @@ class PlayedProvider:
     do not respond before ``released``."""
 
     port: int = 0
+    scheme: str = "http"
     claims: dict[str, Any] = field(default_factory=dict)
     keys: list[Any] = field(default_factory=lambda: [KEY])
     make_token: Callable[[dict[str, Any]], str] | None = None
@@ -51,7 +53,7 @@ class PlayedProvider:
 
     @property
     def issuer(self) -> str:
-        return f"http://127.0.0.1:{self.port}/realm"
+        return f"{self.scheme}://127.0.0.1:{self.port}/realm"
 
     def settings(self, folder: Path, **others: Any) -> OidcSettings:
         """``[oidc]`` of a site that has this provider."""
@@ -147,10 +149,10 @@ def signed(claims: dict[str, Any], key: Any = KEY, alg: str = "ES256", **header:
 
 
 @asynccontextmanager
-async def played_provider() -> AsyncIterator[PlayedProvider]:
-    """A provider that responds until the end."""
-    provider = PlayedProvider()
-    async with listening(provider.serve) as provider.port:
+async def played_provider(context: ssl.SSLContext | None = None) -> AsyncIterator[PlayedProvider]:
+    """A provider that responds until the end, by TLS with a ``context``."""
+    provider = PlayedProvider(scheme="http" if context is None else "https")
+    async with listening(provider.serve, context) as provider.port:
         yield provider
 
 

@@ -9,16 +9,18 @@ from urllib.parse import parse_qs, urlsplit
 
 import httpx
 import pytest
+from starlette.types import Message
 
 from app.auth.access import COOKIE
 from app.auth.accounts import Accounts
-from app.auth.identity import Identity
-from app.auth.lasting import Rechecks
+from app.auth.lasting import NO_LONGER_SIGNED_IN
 from app.auth.oidc.pages import ATTEMPT_COOKIE
+from app.auth.oidc.provider import Provider
 from app.auth.oidc.single_sign_on import SingleSignOn
 from app.web.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import HOST, PASSWORD, House, complete_app
+from tests.app.notification_servers import certificate, server_context
 from tests.app.played_provider import (
     CALLBACK,
     NEW_KEY,
@@ -135,25 +137,32 @@ async def test_a_disabled_user_stays_refused(house: House, provider: PlayedProvi
     assert await users(house) == {"anna": Role.OPERATOR}
 
 
-async def test_a_lower_role_ends_what_is_open(house: House, provider: PlayedProvider) -> None:
-    """Another login of the same person, with fewer groups, closes what the first one has open."""
+async def test_a_lower_role_closes_what_is_open(house: House, provider: PlayedProvider) -> None:
+    """Another login of the same person, with fewer groups, ends what the first one could do."""
     provider.claims = {"groups": ["line-admins"]}
     client = house.client()
     await logged_in(client, provider)
-    identity, cookie = house.services[Identity], client.cookies[COOKIE]
-    person = await identity.by_cookie(cookie)
-    assert person is not None
-    assert person.role is Role.ADMIN
+    closed: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+    is_open, coming = asyncio.Event(), [{"type": "websocket.connect"}]
 
-    async def is_still() -> bool:
-        return await identity.by_cookie(cookie) == person
+    async def receive() -> Message:
+        return coming.pop() if coming else await asyncio.Event().wait()  # type: ignore[return-value]
 
-    rechecks = house.services[Rechecks]
-    ended = asyncio.create_task(rechecks.until_withdrawn("anna", is_still, rechecks.count))
-    await asyncio.sleep(0)
+    async def send(message: Message) -> None:
+        if message["type"] == "websocket.close" and not closed.done():
+            closed.set_result(message["code"])
+        is_open.set()
+
+    headers = [(b"host", HOST.encode()), (b"cookie", f"{COOKIE}={client.cookies[COOKIE]}".encode())]
+    scope = {"type": "websocket", "path": "/live", "query_string": b"", "headers": headers, "scheme": "ws"}
+    socket = asyncio.create_task(house.app(scope, receive, send))
+    await is_open.wait()
+    assert not closed.done()
     provider.claims = {"groups": ["line-viewers"]}
     await logged_in(house.client(), provider)
-    await asyncio.wait_for(ended, 30)
+    async with asyncio.timeout(60):
+        assert await closed == NO_LONGER_SIGNED_IN
+        await socket
     assert (await me(client))["role"] == "viewer"
     changed = (await house.events("user"))[0]
     assert changed["what"] == "user anna is now viewer, by the groups of the company account"
@@ -289,3 +298,31 @@ async def test_a_signed_in_browser_goes_to_its_page(house: House) -> None:
     client = await house.signed_in(Role.VIEWER)
     response = await client.get("/login/oidc?next=/events")
     assert (response.status_code, response.headers["location"]) == (303, "/events")
+
+
+async def test_the_provider_is_verified_by_its_certificate(tmp_path: Path) -> None:
+    made = certificate(tmp_path)
+    async with played_provider(server_context(made)) as provider:
+        stranger = Provider(provider.settings(tmp_path))
+        await stranger.refresh()
+        assert "self-signed certificate" in str(stranger.fault)
+        trusted = Provider(provider.settings(tmp_path, ca_file=made))
+        await trusted.refresh()
+        assert trusted.fault is None
+        provider.metadata = {"token_endpoint": "http://127.0.0.1/token"}
+        await trusted.refresh()
+        assert "without https" in str(trusted.fault)
+        absent = Provider(provider.settings(tmp_path, ca_file=tmp_path / "absent.pem"))
+        await absent.refresh()
+        assert "cannot be used" in str(absent.fault)
+        for each in (stranger, trusted, absent):
+            await each.close()
+
+
+async def test_an_absent_secret_signs_no_one_in(house: House, provider: PlayedProvider) -> None:
+    settings = house.services[SingleSignOn].settings
+    assert settings is not None
+    settings.client_secret_file.unlink()
+    assert reason_of(await logged_in(house.client(), provider)) == "provider"
+    settings.client_secret_file.write_text("another")
+    assert reason_of(await logged_in(house.client(), provider)) == "provider"
