@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ssl
 from typing import Any, Literal, TypeVar, get_args
 
 from bus.errors import LinesideError
@@ -123,3 +124,15 @@ def or_404(found: T | None, code: ProblemCode, message: Message) -> T:
     if found is None:
         raise Problem(404, code, message)
     return found
+
+
+def network_cause(error: BaseException) -> str:
+    """The text of the operating system or of TLS below an error of a library, whose own may hold the URL."""
+    found: BaseException | None = error
+    while found is not None:
+        if isinstance(found, ssl.SSLCertVerificationError):
+            return found.verify_message
+        if isinstance(found, OSError) and found.strerror:
+            return found.strerror
+        found = found.__cause__ or found.__context__
+    return type(error).__name__

@@ -16,6 +16,7 @@ from app.auth import feature as auth
 from app.auth.access import Identify, RecordRefusals
 from app.auth.identity import Identity
 from app.auth.lasting import Rechecks
+from app.auth.oidc.pages import CALLBACK
 from app.backup import feature as backup
 from app.commands import feature as commands
 from app.configuration import feature as configuration
@@ -41,7 +42,7 @@ from app.routing.hop_admission import HopAdmission
 from app.routing.peers import Peers
 from app.routing.site_servers import SiteServers
 from app.server import feature as server
-from app.server.admission import RequestAdmission
+from app.server.admission import HEALTH, RequestAdmission
 from app.server.forwarded import Forwarded
 from app.server.refusal_log import RefusalLog
 from app.server.security_headers import SecurityHeaders
@@ -124,7 +125,8 @@ def create_app(
     problems.install(app)
     app.add_middleware(HeadAsGet)
     app.add_middleware(HomeRouter, servers=services[SiteServers], peers=services[Peers])
-    app.add_middleware(AnonymousLimiter)
+    # What waits for the provider of company accounts takes no turn from the login page.
+    app.add_middleware(AnonymousLimiter, exempt=(HEALTH, CALLBACK))
     app.add_middleware(Identify, identity=services[Identity], rechecks=services[Rechecks], demo=demo)
     app.add_middleware(RequestRules, allowed_hosts=settings.server.allowed_hosts)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)

@@ -23,15 +23,15 @@ from pydantic_core import PydanticCustomError
 
 from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings, refuse_built_in, refuse_misplaced
 from app.audit.settings import Audit
-from app.auth.settings import Sessions
+from app.auth.settings import OidcSettings, Sessions
 from app.backup.settings import BackupSettings
 from app.database.settings import StoreSettings
 from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
-from app.notification.settings import NotifySettings, WebUrl, refuse_unknown_names
+from app.notification.settings import NotifySettings, refuse_unknown_names
 from app.reports.settings import ReportSettings, refuse_unsendable
-from app.server.settings import TlsSettings
+from app.server.settings import TlsSettings, WebUrl, is_loopback
 from app.time_zone import is_zone, machine_zone
 from app.version import VERSION
 from bus import configuration
@@ -132,14 +132,6 @@ TrustedNetwork = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
 HostName = Annotated[str, AfterValidator(host_name)]
 
 
-def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches what listens there."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
 class ServerSettings(StrictModel):
     """Where the dashboard listens and keeps its data."""
 
@@ -192,6 +184,7 @@ class Settings(StrictModel):
     site: Site = Site()
     server: ServerSettings = ServerSettings()
     store: StoreSettings = StoreSettings()
+    oidc: OidcSettings | None = None
     history: HistorySettings = HistorySettings()
     audit: Audit = Audit()
     bus: tuple[BusSettings, ...] = ()
@@ -289,6 +282,7 @@ def parse(text: str, path: Path) -> Settings:
     absolute = {
         "server": settings.server.model_copy(update={"data": data, "tls": tls}),
         "store": settings.store.in_folder(folder),
+        "oidc": settings.oidc and settings.oidc.in_folder(folder),
         "audit": audit.model_copy(
             update={
                 "key_file": key_file,

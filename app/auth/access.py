@@ -36,6 +36,8 @@ PUBLIC_PATHS = frozenset(
         "/healthz",
         "/login",
         "/login/panel",
+        "/login/oidc",
+        "/login/oidc/callback",
         "/setup",
         "/manifest.webmanifest",
         "/offline",

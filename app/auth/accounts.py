@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from app.audit.act import Act
 from app.audit.log import EventLog
 from app.auth import acts, notices, rules, store, strength
 from app.auth.notices import Kind, RightsNotice
 from app.auth.passwords import hash_secret
-from app.auth.store import Token, User
+from app.auth.store import CompanyAccount, Token, User
 from app.database import Database, StoreConnection
 from app.database.engine import lock
 from app.errors import ConstraintError, Problem
@@ -71,8 +71,8 @@ class Accounts:
             await self._add(User(name, role, False, "/", "", False, self._clock(), None), password)
 
     async def add_first_admin(self, name: str, password: str, *, address: str) -> None:
-        """Add the first user, an admin who acts from ``address``. Raises Problem 409 where there is a user,
-        CallerError."""
+        """Add the first user with a password, an admin who acts from ``address``. Raises
+        Problem 409 where there is one, CallerError."""
         by = Person(name, Role.ADMIN, "session", address=address)
         async with self._performing(acts.ADD_FIRST_ADMIN, by, name=name):
             user = User(name, Role.ADMIN, False, "/", "", False, self._clock(), None)
@@ -83,11 +83,37 @@ class Accounts:
         async with self._performing(acts.ADD_PANEL, by, name=name, role=term(role)):
             await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
 
+    async def follow_provider(self, account: CompanyAccount, name: str, role: Role, *, address: str) -> User:
+        """The user of a company account, with the role of its groups; added at the first sign-in, with a name
+        that no other user has. A disabled user is left as is. Raises CallerError."""
+
+        def follow(connection: StoreConnection) -> tuple[User, Message | None]:
+            lock(connection, ACCOUNTS)
+            there = store.user_of(connection, account)
+            if there is None:
+                return self._add_of_provider(connection, account, name, role)
+            if there.disabled or there.role is role:
+                return there, None
+            store.set_role(connection, there.name, role)
+            notices.announce(connection, RightsNotice("changed", there.name))
+            what = Message.of("event_role_followed", name=there.name, role=term(role))
+            return replace(there, role=role), what
+
+        user, what = await self._database.write(follow)
+        if what is not None:
+            await self._events.record(kind="user", what=what, who=user.name, origin=address)
+            for subscriber in self._subscribers:
+                await subscriber("")
+        return user
+
     async def set_role(self, name: str, role: Role, *, by: Person) -> None:
-        """Raises CallerError for an unknown user, for the last admin, and for a panel above operator."""
+        """Raises CallerError for an unknown user, for the last admin, for a panel above operator, and for the
+        user of a company account, whose role follows the groups there."""
 
         def change(connection: StoreConnection) -> bool:
             found = store.user(connection, name)
+            if found is not None and found[0].company_account is not None:
+                raise CallerError(Message.of("role_of_company_account", name=name))
             if found is not None and found[0].panel:
                 rules.check_panel_role(role)
             return store.set_role(connection, name, role)
@@ -173,13 +199,24 @@ class Accounts:
         hashed = await hash_secret(secret)
 
         def add(connection: StoreConnection) -> None:
-            there = store.users(connection)
-            if is_first and there:
+            if is_first and store.has_own_users(connection):
                 raise Problem(409, "not_in_state", Message("first_admin_exists"))
-            rules.check_distinct(user.name, (each.name for each in there))
+            rules.check_distinct(user.name, (each.name for each in store.users(connection)))
             store.add_user(connection, user, hashed)
 
         await self._write_new(add, Message.of("user_exists", name=user.name))
+
+    def _add_of_provider(
+        self, connection: StoreConnection, account: CompanyAccount, name: str, role: Role
+    ) -> tuple[User, Message]:
+        rules.check_name(name)
+        names = [each.name for each in store.users(connection)]
+        if name in names:
+            raise CallerError(Message.of("user_exists", name=name))
+        rules.check_distinct(name, names)
+        user = User(name, role, False, "/", "", False, self._clock(), None, company_account=account)
+        store.add_user(connection, user, "")
+        return user, Message.of("event_user_of_company_added", name=name, role=term(role))
 
     async def _write_new(self, add: Callable[[StoreConnection], None], exists: Message) -> None:
         def alone(connection: StoreConnection) -> None:
@@ -195,6 +232,8 @@ class Accounts:
         found = await self._database.read(lambda connection: store.user(connection, name))
         if found is None:
             raise CallerError(Message.of("no_such_user", name=name[:80]))
+        if found[0].company_account is not None:
+            raise CallerError(Message.of("no_password_of_company_account", name=name))
         strength.check_secret(password, user=name, panel=found[0].panel, site=self.site)
         hashed = await hash_secret(password)
         kind: Kind = "kept" if keep else "changed"
@@ -227,7 +266,10 @@ def check_is_user(person: Person) -> None:
 
 
 def check_has_own_password(person: Person) -> None:
-    """Raises Problem 403 for a program, and for a panel, whose PIN an admin changes."""
+    """Raises Problem 403 for a program, for the user of a company account, and for a panel, whose PIN an
+    admin changes."""
     check_is_user(person)
+    if person.has_company_account:
+        raise Problem(403, "forbidden", Message.of("no_password_of_company_account", name=person.name))
     if person.panel:
         raise Problem(403, "forbidden", Message("panel_pin_by_admin"))

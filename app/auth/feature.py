@@ -13,6 +13,8 @@ from app.auth.first_admin import FirstAdmin
 from app.auth.identity import Identity
 from app.auth.known import KnownCredentials
 from app.auth.lasting import Rechecks
+from app.auth.oidc import pages as oidc_pages
+from app.auth.oidc.single_sign_on import SingleSignOn
 from app.auth.rights import Rights
 from app.auth.signin import SESSION_ENDED, SignIn, write_session_ended
 from app.database import Database
@@ -46,6 +48,11 @@ def make(services: Services) -> None:
             break_glass=break_glass,
         )
     )
+    single_sign_on = services.add(SingleSignOn(settings.oidc, accounts, sign_in, events))
+    if settings.oidc is not None:
+        services.lifespan.add(
+            "company accounts", single_sign_on.watch, start=single_sign_on.start, end=single_sign_on.end
+        )
     first_admin = services.add(FirstAdmin(accounts, sign_in, events))
     if not services.demo:
         services.lifespan.add("first admin", start=first_admin.start)
@@ -60,4 +67,4 @@ async def _listen(database: Database, rights: Rights, sign_in: SignIn) -> None:
     database.listen(notices.CHANNEL, sign_in.on_notice)
 
 
-FEATURE = Feature(make, (api.router, pages.router, users.router), ACTS)
+FEATURE = Feature(make, (api.router, pages.router, oidc_pages.router, users.router), ACTS)

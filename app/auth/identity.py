@@ -61,6 +61,7 @@ class Identity:
             user.panel,
             user.home,
             user.created_at,
+            has_company_account=user.company_account is not None,
             credential=user.credential,
         )
 

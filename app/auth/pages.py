@@ -14,7 +14,9 @@ from app.auth.access import COOKIE, cookie_name, is_encrypted
 from app.auth.accounts import Accounts, check_has_own_password
 from app.auth.acts import CHANGE_OWN_PASSWORD, LOG_OUT
 from app.auth.first_admin import FirstAdmin, WrongCodeError
-from app.auth.signin import SignIn, WrongSecretError
+from app.auth.oidc.refusal import refusal_shown
+from app.auth.oidc.single_sign_on import SingleSignOn
+from app.auth.signin import SignedIn, SignIn, WrongSecretError
 from app.errors import Problem
 from app.web.access import Person, Viewer, address_of, person_of, public
 from app.web.services import service, service_of
@@ -32,18 +34,28 @@ FormText = Annotated[str, Form()]
 DEVICE_COOKIE = "lineside_device"
 """Distinguishes a browser with an earlier sign-in from those of strangers; it signs no one in."""
 DEVICE_KNOWN_S = 365 * rules.DAY
+REAUTHENTICATE_COOKIE = "lineside_reauthenticate"
+"""Of a browser in which someone has logged out: the next company account signs in at its provider again."""
 LONGEST_NAME = 64
 """The stored part of a typed name; no user has one so long."""
 
 
 @router.get("/login", dependencies=[Depends(public)])
 async def login_page(
-    request: Request, sign_in: SignInService, next: str = "/", panel: bool = False, refused: bool = False
+    request: Request,
+    sign_in: SignInService,
+    next: str = "/",
+    panel: bool = False,
+    refused: bool = False,
+    company_account: str = "",
 ) -> Response:
-    """The form; a signed-in user is redirected. ``refused``: an action has led here."""
+    """The form; a signed-in user is redirected. ``refused``: an action has led here; ``company_account``: why
+    a company account was not admitted."""
     if person_of(request):
-        return RedirectResponse(_own(next), 303)
-    return await _login_form(request, sign_in, next, panel, refused=refused)
+        return RedirectResponse(own_path(next), 303)
+    return await _login_form(
+        request, sign_in, next, panel, refused=refused, company_refusal=refusal_shown(company_account)
+    )
 
 
 @router.post("/login", dependencies=[Depends(public)])
@@ -107,6 +119,8 @@ async def log_out(
         await sign_in.sign_out(cookie, person)
     response = RedirectResponse("/login", 303)
     response.delete_cookie(name, path="/", secure=is_encrypted(request))
+    if service_of(request, SingleSignOn).settings is not None:
+        set_cookie(request, response, REAUTHENTICATE_COOKIE, "true", DEVICE_KNOWN_S)
     return response
 
 
@@ -141,7 +155,7 @@ async def change_password(
     check_has_own_password(person)
     this_one = rules.secret_hash(request.cookies[cookie_name(request, COOKIE)])
     try:
-        await sign_in.check_present(person.name, present, address_of(request), _device_of(request))
+        await sign_in.check_present(person.name, present, address_of(request), device_of(request))
         if password != again:
             raise CallerError(Message("new_passwords_differ"))
         await accounts.change_own_password(password, by=person, keep=this_one)
@@ -153,23 +167,27 @@ async def change_password(
 async def _sign_in(
     request: Request, sign_in: SignIn, name: str, secret: str, next: str, *, panel: bool
 ) -> Response:
-    name, device = name[:LONGEST_NAME], _device_of(request)
+    name, device = name[:LONGEST_NAME], device_of(request)
     try:
-        signed_in = await sign_in.sign_in(name, secret, address_of(request), panel=panel, device=device)
+        begun = await sign_in.sign_in(name, secret, address_of(request), panel=panel, device=device)
     except Problem as problem:
         form = await _login_form(request, sign_in, next, panel, problem=problem, name=name)
         if isinstance(problem, WrongSecretError):
             form.background = BackgroundTask(sign_in.note_refusal, name, address_of(request))
         return form
-    home = signed_in.user.home if next == "/" else next
-    response = RedirectResponse(_own(home), 303)
-    absolute_s = sign_in.lifetime_of(signed_in.user).absolute_s
-    _set_cookie(request, response, COOKIE, signed_in.session, absolute_s)
-    _set_cookie(request, response, DEVICE_COOKIE, signed_in.device, DEVICE_KNOWN_S)
+    return signed_in(request, sign_in, begun, next)
+
+
+def signed_in(request: Request, sign_in: SignIn, begun: SignedIn, next_page: str) -> Response:
+    """To the page that was wanted, with the cookies of the session."""
+    home = begun.user.home if next_page == "/" else next_page
+    response = RedirectResponse(own_path(home), 303)
+    set_cookie(request, response, COOKIE, begun.session, sign_in.lifetime_of(begun.user).absolute_s)
+    set_cookie(request, response, DEVICE_COOKIE, begun.device, DEVICE_KNOWN_S)
     return response
 
 
-def _set_cookie(request: Request, response: Response, name: str, value: str, max_age_s: float) -> None:
+def set_cookie(request: Request, response: Response, name: str, value: str, max_age_s: float) -> None:
     """Lax, so that a link from an e-mail opens signed in; changes are
     guarded by its Origin (`app.web.security`). Not Secure on plain HTTP, which plants use."""
     response.set_cookie(
@@ -182,7 +200,7 @@ def _set_cookie(request: Request, response: Response, name: str, value: str, max
     )
 
 
-def _device_of(request: Request) -> str:
+def device_of(request: Request) -> str:
     """The cookie of a browser with an earlier sign-in; empty for an invalid one."""
     device = request.cookies.get(cookie_name(request, DEVICE_COOKIE), "")
     return device if len(device) == rules.SECRET_LENGTH and device.isascii() else ""
@@ -197,17 +215,22 @@ async def _login_form(
     name: str = "",
     *,
     refused: bool = False,
+    company_refusal: Message | None = None,
 ) -> HTMLResponse:
+    single_sign_on = service_of(request, SingleSignOn)
     return render(
         request,
         "auth/login.html",
         status=problem.status if problem else 200,
         headers=problem.headers if problem else None,
-        next=_own(next),
+        next=own_path(next),
         panel=panel,
         problem=problem,
         name=name,
         refused=refused,
+        has_company_accounts=single_sign_on.settings is not None,
+        company_refusal=company_refusal,
+        provider_fault=single_sign_on.fault,
         no_users=await sign_in.has_no_users(),
         has_code=bool(service_of(request, FirstAdmin).code),
     )
@@ -231,5 +254,6 @@ def _account(request: Request, *, done: str = "", fault: CallerError | None = No
     return render(request, "auth/account.html", status=422 if fault else 200, done=done, fault=fault)
 
 
-def _own(path: str) -> str:
+def own_path(path: str) -> str:
+    """The path, where it is of this server; else that of the first page."""
     return path if rules.is_own_path(path) else "/"

@@ -1,13 +1,17 @@
-"""``[server.sessions]`` of lineside.toml."""
+"""``[server.sessions]`` and ``[oidc]`` of lineside.toml."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Literal
+from urllib.parse import urlsplit
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from app.server.settings import WebUrl, is_loopback, url_refusal
 from bus.messages import Message
 from bus.settings import StrictModel
+from bus.text import OneLine
 
 
 class Sessions(StrictModel):
@@ -27,3 +31,50 @@ class Sessions(StrictModel):
         if self.panel_idle_days > self.panel_total_days:
             raise ValueError(Message("setting_panel_idle_days"))
         return self
+
+
+def _issuer(url: str) -> str:
+    """Raises ValueError for what identifies no provider, and for one that is reached in clear."""
+    parts = urlsplit(url)
+    if parts.query or parts.fragment:
+        raise url_refusal(Message("setting_issuer"))
+    if parts.scheme == "http" and not is_loopback(parts.hostname or ""):
+        raise url_refusal(Message("setting_issuer_in_clear"))
+    return url
+
+
+ProviderRole = Literal["viewer", "operator", "engineer", "admin"]
+ShortName = Annotated[OneLine, Field(min_length=1, max_length=200)]
+
+
+class OidcSettings(StrictModel):
+    """The provider of company accounts, by OpenID Connect."""
+
+    issuer: Annotated[WebUrl, AfterValidator(_issuer)]
+    client_id: ShortName
+    client_secret_file: Path
+    """Relative to the configuration; absolute once loaded."""
+    roles: Annotated[dict[ShortName, ProviderRole], Field(min_length=1, max_length=200)]
+    """By group of the provider."""
+    groups_claim: ShortName = "groups"
+    name_claim: ShortName = "preferred_username"
+    scopes: Annotated[tuple[ShortName, ...], Field(max_length=20)] = ("openid", "profile", "email")
+    ca_file: Path | None = None
+    """Whom to trust instead of the authorities of the machine."""
+
+    @property
+    def host(self) -> str:
+        """Names the provider in messages."""
+        return urlsplit(self.issuer).netloc
+
+    def in_folder(self, folder: Path) -> OidcSettings:
+        """With absolute paths."""
+        paths = {name: folder / value.expanduser() for name, value in self if isinstance(value, Path)}
+        return self.model_copy(update=paths)
+
+    @field_validator("scopes")
+    @classmethod
+    def _scopes_are_of_openid(cls, scopes: tuple[str, ...]) -> tuple[str, ...]:
+        if "openid" not in scopes or any(" " in scope for scope in scopes):
+            raise ValueError(Message("setting_oidc_scopes"))
+        return scopes

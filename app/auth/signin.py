@@ -73,7 +73,7 @@ class SignIn:
     break_glass: BreakGlass | None = None
     _throttle: Throttle = field(default_factory=Throttle)
     _has_users: bool = False
-    """Once true it stays so: the last admin cannot be removed."""
+    """Once true it stays so: the last admin with a password cannot be removed."""
     _hashing: FairQueue[str] = field(
         default_factory=lambda: FairQueue(MAX_HASHED_AT_ONCE, 1, MAX_WAITING_OF_PLACE, MAX_WAITING)
     )
@@ -112,6 +112,11 @@ class SignIn:
             raise WrongSecretError(401, "unauthorized", _WRONG[panel])
         return user
 
+    async def has_company_account(self, name: str) -> bool:
+        """Whether there is such a user who has no password here."""
+        found = await self._database.read(lambda connection: store.user(connection, name))
+        return found is not None and found[0].company_account is not None
+
     async def check_present(self, name: str, secret: str, address: str, device: str = "") -> None:
         """Check the present password of who wants to change it, with the same limits as a sign-in. Raises
         CallerError where it is wrong, Problem 429 after too many."""
@@ -128,9 +133,10 @@ class SignIn:
         await self._events.record(**performed)
 
     async def has_no_users(self) -> bool:
+        """Whether no one can sign in without a provider of company accounts."""
         if not self._has_users:
             with suppress(StoreUnavailableError):
-                self._has_users = bool(await self._database.read(store.users))
+                self._has_users = await self._database.read(store.has_own_users)
                 return not self._has_users
             return False
         return not self._has_users
@@ -231,33 +237,46 @@ class SignIn:
         return user
 
     async def _user_or_decoy(self, name: str) -> tuple[User | None, str]:
-        """A user with the hash of the secret. For an unknown name the hash of another user, always the same
-        one: hashes of an earlier version take longer, and the time must not reveal which names exist."""
+        """A user with the hash of the secret. For an unknown name, and for a user without a password, the
+        hash of another user, always the same one: hashes of an earlier version take longer, and the time must
+        not reveal which names exist."""
         number = int(self._events.keys.ring.seal("decoy", name), 16)
 
         def find(connection: StoreConnection) -> tuple[User | None, str]:
             hashes = store.secret_hashes(connection)
             decoy = hashes[number % len(hashes)] if hashes else ""
-            return store.user(connection, name) or (None, decoy)
+            found = store.user(connection, name)
+            has_password = found is not None and found[0].company_account is None
+            return found if found is not None and has_password else (None, decoy)
 
         return await self._database.read(find)
 
     async def _begin(self, user: User, secret: str, address: str, device: str) -> SignedIn:
-        session, device, now = rules.new_secret(), device or rules.new_secret(), self._clock()
         if isinstance(user, BreakGlassUser):
+            session, device = rules.new_secret(), device or rules.new_secret()
             await self._begin_break_glass(user, rules.secret_hash(session), address)
             return SignedIn(session, device, user)
+        what, weak = Message("event_signed_in"), self._is_weak(user, secret)
+        return await self._begin_session(user, address, device, what, weak_secret=weak)
+
+    async def begin_by_company_account(self, user: User, address: str, device: str) -> SignedIn:
+        """Begin a session of a user whose company account has been verified."""
+        what = Message("event_signed_in_by_company_account")
+        return await self._begin_session(user, address, device, what, weak_secret=False)
+
+    async def _begin_session(
+        self, user: User, address: str, device: str, what: Message, *, weak_secret: bool
+    ) -> SignedIn:
+        session, device, now = rules.new_secret(), device or rules.new_secret(), self._clock()
         hash_, ends = rules.secret_hash(session), self.lifetime_of(user).ends_at(now, now)
-        weak, places = self._is_weak(user, secret), (source_of(address), _browser(device))
+        places = (source_of(address), _browser(device))
 
         def begin(connection: StoreConnection) -> None:
-            store.begin_session(connection, hash_, user.name, now, ends, weak_secret=weak)
+            store.begin_session(connection, hash_, user.name, now, ends, weak_secret=weak_secret)
             store.note_places(connection, user.name, places, now)
 
         await self._database.write(begin)
-        await self._events.record(
-            kind="login", what=Message("event_signed_in"), who=user.name, origin=address
-        )
+        await self._events.record(kind="login", what=what, who=user.name, origin=address)
         return SignedIn(session, device, user)
 
     async def _begin_break_glass(self, user: BreakGlassUser, hash_: bytes, address: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 from app.database import StoreConnection, StoreRow
 from app.database.engine import upsert
@@ -13,6 +14,13 @@ from bus.instants import UnixTime
 
 MAX_PLACES = 50
 """Networks and browsers of one user."""
+
+
+class CompanyAccount(NamedTuple):
+    """An account of a provider: who issues it, and what that gives to no other (OpenID Connect Core, 2)."""
+
+    issuer: str
+    subject: str
 
 
 @dataclass(frozen=True)
@@ -31,6 +39,8 @@ class User:
     """The password or PIN, as last used, is one that today's rules refuse."""
     secret_serial: int = 0
     """How many passwords or PINs the user has had before this one."""
+    company_account: CompanyAccount | None = None
+    """By which alone the user signs in: there is no password."""
 
     @property
     def credential(self) -> str:
@@ -85,7 +95,7 @@ class Token:
 
 _USER = (
     "u.name, u.role, u.panel, u.home, u.language, u.disabled, u.created_at, u.seen_at, u.weak_secret, "
-    "u.secret_serial"
+    "u.secret_serial, u.issuer, u.subject"
 )
 _TOKEN = "id, name, role, created_by, created_at, used_at, bus, expires_at"
 
@@ -94,9 +104,19 @@ _TOKENS_BY_HASH = f"SELECT {_TOKEN}, hash FROM tokens"
 
 def _user(row: StoreRow) -> User:
     """The user in the columns `_USER`, the first of a row."""
-    name, role, panel, home, language, disabled, created_at, seen_at, weak, serial = row[:10]
+    name, role, panel, home, language, disabled, created_at, seen_at, weak, serial, issuer, subject = row[:12]
     return User(
-        name, Role(role), bool(panel), home, language, bool(disabled), created_at, seen_at, bool(weak), serial
+        name,
+        Role(role),
+        bool(panel),
+        home,
+        language,
+        bool(disabled),
+        created_at,
+        seen_at,
+        bool(weak),
+        serial,
+        None if issuer is None else CompanyAccount(issuer, subject),
     )
 
 
@@ -112,7 +132,7 @@ def users(connection: StoreConnection) -> list[User]:
 
 def secret_hashes(connection: StoreConnection) -> list[str]:
     """The hashes of the passwords and PINs of all users, the oldest user first."""
-    query = "SELECT secret_hash FROM users ORDER BY created_at, name"
+    query = "SELECT secret_hash FROM users WHERE issuer IS NULL ORDER BY created_at, name"
     return [row["secret_hash"] for row in connection.execute(query)]
 
 
@@ -123,11 +143,28 @@ def user(connection: StoreConnection, name: str) -> tuple[User, str] | None:
     return (_user(row), row["secret_hash"]) if row else None
 
 
+def user_of(connection: StoreConnection, account: CompanyAccount) -> User | None:
+    """The user who signs in by a company account."""
+    query = f"SELECT {_USER} FROM users u WHERE u.issuer = ? AND u.subject = ?"
+    row = connection.execute(query, account).fetchone()
+    return _user(row) if row else None
+
+
 def add_user(connection: StoreConnection, user: User, secret_hash: str) -> None:
-    """Raises ConstraintError for a name that is there."""
+    """``secret_hash`` is empty for the user of a company account. Raises ConstraintError for a name that is
+    there."""
     connection.execute(
-        "INSERT INTO users (name, role, secret_hash, panel, home, created_at) VALUES (?, ?, ?, ?, ?, ?)",
-        (user.name, user.role, secret_hash, user.panel, user.home, user.created_at),
+        "INSERT INTO users (name, role, secret_hash, panel, home, created_at, issuer, subject) "
+        "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        (
+            user.name,
+            user.role,
+            secret_hash,
+            user.panel,
+            user.home,
+            user.created_at,
+            *(user.company_account or (None, None)),
+        ),
     )
 
 
@@ -169,9 +206,14 @@ def remove_user(connection: StoreConnection, name: str) -> bool:
     return connection.execute("DELETE FROM users WHERE name = ?", (name,)).rowcount == 1
 
 
+def has_own_users(connection: StoreConnection) -> bool:
+    """Whether anyone can sign in without a provider."""
+    return connection.execute("SELECT 1 FROM users WHERE issuer IS NULL LIMIT 1").fetchone() is not None
+
+
 def admins_left(connection: StoreConnection) -> int:
-    """How many admins can sign in."""
-    query = "SELECT count(*) FROM users WHERE role = 'admin' AND disabled = 0"
+    """How many admins can sign in without a provider."""
+    query = "SELECT count(*) FROM users WHERE role = 'admin' AND disabled = 0 AND issuer IS NULL"
     return int(connection.execute(query).fetchone()[0])
 
 

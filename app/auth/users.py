@@ -130,7 +130,11 @@ async def reset_password(
 @router.get("/users/{name}/remove")
 async def review_removal(_: Admin, page: OfUsers, name: str) -> HTMLResponse:
     """The consequences of removing a user, before it is done."""
-    return render(page.request, "users/_review_remove.html", name=name)
+    found = next((user for user in await page.accounts.users() if user.name == name), None)
+    has_company_account = found is not None and found.company_account is not None
+    return render(
+        page.request, "users/_review_remove.html", name=name, has_company_account=has_company_account
+    )
 
 
 @router.post("/users/{name}/remove")

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from app.auth import store
-from app.auth.store import User
-from app.database import StoreConnection
+from app.auth.store import CompanyAccount, User
+from app.database import StoreConnection, StoreRow
 from app.web.access import PEOPLE_ROLES, Role
 
 
@@ -34,6 +34,7 @@ class PresentUser:
     panel: bool
     disabled: bool
     secret_hash: str
+    company_account: CompanyAccount | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +49,24 @@ def read_present(connection: StoreConnection) -> Present | None:
     """From a store of any version; None from one without users. Raises StoreError for one that cannot be
     read."""
     tokens = frozenset(hash_ for (hash_,) in connection.execute("SELECT hash FROM tokens"))
-    rows = connection.execute("SELECT name, role, panel, disabled, secret_hash FROM users")
     users = {
-        name: PresentUser(Role(role), bool(panel), bool(disabled), secret_hash)
-        for name, role, panel, disabled, secret_hash in rows
+        row["name"]: PresentUser(
+            Role(row["role"]),
+            bool(row["panel"]),
+            bool(row["disabled"]),
+            row["secret_hash"],
+            _company_account(row),
+        )
+        for row in connection.execute("SELECT * FROM users")
     }
     return Present(tokens, users) if users else None
+
+
+def _company_account(row: StoreRow) -> CompanyAccount | None:
+    """None also in a store from before there were company accounts."""
+    if "issuer" not in row.keys() or row["issuer"] is None:  # noqa: SIM118
+        return None
+    return CompanyAccount(row["issuer"], row["subject"])
 
 
 def withhold(restored: StoreConnection, present: Present | None) -> Withheld:
@@ -64,7 +77,8 @@ def withhold(restored: StoreConnection, present: Present | None) -> Withheld:
     lowered: list[str] = []
     for user in store.users(restored) if present is not None else ():
         now = present.users.get(user.name) if present is not None else None
-        if now is None or now.disabled or now.panel is not user.panel:
+        is_same = now is not None and (now.panel, now.company_account) == (user.panel, user.company_account)
+        if now is None or now.disabled or not is_same:
             restored.execute("UPDATE users SET disabled = 1 WHERE name = ?", (user.name,))
             disabled += [] if user.disabled else [user.name]
         elif _take_over(restored, user, now):

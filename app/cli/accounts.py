@@ -54,14 +54,18 @@ def add_user(
 
 @user.add("list")
 def list_users(config: Config = LINESIDE_TOML, as_json: AsJson = False) -> None:
-    """List every user: name, role, and whether it is a panel or disabled."""
+    """List every user: name, role, and whether it is a panel, of a company account, or disabled."""
     with reading_site(load(config)) as connection:
         found = users(connection)
     if as_json:
         click.echo(json.dumps({"users": [_user_shown(each) for each in found]}))
         return
     for each in found:
-        states = (("user_is_panel", each.panel), ("user_is_disabled", each.disabled))
+        states = (
+            ("user_is_panel", each.panel),
+            ("user_has_company_account", each.company_account is not None),
+            ("user_is_disabled", each.disabled),
+        )
         marks = [str(Message(code)) for code, is_so in states if is_so]
         click.echo("\t".join([each.name, each.role, *marks]))
 
@@ -99,7 +103,13 @@ def break_glass(
 
 
 def _user_shown(each: User) -> dict[str, Any]:
-    return {"name": each.name, "role": each.role, "panel": each.panel, "disabled": each.disabled}
+    return {
+        "name": each.name,
+        "role": each.role,
+        "panel": each.panel,
+        "company_account": each.company_account is not None,
+        "disabled": each.disabled,
+    }
 
 
 def _token_shown(each: Token) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import complain, report
 from app.cli.findings import Finding, findings
 from app.cli.notification_findings import notification_findings
+from app.cli.oidc_findings import oidc_findings
 from app.cli.options import AsJson, Option
 from app.cli.rights import become_owner_of
 from app.cli.service_findings import service_findings
@@ -52,6 +53,7 @@ def _found(settings: Settings) -> Iterator[Finding]:
     yield from findings(settings)
     yield from store_findings(settings)
     yield from backup_findings(settings)
+    yield from oidc_findings(settings.oidc)
     yield from notification_findings(settings.notify)
     yield from service_findings()
 

@@ -10,8 +10,9 @@ from app.cli.findings import Finding
 from app.notification import apprise_url, webhook
 from app.notification.endpoints import NotificationEndpoint, NotificationPlan
 from app.notification.mail import MailServer
-from app.notification.secret_file import NotDeliveredError, can_others_read
+from app.notification.secret_file import NotDeliveredError
 from app.notification.settings import AppriseSettings, NotifySettings, WebhookSettings
+from app.server.secret_file import can_others_read
 from bus.messages import Message
 
 CHECK_S = 15.0

@@ -127,6 +127,8 @@ class Signing:
                 raise Problem(403, "forbidden", Message("shift_sign_needs_person"))
             return person
         name = request.name.strip()
+        if await self._sign_in.has_company_account(name):
+            raise Problem(403, "forbidden", Message.of("shift_sign_in_own_session", name=name))
         try:
             user = await self._sign_in.identify(name, request.password, address)
         except WrongSecretError:

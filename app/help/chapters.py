@@ -57,6 +57,7 @@ CHAPTERS = (
     Chapter("guide/replace-a-drive.md", DO),
     Chapter("guide/several-lines.md", DO),
     Chapter("guide/users.md", DO),
+    Chapter("guide/company-accounts.md", DO),
     Chapter("guide/backup.md", DO),
     Chapter("tls.md", DO),
     Chapter("containers.md", DO),

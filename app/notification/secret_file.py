@@ -1,15 +1,15 @@
-"""Passwords and keys, read from their files when they are needed, and kept nowhere."""
+"""The passwords and keys of notification, whose faults are reasons why a message was not delivered."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
-from app.errors import system_error
+from app.server import secret_file
+from app.server.secret_file import SecretFileError
 from bus.errors import LinesideError
 from bus.messages import Message
 
-MAX_BYTES = 4096
 MAIL_PASSWORD_VARIABLE = "LINESIDE_SMTP_PASSWORD"
 
 
@@ -20,29 +20,17 @@ class NotDeliveredError(LinesideError):
 def read_secret(path: Path) -> bytes:
     """Return the content of a file without its final newline. Raises NotDeliveredError."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-        with os.fdopen(descriptor, "rb") as file:
-            content = file.read(MAX_BYTES + 1) or b""
-    except OSError as error:
-        reason = system_error(error)
-        raise NotDeliveredError(
-            Message.of("notify_secret_unreadable", path=str(path), reason=reason)
-        ) from None
-    secret = content.removesuffix(b"\n").removesuffix(b"\r")
-    if not secret or len(content) > MAX_BYTES:
-        raise NotDeliveredError(Message.of("notify_secret_empty", path=str(path), n=MAX_BYTES))
-    return secret
+        return secret_file.read_secret(path)
+    except SecretFileError as error:
+        raise NotDeliveredError(error.message) from None
 
 
 def read_secret_text(path: Path) -> str:
     """Return the content of a file as one line of ASCII. Raises NotDeliveredError."""
     try:
-        text = read_secret(path).decode("ascii").strip()
-    except UnicodeDecodeError:
-        text = ""
-    if not text or not text.isprintable():
-        raise NotDeliveredError(Message.of("notify_secret_not_text", path=str(path)))
-    return text
+        return secret_file.read_secret_text(path)
+    except SecretFileError as error:
+        raise NotDeliveredError(error.message) from None
 
 
 def mail_password(path: Path | None) -> str:
@@ -53,11 +41,3 @@ def mail_password(path: Path | None) -> str:
     if not password:
         raise NotDeliveredError(Message.of("notify_password_missing", variable=MAIL_PASSWORD_VARIABLE))
     return password
-
-
-def can_others_read(path: Path) -> bool:
-    """Whether every user of the machine can read it."""
-    try:
-        return bool(path.stat().st_mode & 0o007)
-    except OSError:
-        return False

@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, BeforeValidator, Field, field_serializer, model_validator
 from pydantic_core import PydanticCustomError
 
+from app.server.settings import WebUrl
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 from bus.text import OneLine
@@ -37,20 +38,6 @@ def _clock_time(written: str) -> str:
     return written
 
 
-def check_web_url(written: str) -> str:
-    """Raises ValueError, without the URL, for one that is not of the web or holds a password."""
-    try:
-        parts = urlsplit(written)
-        is_url = parts.scheme in ("https", "http") and bool(parts.hostname) and parts.port != 0
-    except ValueError:
-        is_url = False
-    if not is_url or not written.isascii() or not written.isprintable() or " " in written:
-        raise _refusal(Message("setting_web_url"))
-    if "@" in parts.netloc:
-        raise _refusal(Message("setting_url_with_password"))
-    return written
-
-
 def _calendar_day(written: object) -> object:
     if type(written) is not date:
         raise ValueError(Message("setting_day"))
@@ -60,7 +47,6 @@ def _calendar_day(written: object) -> object:
 CalendarDay = Annotated[date, BeforeValidator(_calendar_day)]
 MailAddress = Annotated[str, AfterValidator(_mail_address)]
 ClockTime = Annotated[str, AfterValidator(_clock_time)]
-WebUrl = Annotated[str, Field(max_length=2000), AfterValidator(check_web_url)]
 Addresses = Annotated[tuple[MailAddress, ...], Field(max_length=50)]
 Priorities = Annotated[tuple[NotifiedPriority, ...], Field(min_length=1)]
 BusNames = tuple[str, ...]

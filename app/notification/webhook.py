@@ -9,8 +9,10 @@ from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
+from app.errors import network_cause
 from app.notification.secret_file import NotDeliveredError, read_secret, read_secret_text
-from app.notification.settings import WebhookSettings, check_web_url
+from app.notification.settings import WebhookSettings
+from app.server.settings import check_web_url
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -71,7 +73,9 @@ async def _exchange(
     except httpx.TimeoutException:
         raise NotDeliveredError(Message.of("notify_timed_out", **place)) from None
     except (httpx.HTTPError, httpx.InvalidURL, OSError, ValueError) as error:
-        raise NotDeliveredError(Message.of("notify_not_connected", **place, reason=_cause(error))) from None
+        raise NotDeliveredError(
+            Message.of("notify_not_connected", **place, reason=network_cause(error))
+        ) from None
 
 
 def _url_of(settings: WebhookSettings) -> str:
@@ -93,15 +97,3 @@ def _place(url: str) -> dict[str, Any]:
 def _refusal(settings: WebhookSettings, status: int) -> Message:
     code = "notify_redirected" if 300 <= status < 400 else "notify_http_refused"
     return Message.of(code, **_place(_url_of(settings)), status=status)
-
-
-def _cause(error: BaseException) -> str:
-    """The text of the operating system or of TLS at the bottom. The library's own may hold the URL."""
-    found: BaseException | None = error
-    while found is not None:
-        if isinstance(found, ssl.SSLCertVerificationError):
-            return found.verify_message
-        if isinstance(found, OSError) and found.strerror:
-            return found.strerror
-        found = found.__cause__ or found.__context__
-    return type(error).__name__

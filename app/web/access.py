@@ -81,6 +81,8 @@ class Person:
     """When the account was made, Unix time in seconds: a later one of the same name is another."""
     bus: str = ""
     """The one bus that a worker speaks for."""
+    has_company_account: bool = False
+    """Whether the person signs in by the provider of company accounts, and has no password."""
     credential: str = field(default="", repr=False, compare=False)
     """Identifies the credential, distinct from an earlier one of the same account."""
     address: str | Message = field(default="", compare=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
@@ -26,10 +28,12 @@ class AnonymousLimiter:
     """Serves a request without a person in its turn, and only once its body has arrived.
 
     Otherwise a burst of them would be begun in one iteration of the event loop, before everyone else's.
+    ``exempt``: paths that cost the loop next to nothing, or have other turns.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, exempt: Collection[str] = (HEALTH,)) -> None:
         self._app = app
+        self._exempt = exempt
         self._bounded = BoundedBody(self._serve, MAX_PLAIN_BODY_BYTES)
         # Half of what may wait is for known keys, and no address is known.
         self._turns: FairQueue[str] = FairQueue(
@@ -37,7 +41,7 @@ class AnonymousLimiter:
         )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        is_exempt = scope["type"] != "http" or scope["path"] == HEALTH
+        is_exempt = scope["type"] != "http" or scope["path"] in self._exempt
         if is_exempt or person_of(HTTPConnection(scope)) is not None:
             await self._app(scope, receive, send)
             return

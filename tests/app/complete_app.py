@@ -13,6 +13,7 @@ from fastapi import FastAPI
 
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
+from app.auth.settings import OidcSettings
 from app.feature import Services
 from app.handover.settings import ShiftSettings
 from app.main import create_app
@@ -93,13 +94,14 @@ async def complete_app(
     server: ServerSettings | None = None,
     notify: NotifySettings | None = None,
     shift: ShiftSettings | None = None,
+    oidc: OidcSettings | None = None,
     config: Path | None = None,
     **site: Any,
 ) -> AsyncIterator[House]:
     """From start to end, as the server would; ``config``: with this file."""
     settings = settings_in(folder, **site) if config is None else load(config)
-    others = {"server": server or settings.server, "notify": notify or settings.notify}
-    others["shift"] = shift or settings.shift
+    others: dict[str, Any] = {"server": server or settings.server, "notify": notify or settings.notify}
+    others |= {"shift": shift or settings.shift, "oidc": oidc or settings.oidc}
     app = create_app(settings.model_copy(update=others), demo=demo)
     house = House(app, app.state.services)
     async with house.services.lifespan.running():

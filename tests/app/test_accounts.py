@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
@@ -28,6 +29,7 @@ from app.auth.acts import (
     SET_PASSWORD,
     SET_ROLE,
 )
+from app.auth.store import CompanyAccount, User
 from app.errors import Problem
 from app.web.access import Person, Role
 from bus.errors import CallerError
@@ -94,7 +96,7 @@ async def test_an_admin_remains(accounts: Accounts, ending: str) -> None:
     }
     await accounts.add_user("ann", Role.ADMIN, PASSWORD, **BY)
     await accounts.add_user("bob", Role.VIEWER, PASSWORD, **BY)
-    with pytest.raises(CallerError, match="ann is the last admin; give another user the role admin first"):
+    with pytest.raises(CallerError, match="ann is the last admin who logs in with a password"):
         await changes[ending]()
     assert (await accounts.users())[0].role is Role.ADMIN
     await accounts.set_role("bob", Role.ADMIN, **BY)
@@ -248,3 +250,70 @@ async def test_a_panel_is_operator_at_most(accounts: Accounts, role: Role) -> No
     with pytest.raises(CallerError, match="a panel is an operator at most"):
         await accounts.set_role("p1", role, **BY)
     assert (await accounts.users())[0].role is Role.OPERATOR
+
+
+ACCOUNT = CompanyAccount("https://login.plant.example", "248289761001")
+
+
+async def followed(accounts: Accounts, name: str, role: Role, account: CompanyAccount = ACCOUNT) -> User:
+    return await accounts.follow_provider(account, name, role, address="192.0.2.7")
+
+
+async def test_the_user_of_a_company_account_follows_it(accounts: Accounts) -> None:
+    added = await followed(accounts, "anna", Role.OPERATOR)
+    assert (added.name, added.role, added.company_account) == ("anna", Role.OPERATOR, ACCOUNT)
+    raised = await followed(accounts, "renamed", Role.ADMIN)
+    assert (raised.name, raised.role) == ("anna", Role.ADMIN)
+    assert await accounts.users() == [raised]
+    assert await followed(accounts, "anna", Role.ADMIN) == raised
+    other = ACCOUNT._replace(issuer="https://other.example")
+    with pytest.raises(CallerError, match="a user anna exists already"):
+        await followed(accounts, "anna", Role.VIEWER, other)
+    with pytest.raises(CallerError, match="looks like 'anna'"):
+        await followed(accounts, "Anna", Role.VIEWER, ACCOUNT._replace(subject="1"))
+    with pytest.raises(CallerError, match="is not allowed"):
+        await followed(accounts, "", Role.VIEWER, ACCOUNT._replace(subject="1"))
+
+
+async def test_two_logins_of_a_company_account_make_one_user(accounts: Accounts) -> None:
+    users = await asyncio.gather(*(followed(accounts, "anna", Role.VIEWER) for _ in range(4)))
+    assert len(set(users)) == 1
+    assert len(await accounts.users()) == 1
+
+
+async def test_a_disabled_company_account_is_left_as_is(accounts: Accounts) -> None:
+    await followed(accounts, "anna", Role.OPERATOR)
+    await accounts.set_disabled("anna", True, **BY)
+    found = await followed(accounts, "anna", Role.ADMIN)
+    assert (found.disabled, found.role) == (True, Role.OPERATOR)
+
+
+async def test_role_and_password_of_a_company_account_are_not_here(accounts: Accounts) -> None:
+    await followed(accounts, "anna", Role.OPERATOR)
+    with pytest.raises(CallerError, match="follows the groups of the company account"):
+        await accounts.set_role("anna", Role.ADMIN, **BY)
+    with pytest.raises(CallerError, match="has no password here"):
+        await accounts.set_password("anna", PASSWORD, **BY)
+    anna = Person("anna", Role.OPERATOR, "session", has_company_account=True)
+    with pytest.raises(Problem, match="has no password here"):
+        await accounts.change_own_password(PASSWORD, by=anna, keep=b"")
+
+
+async def test_an_admin_with_a_password_remains(accounts: Accounts) -> None:
+    await followed(accounts, "anna", Role.ADMIN)
+    await accounts.add_first_admin("boss", PASSWORD, address="192.0.2.7")
+    with pytest.raises(CallerError, match="boss is the last admin who logs in with a password"):
+        await accounts.remove_user("boss", **BY)
+    assert (await followed(accounts, "anna", Role.VIEWER)).role is Role.VIEWER
+    await accounts.remove_user("anna", **BY)
+    assert (await followed(accounts, "anna", Role.VIEWER)).name == "anna"
+    with pytest.raises(Problem, match="there is a user already"):
+        await accounts.add_first_admin("another", PASSWORD, address="192.0.2.7")
+
+
+async def test_no_hash_is_compared_for_a_company_account(accounts: Accounts) -> None:
+    """Else the time of a login would show who has one."""
+    await accounts.add_user("boss", Role.ADMIN, PASSWORD, **BY)
+    await followed(accounts, "anna", Role.OPERATOR)
+    [stored] = await accounts._database.read(store.secret_hashes)
+    assert stored.startswith("$argon2id$")

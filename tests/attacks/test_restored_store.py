@@ -17,6 +17,7 @@ from app.audit.log import EventLog
 from app.audit.store import heads_of
 from app.auth import store
 from app.auth.accounts import Accounts
+from app.auth.store import CompanyAccount
 from app.cli import cli
 from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
 from app.database import Database, SqliteDatabase
@@ -113,6 +114,21 @@ def test_what_was_withdrawn_since_stays_so(plant: Plant) -> None:
         "users with the lower role of now: ben",
     ):
         assert words in output
+
+
+def test_a_company_account_gets_no_user_of_the_same_name(plant: Plant) -> None:
+    """Nor the other way round: a name alone is no person."""
+    account = CompanyAccount("https://login.plant.example", "1")
+
+    async def changes(accounts: Accounts, _: Database) -> None:
+        for name in ("ann", "ben"):
+            await accounts.remove_user(name, **BY)
+        await accounts.follow_provider(account, "ann", Role.ADMIN, address="192.0.2.7")
+
+    plant.change(changes)
+    output = plant.restore()
+    assert plant.rows("SELECT name, disabled, issuer FROM users WHERE name = 'ann'") == [("ann", 1, None)]
+    assert "users disabled, as they are or were removed now: ann, ben" in output
 
 
 def test_an_event_names_who_restored_which_backup(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,7 +35,7 @@ def step(page: Page) -> Locator:
 
 
 def let_pass(page: Page, ms: int) -> None:
-    # What is pressed while the response to the press before is on its way is dropped.
+    # A press is dropped while the response to the one before is on its way.
     expect(page.locator(".htmx-request")).to_have_count(0)
     page.evaluate("ms => sessionStorage.setItem('test-now', Date.now() + ms)", ms)
 
