@@ -120,7 +120,13 @@ def test_a_store_of_another_version_is_named_as_such(site: Path, change: str, te
 
 def test_lists_are_json_too(site: Path) -> None:
     users = json.loads(run(("user", "list"), site, "--json").stdout)["users"]
-    assert {"name": "operator", "role": "operator", "panel": False, "disabled": False} in users
+    assert {
+        "name": "operator",
+        "role": "operator",
+        "panel": False,
+        "company_account": False,
+        "disabled": False,
+    } in users
     [token, *_] = json.loads(run(("token", "list"), site, "--json").stdout)["tokens"]
     assert token.keys() == {"name", "role", "created_by", "bus", "last_day"}
     proof = json.loads(run(("audit", "verify"), site, "--json").stdout)
