@@ -23,6 +23,26 @@ MAX_PACKAGES, MAX_MB = 38, 100.0
 FIRST_PAGE_S, AGAIN_S = 60.0, 30.0
 PAGE = "http://127.0.0.1:8000/healthz"
 SERVER = "systemctl show -p MainPID --value lineside"
+RESTART = """
+import json, sys, time, urllib.request
+def call(path, body=None):
+    headers = {"Authorization": f"Bearer {sys.argv[1]}", "Content-Type": "application/json"}
+    data = None if body is None else json.dumps(body).encode()
+    address = f"http://127.0.0.1:8000/api/v1/configuration{path}"
+    return urllib.request.urlopen(urllib.request.Request(address, data, headers), timeout=5).read()
+present = json.loads(call(""))
+assert not present["running"]
+call("/restart", {"digest": present["digest"]})
+end = time.monotonic() + float(sys.argv[2])
+while time.monotonic() < end:
+    time.sleep(0.2)
+    try:
+        if json.loads(call(""))["running"]:
+            sys.exit(0)
+    except OSError:
+        pass
+sys.exit("not restarted")
+"""
 
 
 def test_an_installation_is_light() -> None:
@@ -115,6 +135,15 @@ def test_the_package_is_installed_lives_through_faults_and_is_removed(
         f"kill -STOP {worker}; for i in $(seq {AGAIN_S:.0f}); do "
         f"pgrep -f -- '--bus line-1' | grep -qvx {worker} && exit 0; sleep 1; done; exit 1"
     )
+
+    # A person restarts it from the page of the configuration: systemd watches the same process.
+    machine.wait_for(PAGE, AGAIN_S)
+    server, token = machine.run(SERVER), machine.run("lineside token create admin --role admin").split()[-1]
+    machine.run("sed -i 's/My line/Our line/' /etc/lineside/lineside.toml")
+    (machine.root / "root" / "restart.py").write_text(RESTART, "utf-8")
+    machine.run(f"python3 /root/restart.py {token} {AGAIN_S}")
+    machine.run("sleep 2; systemctl is-active lineside")
+    assert machine.run(SERVER) == server
 
     machine.run("echo '[server' >> /etc/lineside/lineside.toml; systemctl restart lineside || true; sleep 5")
     assert machine.run("systemctl show -p NRestarts --value lineside") == "0"
