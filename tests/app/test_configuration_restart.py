@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import AsyncIterator
 from html import unescape
 from pathlib import Path
 
@@ -15,8 +14,8 @@ from app.configuration import restart as restart_module
 from app.configuration.restart import Restart
 from app.web.access import Role
 from tests import fork_server
-from tests.app.complete_app import House, complete_app
-from tests.app.configuration_file import TEXT, PlantFile, written
+from tests.app.complete_app import House
+from tests.app.configuration_file import TEXT, PlantFile, house_with_file, plant_file
 from tests.app.test_serve import CONFIG, eventually, only_child, started
 from tests.free_port import free_port
 
@@ -24,16 +23,8 @@ API = "/api/v1/configuration"
 PAGE = "/configuration"
 CHANGED = TEXT.replace("Unwind", "Unwinder")
 
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path, config=written(tmp_path)) as house:
-        yield house
-
-
-@pytest.fixture
-def file(tmp_path: Path) -> PlantFile:
-    return PlantFile(tmp_path / "lineside.toml")
+house = pytest.fixture(house_with_file)
+file = pytest.fixture(plant_file)
 
 
 @pytest.fixture
