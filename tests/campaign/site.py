@@ -65,6 +65,9 @@ class Device:
 
     def start_server(self) -> None:
         """Start ser2net, also after it was killed."""
+        if self.server is not None:
+            # As init does: one that is not waited for still has the lock file of its device.
+            self.server.wait()
         command = (unpacked.program("ser2net"), "-n", "-c", self.folder / "ser2net.yaml")
         log, environment = self.folder / "ser2net.log", unpacked.environment("ser2net")
         self.server = self.machine.start(*command, log=log, env=environment)
