@@ -13,8 +13,8 @@ from dataclasses import dataclass
 STABLE_S = 10.0
 """What lasts so long has worked."""
 FIRST_PAUSE_S = 0.5
-LONGEST_PAUSE_S = 30.0
-LONGEST_USEFUL_PAUSE_S = 0.5
+MAX_PAUSE_S = 30.0
+MAX_USEFUL_PAUSE_S = 0.5
 """While it is of use in between: a plug with a bad contact."""
 JITTER = 0.25
 
@@ -33,7 +33,7 @@ class ReconnectDelay:
             self.count = 0
             return 0.0
         self.count += 1
-        longest = LONGEST_USEFUL_PAUSE_S if useful else LONGEST_PAUSE_S
+        longest = MAX_USEFUL_PAUSE_S if useful else MAX_PAUSE_S
         pause = min(FIRST_PAUSE_S * 2.0 ** min(self.count - 1, 16), longest)
         return pause * (1.0 - JITTER + 2.0 * JITTER * self.random())
 

@@ -21,7 +21,7 @@ BURST = 20
 FORGIVEN_EVERY_S = 60.0
 """How long until a series may have one more of these."""
 QUIET_S = 60.0
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 60.0, 3600.0
+FIRST_PAUSE_S, MAX_PAUSE_S = 60.0, 3600.0
 BURST_OF_ALL = 3_000
 """Events of all series of one bus: an emergency stop of 255 units, and their return, several times."""
 FORGIVEN_OF_ALL_EVERY_S = 1.0
@@ -86,6 +86,6 @@ class EventBudget(Generic[T]):
         if now - series.last_at >= QUIET_S:
             series.pause_s = FIRST_PAUSE_S
         else:
-            series.pause_s = min(2 * series.pause_s, LONGEST_PAUSE_S)
+            series.pause_s = min(2 * series.pause_s, MAX_PAUSE_S)
             series.bucket.fill(now)
         return summary

@@ -36,7 +36,7 @@ DEVICE_COOKIE = "lineside_device"
 DEVICE_KNOWN_S = 365 * rules.DAY
 REAUTHENTICATE_COOKIE = "lineside_reauthenticate"
 """Of a browser in which someone has logged out: the next company account signs in at its provider again."""
-LONGEST_NAME = 64
+MAX_NAME = 64
 """The stored part of a typed name; no user has one so long."""
 
 
@@ -167,7 +167,7 @@ async def change_password(
 async def _sign_in(
     request: Request, sign_in: SignIn, name: str, secret: str, next: str, *, panel: bool
 ) -> Response:
-    name, device = name[:LONGEST_NAME], device_of(request)
+    name, device = name[:MAX_NAME], device_of(request)
     try:
         begun = await sign_in.sign_in(name, secret, address_of(request), panel=panel, device=device)
     except Problem as problem:
@@ -245,8 +245,8 @@ def _setup_form(
         status=problem.status if problem else 200,
         headers=problem.headers if problem else None,
         problem=problem,
-        code=code[:LONGEST_NAME],
-        name=name[:LONGEST_NAME],
+        code=code[:MAX_NAME],
+        name=name[:MAX_NAME],
     )
 
 

@@ -15,7 +15,7 @@ from bus.errors import CallerError
 from bus.instants import UnixTime
 from bus.messages import Message, term
 
-LONGEST_NAME = 40
+MAX_NAME = 40
 _LETTERS = frozenset(string.ascii_letters + string.digits + "._@-" + "ßæœøþłÆŒØÞŁ")
 """A name has these, each with or without accents: no letter of one script looks like one of another."""
 _SAME_SHAPE = str.maketrans("01i", "oll")
@@ -53,7 +53,7 @@ def check_name(name: str) -> None:
     """The name of a new user or token. Raises CallerError."""
     is_composed = unicodedata.is_normalized("NFC", name)
     is_latin = is_composed and all(unicodedata.normalize("NFD", each)[0] in _LETTERS for each in name)
-    if not is_latin or not 1 <= len(name) <= LONGEST_NAME:
+    if not is_latin or not 1 <= len(name) <= MAX_NAME:
         raise CallerError(Message.of("name_not_allowed", name=name[:80]))
 
 

@@ -13,11 +13,11 @@ from pathlib import Path
 from bus.errors import CallerError
 from bus.messages import Message
 
-SHORTEST_PASSWORD, LONGEST_PASSWORD = 12, 256
+MIN_PASSWORD, MAX_PASSWORD = 12, 256
 """Argon2 works on all of it; bounds the work of one request."""
-FEWEST_PIECES = 7
-FEWEST_SIGNS = 5
-FEWEST_PIECES_OF_PIN = 4
+MIN_PIECES = 7
+MIN_SIGNS = 5
+MIN_PIECES_OF_PIN = 4
 MIN_NAME = 4
 """Letters of a name that a password may not contain; a shorter one is in too many words."""
 _PIN = re.compile(r"\d{6,12}")
@@ -55,7 +55,7 @@ _PAD = {
     digit: (float(x), float(y)) for y, row in enumerate(("123", "456", "789")) for x, digit in enumerate(row)
 }
 MIN_RUN = 3
-LONGEST_EASY_BLOCK = 7
+MAX_EASY_BLOCK = 7
 """Characters of a block that a text only repeats, where that makes it easy to guess."""
 
 
@@ -69,8 +69,8 @@ def check_secret(secret: str, *, user: str, panel: bool, site: str) -> None:
 
 def check_password(password: str, *, user: str, site: str) -> None:
     """Raises CallerError for a password that ``user`` may not choose at ``site``."""
-    if not SHORTEST_PASSWORD <= len(password) <= LONGEST_PASSWORD:
-        bounds = {"least": SHORTEST_PASSWORD, "most": LONGEST_PASSWORD}
+    if not MIN_PASSWORD <= len(password) <= MAX_PASSWORD:
+        bounds = {"least": MIN_PASSWORD, "most": MAX_PASSWORD}
         raise CallerError(Message.of("password_length", count=len(password), **bounds))
     if _contains(password, user):
         raise CallerError(Message("password_contains_user"))
@@ -93,11 +93,11 @@ def is_easy_password(password: str) -> bool:
     text = _without_separator(_bare(password))
     block = _block_of(text)
     return (
-        len(set(text)) < FEWEST_SIGNS
-        or (len(block) < len(text) and len(block) <= LONGEST_EASY_BLOCK)
-        or _pieces(text, _KEYS, words=True) < FEWEST_PIECES
-        or _pieces(_plain(password), _KEYS, words=True) < FEWEST_PIECES
-        or _pieces(text.translate(_SWAPPED), _KEYS, words=True) < FEWEST_PIECES
+        len(set(text)) < MIN_SIGNS
+        or (len(block) < len(text) and len(block) <= MAX_EASY_BLOCK)
+        or _pieces(text, _KEYS, words=True) < MIN_PIECES
+        or _pieces(_plain(password), _KEYS, words=True) < MIN_PIECES
+        or _pieces(text.translate(_SWAPPED), _KEYS, words=True) < MIN_PIECES
     )
 
 
@@ -107,7 +107,7 @@ def is_easy_pin(pin: str) -> bool:
         len(set(pin)) <= 2
         or len(_block_of(pin)) < len(pin)
         or _DATE.fullmatch(pin) is not None
-        or _pieces(pin, _PAD, words=False) < FEWEST_PIECES_OF_PIN
+        or _pieces(pin, _PAD, words=False) < MIN_PIECES_OF_PIN
     )
 
 
@@ -124,7 +124,7 @@ def _plain(text: str) -> str:
 def _bare(text: str) -> str:
     """In small letters, without accents, full widths and invisible characters: they protect nothing."""
     signs = unicodedata.normalize("NFKD", text.casefold())
-    return "".join(sign for sign in signs if unicodedata.category(sign) not in _ADORNMENTS)[:LONGEST_PASSWORD]
+    return "".join(sign for sign in signs if unicodedata.category(sign) not in _ADORNMENTS)[:MAX_PASSWORD]
 
 
 def _without_separator(text: str) -> str:

@@ -24,7 +24,7 @@ V = TypeVar("V")
 
 FREE, FREE_OF_PANEL = 5, 3
 """Failures of a name at one place without any wait; a PIN has few digits."""
-FIRST_WAIT_S, LONGEST_WAIT_S = 2.0, 300.0
+FIRST_WAIT_S, MAX_WAIT_S = 2.0, 300.0
 FORGOTTEN_AFTER_S = 900.0
 """Failures no longer count after so long without one; the longest wait is over by then."""
 OF_ADDRESS, OF_ADDRESS_WINDOW_S = 30, 300.0
@@ -146,5 +146,5 @@ class Throttle:
         over = failures.recent(now) - (FREE_OF_PANEL if attempt.panel else FREE)
         if over < 0:
             return 0.0
-        wait: float = min(FIRST_WAIT_S * 2.0 ** min(over, 16), LONGEST_WAIT_S)
+        wait: float = min(FIRST_WAIT_S * 2.0 ** min(over, 16), MAX_WAIT_S)
         return max(0.0, failures.at + wait - now)

@@ -22,7 +22,7 @@ from app.web.access import PEOPLE_ROLES, Role, role_named
 from bus.messages import Message
 
 T = TypeVar("T")
-LONGEST_LINE = 10_000
+MAX_LINE = 10_000
 
 user = CommandGroup(help="Manage users.")
 token = CommandGroup(help="Manage tokens of programs.")
@@ -126,7 +126,7 @@ def _password(from_input: bool) -> str:
     """Whether it may be chosen is judged where it is stored, for the pages alike. A terminal is prompted in
     any case: it must not wait without a prompt."""
     if from_input and not sys.stdin.isatty():
-        return sys.stdin.readline(LONGEST_LINE).rstrip("\r\n")
+        return sys.stdin.readline(MAX_LINE).rstrip("\r\n")
     typed: str = click.prompt("Password", hide_input=True, confirmation_prompt=True)
     return typed
 

@@ -20,8 +20,8 @@ from bus.worker.parent import tied_environment
 
 log = structlog.get_logger()
 
-LONGEST_PAUSE_S = 5.0
-MAX_UNWATCHED_S = 2 * LONGEST_PAUSE_S
+MAX_PAUSE_S = 5.0
+MAX_UNWATCHED_S = 2 * MAX_PAUSE_S
 GRACE_S = 2.3
 """A worker finishes or withdraws the change in flight and leaves within 2 s of SIGTERM."""
 
@@ -87,7 +87,7 @@ class WorkerProcesses:
         while True:
             self._looked_at[bus] = started = monotonic_now()
             code = await self._run(bus)
-            pause = min(delay.ended(monotonic_now() - started), LONGEST_PAUSE_S)
+            pause = min(delay.ended(monotonic_now() - started), MAX_PAUSE_S)
             log.warning("bus worker ended, starts again", bus=bus, code=code, after_s=round(pause, 1))
             await asyncio.sleep(pause)
 

@@ -170,7 +170,7 @@ def _parsed(source: bytes, locale: str) -> bytes:
 
 DEFAULT = "en"
 FOLDER = Path(__file__).parent
-LONGEST_HEADER = 400
+MAX_HEADER = 400
 """Characters of Accept-Language that are read; browsers send a dozen tags at most."""
 
 
@@ -213,7 +213,7 @@ _language = cache(Language)
 def _by_preference(accept_language: str) -> list[str]:
     """``de-AT,de;q=0.9,en;q=0.8`` → ``["de-at", "de", "en"]``, each tag followed by its main part."""
     weighed: list[tuple[float, str]] = []
-    for part in accept_language[:LONGEST_HEADER].split(","):
+    for part in accept_language[:MAX_HEADER].split(","):
         tag, _, weight = part.strip().partition(";q=")
         try:
             weighed.append((float(weight or 1), tag.lower()))

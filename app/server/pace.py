@@ -27,7 +27,7 @@ class Awaited(Enum):
 
 WITHIN_S = {Awaited.FIRST: 20.0, Awaited.HEAD: 20.0, Awaited.BODY: 20.0, Awaited.NEXT: 5.0}
 """For a body this is how long it may fall behind the least rate."""
-LONGEST_BODY_S = 300.0
+MAX_BODY_S = 300.0
 PROMPT_S = 0.25
 """A client that has just connected sends its request in the next moment."""
 
@@ -53,7 +53,7 @@ class Pace:
         if self.awaited is Awaited.NOTHING:
             return False
         earned_s = self.received / MIN_RATE if self.awaited is Awaited.BODY else 0.0
-        return now - self.since > min(WITHIN_S[self.awaited] + earned_s, LONGEST_BODY_S)
+        return now - self.since > min(WITHIN_S[self.awaited] + earned_s, MAX_BODY_S)
 
 
 @dataclass(slots=True)

@@ -27,13 +27,13 @@ MAX_BODY_BYTES = 2 * 1024 * 1024
 """Bound of a body that carries a file of parameter sets: 255 units take 0.7 MB."""
 MAX_PLAIN_BODY_BYTES = 64 * 1024
 """Bound of any other body: the largest are the setpoints of 255 units."""
-LONGEST_PATH = 1000
-LONGEST_QUERY = 20_000
+MAX_PATH = 1000
+MAX_QUERY = 20_000
 """Bytes; the longest that a page makes names a value of each of 255 units."""
 FIRST_YEAR, LAST_YEAR = 1970, 9998
 """Years in which every instant has a date in every time zone."""
 MAX_PARAMETERS = 600
-LONGEST_CONTENT_TYPE = 200
+MAX_CONTENT_TYPE = 200
 """A boundary of a multipart body has at most 70 characters (RFC 2046, 5.1.1)."""
 
 
@@ -95,11 +95,11 @@ class BoundedBody:
 
 def _out_of_bounds(scope: Scope) -> Problem | None:
     query = scope["query_string"]
-    long = len(scope["path"]) > LONGEST_PATH or len(query) > LONGEST_QUERY
+    long = len(scope["path"]) > MAX_PATH or len(query) > MAX_QUERY
     if long or query.count(b"&") > MAX_PARAMETERS:
         return Problem(414, "too_long", Message("address_too_long"))
     content_type = Headers(scope=scope).get("content-type", "")
-    if len(content_type) > LONGEST_CONTENT_TYPE:
+    if len(content_type) > MAX_CONTENT_TYPE:
         return Problem(415, "unsupported_type", Message("content_type_too_long"))
     if content_type.lower().startswith("multipart/") and "charset" in content_type.lower():
         # The parts would be decoded by any codec that Python has: punycode takes n² steps.

@@ -24,9 +24,9 @@ from bus.contract.actions import WriteOutput as WriteOutput
 from bus.contract.actions import WriteParameter as WriteParameter
 from bus.contract.bounds import BUFFER_AGE_S as BUFFER_AGE_S
 from bus.contract.bounds import CONTRACT_VERSION as CONTRACT_VERSION
-from bus.contract.bounds import LONGEST_FRAME as LONGEST_FRAME
-from bus.contract.bounds import LONGEST_MEANING as LONGEST_MEANING
 from bus.contract.bounds import MAX_EPOCH as MAX_EPOCH
+from bus.contract.bounds import MAX_FRAME as MAX_FRAME
+from bus.contract.bounds import MAX_MEANING as MAX_MEANING
 from bus.contract.bounds import MAX_MEANINGS as MAX_MEANINGS
 from bus.contract.bounds import MAX_UPDATES as MAX_UPDATES
 from bus.contract.bounds import BusLinkState as BusLinkState

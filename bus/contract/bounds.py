@@ -37,12 +37,12 @@ MAX_UPDATES = 500
 MAX_FRAMES = 2_000
 MAX_MEANINGS = 30
 MAX_REMARKS = 20
-LONGEST_TEXT = 4_000
-LONGEST_MEANING = 1_000
+MAX_TEXT = 4_000
+MAX_MEANING = 1_000
 """Characters that are shown of what a frame means."""
-LONGEST_WORDS = 300
-LONGEST_ID = 200
-LONGEST_FRAME = 1_024
+MAX_WORDS = 300
+MAX_ID = 200
+MAX_FRAME = 1_024
 
 UnitId = Annotated[int, Meta(ge=1, le=255)]
 Speed = Annotated[int, Meta(ge=0, le=99_999)]
@@ -64,9 +64,9 @@ MonotonicSeconds = Annotated[float, Meta(ge=0.0, le=1e10)]
 Hertz = Annotated[float, Meta(ge=0.0, le=1e6)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 
-LongText = Annotated[str, Meta(max_length=LONGEST_TEXT)]
+LongText = Annotated[str, Meta(max_length=MAX_TEXT)]
 """A cause, a text, a diagnosis that names many units."""
-ShortText = Annotated[str, Meta(max_length=LONGEST_WORDS)]
-Id = Annotated[str, Meta(max_length=LONGEST_ID)]
-FrameBytes = Annotated[bytes, Meta(max_length=LONGEST_FRAME)]
+ShortText = Annotated[str, Meta(max_length=MAX_WORDS)]
+Id = Annotated[str, Meta(max_length=MAX_ID)]
+FrameBytes = Annotated[bytes, Meta(max_length=MAX_FRAME)]
 """No frame is as long; of a longer piece of noise the beginning is kept."""

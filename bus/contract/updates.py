@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct, field
 
 from bus.contract.bounds import (
-    LONGEST_MEANING,
     MAX_FRAMES,
+    MAX_MEANING,
     MAX_MEANINGS,
     MAX_REMARKS,
     MAX_UNITS,
@@ -164,7 +164,7 @@ class Frame(TaggedStruct, frozen=True, tag="frame"):
 
     @property
     def meaning(self) -> str:
-        return "; ".join(map(str, self.meanings))[:LONGEST_MEANING]
+        return "; ".join(map(str, self.meanings))[:MAX_MEANING]
 
 
 class Frames(TaggedStruct, frozen=True, tag="frames"):

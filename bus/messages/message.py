@@ -14,7 +14,7 @@ from bus.messages.texts import ENGLISH, PARAMETER_NAMES, Catalog
 
 DEEPEST = 8
 """Messages inside messages."""
-LONGEST_TEXT = 4_000
+MAX_TEXT = 4_000
 """Characters of a value, and of a message once it is rendered."""
 LARGEST = 50_000
 """Of a message with all that is in it: the characters of its texts, and `VALUE_SIZE` for each value. What 255
@@ -35,7 +35,7 @@ _BRACES = re.compile(r"\{(\w+)\}")
 
 MessageCode = Annotated[str, Meta(max_length=60, pattern="^[a-z][a-z0-9_]*$")]
 ParamName = Annotated[str, Meta(max_length=40)]
-ParamText = Annotated[str, Meta(max_length=LONGEST_TEXT)]
+ParamText = Annotated[str, Meta(max_length=MAX_TEXT)]
 ParamList = Annotated["list[int | ParamText | Message]", Meta(max_length=500)]
 Finite = Annotated[float, Meta(ge=-1e15, le=1e15)]
 ParamValue: TypeAlias = "int | Finite | ParamText | Message | ParamList"
@@ -60,7 +60,7 @@ class Message(msgspec.Struct, frozen=True):
         try:
             return cls(code, params)
         except ValueError:
-            return cls(code, {name: shown(value, ENGLISH)[:LONGEST_TEXT] for name, value in params.items()})
+            return cls(code, {name: shown(value, ENGLISH)[:MAX_TEXT] for name, value in params.items()})
 
     def __post_init__(self) -> None:
         _check_bounds(self.params.values())
@@ -89,7 +89,7 @@ class Message(msgspec.Struct, frozen=True):
         template = catalog.template(self.code, self.params.get("n"))
         if template is None:
             template = " ".join([self.code, *(f"{{{name}}}" for name in self.params)])
-        return _BRACES.sub(lambda found: self._filled(found, catalog), template)[:LONGEST_TEXT]
+        return _BRACES.sub(lambda found: self._filled(found, catalog), template)[:MAX_TEXT]
 
     def _filled(self, found: re.Match[str], catalog: Catalog) -> str:
         value = self.params.get(found[1])

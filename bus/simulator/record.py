@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-LONGEST_RECORD = 200_000
+MAX_RECORD = 200_000
 """Entries kept; the oldest go first."""
 
 
@@ -43,7 +43,7 @@ class WireEvent:
 class WireRecord:
     """Bounded, in the order of happening."""
 
-    _entries: deque[WireEvent] = field(default_factory=lambda: deque(maxlen=LONGEST_RECORD))
+    _entries: deque[WireEvent] = field(default_factory=lambda: deque(maxlen=MAX_RECORD))
     count: int = 0
 
     def add(self, at: float, what: WireEventKind, unit: int, data: bytes) -> None:

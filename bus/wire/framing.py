@@ -28,11 +28,11 @@ from bus.messages import Message
 from bus.settings import Dialect
 
 DLE, STX, ETX, ACK, NAK = 0x10, 0x02, 0x03, 0x06, 0x15
-SHORTEST_BODY = 2
+MIN_BODY = 2
 """UID and a command or ACK."""
-LONGEST_BODY = 13
+MAX_BODY = 13
 """UID, ACK and the eleven bytes of the response to 81h."""
-LONGEST_NOISE = 64
+MAX_NOISE = 64
 """Noise is reported in pieces of at most this many bytes."""
 
 _START = bytes((DLE, STX))
@@ -93,9 +93,9 @@ def checksum(body: bytes) -> int:
 
 def encode_frame(body: bytes, dialect: Dialect) -> bytes:
     """The frame of ``body`` ([UID][CMD or ACK/NAK][data]). Raises CallerError where none can carry it."""
-    if not SHORTEST_BODY <= len(body) <= LONGEST_BODY:
+    if not MIN_BODY <= len(body) <= MAX_BODY:
         raise CallerError(
-            Message.of("frame_length_illegal", lowest=SHORTEST_BODY, highest=LONGEST_BODY, count=len(body))
+            Message.of("frame_length_illegal", lowest=MIN_BODY, highest=MAX_BODY, count=len(body))
         )
     check = bytes((checksum(body),))
     if check[0] == DLE and dialect.checksum_10h == "twice":
@@ -139,7 +139,7 @@ class FrameDecoder:
         if wire.find(DLE, 2) != len(wire) - 3 or self._after_checksum_10h or not wire.startswith(_START):
             return None
         body = bytes(wire[2:-3])
-        if wire[-2] != ETX or not SHORTEST_BODY <= len(body) <= LONGEST_BODY or wire[-1] != checksum(body):
+        if wire[-2] != ETX or not MIN_BODY <= len(body) <= MAX_BODY or wire[-1] != checksum(body):
             return None
         self._after_checksum_10h = wire[-1] == DLE
         self._buffer = bytearray()
@@ -169,8 +169,8 @@ class FrameDecoder:
     def _noise_before(self, start: int) -> Iterator[Noise]:
         """Yield the noise before ``start``; without a start (-1) only what exceeds one piece."""
         known = start if start >= 0 else len(self._buffer)
-        while known > LONGEST_NOISE or (start >= 0 and known > 0):
-            piece = min(known, LONGEST_NOISE)
+        while known > MAX_NOISE or (start >= 0 and known > 0):
+            piece = min(known, MAX_NOISE)
             known -= piece
             yield Noise(self._take(piece), Fault.OUTSIDE)
 
@@ -205,11 +205,11 @@ def _judge(buffer: bytearray) -> _Verdict | None:
     body = bytearray()
     at = len(_START)
     while True:
-        room = LONGEST_BODY + 1 - len(body)
+        room = MAX_BODY + 1 - len(body)
         dle = buffer.find(DLE, at, at + room)
         plain_ends = dle if dle >= 0 else min(at + room, len(buffer))
         body += buffer[at:plain_ends]
-        if len(body) > LONGEST_BODY:
+        if len(body) > MAX_BODY:
             return _Verdict(plain_ends, Fault.TOO_LONG)
         at = plain_ends + 2
         if at > len(buffer):
@@ -220,12 +220,12 @@ def _judge(buffer: bytearray) -> _Verdict | None:
         if follower != DLE:
             return _Verdict(at, Fault.RESTART if follower == STX else Fault.ESCAPE)
         body.append(DLE)
-        if len(body) > LONGEST_BODY:
+        if len(body) > MAX_BODY:
             return _Verdict(at, Fault.TOO_LONG)
 
 
 def _judge_end(buffer: bytearray, at: int, body: bytes) -> _Verdict | None:
-    if len(body) < SHORTEST_BODY:
+    if len(body) < MIN_BODY:
         return _Verdict(at, Fault.TOO_SHORT)
     if at == len(buffer):
         return None

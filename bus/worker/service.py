@@ -45,7 +45,7 @@ from bus.worker.uplink import Uplink
 if TYPE_CHECKING:
     from bus.worker.uplink_tls import UplinkTls
 
-RESULTS_KEPT = 2_000
+MAX_RESULTS = 2_000
 MAX_COMMANDS = 300
 """At once, far more than people and programs request: a faulty app must not fill the memory."""
 FIGURES_S = 1.0
@@ -184,7 +184,7 @@ class BusWorker:
 
     def _remember(self, command_id: str, result: Result | None) -> None:
         self._results[command_id] = result
-        while len(self._results) > RESULTS_KEPT:
+        while len(self._results) > MAX_RESULTS:
             self._results.popitem(last=False)
 
     # --- reports -------------------------------------------------------------------------------

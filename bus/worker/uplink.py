@@ -46,8 +46,8 @@ from bus.worker.outbox import Outbox
 if TYPE_CHECKING:  # it imports what a link in clear does not need
     from bus.worker.uplink_tls import UplinkTls
 
-SHORTEST_PAUSE_S = 0.1
-LONGEST_PAUSE_S = 2.0
+MIN_PAUSE_S = 0.1
+MAX_PAUSE_S = 2.0
 HURRY_S = 5.0
 """For this time after the start or a lost link the pause stays short: the app is probably starting."""
 REFUSED_PAUSE_S = 5.0
@@ -145,7 +145,7 @@ class Uplink:
 
     async def run(self) -> None:
         loop = asyncio.get_running_loop()
-        pause, linked_at = SHORTEST_PAUSE_S, loop.time()
+        pause, linked_at = MIN_PAUSE_S, loop.time()
         while True:
             self._accepted_at, self._home, self._is_stalled = None, "", False
             refused = await self._attempt()
@@ -155,14 +155,14 @@ class Uplink:
             self._outbox.disconnected()
             self._handler.watch(Watch(units=[]))
             if is_home:
-                pause = SHORTEST_PAUSE_S
+                pause = MIN_PAUSE_S
             elif refused:
                 pause = NEXT_PAUSE_S if self._addresses.are_several else REFUSED_PAUSE_S
             elif self._accepted_at is not None:
-                pause = self._backoff.ended(loop.time() - self._accepted_at) or SHORTEST_PAUSE_S
+                pause = self._backoff.ended(loop.time() - self._accepted_at) or MIN_PAUSE_S
                 linked_at = loop.time()
             elif loop.time() - linked_at > HURRY_S:
-                pause = min(pause * 1.6, LONGEST_PAUSE_S)
+                pause = min(pause * 1.6, MAX_PAUSE_S)
             await asyncio.sleep(pause * random.uniform(0.75, 1.25))
 
     async def _attempt(self) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from html.parser import HTMLParser
 
 PAGES = [
@@ -38,3 +40,12 @@ class Texts(HTMLParser):
     def handle_data(self, data: str) -> None:
         if not self._hidden:
             self.found.append(data)
+
+
+def texts_without(page: str, marked: re.Pattern[str]) -> Iterator[tuple[str, str]]:
+    """Each text of a page, and what is left of it without all that is marked, also within what is marked."""
+    for text in Texts(page).found:
+        left = text
+        while marked.search(left):
+            left = marked.sub("", left)
+        yield text, left

@@ -22,7 +22,7 @@ from joserfc.jwk import ECKey, OctKey
 
 from app.auth.oidc.single_sign_on import SingleSignOn
 from app.auth.settings import OidcSettings
-from tests.app.complete_app import HOST, House
+from tests.app.complete_app import HOST, House, complete_app
 from tests.app.notification_servers import listening
 
 CLIENT, SECRET = "lineside", "a secret: of the provider"
@@ -154,6 +154,19 @@ async def played_provider(context: ssl.SSLContext | None = None) -> AsyncIterato
     provider = PlayedProvider(scheme="http" if context is None else "https")
     async with listening(provider.serve, context) as provider.port:
         yield provider
+
+
+async def provider_alone() -> AsyncIterator[PlayedProvider]:
+    """A fixture: a provider in clear."""
+    async with played_provider() as provider:
+        yield provider
+
+
+async def house_with_provider(tmp_path: Path, provider: PlayedProvider) -> AsyncIterator[House]:
+    """A fixture: an app that knows this provider."""
+    async with complete_app(tmp_path, oidc=provider.settings(tmp_path)) as house:
+        await known(house)
+        yield house
 
 
 async def known(house: House) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from app.alarms.performance import AlarmPerformance, measure
-from app.alarms.rules.observed import LONGEST_GAP_S, ObservedSpan, observed_until
+from app.alarms.rules.observed import MAX_GAP_S, ObservedSpan, observed_until
 from app.alarms.rules.performance import MIN_FOR_TOP_TEN, AlarmCounts, figures, flooded
 from bus.instants import UnixTime
 from tests.app.alarm_journal import Journal, T, alarm_journal
@@ -115,7 +115,7 @@ async def test_what_was_not_observed_meets_no_target(journal: Journal, observed_
 def test_alarms_are_observed_while_the_engine_looks_every_second() -> None:
     span = observed_until(UnixTime(T), None)
     assert observed_until(UnixTime(T + 1), span) == (T, T + 1)
-    assert observed_until(UnixTime(T + LONGEST_GAP_S + 1), span) == (T + LONGEST_GAP_S + 1,) * 2
+    assert observed_until(UnixTime(T + MAX_GAP_S + 1), span) == (T + MAX_GAP_S + 1,) * 2
     assert observed_until(UnixTime(T - 1), span) == (T - 1, T - 1)
 
 

@@ -17,7 +17,7 @@ from app.server.connections import (
     Connection,
     Connections,
 )
-from app.server.pace import LONGEST_BODY_S, MIN_RATE, STALL_S, WITHIN_S, Awaited, Backlog, Pace
+from app.server.pace import MAX_BODY_S, MIN_RATE, STALL_S, WITHIN_S, Awaited, Backlog, Pace
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def test_a_body_earns_time_by_its_bytes_and_ends_some_time() -> None:
     pace = Pace(0.0, Awaited.BODY, round(30 * MIN_RATE))
     assert not pace.is_overdue(30 + WITHIN_S[Awaited.BODY])
     assert pace.is_overdue(31 + WITHIN_S[Awaited.BODY])
-    assert Pace(0.0, Awaited.BODY, 10**9).is_overdue(LONGEST_BODY_S + 1)
+    assert Pace(0.0, Awaited.BODY, 10**9).is_overdue(MAX_BODY_S + 1)
     assert Pace(0.0, Awaited.HEAD, 10**9).is_overdue(WITHIN_S[Awaited.HEAD] + 1)
 
 

@@ -53,8 +53,8 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
             bounds.MAX_PLAIN_BODY_BYTES / KB,
             bounds.MAX_BODY_BYTES / KB / KB,
             api_route.MAX_MEMBERS,
-            bounds.LONGEST_PATH,
-            bounds.LONGEST_QUERY,
+            bounds.MAX_PATH,
+            bounds.MAX_QUERY,
             http.MAX_HEAD_BYTES / KB,
             http.MAX_HEADERS,
         ),
@@ -67,7 +67,7 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
             pace.WITHIN_S[pace.Awaited.HEAD],
             pace.WITHIN_S[pace.Awaited.BODY],
             pace.MIN_RATE / 1000,
-            pace.LONGEST_BODY_S / 60,
+            pace.MAX_BODY_S / 60,
         ),
     ),
     (
@@ -80,7 +80,7 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
         "An account may have {} streams open, an address {} (429).",
         (line_stream.MAX_OF_ACCOUNT, line_stream.MAX_OF_ADDRESS),
     ),
-    ("safety.md", "Passwords have at least {} characters", (strength.SHORTEST_PASSWORD,)),
+    ("safety.md", "Passwords have at least {} characters", (strength.MIN_PASSWORD,)),
 ]
 
 
@@ -96,7 +96,7 @@ def test_every_limit_of_signing_in_is_documented_with_its_value() -> None:
         throttle.FREE,
         throttle.FREE_OF_PANEL,
         throttle.FIRST_WAIT_S,
-        throttle.LONGEST_WAIT_S,
+        throttle.MAX_WAIT_S,
         throttle.FORGOTTEN_AFTER_S,
         throttle.OF_ADDRESS,
         throttle.OF_ADDRESS_WINDOW_S,

@@ -227,7 +227,7 @@ async def test_a_server_that_ended_during_the_removal_goes_on_with_it(
     log: Log, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await log.five_months()
-    monkeypatch.setattr(cuts, "REMOVED_AT_ONCE", 2)
+    monkeypatch.setattr(cuts, "MAX_REMOVED", 2)
     steps = 0
 
     class EndedError(Exception):

@@ -14,7 +14,7 @@ from app.messages import Languages
 from app.web.access import Role
 from bus.messages import Message, listed, number, term
 from tests.app.complete_app import House, complete_app
-from tests.app.page_texts import PAGES, Texts
+from tests.app.page_texts import PAGES, texts_without
 from tests.app.stage import snapshot
 
 UNIT, GROUP, SITE, REASON = "حزام ناقل", "نهاية جافة", "مصنع الورق", "صيانة"
@@ -44,10 +44,7 @@ OTHER = re.compile(r"[A-Za-z0-9·:]")
 
 def mixed(page: str) -> Iterator[str]:
     """Texts in which such a name stands beside others without isolation."""
-    for text in Texts(page).found:
-        left = text
-        while ISOLATED.search(left):
-            left = ISOLATED.sub("", left)
+    for text, left in texts_without(page, ISOLATED):
         left = left.replace(f"{UNIT} 2", UNIT)
         if FROM_RIGHT.search(left) and OTHER.search(left):
             yield " ".join(text.split())

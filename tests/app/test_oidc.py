@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
@@ -25,26 +24,18 @@ from tests.app.played_provider import (
     CALLBACK,
     NEW_KEY,
     PlayedProvider,
+    house_with_provider,
     known,
     logged_in,
     played_provider,
+    provider_alone,
     reason_of,
     sent,
     signed,
 )
 
-
-@pytest.fixture
-async def provider() -> AsyncIterator[PlayedProvider]:
-    async with played_provider() as provider:
-        yield provider
-
-
-@pytest.fixture
-async def house(tmp_path: Path, provider: PlayedProvider) -> AsyncIterator[House]:
-    async with complete_app(tmp_path, oidc=provider.settings(tmp_path)) as house:
-        await known(house)
-        yield house
+provider = pytest.fixture(provider_alone)
+house = pytest.fixture(house_with_provider)
 
 
 async def me(client: httpx.AsyncClient) -> dict[str, str]:

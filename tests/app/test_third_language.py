@@ -18,7 +18,7 @@ from app.web.templating import Templates
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
 from tests.app.complete_app import House, complete_app
-from tests.app.page_texts import PAGES, Texts
+from tests.app.page_texts import PAGES, texts_without
 from tests.app.stage import snapshot
 from tests.catalogs import wanted, write
 
@@ -34,10 +34,7 @@ WORD = re.compile(r"[^\W\d_]{3,}")
 
 def not_of_the_catalog(page: str) -> Iterator[str]:
     """Texts with words outside of the marks that the catalog has put around each of its texts."""
-    for text in Texts(page).found:
-        left = text
-        while MARKED.search(left):
-            left = MARKED.sub("", left)
+    for text, left in texts_without(page, MARKED):
         if WORD.search(NAMES.sub("", left)):
             yield " ".join(text.split())
 

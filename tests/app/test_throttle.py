@@ -11,7 +11,7 @@ from app.auth.throttle import (
     FORGOTTEN_AFTER_S,
     FREE,
     FREE_OF_PANEL,
-    LONGEST_WAIT_S,
+    MAX_WAIT_S,
     OF_ADDRESS,
     OF_ADDRESS_WINDOW_S,
     OF_NAME,
@@ -43,7 +43,7 @@ def test_a_name_at_one_place_waits_twice_as_long_each_time() -> None:
         assert throttle.wait_s(OWN, now) == 0.0
         fail(throttle, OWN, now)
     assert waits[:3] == [FIRST_WAIT_S, 2 * FIRST_WAIT_S, 4 * FIRST_WAIT_S]
-    assert waits[-1] == LONGEST_WAIT_S
+    assert waits[-1] == MAX_WAIT_S
 
 
 def test_a_panel_waits_sooner() -> None:
@@ -55,7 +55,7 @@ def test_a_panel_waits_sooner() -> None:
 def test_it_is_forgotten_after_a_quarter_of_an_hour_and_with_the_right_secret() -> None:
     throttle = Throttle()
     fail(throttle, OWN, 0.0, 20)
-    assert throttle.wait_s(OWN, LONGEST_WAIT_S - 1) > 0
+    assert throttle.wait_s(OWN, MAX_WAIT_S - 1) > 0
     fail(throttle, OWN, FORGOTTEN_AFTER_S + 1)
     assert throttle.wait_s(OWN, FORGOTTEN_AFTER_S + 1) == 0.0
     fail(throttle, OWN, FORGOTTEN_AFTER_S + 1, 20)
@@ -76,7 +76,7 @@ def test_who_signs_in_leaves_what_was_tried_from_the_network() -> None:
 def test_wrong_tries_in_a_browser_of_the_name_count_there_alone() -> None:
     throttle = Throttle()
     fail(throttle, OWN, 0.0, OF_ADDRESS)
-    assert throttle.wait_s(OWN, 0.0) == LONGEST_WAIT_S
+    assert throttle.wait_s(OWN, 0.0) == MAX_WAIT_S
     assert throttle.wait_s(ANN, 0.0) == throttle.wait_s(COLLEAGUE, 0.0) == 0.0
     assert throttle.wait_s(Attempt("bob", OWN.place), 0.0) == 0.0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.live.screen.fields import frame_fields
-from bus.contract import LONGEST_MEANING, Frame
+from bus.contract import MAX_MEANING, Frame
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import encode_request
@@ -45,7 +45,7 @@ def test_each_statement_of_a_frame_is_shown() -> None:
         ),
         (Message.of("frame_recorded", words="x"), "{text}"),
         (Message.of("of_another_version", unit=3), "of_another_version 3"),
-        (Message.of("frame_recorded", text="x" * 4_000), "x" * LONGEST_MEANING),
+        (Message.of("frame_recorded", text="x" * 4_000), "x" * MAX_MEANING),
     ],
 )
 def test_a_message_of_a_worker_is_no_format(tag: str, message: Message, meaning: str) -> None:

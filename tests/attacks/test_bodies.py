@@ -14,11 +14,11 @@ from starlette.types import Message, Scope
 from app.sets.document import MAX_KEY_STEPS, MAX_LINES, MAX_VALUES, DocumentError, read_document
 from app.web.access import Role
 from app.web.bounds import (
-    LONGEST_CONTENT_TYPE,
-    LONGEST_QUERY,
     MAX_BODY_BYTES,
+    MAX_CONTENT_TYPE,
     MAX_PARAMETERS,
     MAX_PLAIN_BODY_BYTES,
+    MAX_QUERY,
 )
 from tests.app.complete_app import House, complete_app
 
@@ -136,7 +136,7 @@ async def test_the_parts_of_a_form_are_decoded_by_no_codec_of_the_senders_choice
         ("cookie", 'x="' + "\\\\" * 15_000 + '"; y', 401),
         ("cookie", "a=b;" * 7000, 401),
         ("content-type", "multipart/form-data" + ";" * 30_000, 415),
-        ("content-type", "multipart/form-data; boundary=" + "b" * LONGEST_CONTENT_TYPE, 415),
+        ("content-type", "multipart/form-data; boundary=" + "b" * MAX_CONTENT_TYPE, 415),
         ("authorization", "Bearer " + "a " * 15_000, 401),
         ("accept-language", "de;q=0.1," * 3000, 401),
         ("referer", "http://" + "[" * 30_000, 401),
@@ -151,7 +151,7 @@ async def test_no_header_costs_more_than_its_length(house: House, name: str, val
     assert await cpu_s(house.client(), status, "/login" if status == 415 else SPEED, b"", **headers) < CPU_S
 
 
-@pytest.mark.parametrize("query", ["a" * (LONGEST_QUERY + 1), "&" * (MAX_PARAMETERS + 1), "a&" * 9000])
+@pytest.mark.parametrize("query", ["a" * (MAX_QUERY + 1), "&" * (MAX_PARAMETERS + 1), "a&" * 9000])
 async def test_an_address_beyond_any_page_is_refused(house: House, query: str) -> None:
     response = await house.client().get(f"/login?{query}")
     assert (response.status_code, response.json()["code"]) == (414, "too_long")

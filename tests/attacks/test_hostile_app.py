@@ -24,7 +24,7 @@ from bus.contract import (
 from bus.contract import MalformedMessageError as Malformed
 from bus.contract.clock_offset import ClockOffset
 from bus.worker.outbox import Outbox
-from bus.worker.service import MAX_COMMANDS, RESULTS_KEPT
+from bus.worker.service import MAX_COMMANDS, MAX_RESULTS
 from bus.worker.trace_reports import MAX_TRACES
 from bus.worker.uplink import MAX_MESSAGES_AT_ONCE, MESSAGES_PER_S, Uplink
 from tests.attacks.hostile import GARBAGE, broken, encoded, of_type
@@ -69,9 +69,9 @@ def test_more_commands_than_the_limit_are_not_taken() -> None:
 def test_the_memory_of_commands_is_bounded() -> None:
     async def scene(line: VirtualLine) -> None:
         await line.until(lambda: line.readings(1))
-        for number in range(RESULTS_KEPT + 100):
+        for number in range(MAX_RESULTS + 100):
             line.worker.command(Command(f"late-{number}", EPOCH, SetSpeed(1, 640)))
-        assert len(line.worker._results) == RESULTS_KEPT
+        assert len(line.worker._results) == MAX_RESULTS
         line.command(SetSpeed(1, 640), command_id="kept")
         await line.until(lambda: line.result_of("kept"))
         kept = line.worker._results["kept"]

@@ -7,7 +7,6 @@ import hmac
 import json
 from base64 import urlsafe_b64encode
 from collections.abc import AsyncIterator, Callable
-from pathlib import Path
 from time import time
 from typing import Any
 
@@ -22,15 +21,16 @@ from app.auth.oidc.id_token import Expected, InvalidTokenError, verified_claims
 from app.auth.oidc.pages import ATTEMPT_COOKIE
 from app.auth.oidc.single_sign_on import SingleSignOn
 from bus.instants import UnixTime
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House
 from tests.app.played_provider import (
     CALLBACK,
     CLIENT,
     KEY,
     PlayedProvider,
+    house_with_provider,
     known,
     logged_in,
-    played_provider,
+    provider_alone,
     reason_of,
     sent,
     signed,
@@ -50,18 +50,15 @@ CLAIMS = {
 JWKS = [KEY.as_dict(private=False)]
 
 
-@pytest.fixture
-async def provider() -> AsyncIterator[PlayedProvider]:
-    async with played_provider() as provider:
-        yield provider
+provider = pytest.fixture(provider_alone)
+house_before = pytest.fixture(house_with_provider)
 
 
 @pytest.fixture
-async def house(tmp_path: Path, provider: PlayedProvider) -> AsyncIterator[House]:
-    async with complete_app(tmp_path, oidc=provider.settings(tmp_path)) as house:
-        await known(house)
-        yield house
-        assert await house.services[Accounts].users() == []
+async def house(house_before: House) -> AsyncIterator[House]:
+    """In the end no attack has made a user."""
+    yield house_before
+    assert await house_before.services[Accounts].users() == []
 
 
 def verify(token: str, keys: list[Any] = JWKS) -> Any:

@@ -15,7 +15,7 @@ from fastapi.routing import APIRoute
 
 from app.messages import Language, Languages
 from app.web.access import Role
-from app.web.bounds import LONGEST_QUERY
+from app.web.bounds import MAX_QUERY
 from app.web.formats import Formats
 from tests.app.complete_app import House, complete_app
 from tests.sizes import sizes
@@ -53,7 +53,7 @@ def looked_up(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 @pytest.mark.parametrize("part", ["1", ",111", "1,111", " 1.1", "-1.1", "1.1,1", "1.", "-"])
 def test_numbers_without_end_cost_no_more_than_their_length(part: str) -> None:
     """A refusal has its numbers as the reader writes them, also those that came with the request."""
-    text = f" 1{part * (LONGEST_QUERY // len(part))}x"
+    text = f" 1{part * (MAX_QUERY // len(part))}x"
     begun = time.thread_time()
     Formats("de").typed_number(text)
     assert time.thread_time() - begun < CPU_S

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from bus.errors import CallerError
 from bus.settings import Dialect
 from bus.wire.framing import (
-    LONGEST_BODY,
-    LONGEST_NOISE,
+    MAX_BODY,
+    MAX_NOISE,
     DoubledChecksum,
     Fault,
     FrameDecoder,
@@ -36,7 +36,7 @@ ONCE, TWICE = Dialect(), Dialect(checksum_10h="twice")
 # Bytes that mean something come more often than chance would have them.
 awkward_bytes = st.sampled_from([0x10, 0x10, 0x02, 0x03, 0x06, 0x15, 0x81, 0x00, 0x01])
 byte = awkward_bytes | st.integers(0, 255)
-bodies = st.lists(byte, min_size=2, max_size=LONGEST_BODY).map(bytes)
+bodies = st.lists(byte, min_size=2, max_size=MAX_BODY).map(bytes)
 noise = st.lists(byte, max_size=80).map(bytes)
 good_frames = bodies.map(lambda body: encode_frame(body, ONCE))
 streams = st.lists(noise | good_frames, max_size=12).map(b"".join)
@@ -194,7 +194,7 @@ def test_a_wrong_checksum_shows_what_was_meant() -> None:
     ]
 
 
-@pytest.mark.parametrize("length", [0, 1, LONGEST_BODY + 1])
+@pytest.mark.parametrize("length", [0, 1, MAX_BODY + 1])
 def test_a_body_that_no_frame_carries(length: int) -> None:
     with pytest.raises(CallerError, match="a frame carries 2 to 13 bytes"):
         encode_frame(bytes(length), ONCE)
@@ -226,7 +226,7 @@ def test_a_flood_is_held_in_bounded_memory_and_looked_at_a_bounded_number_of_tim
     for at in range(0, len(flood), 16):
         decoder.feed(flood[at : at + 16])
         held = max(held, decoder.pending)
-    assert held <= LONGEST_NOISE
+    assert held <= MAX_NOISE
     assert Counted.looks < 60 * len(flood)
     assert bodies_in(flood[:2] + encode_frame(b"\x01\x81", ONCE))[-1:] == [b"\x01\x81"]
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from bus.contract import LONGEST_FRAME, MAX_MEANINGS
+from bus.contract import MAX_FRAME, MAX_MEANINGS
 from bus.errors import WireError
 from bus.line.completion import Completion
 from bus.line.exchange.current_exchange import CurrentExchange
@@ -358,8 +358,8 @@ async def test_of_noise_without_end_the_beginning_is_kept(wires: Wires) -> None:
     followed: list[TracedFrame] = []
     wires.trace.follower = followed.append
     wires.link.data_received(bytes(100_000))
-    assert [len(passed.data) for passed in wires.trace.since(0.0)] == [LONGEST_FRAME]
-    assert [len(passed.data) for passed in followed] == [LONGEST_FRAME]
+    assert [len(passed.data) for passed in wires.trace.since(0.0)] == [MAX_FRAME]
+    assert [len(passed.data) for passed in followed] == [MAX_FRAME]
     assert wires.link.counts.noise_bytes == 100_000
 
 

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from bus.messages import Message, joined, number
-from bus.messages.message import DEEPEST, LARGEST, LONGEST_TEXT
+from bus.messages.message import DEEPEST, LARGEST, MAX_TEXT
 
 _DECODE = msgspec.msgpack.Decoder(Message).decode
 
@@ -46,8 +46,8 @@ def test_lists_are_joined() -> None:
 
 
 def test_it_is_no_longer_than_any_text() -> None:
-    message = Message.of("unit_refused", unit=3, error=["x" * LONGEST_TEXT] * 10)
-    assert len(str(message)) == LONGEST_TEXT
+    message = Message.of("unit_refused", unit=3, error=["x" * MAX_TEXT] * 10)
+    assert len(str(message)) == MAX_TEXT
 
 
 def test_it_survives_the_wire() -> None:
@@ -63,12 +63,12 @@ def test_it_survives_the_wire() -> None:
         nested(3_000),
         {"code": "Not a code", "params": {}},
         {"code": "x" * 61, "params": {}},
-        {"code": "x", "params": {"a": "y" * (LONGEST_TEXT + 1)}},
+        {"code": "x", "params": {"a": "y" * (MAX_TEXT + 1)}},
         {"code": "x", "params": {"a": [1] * 501}},
         {"code": "x", "params": {"a": float("nan")}},
         {"code": "x", "params": {"a": {"b": 1}}},
         {"code": "x", "params": {str(n): n for n in range(21)}},
-        {"code": "x", "params": {"a": ["y" * LONGEST_TEXT] * (1 + LARGEST // LONGEST_TEXT)}},
+        {"code": "x", "params": {"a": ["y" * MAX_TEXT] * (1 + LARGEST // MAX_TEXT)}},
         {"code": "x", "params": {str(n): [1] * 500 for n in range(20)}},
     ],
 )
@@ -91,7 +91,7 @@ def test_the_results_of_every_unit_fit_into_one_message() -> None:
 def test_what_would_be_too_large_is_text() -> None:
     large = Message.of("x", a=["y" * (LARGEST // 10)] * 6)
     together = Message.of("z", first=large, second=large)
-    assert all(isinstance(value, str) and len(value) <= LONGEST_TEXT for value in together.params.values())
+    assert all(isinstance(value, str) and len(value) <= MAX_TEXT for value in together.params.values())
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from bus.line.port_lease import NO_LEASE
 from bus.messages import Message
 from bus.reconnect_delay import (
     JITTER,
-    LONGEST_PAUSE_S,
-    LONGEST_USEFUL_PAUSE_S,
+    MAX_PAUSE_S,
+    MAX_USEFUL_PAUSE_S,
     STABLE_S,
     ReconnectDelay,
 )
@@ -143,7 +143,7 @@ def test_a_server_that_accepts_and_closes_is_left_in_peace_for_a_day() -> None:
     """It was opened every half second, with two lines each: 57 MB of log a day."""
     line = PlayedLoop(lambda _: 0.001)
     lines = play(line, DAY_S)
-    assert DAY_S / (LONGEST_PAUSE_S * (1 + JITTER)) < len(line.opened) < DAY_S / LONGEST_PAUSE_S * 1.4
+    assert DAY_S / (MAX_PAUSE_S * (1 + JITTER)) < len(line.opened) < DAY_S / MAX_PAUSE_S * 1.4
     assert len(lines) < 40
 
 
@@ -159,7 +159,7 @@ def test_a_bad_contact_is_never_waited_for_longer_than_a_second() -> None:
     line = PlayedLoop(lambda _: 4.0, responses=1)
     play(line, 600.0)
     gaps = [later - earlier - 4.0 for earlier, later in zip(line.opened, line.opened[1:], strict=False)]
-    assert max(gaps) <= LONGEST_USEFUL_PAUSE_S * (1 + JITTER) + 0.001 < 1.0
+    assert max(gaps) <= MAX_USEFUL_PAUSE_S * (1 + JITTER) + 0.001 < 1.0
 
 
 def test_a_port_that_comes_and_goes_each_second_is_used_each_time_and_few_lines() -> None:
@@ -177,7 +177,7 @@ def test_a_server_that_accepts_and_ends_its_negotiation_is_left_in_peace_too() -
     """With RFC 2217 a port opens only after that; it was opened every half second."""
     line = PlayedLoop(lambda _: None, failure=lambda n: EndedWhileOpening(Message(CAUSES[n % 2])))
     lines = play(line, DAY_S)
-    assert DAY_S / (LONGEST_PAUSE_S * (1 + JITTER)) < line.tried < DAY_S / LONGEST_PAUSE_S * 1.4
+    assert DAY_S / (MAX_PAUSE_S * (1 + JITTER)) < line.tried < DAY_S / MAX_PAUSE_S * 1.4
     assert len(lines) < 40
 
 
@@ -228,7 +228,7 @@ def play_uplink(uplink: Flapping, for_s: float) -> list[str]:
 def test_an_app_that_accepts_and_closes_is_left_in_peace_too(lasts_s: float) -> None:
     uplink = Flapping(lambda: ConnectionError("closed"), lasts_s)
     lines = play_uplink(uplink, DAY_S)
-    assert len(uplink.accepted) < DAY_S / LONGEST_PAUSE_S * 1.7
+    assert len(uplink.accepted) < DAY_S / MAX_PAUSE_S * 1.7
     assert len(lines) < 40
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from bus.instants import UnixTime
 
-LONGEST_GAP_S = 60.0
+MAX_GAP_S = 60.0
 """The engine looks every second. After a longer gap it stood still, or the clock was set."""
 
 
@@ -20,7 +20,7 @@ class ObservedSpan(NamedTuple):
 
 def observed_until(now: UnixTime, former: ObservedSpan | None) -> ObservedSpan:
     """The former span with the time up to ``now``; another one, where ``now`` does not follow it."""
-    if former is None or not 0 <= now - former.end <= LONGEST_GAP_S:
+    if former is None or not 0 <= now - former.end <= MAX_GAP_S:
         return ObservedSpan(now, now)
     return former._replace(end=now)
 

@@ -11,7 +11,7 @@ from app.database import StoreConnection
 from app.database.engine import has_column
 from bus.instants import UnixTime
 
-REMOVED_AT_ONCE = 200
+MAX_REMOVED = 200
 """Entries that one transaction removes: a few milliseconds, so that no command waits for more."""
 SCANNED_AT_ONCE = 2000
 _COLUMNS = ", ".join(field.name for field in fields(Cut))
@@ -77,7 +77,7 @@ def remove_some(connection: StoreConnection) -> bool:
     [top] = connection.execute(query).fetchone()
     if top is None:
         return False
-    span = (top - REMOVED_AT_ONCE, top)
+    span = (top - MAX_REMOVED, top)
     connection.execute("DELETE FROM event_parts WHERE event > ? AND event <= ?", span)
     connection.execute(f"DELETE FROM events WHERE id > ? AND id <= ? AND NOT ({_STAYS})", span)
     return True

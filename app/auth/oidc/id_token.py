@@ -22,7 +22,7 @@ ALGORITHMS = (
 KEY_TYPES = ("RSA", "EC", "OKP")
 LEEWAY_S = 60.0
 """How far the clocks of provider and server may differ."""
-LONGEST_SUBJECT = 255
+MAX_SUBJECT = 255
 _REGISTRY = jws.JWSRegistry(algorithms=ALGORITHMS, strict_check_header=False)
 
 KeyData = Mapping[str, Any]
@@ -55,7 +55,7 @@ def verified_claims(token: str, keys: Sequence[KeyData], expected: Expected, now
     if not isinstance(nonce, str) or not hmac.compare_digest(nonce.encode(), expected.nonce.encode()):
         raise InvalidTokenError("it is for another attempt: the nonce differs")
     subject = claims.get("sub")
-    if not isinstance(subject, str) or not 0 < len(subject) <= LONGEST_SUBJECT:
+    if not isinstance(subject, str) or not 0 < len(subject) <= MAX_SUBJECT:
         raise InvalidTokenError("it has no subject")
     return claims
 

@@ -16,7 +16,7 @@ from app.auth import rules
 
 MAX_AGE_S = 600
 """How long a person may take at the provider."""
-LONGEST_NEXT = 1000
+MAX_NEXT = 1000
 MAX_COOKIE_BYTES = 3000
 _Secret = Annotated[str, msgspec.Meta(min_length=rules.SECRET_LENGTH, max_length=rules.SECRET_LENGTH)]
 
@@ -28,7 +28,7 @@ class LoginAttempt(msgspec.Struct, frozen=True, array_like=True):
     state: _Secret
     nonce: _Secret
     verifier: _Secret
-    next: Annotated[str, msgspec.Meta(max_length=LONGEST_NEXT)]
+    next: Annotated[str, msgspec.Meta(max_length=MAX_NEXT)]
 
     @property
     def challenge(self) -> str:
@@ -44,7 +44,7 @@ class LoginAttempt(msgspec.Struct, frozen=True, array_like=True):
 
 def new_attempt(next_page: str) -> LoginAttempt:
     """A new one. ``next_page``: a page of this server, else the first one."""
-    is_kept = rules.is_own_path(next_page) and len(next_page) <= LONGEST_NEXT
+    is_kept = rules.is_own_path(next_page) and len(next_page) <= MAX_NEXT
     return LoginAttempt(
         rules.new_secret(), rules.new_secret(), rules.new_secret(), next_page if is_kept else "/"
     )

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 REFRESH_WITHIN_S, EXCHANGE_S = 10.0, 8.0
 """How long the provider may take for its metadata and keys, and for a code."""
 REFRESH_S = 300.0
-FIRST_WAIT_S, LONGEST_WAIT_S = 2.0, 60.0
+FIRST_WAIT_S, MAX_WAIT_S = 2.0, 60.0
 KEYS_EVERY_S = 60.0
 """For an unknown key the keys are read again, but not more often."""
 MAX_KEYS = 100
@@ -92,7 +92,7 @@ class Provider:
             await self.refresh()
             if self.fault != before:
                 _log.info("provider of company accounts", issuer=self.settings.issuer, fault=self.fault)
-            wait_s = FIRST_WAIT_S if self.fault is None else min(2 * wait_s, LONGEST_WAIT_S)
+            wait_s = FIRST_WAIT_S if self.fault is None else min(2 * wait_s, MAX_WAIT_S)
             self._failed.clear()
             await asyncio.sleep(wait_s)
             if self.fault is None:

@@ -36,7 +36,7 @@ ALL_S = 10.0
 FAILURES, FAILURES_PER_S = 10, 0.2
 """Of one address: at once, and in the long run. Only a browser that makes up codes fails so often."""
 MAX_PLACES = 10_000
-LONGEST_CODE = 4096
+MAX_CODE = 4096
 
 _log = structlog.get_logger()
 
@@ -134,7 +134,7 @@ class SingleSignOn:
             printable = "".join(each for each in error[:80] if each.isascii() and each.isprintable())
             raise NotAdmittedError("canceled" if error == "access_denied" else "provider", printable)
         code = response.get("code", "")
-        if not 0 < len(code) <= LONGEST_CODE:
+        if not 0 < len(code) <= MAX_CODE:
             raise NotAdmittedError("provider", "no code")
         return code
 

@@ -22,7 +22,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 
 T = TypeVar("T")
-REMOVED_AT_ONCE = 1000
+MAX_REMOVED = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +83,8 @@ class TableWalk:
             extra += difference(source.until(end), target.until(end)).extra
             after, limit, is_over = end, next_limit(limit, source), end is None
         extra.reverse()
-        for place in range(0, len(extra), REMOVED_AT_ONCE):
-            self._write(Difference([], [], extra[place : place + REMOVED_AT_ONCE]), self._replace)
+        for place in range(0, len(extra), MAX_REMOVED):
+            self._write(Difference([], [], extra[place : place + MAX_REMOVED]), self._replace)
 
     def _read(self, after: Key | None, limit: int) -> Chunk:
         try:

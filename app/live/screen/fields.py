@@ -28,7 +28,7 @@ from bus.catalogue.numbers import (
 )
 from bus.catalogue.status import StatusBits
 from bus.catalogue.values import RATIO_DECIMALS, analog_input_value
-from bus.contract import LONGEST_MEANING, Frame, Reading, UnitFigures, UnitLinkState
+from bus.contract import MAX_MEANING, Frame, Reading, UnitFigures, UnitLinkState
 from bus.errors import unit_error
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -259,6 +259,6 @@ def frame_fields(frame: Frame, translator: Translator) -> dict[str, Any]:
         "at": round(frame.at, 4),
         "direction": frame.direction,
         "hex": frame.data.hex(" ").upper(),
-        "meaning": "; ".join(map(translator.t, frame.meanings))[:LONGEST_MEANING],
+        "meaning": "; ".join(map(translator.t, frame.meanings))[:MAX_MEANING],
         "valid": frame.valid,
     }

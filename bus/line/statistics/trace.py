@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from bus.contract import LONGEST_FRAME, MAX_MEANINGS, Direction, Frame
+from bus.contract import MAX_FRAME, MAX_MEANINGS, Direction, Frame
 from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import Dialect
@@ -55,7 +55,7 @@ class Trace:
 
     def add(self, passed: TracedFrame) -> None:
         """Keep one; a secret one without its bytes, of noise without end only the beginning."""
-        data = b"" if passed.hidden else passed.data[:LONGEST_FRAME]
+        data = b"" if passed.hidden else passed.data[:MAX_FRAME]
         if not self._pieces or len(self._pieces[-1].packed) >= PIECE_BYTES:
             self._pieces.append(_Piece(passed.at, bytearray()))
             self._drop_old(passed.at)
