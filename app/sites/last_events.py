@@ -16,7 +16,7 @@ from app.sites.summary import EventSummary
 from bus.messages import Message, ParamValue, term
 
 READ_EVERY_S = 1.0
-NEWEST = 10
+MAX_READ = 10
 """Events of a line that are read: the last of a shown kind is nearly always among them."""
 SHOWN: frozenset[EventKind] = frozenset(
     ("block", "bus", "command", "estop", "mode", "recipe", "restore", "run", "swap", "unit", "worker")
@@ -62,7 +62,7 @@ class LastEvents:
                 self._last.pop(bus, None)
                 continue
             with suppress(StoreError):
-                found, _ = await self.events.page(Filter(bus=bus, folded=True), NEWEST)
+                found, _ = await self.events.page(Filter(bus=bus, folded=True), MAX_READ)
                 self._changed.discard(bus)
                 last = next((event for event in found if _is_shown(event)), None)
                 if last is not None and last["time"]:

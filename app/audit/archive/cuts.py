@@ -13,7 +13,7 @@ from bus.instants import UnixTime
 
 MAX_REMOVED = 200
 """Entries that one transaction removes: a few milliseconds, so that no command waits for more."""
-SCANNED_AT_ONCE = 2000
+MAX_SCANNED = 2000
 _COLUMNS = ", ".join(field.name for field in fields(Cut))
 _ENTRIES = """
 SELECT e.*, p.change AS part_of FROM events e LEFT JOIN event_parts p ON p.event = e.id
@@ -44,9 +44,9 @@ def add_cut(connection: StoreConnection, cut: Cut) -> None:
 
 
 def times_after(connection: StoreConnection, number: int) -> list[tuple[int, UnixTime]]:
-    """Number and time of the next `SCANNED_AT_ONCE` entries after a number."""
+    """Number and time of the next `MAX_SCANNED` entries after a number."""
     query = "SELECT id, time FROM events WHERE id > ? ORDER BY id LIMIT ?"
-    return [(row[0], UnixTime(row[1])) for row in connection.execute(query, (number, SCANNED_AT_ONCE))]
+    return [(row[0], UnixTime(row[1])) for row in connection.execute(query, (number, MAX_SCANNED))]
 
 
 def before_unfinished(connection: StoreConnection, first: int, last: int) -> int:
