@@ -58,7 +58,7 @@ class Composer:
             subject=_one_line(self.language.t(self._subject(items))),
             body="\n\n".join((*map(self._paragraph, items), *summary, self.language.t(footer))) + "\n",
             at=datetime.fromtimestamp(float(now), UTC),
-            is_urgent=any(item.kind == "alarm" and _is_urgent(item) for item in items),
+            is_urgent=any(map(_is_urgent, items)),
             pages=tuple(pages),
         )
 
@@ -134,7 +134,8 @@ def _rank(item: OutboxItem) -> tuple[int, bool, int]:
 
 
 def _is_urgent(item: OutboxItem) -> bool:
-    return item.of_alarm is not None and item.of_alarm.priority == "urgent"
+    # The all-clear of an urgent alarm asks nothing of anybody.
+    return item.kind == "alarm" and item.of_alarm is not None and item.of_alarm.priority == "urgent"
 
 
 def _one_line(text: str) -> str:

@@ -68,7 +68,7 @@ def test_a_digest_begins_with_the_most_urgent() -> None:
         item(name="top", priority="urgent"),
     )
     letter = composer().letter(delivery(*items), NOW)
-    assert letter.subject == "Mill 7: 3 messages, 2 of them urgent"
+    assert letter.subject == "Mill 7: 3 messages, 1 of them urgent"
     heads = [paragraph.splitlines()[0] for paragraph in letter.body.split("\n\n")]
     assert heads[:3] == ["urgent: top · top", "low: low · low", "Cleared: gone · gone"]
     assert letter.is_urgent

@@ -20,6 +20,7 @@ from tests.app.notification_servers import PlayedMailServer, PlayedReceiver, mai
 from tests.app.played_line import BUS, played_line
 from tests.app.test_notification_path import Path_, notify
 
+ESTOP = f"{BUS}.1.estop_active"
 ANNA = Person("anna", Role.OPERATOR, "demo")
 
 
@@ -44,8 +45,22 @@ async def servers() -> AsyncIterator[tuple[PlayedMailServer, PlayedReceiver]]:
 
 
 async def transitions(path: Path_) -> list[tuple[str, str]]:
-    found = await path.house.services[LineAlarms].store.journal(50, alarm=f"{BUS}.1.estop_active")
+    found = await path.house.services[LineAlarms].store.journal(50, alarm=ESTOP)
     return [(entry.trigger, entry.after) for entry in reversed(found)]
+
+
+async def notices(database: AwayDatabase) -> list[tuple[str, str]]:
+    """Of the e-stop: what was or will be sent, and how far it is.
+
+    On a slow machine the alarm of the database itself comes in between, and joins a message.
+    """
+    query = (
+        "SELECT item.kind, coalesce(delivery.state, 'waiting') FROM notification_item AS item "
+        "LEFT JOIN notification_delivery AS delivery ON delivery.id = item.delivery "
+        "WHERE item.alarm = ? ORDER BY item.kind"
+    )
+    rows = await database.read(lambda connection: connection.execute(query, (ESTOP,)).fetchall())
+    return [tuple(row) for row in rows]
 
 
 async def test_an_alarm_of_the_time_without_the_database(
@@ -57,12 +72,13 @@ async def test_an_alarm_of_the_time_without_the_database(
         await path.estop(active=True)
         assert (await path.mail.mail())["Subject"] == "urgent: Unwind · Emergency stop"
         assert (await path.hooks.body())["alarm"]["code"] == "estop_active"
+        await _sent(path)
         [alarm] = [each for each in alarms.present() if each.definition.code == "estop_active"]
         await alarms.act(ANNA, ACKNOWLEDGE, alarm.id)
         assert alarm.facts.state == "ack_active"
         await path.estop(active=False)
         assert (await path.hooks.body(2))["kind"] == "clear"
-        assert "cleared" in str((await path.mail.mail(2))["Subject"]).lower()
+        await path.mail.containing("Cleared: Unwind · Emergency stop")
         await _sent(path)
         await database.come_back()
         assert await transitions(path) == [
@@ -74,10 +90,8 @@ async def test_an_alarm_of_the_time_without_the_database(
         assert (event["who"], event["entered_at"] is not None) == ("anna", True)
         await path.advance()
         await path.advance()
-        notification = path.house.services[Notification]
-        assert await notification.outbox.waiting() == {}, "what was sent is not sent again"
-        states = [each.state for each in await notification.outbox.deliveries(50, None)]
-        assert states == ["delivered"] * 4
+        sent = [("alarm", "delivered")] * 2 + [("clear", "delivered")] * 2
+        assert await notices(database) == sent, "what was sent is not sent again"
 
 
 async def test_an_alarm_that_stands_is_not_notified_again_after_a_restart(
@@ -91,13 +105,11 @@ async def test_an_alarm_that_stands_is_not_notified_again_after_a_restart(
         await hooks.body()
         await _sent(path)
     # The server has ended without the database; the next one brings all of it there first.
-    async with away_house(tmp_path, notify=notify(mail, hooks, tmp_path)) as (house, _):
+    async with away_house(tmp_path, notify=notify(mail, hooks, tmp_path)) as (house, reached):
         notifier = house.services.buses[BUS][AlarmNotifier]
         await notifier.advance()
         await notifier.notify_standing()
-        notification = house.services[Notification]
-        assert await notification.outbox.waiting() == {}
-        assert len(await notification.outbox.deliveries(50, None)) == 2
+        assert await notices(reached) == [("alarm", "delivered")] * 2
 
 
 async def _sent(path: Path_) -> None:
