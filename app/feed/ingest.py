@@ -77,7 +77,6 @@ class Ingest:
         self._window = self._coverage.window(self._now())
         self._pipeline.since = self._window.since
         self._settled = self._delivered = self._received.seq
-        self._clock.observe(self._hello.sent_at, self._now(), monotonic_now())
 
     async def receive(self, data: bytes) -> None:
         """Take in one message, and return once the next may come. Raises MalformedMessageError; nothing of
@@ -114,7 +113,7 @@ class Ingest:
         self._is_held_back = False
 
     async def _take_snapshot(self, snapshot: Snapshot) -> None:
-        self._note_time(snapshot.sent_at)
+        self._note_time(snapshot)
         first = self._snapshot_seq is None
         self._snapshot_seq = snapshot.seq
         self._snapshot_wanted = False
@@ -127,7 +126,7 @@ class Ingest:
         if self._snapshot_seq is None:
             raise MalformedMessageError("a snapshot comes before the first batch")
         if batch.live:
-            self._note_time(batch.sent_at)
+            self._note_time(batch)
             expected = max(self._received.seq, self._snapshot_seq) + 1
             if batch.seq > expected and not self._snapshot_wanted:
                 self._snapshot_wanted = True
@@ -178,8 +177,8 @@ class Ingest:
         refused[OVER_QUOTA] += len(updates) - len(taken)
         return taken
 
-    def _note_time(self, sent_at: UnixTime) -> None:
+    def _note_time(self, message: Snapshot | Batch) -> None:
         now = self._now()
-        step = self._clock.observe(sent_at, now, monotonic_now())
+        step = self._clock.observe(message.sent_at, now, monotonic_now(), message.app_behind_s)
         if step:
             self._pipeline.clock_stepped(step, now)

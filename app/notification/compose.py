@@ -134,7 +134,7 @@ def _rank(item: OutboxItem) -> tuple[int, bool, int]:
 
 
 def _is_urgent(item: OutboxItem) -> bool:
-    # The all-clear of an urgent alarm asks nothing of anybody.
+    # The all-clear of an urgent alarm is not urgent.
     return item.kind == "alarm" and item.of_alarm is not None and item.of_alarm.priority == "urgent"
 
 

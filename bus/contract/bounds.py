@@ -61,6 +61,8 @@ Stamp = Annotated[UnixTime, Meta(ge=0.0, le=32_503_680_000.0)]
 DurationSeconds = Annotated[float, Meta(ge=0.0, le=1e7)]
 MonotonicSeconds = Annotated[float, Meta(ge=0.0, le=1e10)]
 """On the clock of the side that sent it, and only for that side."""
+ClockDifference = Annotated[float, Meta(ge=-1e11, le=1e11)]
+"""Seconds between two clocks."""
 Hertz = Annotated[float, Meta(ge=0.0, le=1e6)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 

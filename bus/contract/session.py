@@ -11,6 +11,7 @@ from bus.contract.actions import Action
 from bus.contract.bounds import (
     MAX_UNITS,
     MAX_UPDATES,
+    ClockDifference,
     DurationSeconds,
     Epoch,
     Id,
@@ -40,22 +41,29 @@ class Hello(TaggedStruct, frozen=True, tag="hello"):
 
 
 class Snapshot(TaggedStruct, frozen=True, tag="snapshot"):
-    """The complete present state; ``seq`` is the number of the last update it includes."""
+    """The complete present state; ``seq`` is the number of the last update it includes.
+
+    ``app_behind_s``: by how much the app's clock is behind the worker's at most, by the promptest message of
+    the app; None of a worker of an older release.
+    """
 
     seq: Total
     sent_at: Stamp
     bus: BusLink
     units: Annotated[list[UnitState], Meta(max_length=MAX_UNITS)]
     figures: BusFigures | None = None
+    app_behind_s: ClockDifference | None = None
 
 
 class Batch(TaggedStruct, frozen=True, tag="batch"):
-    """Updates in order. ``live`` False: kept while the app was away; they belong to history only."""
+    """Updates in order. ``live`` False: kept while the app was away; they belong to history only.
+    ``app_behind_s``: as in Snapshot."""
 
     seq: Total
     sent_at: Stamp
     updates: Annotated[list[Update], Meta(max_length=MAX_UPDATES)]
     live: bool = True
+    app_behind_s: ClockDifference | None = None
 
 
 class LeaseRequest(TaggedStruct, frozen=True, tag="lease_request"):

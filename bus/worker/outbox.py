@@ -84,8 +84,8 @@ class Outbox:
         self._backlog = len(self._waiting)
         self.connected = True
 
-    def next_batch(self, at: UnixTime) -> Batch | None:
-        """The next to send, at epoch second ``at``; None when nothing waits."""
+    def next_batch(self, at: UnixTime, app_behind_s: float | None = None) -> Batch | None:
+        """The next to send, at epoch second ``at``; None when nothing waits. ``app_behind_s``: see Batch."""
         count = min(MAX_UPDATES, self._backlog or MAX_UPDATES, len(self._waiting))
         if not count:
             self.filled.clear()
@@ -94,7 +94,7 @@ class Outbox:
         live = self._backlog == 0
         self._backlog = max(0, self._backlog - count)
         self.seq += 1
-        batch = Batch(seq=self.seq, sent_at=at, updates=updates, live=live)
+        batch = Batch(seq=self.seq, sent_at=at, updates=updates, live=live, app_behind_s=app_behind_s)
         # Without what is of the moment: an app that never confirms must not fill the memory.
         self._others -= sum(_weight(update) for update in updates if isinstance(update, Passing))
         lasting = [update for update in updates if not isinstance(update, Passing)]

@@ -125,6 +125,7 @@ class BusWorker:
             bus=self.line.state,
             units=self.line.roster.states(),
             figures=self._figures,
+            app_behind_s=self.app_clock.seconds,
         )
 
     def watch(self, watch: Watch) -> None:

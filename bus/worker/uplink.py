@@ -303,7 +303,7 @@ class Uplink:
             if self._snapshot_wanted:
                 self._snapshot_wanted = False
                 await socket.send(encode(self._handler.snapshot(self._outbox.seq)))
-            elif (batch := self._outbox.next_batch(self._epoch())) is not None:
+            elif (batch := self._outbox.next_batch(self._epoch(), self._app_clock.seconds)) is not None:
                 await socket.send(encode(batch))
             else:
                 await self._outbox.filled.wait()

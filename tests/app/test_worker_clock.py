@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.feed.clock import SAME_CLOCK_S, WorkerClock, shifted
+from app.feed.clock import MAX_DELAY_S, SAME_CLOCK_S, WorkerClock, shifted
 from bus.contract import Frame, Reading, Result, UnitOutcome
-from bus.contract.clock_offset import WINDOW_S
+from bus.contract.clock_offset import WINDOW_S, ClockOffset
 from bus.messages import term
 
 DELAYS = st.lists(st.floats(0.0005, 5.0), min_size=1, max_size=50)
@@ -30,6 +30,54 @@ def test_one_clock_is_never_shifted_once_a_message_was_prompt(delays: list[float
         clock.observe(now - delay, now, now)
         now += 0.01
     assert clock.offset_s == 0.0
+
+
+@given(DELAYS, DELAYS)
+def test_one_clock_is_never_shifted_when_the_worker_states_its_side(
+    there: list[float], back: list[float]
+) -> None:
+    """However late every message is, in both directions."""
+    clock, now = WorkerClock(), 1000.0
+    for delay, other in zip(there, back, strict=False):
+        assert clock.observe(now - min(delay, MAX_DELAY_S - 0.001), now, now, other) == 0.0
+        assert clock.offset_s == 0.0
+        now += 0.1
+
+
+@given(st.floats(-1e6, 1e6), DELAYS, DELAYS)
+def test_another_clock_is_found_within_the_uncertainty(
+    offset_s: float, there: list[float], back: list[float]
+) -> None:
+    clock, now = WorkerClock(), 1000.0
+    for delay in there:
+        clock.observe(now - delay - offset_s, now, now, min(back) - offset_s)
+    assert abs(clock.offset_s - offset_s) <= min(there) + max(min(back), SAME_CLOCK_S) + 1e-6
+
+
+@pytest.mark.parametrize("step", [3.0, -3.0, 3600.0, -3600.0])
+def test_a_step_of_the_worker_s_clock_is_noticed_beside_a_stated_side(step: float) -> None:
+    clock, seen, steps = WorkerClock(), ClockOffset(), []
+    for tenth in range(600):
+        now = 1000.0 + tenth / 10
+        offset = 0.0 if tenth < 100 else step
+        seen.observe(now - 0.001, now - offset)
+        steps.append(clock.observe(now - 0.001 - offset, now, now, seen.seconds))
+    assert [round(found) for found in steps if found] == [step]
+    assert round(clock.offset_s) == step
+
+
+@pytest.mark.parametrize("step", [2.0, -2.0, 3600.0, -3600.0])
+def test_the_app_s_own_clock_is_no_step_of_a_worker_that_states_its_side(step: float) -> None:
+    """The app sends its time once a second."""
+    clock, seen = WorkerClock(), ClockOffset()
+    for tenth in range(600):
+        running = 1000.0 + tenth / 10
+        now = running + (step if tenth >= 101 else 0.0)
+        if not tenth % 10:
+            seen.observe(now - 0.01, running - 7.0)
+        assert clock.observe(running - 0.01 - 7.0, now, running, seen.seconds) == 0.0
+        if tenth > 101:
+            assert abs(clock.offset_s - (now - running + 7.0)) < SAME_CLOCK_S
 
 
 def test_a_step_is_noticed_once_and_followed() -> None:

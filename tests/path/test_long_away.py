@@ -37,6 +37,7 @@ class Polling:
 
     def __init__(self) -> None:
         self.since = time.time() - AWAY_S
+        self.app_clock = ClockOffset()
 
     def welcomed(self, epoch: int) -> bool:
         """At every home."""
@@ -56,7 +57,13 @@ class Polling:
 
     def snapshot(self, seq: int) -> Snapshot:
         """The port is open."""
-        return Snapshot(seq=seq, sent_at=time.time(), bus=BusLink(self.since, "open", baud=9600), units=[])
+        return Snapshot(
+            seq=seq,
+            sent_at=time.time(),
+            bus=BusLink(self.since, "open", baud=9600),
+            units=[],
+            app_behind_s=self.app_clock.seconds,
+        )
 
     def command(self, command: contract.Command) -> None:
         """Unused."""
@@ -91,7 +98,7 @@ def test_ten_minutes_are_delivered_at_their_own_times(tmp_path: Path) -> None:
         outbox.put([reading])
     config = configured(tmp_path, number)
     token = command(config, "token", "create", "far", "--role", "worker", "--bus", "far").strip()
-    uplink = Uplink([url], token, outbox, line, ClockOffset(), time.time)
+    uplink = Uplink([url], token, outbox, line, line.app_clock, time.time)
     with at_work(uplink), served(config):
         eventually(lambda: outbox.connected and not len(outbox), "everything delivered", within=PROCEDURE_S)
         for unit in UNITS:
