@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
-from app.cli.authority import AUTHORITY_DAYS, DAYS, CertificateAuthority
+from app.cli.authority import AUTHORITY_DAYS, DAYS, AuthorityError, CertificateAuthority
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report, wrong_option
 from app.cli.options import CommandGroup, Option
@@ -40,6 +40,7 @@ def create(
     names = server_names(settings.server, [_name(each) for each in name or ()])
     become_owner_of(config.resolve().parent)
     folder = config.resolve().parent / FOLDER
+    _refuse_missing_folder(settings.server, folder)
     authority = CertificateAuthority(folder, settings.site.name)
     report(Message.of("authority_at", file=str(authority.certificate), years=AUTHORITY_DAYS // 365))
     for made, key, kind, called in _certificates(settings, folder):
@@ -49,6 +50,13 @@ def create(
         report(Message.of(code, file=str(made), names=", ".join(of_server) or called, days=DAYS))
     if settings.server.tls is None:
         report(Message.of("certificate_to_configure", folder=FOLDER))
+
+
+def _refuse_missing_folder(server: ServerSettings, own: Path) -> None:
+    """Before anything is made; ``own`` comes with the authority. Raises AuthorityError."""
+    for file in () if server.tls is None else (server.tls.certificate, server.tls.key):
+        if file.parent.resolve() != own and not file.parent.is_dir():
+            raise AuthorityError(Message.of("certificate_folder_missing", folder=str(file.parent)))
 
 
 def _name(written: str) -> HostName:

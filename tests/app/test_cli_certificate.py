@@ -78,6 +78,18 @@ def test_the_configured_files_are_those_of_the_server(config: Path) -> None:
     assert not (config.parent / "certificates" / "server.pem").exists()
 
 
+def test_a_missing_folder_is_named_before_anything_is_made(config: Path) -> None:
+    tls = '[server.tls]\ncertificate = "tls/site.pem"\nkey = "certificates/site.key"\n'
+    config.write_text(tls + BUSES)
+    result = create(config)
+    assert result.exit_code == 1
+    assert f"folder {config.parent / 'tls'} is missing" in result.output
+    assert list(config.parent.iterdir()) == [config]
+    (config.parent / "tls").mkdir()
+    assert create(config).exit_code == 0
+    assert (config.parent / "certificates" / "site.key").exists()
+
+
 def test_a_foreign_certificate_is_not_overwritten(config: Path) -> None:
     create(config)
     folder = config.parent / "certificates"
