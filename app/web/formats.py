@@ -17,6 +17,8 @@ from bus.instants import UnixTime
 HALF_DAY_S = 43_200
 UNKNOWN = "\N{EN DASH}"
 """Shown in place of a value that was never read."""
+MINUS = "\N{MINUS SIGN}"
+"""As wide as a plus, which the hyphen is not."""
 
 
 def lasting(seconds: float) -> str:
@@ -51,7 +53,7 @@ class Formats:
 
     def number(self, value: float | Decimal | None, digits: int = 0) -> str:
         """A measured value with a fixed count of digits after the sign."""
-        return UNKNOWN if value is None else self.point(f"{value:.{digits}f}")
+        return UNKNOWN if value is None else self.point(f"{value:.{digits}f}").replace("-", MINUS)
 
     def local(self, at: UnixTime | datetime) -> datetime:
         """An instant (seconds since the epoch, or aware) at the site."""

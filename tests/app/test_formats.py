@@ -65,3 +65,7 @@ def test_a_shift_is_its_date_and_its_hours() -> None:
     assert english.minute(UnixTime(NOON)) == "29 Mar 2026, 12:00"
     assert german.hours(UnixTime(NOON), UnixTime(NOON + 8 * 3600)) == "29.03.2026, 12:00\N{EN DASH}20:00"
     assert english.hours(UnixTime(NOON), UnixTime(NOON + 18 * 3600)) == "29 Mar 2026, 12:00\N{EN DASH}06:00"
+
+
+def test_a_negative_number_has_a_true_minus_sign() -> None:
+    assert Formats("de").number(-0.5, 2) == "\N{MINUS SIGN}0,50"

@@ -18,7 +18,7 @@ from app.live.state.bus_live import BusLive, UnitLive, follower, setpoint_decima
 from app.live.state.conditions import bits_of, mode_of
 from app.live.state.scan_time import offline_after_s, scan_s_of, stale_after_s
 from app.messages import Language
-from app.web.formats import UNKNOWN, Formats
+from app.web.formats import MINUS, UNKNOWN, Formats
 from bus.catalogue.numbers import (
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,
@@ -212,7 +212,7 @@ def _ratio(bus: BusLive, unit: UnitLive, translator: Translator) -> str:
 
 def _signed(raw: int, decimals: int | None, translator: Translator) -> str:
     """Nothing too has its sign: the three are of one width in a typeface, where a space is not."""
-    sign = "+" if raw > 0 else "−" if raw < 0 else "±"  # noqa: RUF001 (a true minus sign)
+    sign = "+" if raw > 0 else MINUS if raw < 0 else "±"
     return sign + translator.formats.fixed(abs(raw), decimals)
 
 
