@@ -30,7 +30,7 @@ from app.swap.store import SwapStore
 from app.web.access import Person, account_shown
 from bus.contract import ScanBus
 from bus.instants import Clock
-from bus.messages import Message, joined, listed
+from bus.messages import Message, joined, listed, parameter_name
 
 LOOK_WAIT_S = 2.0
 """How long a page waits for a probe before it shows the previous finding."""
@@ -186,7 +186,7 @@ def step_text(advice: Advice, swap: Swap) -> Message:
     if swap.source is None and advice.step == "proven":
         return Message("swap_compare_with_sheet")
     if advice.step == "proven" and (kept := swap.not_restored):
-        return Message.of("swap_proven_except", rows=listed([f"#{number}" for number in kept]))
+        return Message.of("swap_proven_except", rows=listed([parameter_name(number) for number in kept]))
     if advice.step == "restore" and swap.restore is not None and swap.equal is False:
         return Message("swap_restore_unfinished")
     return advice.text

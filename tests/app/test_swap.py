@@ -179,7 +179,7 @@ def test_what_the_spare_was_not_given_is_named_with_the_result() -> None:
     restore.plan = replace(restore.plan, left_out=(*restore.left_out, left))
     assert str(step_text(PROVEN, swap)) == (
         "The new unit has the parameters of the old unit, verified by a full read, except what was not"
-        " written: #7. The report states why."
+        " written: Deceleration Ramp Rate (parameter 7). The report states why."
     )
 
 
