@@ -97,7 +97,7 @@ def cut_the_drop(site: Site, page: Page) -> None:
     [
         (cancel, "canceled by engineer after"),
         (pull_the_cable, "The restore ended early"),
-        (cut_the_drop, r"#\d+: |its time was over"),
+        (cut_the_drop, r"\(parameter \d+\): |its time was over"),
     ],
     ids=lambda given: getattr(given, "__name__", ""),
 )

@@ -56,7 +56,7 @@ def removed(site: Site) -> bool:
     return True
 
 
-LEAVE = re.compile("(Cancel|Close) the swap")
+LEAVE = re.compile("(Cancel|Close) the replacement")
 
 
 def begin(page: Page) -> None:
@@ -112,12 +112,15 @@ def test_from_the_failed_unit_to_the_verified_spare(site: Site, browser_page: Op
     shows(page, "The unit responds and is in REMOTE")
 
     page.get_by_role("button", name="Review the restore").click()
-    expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
+    expect(page.locator("#restore .outcome[role=status]")).to_contain_text("Nothing has been written")
     expect(page.get_by_text("accelerates in 3.3 s instead of 10.0 s")).to_be_visible()
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
     expect(page.get_by_role("heading", name=re.compile("^Read-back"))).to_be_visible(timeout=PROCEDURE_MS)
     page.get_by_role("link", name="Back to the replacement").click()
-    shows(page, "The new unit has the parameters of the old unit, verified by a full read.")
+    shows(
+        page,
+        "parameters of the old unit, verified by a full read, except what was not written: Speed Setpoint",
+    )
     expect(page.get_by_role("link", name="Open the report")).to_be_visible()
 
     expect(
