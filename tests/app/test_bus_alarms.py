@@ -132,6 +132,46 @@ def test_a_unit_lost_alone_is_an_alarm_as_soon_as_another_responds(bus: AlarmBus
     assert bus.present() == {"3.unit_offline"}
 
 
+@pytest.mark.parametrize("silence_s", [8, 9.5, 10, 12, 20, 60])
+@pytest.mark.parametrize("cause", ["worker stands still", "new worker", "port closed", "none"])
+def test_units_that_respond_one_after_the_other_after_a_silence_are_no_alarms(
+    bus: AlarmBus, cause: str, silence_s: float
+) -> None:
+    """No unit was polled meanwhile, so none is lost."""
+    if cause == "port closed":
+        bus.apply(BusLink(at=bus.now, link="closed"))
+    if cause == "new worker":
+        bus.live.lose_worker(bus.now)
+    bus.wait(silence_s)
+    bus.live.worker_lost = None
+    units = (UnitLink(unit=unit, at=bus.now, link="unknown") for unit in (1, 2, 3))
+    bus.apply(BusLink(at=bus.now, link="open"), *(units if cause == "new worker" else ()))
+    for unit in (2, 3, 1):
+        bus.now += 0.03
+        bus.apply(UnitLink(unit=unit, at=bus.now, link="online"))
+        bus.read(unit)
+        bus.alarms.tick()
+    bus.wait(3, 1, 2, 3)
+    occurrences = [bus.alarm(f"{unit}.unit_offline").facts.occurrence for unit in (1, 2, 3)]
+    assert occurrences == [0, 0, 0]
+
+
+@pytest.mark.parametrize("was_lost", [False, True], ids=["lost with it", "lost before"])
+def test_a_unit_that_does_not_respond_after_a_silence_either_is_an_alarm(
+    bus: AlarmBus, was_lost: bool
+) -> None:
+    bus.wait(12 if was_lost else 0.5, 1, 2)
+    assert (bus.state("3.unit_offline") == "unack_active") is was_lost
+    bus.apply(BusLink(at=bus.now, link="closed"))
+    bus.wait(20)
+    bus.apply(BusLink(at=bus.now, link="open"))
+    bus.wait(9, 1, 2)
+    assert (bus.state("3.unit_offline") == "unack_active") is was_lost
+    bus.wait(2, 1, 2)
+    assert bus.state("3.unit_offline") == "unack_active"
+    assert bus.alarm("3.unit_offline").facts.occurrence == 1
+
+
 def test_the_only_unit_of_a_bus_is_its_own_alarm(database: Database) -> None:
     bus = AlarmBus(database, units=1)
     bus.connect()

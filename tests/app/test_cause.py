@@ -216,8 +216,8 @@ def test_what_was_there_at_the_start_is_first_seen_then() -> None:
     live = line()
     live.buses["dry"].units[1] = LiveState([live.buses["dry"].settings], 0.0).buses["dry"].units[1]
     live.buses["dry"].apply([reading(1, at=NOW, **(STOPPED | {"inputs": HEALTHY}))])
-    assert shown_cause(live)[1] == "Stopped: run input off since at least 02:22"
-    assert shown_cause(live, tag="de")[1] == "Steht: Eingang Lauf aus mindestens seit 02:22"
+    assert shown_cause(live, NOW + 1)[1] == "Stopped: run input off since at least 02:22"
+    assert shown_cause(live, NOW + 1, tag="de")[1] == "Steht: Eingang Lauf aus mindestens seit 02:22"
 
 
 def test_the_text_of_the_strip_has_no_time() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.conditions.evidence import BusFacts, LinkFacts, UnitFacts
-from app.live.state.age import unit_link_now, worker_timed_out
+from app.live.state.age import lost_at, unit_link_now, worker_timed_out
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.conditions import bits_of
 from app.live.state.scan_time import offline_after_s, scan_s_of
@@ -18,7 +18,7 @@ def bus_facts(bus: BusLive, now: UnixTime) -> BusFacts:
     patience_s = offline_after_s(scan_s_of(bus))
     lost = unread = 0
     for unit in bus.units.values():
-        if _lost_at(bus, unit, now, patience_s) is not None:
+        if lost_at(bus, unit, now, patience_s) is not None:
             lost += 1
         elif unit.reading is None:
             unread += 1
@@ -38,19 +38,19 @@ def any_responds(bus: BusLive, now: UnixTime) -> bool:
     """Whether any unit of a bus responds; the first one that does is enough."""
     patience_s = offline_after_s(scan_s_of(bus))
     return any(
-        unit.reading is not None and _lost_at(bus, unit, now, patience_s) is None
+        unit.reading is not None and lost_at(bus, unit, now, patience_s) is None
         for unit in bus.units.values()
     )
 
 
 def link_facts(bus: BusLive, unit: UnitLive, now: UnixTime, *, bus_is_readable: bool) -> LinkFacts:
     """Of a unit."""
-    lost_at = _lost_at(bus, unit, now, offline_after_s(scan_s_of(bus)))
+    found_at = lost_at(bus, unit, now, offline_after_s(scan_s_of(bus)))
     return LinkFacts(
         bus_is_readable=bus_is_readable,
-        is_lost=lost_at is not None,
+        is_lost=found_at is not None,
         is_online=unit_link_now(bus, unit, now) == "online",
-        is_alone=lost_at is not None and len(bus.units) > 1 and not _has_reading_after(bus, lost_at),
+        is_alone=found_at is not None and len(bus.units) > 1 and not _has_reading_after(bus, found_at),
     )
 
 
@@ -58,15 +58,6 @@ def unit_facts(bus: BusLive, unit: UnitLive, reading: Reading, *, is_late: bool 
     """Of a unit by its newest reading."""
     bits = bits_of(bus, reading)
     return UnitFacts(bits, unit.motion.state, reading.commanded, reading.actual, is_late)
-
-
-def _lost_at(bus: BusLive, unit: UnitLive, now: UnixTime, patience_s: float) -> UnixTime | None:
-    """When a unit was found not to respond for ``patience_s``; None: it was not."""
-    if unit.reading is not None and unit.link.link == "offline":
-        return unit.link.at
-    seen_at = bus.link_onset.at if unit.reading is None else unit.reading.at
-    lost_at = seen_at + patience_s
-    return lost_at if now > lost_at else None
 
 
 def _has_reading_after(bus: BusLive, at: UnixTime) -> bool:

@@ -16,19 +16,32 @@ WORKER_TIMEOUT_S = 2.0
 
 
 def unit_link_now(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnitLinkState:
-    """The worker's opinion, made worse by the age of the reading and by a closed port, never better."""
+    """As the worker has it, made worse by the age of the reading and by a closed port."""
     if unit.reading is None:
         return "unknown"
-    link = unit.link.link
-    if link == "offline":
+    scan_s = scan_s_of(bus)
+    if lost_at(bus, unit, now, offline_after_s(scan_s)) is not None:
         return "offline"
     age = now - unit.reading.at
-    scan_s = scan_s_of(bus)
-    if age > offline_after_s(scan_s):
-        return "offline"
-    if link != "online" or bus.link.link == "closed" or age > stale_after_s(scan_s):
+    if unit.link.link != "online" or bus.link.link == "closed" or age > stale_after_s(scan_s):
         return "stale"
     return "online"
+
+
+def lost_at(bus: BusLive, unit: UnitLive, now: UnixTime, patience_s: float) -> UnixTime | None:
+    """When a unit was found not to respond for ``patience_s``; None: it was not.
+
+    After a silence of the bus its units respond one after the other: each has its time again, but for one
+    that was lost before.
+    """
+    if unit.reading is not None and unit.link.link == "offline":
+        known_at = found_at = unit.link.at
+    else:
+        known_at = bus.link_onset.at if unit.reading is None else unit.reading.at
+        found_at = known_at + patience_s
+    if bus.silence is not None and known_at <= bus.silence.until and found_at > bus.silence.since:
+        found_at = bus.silence.until + patience_s
+    return found_at if now >= found_at else None
 
 
 def worker_timed_out(bus: BusLive, now: UnixTime) -> bool:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from operator import itemgetter
+from typing import NamedTuple
 
 import structlog
 
@@ -21,7 +22,7 @@ from app.live.state.conditions import bits_of, conditions_of
 from app.live.state.draw import draw_of
 from app.live.state.motion import Motion
 from app.live.state.onset import Onset, Onsets
-from app.live.state.scan_time import offline_after_s, scan_s_of
+from app.live.state.scan_time import offline_after_s, scan_s_of, silence_after_s
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import MAX_DECIMALS, RATIO_DECIMALS
 from bus.contract import (
@@ -76,6 +77,14 @@ class UnitLive:
         return None if raw is not None and number == DECIMALS and raw > MAX_DECIMALS else raw
 
 
+class Silence(NamedTuple):
+    """A time in which no unit of a bus responded, as its port was closed or its worker stood still: from the
+    last reading before it to the first one after."""
+
+    since: UnixTime
+    until: UnixTime
+
+
 @dataclass(slots=True)
 class BusLive:
     """One bus: its port as the worker sees it, its figures, its units in floor order. It has one writer: what
@@ -91,6 +100,8 @@ class BusLive:
     units: dict[int, UnitLive] = field(default_factory=dict)
     read_at: UnixTime | None = None
     """When the newest reading of any unit was made."""
+    silence: Silence | None = None
+    """The last one."""
     seams: dict[int, Seam] = field(init=False, compare=False)
     """The seam before each unit but the first, by its address."""
     _subscribers: list[tuple[Audience, BusSubscriber]] = field(default_factory=list, compare=False)
@@ -143,7 +154,7 @@ class BusLive:
         """Begin with nothing known: another server may have had the bus meanwhile."""
         fresh = never_seen(self.settings, unix_now())
         self.link, self.link_onset, self.worker_lost = fresh.link, fresh.link_onset, fresh.worker_lost
-        self.figures = self.read_at = None
+        self.figures = self.read_at = self.silence = None
         for number, unit in self.units.items():
             new = fresh.units[number]
             unit.link, unit.reading, unit.parameters, unit.staged = new.link, None, {}, None
@@ -181,8 +192,10 @@ class BusLive:
 
     def take_reading(self, unit: UnitLive, reading: Reading) -> None:
         unit.reading = reading
-        self.read_at = reading.at if self.read_at is None else max(self.read_at, reading.at)
         bits, scan_s = bits_of(self, reading), scan_s_of(self)
+        if self.read_at is not None and reading.at - self.read_at > silence_after_s(scan_s):
+            self.silence = Silence(self.read_at, reading.at)
+        self.read_at = reading.at if self.read_at is None else max(self.read_at, reading.at)
         unit.motion.see(reading, bits, scan_s=scan_s, ratio=reads_ratio(self, unit))
         holding = conditions_of(bits, reading)
         if DRAW_OUT_OF_BAND.holds(draw_of(self, unit, reading.at)):

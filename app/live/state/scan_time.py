@@ -19,6 +19,12 @@ def offline_after_s(scan_s: float) -> float:
     return max(10.0, OFFLINE_SCANS * scan_s)
 
 
+def silence_after_s(scan_s: float) -> float:
+    """No response of any unit for this long is a silence of the bus. It is shorter than the time of a unit by
+    more than a scan, so that a time which loses a unit is one."""
+    return offline_after_s(scan_s) / 2
+
+
 def scan_s_of(bus: BusValues) -> float:
     """How long one scan of all units takes: as the worker measured it, else what the wire allows."""
     if bus.figures is not None and bus.figures.scan_s > 0:
