@@ -144,6 +144,9 @@ class UnitMonitor:
         responded since."""
         link = link_facts(self._bus, self._unit, now, bus_is_readable=bus_is_readable)
         self._observe(self._offline, of_unit.UNIT_OFFLINE.holds(link), now)
+        if link.is_lost or not bus_is_readable:
+            # That is an alarm itself; what was not responded to meanwhile is no poor connection as well.
+            self._window.restart()
         if self._status is not None and not link.is_online:
             self._lose_values(now)
         return link.is_alone

@@ -49,6 +49,12 @@ def test_counters_are_judged_by_the_minute_and_may_begin_again_at_zero() -> None
     window.see(10, 0, UnixTime(90))
     window.see(60, 1, UnixTime(150))
     assert (window.total, window.faults) == (50, 1)
+    window.see(90, 30, UnixTime(200))
+    window.restart()
+    for total, faults, at in ((100, 40, 210), (200, 42, 269), (300, 43, 270)):
+        assert (window.total, window.faults) == (50, 1)
+        window.see(total, faults, UnixTime(at))
+    assert (window.total, window.faults) == (200, 3)
 
 
 @pytest.mark.parametrize(

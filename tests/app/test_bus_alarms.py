@@ -271,6 +271,23 @@ def test_a_poor_connection_and_a_second_master_come_from_the_counters_of_a_minut
     assert bus.state("second_master") == "rtn_unack"
 
 
+@pytest.mark.parametrize("others", [(), (2, 3)], ids=["no unit responds", "the others respond"])
+def test_what_a_lost_unit_did_not_respond_to_is_no_poor_connection_as_well(
+    bus: AlarmBus, others: tuple[int, ...]
+) -> None:
+    figures(bus, 1000)
+    bus.wait(61, 1, 2, 3)
+    figures(bus, 1600)
+    bus.wait(20, *others)
+    figures(bus, 1800, timeouts=150)
+    bus.wait(61, 1, 2, 3)
+    figures(bus, 2400, timeouts=150)
+    assert bus.state("1.link_degraded") == "normal"
+    bus.wait(61, 1, 2, 3)
+    figures(bus, 3000, timeouts=190)
+    assert bus.state("1.link_degraded") == "unack_active"
+
+
 @pytest.mark.parametrize(
     ("own", "outside", "code"),
     [

@@ -23,6 +23,10 @@ class CountWindow:
         """Whether a condition holds by the last window; None until one is over."""
         return None if self.total is None or self.faults is None else holds(self.total, self.faults)
 
+    def restart(self) -> None:
+        """Count from the next counters on."""
+        self._at = None
+
     def see(self, total: int, faults: int, at: UnixTime) -> None:
         """Take in the counters. A worker that was started again counts from zero."""
         is_restarted = total < self._from[0] or faults < self._from[1]
