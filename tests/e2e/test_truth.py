@@ -52,7 +52,7 @@ def workers(site: Site) -> list[int]:
 def test_a_dead_unit_is_hatched_and_named_and_the_others_are_not(
     own_site: Site, shared_page: OpensPages
 ) -> None:
-    page = opened(shared_page(site=own_site, viewport=PANEL), "/")
+    page = opened(shared_page("engineer", site=own_site, viewport=PANEL), "/")
     own_site.line.remote.do("fault", kind="dead", rate=1, unit=2)
     try:
         expect(page.locator('[data-unit="line/2"]')).to_have_attribute("data-quality", "offline")
@@ -61,6 +61,7 @@ def test_a_dead_unit_is_hatched_and_named_and_the_others_are_not(
         expect(page.locator('[data-live="line/2.actual"]')).not_to_be_empty()
         opened(page, "/units/line/2")
         assert page.locator("form.setter").evaluate("form => form.inert")
+        expect(page.locator(".cause__replace")).to_be_visible()
     finally:
         own_site.line.remote.do("clear")
     expect(page.locator('[data-unit="line/2"]')).to_have_attribute("data-quality", "online")
@@ -68,13 +69,21 @@ def test_a_dead_unit_is_hatched_and_named_and_the_others_are_not(
 
 
 def test_a_pulled_cable_is_one_cause(own_site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page(site=own_site, viewport=PANEL), "/")
+    page = opened(shared_page("engineer", site=own_site, viewport=PANEL), "/")
     own_site.line.remote.do("unplug")
     try:
         expect(page.locator("h1")).to_contain_text("line · Port closed since")
         expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("1")
+        opened(page, "/units/line/1")
+        expect(page.locator(".cause")).to_have_attribute("data-is", "")
+        # As it is once the port was closed for ten seconds.
+        page.locator(".plate").evaluate("plate => { plate.dataset.quality = 'offline' }")
+        assert (
+            page.locator(".cause__replace").evaluate("button => getComputedStyle(button).display") == "none"
+        ), "the unit has no fault"
     finally:
         own_site.line.remote.do("plug")
+    opened(page, "/")
     expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("0")
 
 
