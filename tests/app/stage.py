@@ -113,7 +113,8 @@ def snapshot(seq: int = 0, units: Sequence[UnitState] | None = None, link: str =
     port = BusLink(
         at=now, link="open" if link == "open" else "closed", cause=None if link == "open" else term("gone")
     )
-    return Snapshot(seq=seq, sent_at=now, bus=port, units=states)
+    # Of one clock, as every worker on this machine states it, however late a message is.
+    return Snapshot(seq=seq, sent_at=now, bus=port, units=states, app_behind_s=0.0)
 
 
 def hello(worker: str = "w1", bus: str = "dry-end", version: int = CONTRACT_VERSION) -> Hello:
@@ -163,7 +164,7 @@ class PlayedWorker:
     async def update(self, *updates: Update) -> None:
         """The next batch."""
         self.seq += 1
-        await self.send(Batch(seq=self.seq, sent_at=time.time(), updates=list(updates)))
+        await self.send(Batch(self.seq, time.time(), list(updates), app_behind_s=0.0))
 
     async def receive(self, kind: type[AppMessage], count: int = 1) -> AppMessage:
         """Wait for ``count`` messages of this kind; return the last one."""
