@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.commands.safeguards.control import LAPSES_AFTER_S, Control
+from app.commands.safeguards.control import LAPSES_AFTER_S, REQUEST_RESTS_S, Control
 from app.errors import Problem
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -70,3 +70,15 @@ def test_a_review_names_the_holder_and_takes_nothing() -> None:
 def test_without_the_requirement_all_operators_may() -> None:
     assert Control(required=False).use("anna", 0.0) is None
     assert Control(required=False).objection("anna", 0.0) is None
+
+
+def test_a_request_of_another_account_does_not_end_the_rest_of_a_declined_one() -> None:
+    control = Control(required=True)
+    control.take("anna", 0.0, AT)
+    control.request("ben", 1.0)
+    control.end_request("anna", 2.0)
+    control.request("chef", 3.0)
+    control.end_request("chef", 4.0)
+    with pytest.raises(Problem, match="requested again in"):
+        control.request("ben", 5.0)
+    assert control.request("ben", 2.0 + REQUEST_RESTS_S)

@@ -59,6 +59,18 @@ class ControlModel(RuleBasedStateMachine):
             return by, "pending"
         return (by, "lapsed") if self.now - since < PENDING_S + RESTS_S else ("", "")
 
+    def rests(self, who: str) -> bool:
+        """Whether the present holder declined a request of this account less than a minute ago."""
+        by, rests = "", False
+        for at, what, account in self.log:
+            if what == "requests":
+                by = account
+            elif what in ("holds", "frees"):
+                rests = False
+            elif what == "declines" and by == who:
+                rests = self.now - at < RESTS_S
+        return rests
+
     @contextmanager
     def allowed(self, allowed: bool) -> Iterator[None]:
         with nullcontext() if allowed else pytest.raises(Problem, match="control"):
@@ -100,7 +112,9 @@ class ControlModel(RuleBasedStateMachine):
         holder, (by, state) = self.holder(), self.requested()
         repeated = (by, state) == (who, "pending")
         refused = (
-            holder in ("", who) or (state == "pending" and not repeated) or (by, state) == (who, "declined")
+            holder in ("", who)
+            or (state == "pending" and not repeated)
+            or (state != "pending" and self.rests(who))
         )
         with self.allowed(not refused):
             assert self.control.request(who, self.now) is not repeated

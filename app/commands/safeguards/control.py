@@ -69,6 +69,8 @@ class Control:
         self.required = required
         self._holding: Holding | None = None
         self._request: RequestedControl | None = None
+        self._declined: dict[str, Monotonic] = {}
+        """By account, when the present holder declined its last request."""
 
     def holding(self, now: Monotonic) -> Holding | None:
         """The holder of control; None where it is free."""
@@ -127,16 +129,14 @@ class Control:
         if holding.holder == who:
             raise controlled(Message("control_is_yours"))
         present = self.request_now(now)
-        if present is not None:
-            state, mine = present.state(now), present.by == who
-            if state == "pending" and mine:
+        if present is not None and present.state(now) == "pending":
+            if present.by == who:
                 return False
-            if state == "pending":
-                raise controlled(Message.of("control_requested_by", who=account_shown(present.by)))
-            if state == "declined" and mine:
-                seconds = max(1, round(present.left_s(now)))
-                holder = account_shown(holding.holder)
-                raise controlled(Message.of("control_request_rests", who=holder, n=seconds))
+            raise controlled(Message.of("control_requested_by", who=account_shown(present.by)))
+        rests_s = self._rests_s(who, now)
+        if rests_s > 0:
+            seconds, holder = max(1, round(rests_s)), account_shown(holding.holder)
+            raise controlled(Message.of("control_request_rests", who=holder, n=seconds))
         self._request = RequestedControl(who, now)
         return True
 
@@ -153,6 +153,7 @@ class Control:
             self._request = None
         elif holding is not None and holding.holder == who:
             self._request = replace(request, declined_at=now)
+            self._declined[request.by] = now
         else:
             raise controlled(Message.of("control_requested_by", who=account_shown(request.by)))
         return request
@@ -170,11 +171,18 @@ class Control:
         return objection
 
     def _give(self, who: str, now: Monotonic, at: UnixTime) -> Holding:
-        self._holding, self._request = Holding(who, at, now), None
+        self._free()
+        self._holding = Holding(who, at, now)
         return self._holding
 
     def _free(self) -> None:
         self._holding = self._request = None
+        self._declined.clear()
+
+    def _rests_s(self, who: str, now: Monotonic) -> float:
+        """Seconds for which an account whose request was declined may make no other."""
+        declined_at = self._declined.get(who)
+        return 0.0 if declined_at is None else declined_at + REQUEST_RESTS_S - now
 
     def _pending(self, now: Monotonic) -> RequestedControl:
         request = self.request_now(now)
