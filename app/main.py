@@ -13,10 +13,10 @@ from app.alarms import feature as alarms
 from app.audit import feature as audit
 from app.audit.log import EventLog
 from app.auth import feature as auth
-from app.auth.access import Identify, RecordRefusals
-from app.auth.identity import Identity
-from app.auth.lasting import Rechecks
 from app.auth.oidc.pages import CALLBACK
+from app.auth.rights.access import Identify, RecordRefusals
+from app.auth.rights.identity import Identity
+from app.auth.rights.lasting import Rechecks
 from app.backup import feature as backup
 from app.commands import feature as commands
 from app.configuration import feature as configuration
@@ -37,14 +37,14 @@ from app.notification import feature as notification
 from app.recipes import feature as recipes
 from app.reports import feature as reports
 from app.routing import feature as routing
-from app.routing.home_router import HomeRouter
-from app.routing.hop_admission import HopAdmission
+from app.routing.forwarding.home_router import HomeRouter
+from app.routing.forwarding.hop_admission import HopAdmission
 from app.routing.peers import Peers
 from app.routing.site_servers import SiteServers
 from app.server import feature as server
-from app.server.admission import HEALTH, RequestAdmission
-from app.server.forwarded import Forwarded
-from app.server.refusal_log import RefusalLog
+from app.server.admission.forwarded import Forwarded
+from app.server.admission.refusal_log import RefusalLog
+from app.server.admission.turns import HEALTH, RequestAdmission
 from app.server.security_headers import SecurityHeaders
 from app.sets import feature as sets
 from app.settings import Settings
@@ -54,11 +54,11 @@ from app.tray import feature as tray
 from app.version import VERSION
 from app.web import feature as web
 from app.web import problems
-from app.web.anonymous import AnonymousLimiter
-from app.web.bounds import RequestRules
-from app.web.routes import HeadAsGet, guard, refuse_undeclared
-from app.web.templating import Templates
-from app.web.turns import Turns
+from app.web.admission.anonymous import AnonymousLimiter
+from app.web.admission.bounds import RequestRules
+from app.web.admission.routes import HeadAsGet, guard, refuse_undeclared
+from app.web.admission.turns import Turns
+from app.web.rendering.templating import Templates
 
 FEATURES = (
     database.FEATURE,

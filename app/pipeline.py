@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from app.live.change_recorder import ChangeRecorder
 from app.live.changes import Changes, LineEvent
 from app.live.state.bus_live import BusLive
-from app.web.shape import iso
+from app.web.api.shape import iso
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
 from bus.instants import UnixTime
 from bus.messages import Message, number, term

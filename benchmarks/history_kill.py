@@ -11,8 +11,8 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.audit.keys import open_keys
-from app.audit.store import heads_of, prove
+from app.audit.events.store import heads_of, prove
+from app.audit.proof.keys import open_keys
 from app.database import SqliteDatabase
 from app.history.intake.opening import MIGRATIONS
 from app.history.intake.recorder import Recorder

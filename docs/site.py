@@ -13,7 +13,7 @@ from pathlib import Path
 
 from app.help.chapters import CHAPTERS, Chapter
 from app.help.handbook import ENGLISH, Handbook, Rendered
-from app.web.assets import docs_dir, static_dir
+from app.web.rendering.assets import docs_dir, static_dir
 
 LINK = re.compile(r'(href|src)="/help/(pictures/)?([\w/-]+)(\.png)?')
 STYLES = ("lineside.css", "help.css")

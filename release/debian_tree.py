@@ -9,8 +9,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from app.cli.install_service import first_configuration
-from app.cli.service_unit import CONFIGURATION, INSTALLED, ServiceUnit
+from app.cli.setup.install_service import first_configuration
+from app.cli.setup.service_unit import CONFIGURATION, INSTALLED, ServiceUnit
 from release.packages import ROOT
 
 TEMPLATES = ROOT / "release" / "debian"

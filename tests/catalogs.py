@@ -14,17 +14,17 @@ from babel.messages.catalog import Catalog
 from babel.messages.pofile import read_po, write_po
 from jinja2 import Environment, nodes
 
-from app.audit.kinds import EventKind
+from app.audit.events.kinds import EventKind
 from app.commands.catalogue import BAUD_DANGER
 from app.commands.service.command_request import CommandOrigin
-from app.handover.signatures import SignedPart
+from app.handover.signing.signatures import SignedPart
 from app.history.series.values import VALUES
 from app.live.screen.words import STAGE_WORDS, STATE_WORDS, STOPPED_WITH_RUN, TURNING
 from app.messages.languages import DEFAULT, catalogs
 from app.sets.model import SetOrigin
-from app.sets.restore_record import RestoreState
-from app.web.access import Role, Via
-from app.web.assets import templates_dir
+from app.sets.restore.record import RestoreState
+from app.web.admission.access import Role, Via
+from app.web.rendering.assets import templates_dir
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import parameter_unit
 from bus.contract import BusLinkState, Outcome, UnitLinkState

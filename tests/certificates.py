@@ -11,8 +11,8 @@ from tempfile import mkdtemp
 
 import pytest
 
-from app.cli import authority
-from app.cli.authority import CertificateAuthority
+from app.cli.setup import authority
+from app.cli.setup.authority import CertificateAuthority
 
 LOCAL = ("localhost", "127.0.0.1")
 

@@ -26,14 +26,14 @@ from argon2 import PasswordHasher
 from hypothesis import settings
 from jinja2 import Environment
 
-import app.auth.passwords
-import app.database.connection
+import app.auth.sign_in.passwords
+import app.database.sqlite.connection
 import app.messages.languages
-import app.web.routes
-from app.database.migrating import bring_up_to_date
+import app.web.admission.routes
 from app.database.migration import MIGRATIONS, Migration
-from app.database.reserve import Reserve
-from app.web.assets import Assets
+from app.database.sqlite.migrating import bring_up_to_date
+from app.database.sqlite.reserve import Reserve
+from app.web.rendering.assets import Assets
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=30)
 # In `make soak`: other examples in each run, and many.
@@ -132,7 +132,7 @@ def declarations_found_once() -> Iterator[None]:
     """Every app looks twice at what each of its 270 routes declares, and the routes of all apps declare the
     same."""
     found: dict[int, tuple[Any, list[Any]]] = {}
-    calls = app.web.routes._calls
+    calls = app.web.admission.routes._calls
 
     def calls_once(dependant: Any) -> list[Any]:
         if id(dependant) not in found:
@@ -140,7 +140,7 @@ def declarations_found_once() -> Iterator[None]:
         return found[id(dependant)][1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.web.routes, "_calls", calls_once)
+        patch.setattr(app.web.admission.routes, "_calls", calls_once)
         yield
 
 
@@ -149,7 +149,7 @@ def stores_made_once() -> Iterator[None]:
     """A new store is a copy of one that has taken all its steps, and none waits for the disk: no test of this
     process ends its power supply. The processes that tests start and kill write as they do everywhere."""
     models = {folder: model_of(folder) for folder in (MIGRATIONS, HISTORY_MIGRATIONS)}
-    open_for_writing = app.database.connection.open_for_writing
+    open_for_writing = app.database.sqlite.connection.open_for_writing
 
     def copy_if_new(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
         is_new = connection.execute("SELECT 1 FROM sqlite_master").fetchone() is None
@@ -166,8 +166,8 @@ def stores_made_once() -> Iterator[None]:
         return connection
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.database.connection, "bring_up_to_date", copy_if_new)
-        patch.setattr(app.database.connection, "open_for_writing", open_without_waiting)
+        patch.setattr(app.database.sqlite.connection, "bring_up_to_date", copy_if_new)
+        patch.setattr(app.database.sqlite.connection, "open_for_writing", open_without_waiting)
         patch.setattr(os, "fsync", lambda _: None)
         yield
     for model, _ in models.values():
@@ -206,6 +206,8 @@ def passwords_hashed_cheaply() -> Iterator[None]:
     that tests start hash as they do everywhere."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            app.auth.passwords, "_hasher", PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
+            app.auth.sign_in.passwords,
+            "_hasher",
+            PasswordHasher(time_cost=1, memory_cost=8, parallelism=1),
         )
         yield

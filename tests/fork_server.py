@@ -38,7 +38,13 @@ ENTRY_POINTS: dict[Program, tuple[str, str]] = {
     "bus": ("bus.__main__", str(ROOT / "bus" / "__main__.py")),
 }
 """Module that has ``main``, and the program's name in ``sys.argv``."""
-IMPORTED = ("app.cli.hosting", "app.cli.server", "app.cli.simulate", "app.cli.accounts", "bus.worker.process")
+IMPORTED = (
+    "app.cli.serving.hosting",
+    "app.cli.serving.server",
+    "app.cli.simulated.simulate",
+    "app.cli.setup.accounts",
+    "bus.worker.process",
+)
 """Before the first fork. None of them starts a thread."""
 MAX_BYTES = 200_000
 """Of a request: mostly the environment."""

@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from app.cli import cli
-from app.cli.accounts import token
-from app.cli.service_unit import CONFIGURATION, DATA, INSTALLED
+from app.cli.setup.accounts import token
+from app.cli.setup.service_unit import CONFIGURATION, DATA, INSTALLED
 from app.settings import Settings, load
 from release.__main__ import platform_tag
 from tests.test_architecture import ROOT, text_of

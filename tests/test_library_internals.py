@@ -63,7 +63,7 @@ async def test_used_members_exist(kind: type, names: str) -> None:
 
 
 def test_used_members_of_fastapi_exist() -> None:
-    """Used by app.web.routes and app.web.api_route: what a route declares, and the app that serves it."""
+    """Used by app.web.admission.routes and app.web.api.route: what a route declares, and its app."""
     app = FastAPI()
 
     @app.get("/units/{unit}")

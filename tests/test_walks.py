@@ -26,7 +26,7 @@ from app.feed.rates import FeedQuota
 from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
 from app.pipeline import Pipeline
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import AppMessage, Batch, Command, Result, SetSpeed, Update, encode
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
@@ -226,8 +226,8 @@ async def test_browsers_learn_of_a_reading_before_what_judges_and_stores_it(tmp_
         "app.live.browsers.hub.Hub._on_updates",
         "app.live.browsers.browser.Browser.send_diff",
         "app.live.api.line_stream.LineStream._on_updates",
-        "app.sets.drift.BusDrift._see",
-        "app.alarms.bus_alarms.BusAlarms._see",
+        "app.sets.comparison.drift.BusDrift._see",
+        "app.alarms.monitor.bus_alarms.BusAlarms._see",
         "app.history.service.History.append",
         "app.live.changes.Changes.see",
     ]

@@ -11,8 +11,8 @@ from pydantic import ConfigDict, Field
 from app.alarms.rules import changes
 from app.alarms.rules.changes import Changed
 from app.audit.act import Act
-from app.web.access import Role
-from app.web.shape import StrictBody
+from app.web.admission.access import Role
+from app.web.api.shape import StrictBody
 from bus.text import OneLine
 
 MAX_MINUTES = 720

@@ -13,7 +13,7 @@ from app.alarms.rules.facts import AlarmAttributes, AlarmFacts
 from app.alarms.rules.states import AlarmState
 from app.conditions.condition import AlarmGroup, SuppressionGroup
 from app.conditions.priority import AlarmPriority, Consequence, TimeToRespond
-from app.web.shape import MessageObject
+from app.web.api.shape import MessageObject
 from bus.messages import Message
 
 BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]

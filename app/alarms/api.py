@@ -11,7 +11,7 @@ from typing_extensions import TypedDict
 
 from app.alarms.acts import ALARM_ACTS, AlarmAct
 from app.alarms.alarm import AlarmRationalization
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.rules.states import AlarmState
 from app.alarms.shown import (
     AlarmShown,
@@ -24,8 +24,8 @@ from app.conditions.condition import AlarmGroup
 from app.conditions.priority import AlarmPriority
 from app.home.lease import SITE
 from app.routing.other_lines import OtherLines
-from app.web.access import Person, Viewer
-from app.web.api_route import ApiRoute
+from app.web.admission.access import Person, Viewer
+from app.web.api.route import ApiRoute
 from app.web.services import service
 
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.alarms.alarm import Alarm
-from app.alarms.line_alarms import LineAlarms, rank
+from app.alarms.monitor.line_alarms import LineAlarms, rank
 from app.live.screen.fields import Fields, Translator
 from app.live.screen.sources import AlarmChangeSubscriber
 from bus.instants import UnixTime

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 from functools import partial
 
-from app.alarms import api, journal_pages, occurrences_api, own_api, own_pages, pages, performance_api
+from app.alarms import api, pages
 from app.alarms.acts import ACTS
 from app.alarms.banner import AlarmBanner
-from app.alarms.bus_alarms import BusAlarms
-from app.alarms.control_left import control_left_by
-from app.alarms.expiry_watch import ExpiryWatch
 from app.alarms.finding import AlarmFinder
-from app.alarms.line_alarms import LineAlarms
-from app.alarms.own_book import OwnAlarmBook
+from app.alarms.journal import occurrences_api, performance_api
+from app.alarms.journal import pages as journal_pages
+from app.alarms.journal.store import AlarmStore
+from app.alarms.monitor.bus_alarms import BusAlarms
+from app.alarms.monitor.control_left import control_left_by
+from app.alarms.monitor.expiry_watch import ExpiryWatch
+from app.alarms.monitor.line_alarms import LineAlarms
+from app.alarms.monitor.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
+from app.alarms.own import api as own_api
+from app.alarms.own import pages as own_pages
+from app.alarms.own.book import OwnAlarmBook
 from app.alarms.simulation.simulator import Simulator
-from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
-from app.alarms.store import AlarmStore
-from app.audit.anchoring import Anchoring
 from app.audit.archive.archiving import EventArchive
 from app.audit.local_log.notice import away_notice
 from app.audit.log import EventLog
+from app.audit.proof.anchoring import Anchoring
 from app.auth.accounts import Accounts
-from app.auth.break_glass import BreakGlass
+from app.auth.sign_in.break_glass import BreakGlass
 from app.backup.service import Backups
 from app.commands.safeguards.service import Safeguards
 from app.database import Database
@@ -36,9 +40,9 @@ from app.live.screen.fields import Fields, Translator
 from app.live.state.bus_live import BusLive
 from app.messages import Language
 from app.routing.site_servers import SiteServers
-from app.sets.drift import BusDrift
+from app.sets.comparison.drift import BusDrift
+from app.web.rendering.templating import PageHead, Templates
 from app.web.services import Registry
-from app.web.templating import PageHead, Templates
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message
 

@@ -14,8 +14,8 @@ from starlette.responses import RedirectResponse, Response
 from app.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
 from app.alarms.alarm import Alarm, state_text
 from app.alarms.api import Alarms
-from app.alarms.line_alarms import LineAlarms
-from app.alarms.performance import measure
+from app.alarms.journal.performance import measure
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.rules.performance import DAY_S, AlarmFigure
 from app.alarms.rules.states import PRESENT_STATES
 from app.alarms.summary import MAX_ROWS, listed, places_of, query_of, row_of
@@ -25,10 +25,10 @@ from app.home.lease import SITE
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
 from app.routing.site_servers import SiteServers
-from app.web.access import Person, Viewer
-from app.web.formats import UNKNOWN, Formats
+from app.web.admission.access import Person, Viewer
+from app.web.rendering.formats import UNKNOWN, Formats
+from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
-from app.web.templating import render, templates_of
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 from bus.text import OneLine

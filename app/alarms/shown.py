@@ -9,12 +9,20 @@ from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
 
 from app.alarms.alarm import Alarm, BusName, UnitNumber
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.journal.store import JournalEntry
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.rules.states import AlarmState, AlarmTrigger
-from app.alarms.store import JournalEntry
 from app.conditions.condition import AlarmGroup
 from app.conditions.priority import PRIORITIES, AlarmPriority
-from app.web.shape import Instant, MaybeInstant, MaybeMessage, MessageShown, iso, maybe_shown, message_shown
+from app.web.api.shape import (
+    Instant,
+    MaybeInstant,
+    MaybeMessage,
+    MessageShown,
+    iso,
+    maybe_shown,
+    message_shown,
+)
 from bus.instants import UnixTime
 from bus.messages import Message, in_english
 
@@ -129,7 +137,7 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
 
 
 def rank_shown(alarm: AlarmShown) -> tuple[bool, bool, bool, int, int, str]:
-    """The order of :func:`app.alarms.line_alarms.rank`, for alarms of several servers."""
+    """The order of :func:`app.alarms.monitor.line_alarms.rank`, for alarms of several servers."""
     priority, came = PRIORITIES.index(alarm["priority"]), alarm["came"]
     newest_first = -round(datetime.fromisoformat(came).timestamp() * 1000) if came is not None else 0
     is_hidden = alarm["state"] in ("shelved", "suppressed", "out_of_service")

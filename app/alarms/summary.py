@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
 from app.alarms.alarm import Alarm
-from app.alarms.line_alarms import LineAlarms, rank
+from app.alarms.monitor.line_alarms import LineAlarms, rank
 from app.alarms.shown import present_value
 from bus.instants import UnixTime
 from bus.messages import Message

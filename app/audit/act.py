@@ -7,8 +7,8 @@ from typing import Any, TypedDict
 
 from fastapi import Depends
 
-from app.audit.kinds import EventKind
-from app.web.access import Person, Requires, Role, refuse_without
+from app.audit.events.kinds import EventKind
+from app.web.admission.access import Person, Requires, Role, refuse_without
 from bus.messages import TEXTS, Message, ParamValue
 
 

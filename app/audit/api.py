@@ -11,16 +11,16 @@ from fastapi import APIRouter, Depends, Query
 from pydantic import AwareDatetime, BaseModel, Field
 from starlette.responses import Response, StreamingResponse
 
-from app.audit.entry import is_moment
-from app.audit.kinds import EventKind
+from app.audit.events.entry import is_moment
+from app.audit.events.kinds import EventKind
+from app.audit.events.store import Filter
 from app.audit.log import Event, EventLog
-from app.audit.store import Filter
-from app.audit.walk import AuditVerification
-from app.web.access import Admin, Viewer
-from app.web.api_route import ApiRoute
+from app.audit.proof.walk import AuditVerification
+from app.web.admission.access import Admin, Viewer
+from app.web.admission.turns import DOWNLOAD, SEARCH
+from app.web.api.route import ApiRoute
+from app.web.api.shape import Instant, MaybeInstant, csv_cell, csv_text, iso, json_response
 from app.web.services import service
-from app.web.shape import Instant, MaybeInstant, csv_cell, csv_text, iso, json_response
-from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
 
 router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)

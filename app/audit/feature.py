@@ -8,18 +8,18 @@ from functools import partial
 from zoneinfo import ZoneInfo
 
 from app.audit import api, pages
-from app.audit.anchoring import Anchoring
 from app.audit.archive.archiving import EventArchive
 from app.audit.configuration import change_since_last
-from app.audit.finding import EventFinder
-from app.audit.keys import Keys, open_keys
+from app.audit.events.finding import EventFinder
+from app.audit.events.store import heads_of
 from app.audit.local_log.file import LocalFile
 from app.audit.local_log.local_log import LocalLog
 from app.audit.log import EventLog
-from app.audit.store import heads_of
+from app.audit.proof.anchoring import Anchoring
+from app.audit.proof.keys import Keys, open_keys
 from app.database import Database
 from app.database.migration import FIRST, Migration
-from app.database.reserve import Reserve
+from app.database.sqlite.reserve import Reserve
 from app.feature import Feature, Services
 from app.find.finders import Finders
 from app.home.lease import SITE

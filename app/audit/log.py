@@ -12,21 +12,21 @@ from typing import Any, Required, TypedDict, Unpack
 import structlog
 from msgspec import to_builtins
 
-from app.audit import store
-from app.audit.anchor import read_key_anchor
 from app.audit.archive.cuts import newest_cut
-from app.audit.chain import Head, newest_of
-from app.audit.entry import Event as Event
-from app.audit.entry import is_moment, new_entry, readable
-from app.audit.keyring import KeyRing
-from app.audit.keys import Keys, passing_keys
-from app.audit.kinds import EventKind
+from app.audit.events import store
+from app.audit.events.entry import Event as Event
+from app.audit.events.entry import is_moment, new_entry, readable
+from app.audit.events.kinds import EventKind
+from app.audit.events.repeated import RepeatedEvents
+from app.audit.events.store import Filter
 from app.audit.local_log.local_log import LocalLog
 from app.audit.local_log.transaction import LoggedEvent, LoggedTransaction, StoredPart, new_transaction
 from app.audit.local_log.writing import PartWriter, TransactionWriter
-from app.audit.repeated import RepeatedEvents
-from app.audit.store import Filter
-from app.audit.walk import AuditVerification, Walk
+from app.audit.proof.anchor import read_key_anchor
+from app.audit.proof.chain import Head, newest_of
+from app.audit.proof.keyring import KeyRing
+from app.audit.proof.keys import Keys, passing_keys
+from app.audit.proof.walk import AuditVerification, Walk
 from app.database import Database, StoreConnection
 from app.errors import ConstraintError, StoreError, StoreUnavailableError
 from bus.contract import Frame, Outcome

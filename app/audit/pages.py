@@ -10,18 +10,18 @@ from fastapi import APIRouter, Query
 from starlette.requests import Request
 from starlette.responses import HTMLResponse
 
-from app.audit import groups
 from app.audit.api import Events
-from app.audit.finding import units_named
-from app.audit.store import Filter
+from app.audit.events import groups
+from app.audit.events.finding import units_named
+from app.audit.events.store import Filter
 from app.settings import Settings
 from app.time_zone import day_begins
-from app.web.access import Viewer
-from app.web.formats import Formats
+from app.web.admission.access import Viewer
+from app.web.admission.turns import SEARCH
+from app.web.api.shape import parse_integer
+from app.web.rendering.formats import Formats
+from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
-from app.web.shape import parse_integer
-from app.web.templating import render, templates_of
-from app.web.turns import SEARCH
 
 router = APIRouter(include_in_schema=False)
 ON_A_PAGE = 100

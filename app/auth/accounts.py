@@ -8,14 +8,16 @@ from dataclasses import dataclass, field, replace
 
 from app.audit.act import Act
 from app.audit.log import EventLog
-from app.auth import acts, notices, rules, store, strength
-from app.auth.notices import Kind, RightsNotice
-from app.auth.passwords import hash_secret
+from app.auth import acts, rules, store
+from app.auth.rights import notices
+from app.auth.rights.notices import Kind, RightsNotice
+from app.auth.sign_in import strength
+from app.auth.sign_in.passwords import hash_secret
 from app.auth.store import CompanyAccount, Token, User
 from app.database import Database, StoreConnection
 from app.database.engine import lock
 from app.errors import ConstraintError, Problem
-from app.web.access import AccountSubscriber, Person, Role, account_of, name_of
+from app.web.admission.access import AccountSubscriber, Person, Role, account_of, name_of
 from bus.errors import CallerError
 from bus.instants import Clock, unix_now
 from bus.messages import Message, ParamValue, term

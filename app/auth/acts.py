@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.audit.act import Act
-from app.web.access import Role
+from app.web.admission.access import Role
 
 ADD_USER = Act("add_user", Role.ADMIN, "user", "event_user_added")
 ADD_FIRST_ADMIN = Act("add_first_admin", Role.ADMIN, "user", "event_first_admin_added")

@@ -7,8 +7,8 @@ from typing import Literal
 from fastapi import APIRouter
 from typing_extensions import TypedDict
 
-from app.web.access import Role, Viewer
-from app.web.api_route import ApiRoute
+from app.web.admission.access import Role, Viewer
+from app.web.api.route import ApiRoute
 
 router = APIRouter(prefix="/api/v1", tags=["who"], route_class=ApiRoute)
 

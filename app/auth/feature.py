@@ -5,21 +5,22 @@ from __future__ import annotations
 from functools import partial
 
 from app.audit.log import EventLog
-from app.auth import api, notices, pages, users
+from app.auth import api, pages, users
 from app.auth.accounts import Accounts
 from app.auth.acts import ACTS
-from app.auth.break_glass import BreakGlass, path_in
-from app.auth.first_admin import FirstAdmin
-from app.auth.identity import Identity
-from app.auth.known import KnownCredentials
-from app.auth.lasting import Rechecks
 from app.auth.oidc import pages as oidc_pages
 from app.auth.oidc.single_sign_on import SingleSignOn
-from app.auth.rights import Rights
-from app.auth.signin import SESSION_ENDED, SignIn, write_session_ended
+from app.auth.rights import notices
+from app.auth.rights.identity import Identity
+from app.auth.rights.known import KnownCredentials
+from app.auth.rights.lasting import Rechecks
+from app.auth.rights.rights import Rights
+from app.auth.sign_in.break_glass import BreakGlass, path_in
+from app.auth.sign_in.first_admin import FirstAdmin
+from app.auth.sign_in.signin import SESSION_ENDED, SignIn, write_session_ended
 from app.database import Database
 from app.feature import Feature, Services
-from app.server.refusal_log import RefusalLog
+from app.server.admission.refusal_log import RefusalLog
 
 
 def make(services: Services) -> None:

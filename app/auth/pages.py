@@ -10,17 +10,17 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from app.auth import rules
-from app.auth.access import COOKIE, cookie_name, is_encrypted
 from app.auth.accounts import Accounts, check_has_own_password
 from app.auth.acts import CHANGE_OWN_PASSWORD, LOG_OUT
-from app.auth.first_admin import FirstAdmin, WrongCodeError
 from app.auth.oidc.refusal import refusal_shown
 from app.auth.oidc.single_sign_on import SingleSignOn
-from app.auth.signin import SignedIn, SignIn, WrongSecretError
+from app.auth.rights.access import COOKIE, cookie_name, is_encrypted
+from app.auth.sign_in.first_admin import FirstAdmin, WrongCodeError
+from app.auth.sign_in.signin import SignedIn, SignIn, WrongSecretError
 from app.errors import Problem
-from app.web.access import Person, Viewer, address_of, person_of, public
+from app.web.admission.access import Person, Viewer, address_of, person_of, public
+from app.web.rendering.templating import render, templates_of
 from app.web.services import service, service_of
-from app.web.templating import render, templates_of
 from bus.errors import CallerError
 from bus.messages import Message
 
@@ -189,7 +189,7 @@ def signed_in(request: Request, sign_in: SignIn, begun: SignedIn, next_page: str
 
 def set_cookie(request: Request, response: Response, name: str, value: str, max_age_s: float) -> None:
     """Lax, so that a link from an e-mail opens signed in; changes are
-    guarded by its Origin (`app.web.security`). Not Secure on plain HTTP, which plants use."""
+    guarded by its Origin (`app.web.admission.security`). Not Secure on plain HTTP, which plants use."""
     response.set_cookie(
         cookie_name(request, name),
         value,

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from app.auth.settings import Sessions
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.errors import CallerError
 from bus.instants import UnixTime
 from bus.messages import Message, term

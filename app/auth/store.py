@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from app.database import StoreConnection, StoreRow
 from app.database.engine import upsert
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.instants import UnixTime
 
 MAX_PLACES = 50

@@ -14,10 +14,10 @@ from app.auth import acts
 from app.auth.accounts import Accounts
 from app.auth.pages import FormText
 from app.server.encryption import Encryption
-from app.web.access import PEOPLE_ROLES, Admin, Person, Role, role_named
+from app.web.admission.access import PEOPLE_ROLES, Admin, Person, Role, role_named
 from app.web.problems import is_fragment
+from app.web.rendering.templating import render
 from app.web.services import looked_up, service_of
-from app.web.templating import render
 from bus.errors import CallerError
 from bus.messages import Message
 

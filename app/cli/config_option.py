@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from app.cli.options import Option
-from app.cli.service_unit import CONFIGURATION
+from app.cli.setup.service_unit import CONFIGURATION
 
 CONFIG_VARIABLE = "LINESIDE_CONFIG"
 NEW_CONFIG = Path("lineside.toml")

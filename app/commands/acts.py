@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.audit.act import Act
-from app.web.access import Role
+from app.web.admission.access import Role
 
 SET_LIMITS = Act("set_speed_limits", Role.ENGINEER, "limits", "event_limits_changed")
 BLOCK = Act("block_commands", Role.OPERATOR, "block", "event_unit_blocked")

@@ -25,8 +25,8 @@ from app.commands.rules.setpoint import (
 from app.commands.rules.slowing import slows_all
 from app.commands.wording import Wording
 from app.live.state.bus_live import BusLive
-from app.web.access import Role
-from app.web.arrival import DEFAULT_TIMEOUT_S
+from app.web.admission.access import Role
+from app.web.admission.arrival import DEFAULT_TIMEOUT_S
 from bus.catalogue.parameter import danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
-from app.auth.rights import Rights
-from app.auth.signin import SignIn
+from app.auth.rights.rights import Rights
+from app.auth.sign_in.signin import SignIn
 from app.commands.acts import ACTS
 from app.commands.api import commands, safeguards, trace
 from app.commands.catalogue import ROLES_BY_COMMAND
@@ -31,8 +31,8 @@ from app.feature import Feature, Services
 from app.feed.channel import Channel
 from app.find.finders import Finders
 from app.live.state.bus_live import BusLive, LiveState
-from app.web.head_control import HeadControl
-from app.web.templating import Templates
+from app.web.rendering.head_control import HeadControl
+from app.web.rendering.templating import Templates
 from bus.instants import unix_now
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.audit.act import Act
-from app.web.access import Role
+from app.web.admission.access import Role
 
 CHANGE = Act("change_configuration", Role.ENGINEER, "configuration", "event_configuration_edited")
 CHANGE_MAIL = Act("change_mail_server", Role.ADMIN, "configuration", "event_configuration_edited")

@@ -20,10 +20,10 @@ from app.configuration.service import ConfigurationFile
 from app.configuration.tables import TableKind, TablePlace, place_or_404, places_of, text_of
 from app.configuration.versions import ConfigurationVersion
 from app.errors import Problem
-from app.web.access import Engineer, Person
-from app.web.api_route import ApiRoute
+from app.web.admission.access import Engineer, Person
+from app.web.api.route import ApiRoute
+from app.web.api.shape import MessageObject, StrictBody
 from app.web.services import service
-from app.web.shape import MessageObject, StrictBody
 from bus.messages import Message
 from bus.text import OneLine
 

@@ -31,9 +31,9 @@ from app.configuration.tables import (
 )
 from app.errors import Problem
 from app.notification.settings import DAYS
-from app.web.access import Person
-from app.web.formats import Formats
-from app.web.templating import render, templates_of
+from app.web.admission.access import Person
+from app.web.rendering.formats import Formats
+from app.web.rendering.templating import render, templates_of
 from bus.configuration import lines_of, statements
 from bus.errors import CallerError
 from bus.messages import Message

@@ -8,7 +8,7 @@ from app.audit.log import EventLog
 from app.configuration.acts import RESTART
 from app.configuration.service import ConfigurationFile
 from app.errors import Problem
-from app.web.access import Person
+from app.web.admission.access import Person
 from bus.messages import Message
 
 DELAY_S = 1.0

@@ -20,7 +20,7 @@ from app.configuration.versions import ConfigurationVersion, StoredVersion, Vers
 from app.database.private import fresh_file, sync_folder
 from app.errors import Problem, StoreError, or_404, system_error
 from app.settings import Settings, parse
-from app.web.access import Person
+from app.web.admission.access import Person
 from bus.configuration import ConfigurationError, read
 from bus.errors import LinesideError
 from bus.instants import Clock, unix_now

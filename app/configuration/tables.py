@@ -14,7 +14,7 @@ from app.conditions.priority import AlarmPriority
 from app.configuration.document import TomlValue, at
 from app.errors import or_404
 from app.notification.settings import DAYS, MailSecurity, NotifiedPriority
-from app.web.shape import parse_integer
+from app.web.api.shape import parse_integer
 from bus.configuration import KeyPath
 from bus.messages import Message
 

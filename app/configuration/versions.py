@@ -10,7 +10,7 @@ import msgspec
 from pydantic import Field
 
 from app.database.private import make_folder, write_file
-from app.web.shape import InstantObject
+from app.web.api.shape import InstantObject
 
 FOLDER = "configuration"
 """In the data folder."""

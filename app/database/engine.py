@@ -6,7 +6,7 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from app.database.connection import WritingConnection
+from app.database.sqlite.connection import WritingConnection
 from app.database.store_connection import StoreConnection
 from bus.instants import UnixTime, unix_now
 

@@ -9,7 +9,7 @@ from app.database import Database
 from app.database.availability import Availability
 from app.database.opening import open_database
 from app.database.private import make_private
-from app.database.reserve import Reserve
+from app.database.sqlite.reserve import Reserve
 from app.feature import Feature, Services
 
 

@@ -8,12 +8,12 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from app.database.availability import Availability
-from app.database.connection import SqliteDatabase, Synchronous
 from app.database.database import Database
 from app.database.migration import MIGRATIONS, Migration, missing_in
 from app.database.presence import Presence, examining, presence_of
-from app.database.reserve import Reserve
 from app.database.settings import StoreSettings
+from app.database.sqlite.connection import SqliteDatabase, Synchronous
+from app.database.sqlite.reserve import Reserve
 from app.database.store_connection import StoreConnection
 from app.errors import StoreError
 from bus.messages import Message

@@ -8,9 +8,9 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Literal
 
-from app.database.connection import STEPS, open_unchanged
 from app.database.engine import is_intact
-from app.database.words import in_words
+from app.database.sqlite.connection import STEPS, open_unchanged
+from app.database.sqlite.words import in_words
 from app.errors import DamagedStoreError
 from bus.messages import Message
 

@@ -12,9 +12,9 @@ from app.errors import Problem
 from app.feed.bus_feed import WorkerLeft
 from app.feed.holders import Credential
 from app.feed.workers import Workers
-from app.server.client_connection import client_connection
+from app.server.connection.client_connection import client_connection
 from app.settings import Settings
-from app.web.access import Worker
+from app.web.admission.access import Worker
 from app.web.services import service_of
 from bus.contract import AppMessage, MalformedMessageError, encode
 from bus.messages import Message

@@ -5,7 +5,7 @@ from __future__ import annotations
 from app.feature import Feature, Services
 from app.find import pages
 from app.find.finders import Finders, FixedPlace
-from app.web.navigation import PAGES
+from app.web.rendering.navigation import PAGES
 from bus.messages import Message
 
 ACTIONS = (

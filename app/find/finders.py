@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from app.find.matching import rank, words_of
 from app.messages import Language
-from app.web.formats import Formats
+from app.web.rendering.formats import Formats
 from bus.messages import Message
 
 MAX_OF_KIND = 6

@@ -10,10 +10,10 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.find.finders import Finders, Search
-from app.web.access import Viewer
+from app.web.admission.access import Viewer
+from app.web.admission.turns import SEARCH
+from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
-from app.web.templating import render, templates_of
-from app.web.turns import SEARCH
 from bus.text import OneLine
 
 router = APIRouter(include_in_schema=False)

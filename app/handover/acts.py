@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from app.audit.act import Act
-from app.handover.signatures import EVENTS, SignedPart
-from app.web.access import Role
+from app.handover.signing.signatures import EVENTS, SignedPart
+from app.web.admission.access import Role
 
 WRITE_NOTE = Act("write_shift_note", Role.OPERATOR, "shift", "event_shift_note")
 CORRECT_NOTE = Act("correct_shift_note", Role.OPERATOR, "shift", "event_shift_note_corrected")

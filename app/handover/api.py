@@ -14,11 +14,11 @@ from typing_extensions import TypedDict
 
 from app.errors import Problem
 from app.handover.acts import SIGN, WRITE_NOTE
-from app.handover.document import APART, SheetDocuments
-from app.handover.pictures import MAX_OF_NOTE
+from app.handover.notes.pictures import MAX_OF_NOTE
 from app.handover.rules.shift_times import Shift
 from app.handover.service import Handover, NewNote, ShiftSummary
-from app.handover.sheet import (
+from app.handover.sheet.document import APART, SheetDocuments
+from app.handover.sheet.sheet import (
     ShiftNote,
     ShiftSheet,
     ShiftSignatures,
@@ -27,14 +27,14 @@ from app.handover.sheet import (
     notes_json,
     signed_json,
 )
-from app.handover.signing import ShiftSignRequest, Signing
-from app.web.access import Person, Viewer, address_of
-from app.web.api_route import ApiRoute, RequestKey
-from app.web.bounds import MAX_BODY_BYTES
-from app.web.schema import limited, problems
+from app.handover.signing.signing import ShiftSignRequest, Signing
+from app.web.admission.access import Person, Viewer, address_of
+from app.web.admission.bounds import MAX_BODY_BYTES
+from app.web.admission.turns import SEARCH
+from app.web.api.route import ApiRoute, RequestKey
+from app.web.api.schema import limited, problems
+from app.web.api.shape import Instant, StrictBody, iso
 from app.web.services import service
-from app.web.shape import Instant, StrictBody, iso
-from app.web.turns import SEARCH
 from bus.instants import UnixTime
 from bus.messages import Message
 from bus.text import Lines, OneLine

@@ -5,19 +5,20 @@ from __future__ import annotations
 import asyncio
 from functools import partial
 
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.audit.log import EventLog
-from app.auth.signin import SignIn
+from app.auth.sign_in.signin import SignIn
 from app.database import Database
 from app.feature import Feature, Services
-from app.handover import api, notes_api, pages
+from app.handover import api, pages
 from app.handover.acts import ACTS
-from app.handover.document import SheetDocuments
-from app.handover.pictures import PictureStore
+from app.handover.notes import api as notes_api
+from app.handover.notes.pictures import PictureStore
 from app.handover.service import Handover
-from app.handover.signing import Signing
-from app.web.assets import Assets
-from app.web.templating import Templates
+from app.handover.sheet.document import SheetDocuments
+from app.handover.signing.signing import Signing
+from app.web.rendering.assets import Assets
+from app.web.rendering.templating import Templates
 
 
 def make(services: Services) -> None:

@@ -14,21 +14,21 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.alarms.api import Alarms
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.shown import transition_json
 from app.handover.acts import SIGN, WRITE_NOTE
 from app.handover.api import MAX_NOTE_LENGTH, ShiftOfPath, Shifts, Sign
-from app.handover.document import APART, readable
-from app.handover.pictures import MAX_OF_NOTE, PictureStore
+from app.handover.notes.pictures import MAX_OF_NOTE, PictureStore
 from app.handover.service import NewNote
-from app.handover.sheet import notes_json
-from app.handover.signatures import SignedPart
-from app.handover.signing import ShiftSignRequest
-from app.web.access import Person, Viewer, address_of
-from app.web.bounds import MAX_BODY_BYTES
+from app.handover.sheet.document import APART, readable
+from app.handover.sheet.sheet import notes_json
+from app.handover.signing.signatures import SignedPart
+from app.handover.signing.signing import ShiftSignRequest
+from app.web.admission.access import Person, Viewer, address_of
+from app.web.admission.bounds import MAX_BODY_BYTES
+from app.web.admission.turns import SEARCH
+from app.web.rendering.templating import render
 from app.web.services import service
-from app.web.templating import render
-from app.web.turns import SEARCH
 from bus.instants import UnixTime
 from bus.text import Lines, OneLine
 

@@ -13,19 +13,19 @@ from zoneinfo import ZoneInfo
 import msgspec
 from pydantic import Field
 
-from app.alarms.store import JournalEntry
+from app.alarms.journal.store import JournalEntry
 from app.audit.log import EventLog
 from app.database import Database, StoreConnection
 from app.database.engine import snapshot
 from app.errors import Problem
-from app.handover import notes
 from app.handover.acts import CORRECT_NOTE, WRITE_NOTE
-from app.handover.notes import Note, RepeatedNoteError
-from app.handover.pictures import PictureStore, judged
-from app.handover.quota import Quota
+from app.handover.notes import notes
+from app.handover.notes.notes import Note, RepeatedNoteError
+from app.handover.notes.pictures import PictureStore, judged
+from app.handover.notes.quota import Quota
 from app.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until, site_time
-from app.handover.sheet import write_sheet
-from app.handover.signatures import (
+from app.handover.sheet.sheet import write_sheet
+from app.handover.signing.signatures import (
     MissingSignature,
     ShiftSignature,
     SignedSheet,
@@ -36,10 +36,10 @@ from app.handover.signatures import (
 )
 from app.notification.settings import minute_of_day
 from app.settings import Settings
-from app.web.access import Person
-from app.web.bounds import refuse_year
+from app.web.admission.access import Person
+from app.web.admission.bounds import refuse_year
+from app.web.api.shape import InstantObject, iso
 from app.web.services import unknown_bus, unknown_unit
-from app.web.shape import InstantObject, iso
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 

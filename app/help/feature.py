@@ -5,7 +5,7 @@ from __future__ import annotations
 from app.feature import Feature, Services
 from app.help import pages
 from app.help.handbook import Handbook
-from app.web.assets import docs_dir
+from app.web.rendering.assets import docs_dir
 
 
 def make(services: Services) -> None:

@@ -16,12 +16,12 @@ from app.help.chapters import BY_NAME, CHAPTERS, Chapter
 from app.help.handbook import Handbook
 from app.help.reference import Call, calls_of
 from app.version import VERSION
-from app.web.access import Viewer
-from app.web.bounds import parse_apart
-from app.web.schema import rendered_once
+from app.web.admission.access import Viewer
+from app.web.admission.bounds import parse_apart
+from app.web.admission.turns import SEARCH
+from app.web.api.schema import rendered_once
+from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
-from app.web.templating import render, templates_of
-from app.web.turns import SEARCH
 from bus.messages import Message
 from bus.text import OneLine
 

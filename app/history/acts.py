@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.audit.act import Act
-from app.web.access import Role
+from app.web.admission.access import Role
 
 SHARE = Act("share_view", Role.OPERATOR, "configuration", "event_view_shared")
 DELETE_SHARED = Act("delete_shared_view", Role.ENGINEER, "configuration", "event_view_deleted")

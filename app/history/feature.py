@@ -13,8 +13,8 @@ from app.history.api import routes
 from app.history.service import History
 from app.history.views import TrendViews
 from app.home.homes import Homes
-from app.web.assets import Assets
-from app.web.templating import Templates
+from app.web.rendering.assets import Assets
+from app.web.rendering.templating import Templates
 
 
 def make(services: Services) -> None:

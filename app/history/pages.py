@@ -22,10 +22,10 @@ from app.history.service import History
 from app.history.status import store_notice
 from app.history.views import MAX_QUERY, TrendView, TrendViews
 from app.settings import Settings
-from app.web.access import Person, Viewer
-from app.web.assets import Assets
+from app.web.admission.access import Person, Viewer
+from app.web.rendering.assets import Assets
+from app.web.rendering.templating import Templates, render, templates_of
 from app.web.services import service, service_of
-from app.web.templating import Templates, render, templates_of
 from bus.instants import unix_now
 from bus.text import OneLine
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, TypeVar
 
 import structlog
 
-from app.audit.kinds import EventKind
+from app.audit.events.kinds import EventKind
 from app.database.engine import is_intact
-from app.database.reserve import MIN_FREE_OF_OTHERS
+from app.database.sqlite.reserve import MIN_FREE_OF_OTHERS
 from app.errors import DamagedStoreError, StoreError
 from app.history.intake.share import COMPLETE, StoreShare
 from app.history.intake.tail import Tail

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
-from app.web.formats import Formats
-from app.web.shape import InstantObject, MessageObject
+from app.web.api.shape import InstantObject, MessageObject
+from app.web.rendering.formats import Formats
 from bus.instants import UnixTime
 from bus.messages import Message
 

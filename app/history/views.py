@@ -10,7 +10,7 @@ from app.database import Database, StoreConnection
 from app.database.engine import lock, upsert
 from app.errors import Problem
 from app.history.acts import DELETE_SHARED, SHARE
-from app.web.access import Person
+from app.web.admission.access import Person
 from bus.instants import unix_now
 from bus.messages import Message
 

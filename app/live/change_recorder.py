@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import structlog
 
-from app.audit.budget import BURST, EventBudget, Summary
+from app.audit.events.budget import BURST, EventBudget, Summary
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.changes import LineEvent

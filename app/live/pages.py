@@ -18,9 +18,9 @@ from app.live.lookup import bus_or_404
 from app.live.screen.fields import unit_key
 from app.live.screen.totals import strip_of
 from app.live.state.bus_live import BusLive, UnitLive
-from app.web.access import Engineer, Viewer
+from app.web.admission.access import Engineer, Viewer
+from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
-from app.web.templating import render, templates_of
 from bus.catalogue.numbers import DECIMALS, MAX_DISPLAY
 from bus.settings import UnitLabels
 

@@ -8,7 +8,7 @@ from fastapi import APIRouter
 from starlette.responses import Response
 
 from app.metrics.sources import MetricSources
-from app.web.access import Viewer
+from app.web.admission.access import Viewer
 from app.web.services import service
 
 router = APIRouter(include_in_schema=False)

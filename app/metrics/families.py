@@ -11,11 +11,11 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoM
 from prometheus_client.registry import Collector
 
 from app.alarms.alarm import Alarm
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.rules.states import PRESENT_STATES
 from app.conditions.draw import percent_of
 from app.conditions.priority import PRIORITIES
-from app.database.reserve import free_bytes
+from app.database.sqlite.reserve import free_bytes
 from app.history.status import HistoryStatus
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, speed_decimals

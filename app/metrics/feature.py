@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from app.alarms.line_alarms import LineAlarms
-from app.audit.anchoring import Anchoring
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.audit.log import EventLog
+from app.audit.proof.anchoring import Anchoring
 from app.backup.service import Backups
 from app.feature import Feature, Services
 from app.history.service import History

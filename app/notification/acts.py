@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.audit.act import Act
-from app.web.access import Role
+from app.web.admission.access import Role
 
 BEGIN_MAINTENANCE = Act("begin_maintenance", Role.ENGINEER, "notification", "event_maintenance_begun")
 END_MAINTENANCE = Act("end_maintenance", Role.ENGINEER, "notification", "event_maintenance_ended")

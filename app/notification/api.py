@@ -10,19 +10,18 @@ from typing_extensions import TypeAliasType, TypedDict
 
 from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
 from app.notification.maintenance import MAX_MINUTES, RecurringMaintenanceShown
-from app.notification.notice import NoticeKind
-from app.notification.outbox import NotificationDelivery
+from app.notification.message.notice import NoticeKind
+from app.notification.outbox.outbox import NotificationDelivery
+from app.notification.outbox.store import MaintenanceShown
 from app.notification.rules.delivery import DeliveryState
 from app.notification.service import (
     Notification,
     NotificationEndpointShown,
     NotificationGroup,
 )
-from app.notification.store import MaintenanceShown
-from app.web.access import Engineer, Person
-from app.web.api_route import ApiRoute
-from app.web.services import service
-from app.web.shape import (
+from app.web.admission.access import Engineer, Person
+from app.web.api.route import ApiRoute
+from app.web.api.shape import (
     Instant,
     MaybeInstant,
     MessageShown,
@@ -30,6 +29,7 @@ from app.web.shape import (
     iso,
     maybe_shown,
 )
+from app.web.services import service
 from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/notifications", tags=["alarms"], route_class=ApiRoute)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from app.alarms.bus_alarms import BusAlarms
-from app.alarms.site_alarms import FailingEndpoints, SiteAlarms
+from app.alarms.monitor.bus_alarms import BusAlarms
+from app.alarms.monitor.site_alarms import FailingEndpoints, SiteAlarms
 from app.audit.log import EventLog
 from app.database import Database
 from app.feature import Feature, Services
 from app.notification import api, pages
 from app.notification.acts import ACTS
-from app.notification.attachment import ReportAttachments
-from app.notification.notifier import AlarmNotifier
+from app.notification.message.attachment import ReportAttachments
+from app.notification.outbox.notifier import AlarmNotifier
 from app.notification.service import Notification
-from app.web.templating import Templates
+from app.web.rendering.templating import Templates
 
 
 def make(services: Services) -> None:

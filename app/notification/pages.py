@@ -13,11 +13,11 @@ from app.alarms.api import Alarms
 from app.errors import Problem
 from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
 from app.notification.api import Notifying
-from app.notification.dispatcher import subject_of
 from app.notification.maintenance import MAX_MINUTES
+from app.notification.sending.dispatcher import subject_of
 from app.notification.settings import DAYS
-from app.web.access import Engineer, Person, Viewer
-from app.web.templating import render
+from app.web.admission.access import Engineer, Person, Viewer
+from app.web.rendering.templating import render
 from bus.messages import Message
 from bus.text import OneLine
 

@@ -11,27 +11,27 @@ from zoneinfo import ZoneInfo
 from pydantic import Field
 from typing_extensions import TypeAliasType
 
-from app.alarms.site_alarms import FailingEndpoints
+from app.alarms.monitor.site_alarms import FailingEndpoints
 from app.audit.log import EventLog
 from app.database import Database
 from app.errors import Problem
 from app.messages.languages import Languages
-from app.notification.acknowledge_link import acknowledge_link, check_link
 from app.notification.acts import SEND_TEST
-from app.notification.attachment import ReportAttachments
-from app.notification.away import AwayNotification
-from app.notification.compose import Composer
-from app.notification.dispatcher import Dispatcher
-from app.notification.endpoints import EndpointKind, NotificationPlan
 from app.notification.maintenance import Maintenance
-from app.notification.outbox import NotificationDelivery, NotificationOutbox
+from app.notification.message.acknowledge_link import acknowledge_link, check_link
+from app.notification.message.attachment import ReportAttachments
+from app.notification.message.compose import Composer
+from app.notification.outbox.away import AwayNotification
+from app.notification.outbox.outbox import NotificationDelivery, NotificationOutbox
+from app.notification.outbox.store import NotificationStore
 from app.notification.rules.notices import QuietSpan
-from app.notification.senders import Senders
-from app.notification.store import NotificationStore
+from app.notification.sending.dispatcher import Dispatcher
+from app.notification.sending.endpoints import EndpointKind, NotificationPlan
+from app.notification.sending.senders import Senders
 from app.settings import Settings
-from app.web.access import Person
-from app.web.formats import Formats
-from app.web.shape import InstantObject, MessageObject
+from app.web.admission.access import Person
+from app.web.api.shape import InstantObject, MessageObject
+from app.web.rendering.formats import Formats
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 

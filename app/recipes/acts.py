@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from app.audit.act import Act
 from app.commands.catalogue import SET_LINE
-from app.web.access import Role
+from app.web.admission.access import Role
 
 SAVE = Act("save_recipe", Role.ENGINEER, "recipe", "event_recipe_saved")
 DELETE = Act("delete_recipe", Role.ENGINEER, "recipe", "event_recipe_retired")

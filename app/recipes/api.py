@@ -10,7 +10,7 @@ from starlette.requests import HTTPConnection
 from typing_extensions import TypedDict
 
 from app.audit.api import Events
-from app.audit.store import Filter
+from app.audit.events.store import Filter
 from app.commands.api.commands import RESULT_RESPONSES
 from app.commands.api.responses import FramesWanted, command_response
 from app.commands.catalogue import SET_LINE
@@ -25,13 +25,13 @@ from app.recipes.acts import DELETE, LOAD, SAVE
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, setpoints_now
 from app.recipes.runs import MAX_LOADS, RecipeRuns, runs_of
-from app.routing.at_home import at_home_of
-from app.web.access import Person, Viewer
-from app.web.api_route import ApiRoute
-from app.web.arrival import made_at
+from app.routing.forwarding.at_home import at_home_of
+from app.web.admission.access import Person, Viewer
+from app.web.admission.arrival import made_at
+from app.web.admission.turns import SEARCH
+from app.web.api.route import ApiRoute
+from app.web.api.shape import StrictBody, UnitAddresses, iso, parse_integer
 from app.web.services import service
-from app.web.shape import StrictBody, UnitAddresses, iso, parse_integer
-from app.web.turns import SEARCH
 from bus.instants import UnixTime
 from bus.messages import Message
 from bus.text import Lines, OneLine

@@ -17,8 +17,8 @@ from app.recipes import rules
 from app.recipes.acts import DELETE, LOAD, SAVE
 from app.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, RecipeDryRunStep, RecipeSetpoint
 from app.recipes.store import Loaded, RecipeStore
-from app.web.access import Person
-from app.web.arrival import Deadline
+from app.web.admission.access import Person
+from app.web.admission.arrival import Deadline
 from bus.contract import Result, SetLine, SetSpeed
 from bus.instants import Monotonic, unix_now
 from bus.messages import Message

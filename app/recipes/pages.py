@@ -20,9 +20,9 @@ from app.live.state.bus_live import BusLive
 from app.recipes.acts import DELETE, SAVE
 from app.recipes.api import Book, KnownRecipe
 from app.recipes.rules import setpoint_kind, setpoints_now
-from app.routing.at_home import at_home_of
-from app.web.access import Person, Viewer
-from app.web.templating import render
+from app.routing.forwarding.at_home import at_home_of
+from app.web.admission.access import Person, Viewer
+from app.web.rendering.templating import render
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError

@@ -14,7 +14,7 @@ from app.commands.rules.setpoint_range import SetpointKind, kind_of
 from app.commands.values import in_measure, measure_of_setpoint
 from app.live.api.schemas import UnitAddress
 from app.live.state.bus_live import BusLive, UnitLive, follower
-from app.web.shape import MessageObject
+from app.web.api.shape import MessageObject
 from bus.catalogue.numbers import RATIO_SETPOINT
 from bus.contract.durations import change_s
 from bus.instants import UnixTime

@@ -9,8 +9,8 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.audit.entry import Event
-from app.web.shape import Instant, MaybeInstant, iso
+from app.audit.events.entry import Event
+from app.web.api.shape import Instant, MaybeInstant, iso
 
 MAX_LOADS = 1000
 """Loads of recipes that are searched for an earlier run."""

@@ -9,20 +9,20 @@ from fastapi import APIRouter, Depends, Query
 from starlette.responses import Response
 
 from app.handover.api import HTML
-from app.handover.document import APART
 from app.handover.rules.scope import Scope
 from app.handover.rules.shift_times import Shift
+from app.handover.sheet.document import APART
 from app.history.api.spans import SpanOf
 from app.history.service import seconds
 from app.reports.document import ReportDocuments, file_name
 from app.reports.report import SpanReport
 from app.reports.service import Reports
 from app.reports.tables import stop_rows, unit_rows
-from app.web.access import Viewer
-from app.web.api_route import ApiRoute
+from app.web.admission.access import Viewer
+from app.web.admission.turns import DOWNLOAD, SEARCH
+from app.web.api.route import ApiRoute
+from app.web.api.shape import csv_text, json_response
 from app.web.services import service
-from app.web.shape import csv_text, json_response
-from app.web.turns import DOWNLOAD, SEARCH
 from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/report", tags=["reports"], route_class=ApiRoute)

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from app.alarms.line_alarms import LineAlarms
-from app.handover.document import readable
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.handover.rules.scope import Scope
 from app.handover.rules.shift_times import Shift
-from app.notification.attachment import Attachment
-from app.notification.notice import ReportNotice
+from app.handover.sheet.document import readable
+from app.notification.message.attachment import Attachment
+from app.notification.message.notice import ReportNotice
 from app.reports.service import Reports
-from app.web.assets import Assets
-from app.web.formats import lasting
-from app.web.templating import Templates
+from app.web.rendering.assets import Assets
+from app.web.rendering.formats import lasting
+from app.web.rendering.templating import Templates
 from bus.instants import UnixTime
 from bus.messages import Message
 

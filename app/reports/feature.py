@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.database import Database
 from app.feature import Feature, Services
 from app.find.finders import Finders, FixedPlace
 from app.history.service import History
-from app.notification.attachment import ReportAttachments
-from app.notification.outbox import NotificationOutbox
+from app.notification.message.attachment import ReportAttachments
+from app.notification.outbox.outbox import NotificationOutbox
 from app.reports import api, pages
 from app.reports.document import ReportDocuments
 from app.reports.schedule import ReportSchedule
 from app.reports.service import Reports
-from app.web.assets import Assets
-from app.web.templating import Templates
+from app.web.rendering.assets import Assets
+from app.web.rendering.templating import Templates
 from bus.messages import Message
 
 

@@ -19,10 +19,10 @@ from app.reports.api import ReportsOf
 from app.reports.document import shown
 from app.reports.rules.spans import SpanName
 from app.reports.service import Reports
-from app.web.access import Viewer
-from app.web.shape import iso
-from app.web.templating import render
-from app.web.turns import SEARCH
+from app.web.admission.access import Viewer
+from app.web.admission.turns import SEARCH
+from app.web.api.shape import iso
+from app.web.rendering.templating import render
 from bus.instants import UnixTime
 from bus.messages import Message, term
 from bus.text import OneLine

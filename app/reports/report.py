@@ -10,20 +10,20 @@ from typing import Annotated, Any, NamedTuple, NotRequired
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.alarms.journal.store import JournalEntry
 from app.alarms.shown import AlarmTransition, transition_json
-from app.alarms.store import JournalEntry
 from app.database import StoreConnection
-from app.handover.notes import MAX_OF_SPAN
+from app.handover.notes.notes import MAX_OF_SPAN
 from app.handover.rules.scope import Scope
 from app.handover.rules.shift_times import Shift
-from app.handover.sheet import ShiftSignatures, SignedShiftSheet, signed_json, write_sheet
-from app.handover.signatures import signed_sheet
+from app.handover.sheet.sheet import ShiftSignatures, SignedShiftSheet, signed_json, write_sheet
+from app.handover.signing.signatures import signed_sheet
 from app.history.query.unit_report import MAX_READINGS, BusReport, UnitReport
 from app.history.series.draw import DrawFigures
 from app.history.series.run_time import RunFigures, StopCause
 from app.history.series.runs import SECOND, micros
 from app.settings import Settings
-from app.web.shape import Instant, iso
+from app.web.api.shape import Instant, iso
 from bus.instants import UnixTime
 from bus.settings import BusSettings, UnitSettings
 

@@ -10,9 +10,9 @@ import structlog
 
 from app.errors import StoreError
 from app.handover.rules.shift_times import site_time
-from app.notification.endpoints import NotificationEndpoint
-from app.notification.notice import OutboxItem, ReportNotice
-from app.notification.outbox import NotificationOutbox
+from app.notification.message.notice import OutboxItem, ReportNotice
+from app.notification.outbox.outbox import NotificationOutbox
+from app.notification.sending.endpoints import NotificationEndpoint
 from app.reports.rules.spans import last_due
 from app.settings import Settings
 from bus.instants import Clock, UnixTime, unix_now

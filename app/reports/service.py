@@ -16,9 +16,9 @@ from app.history.service import History
 from app.reports.report import reported_buses, span_report
 from app.reports.rules.spans import SpanName, named_span, span_fault
 from app.settings import Settings
-from app.web.bounds import refuse_year
+from app.web.admission.bounds import refuse_year
+from app.web.api.shape import parse_integer
 from app.web.services import unknown_bus, unknown_unit
-from app.web.shape import parse_integer
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 from bus.settings import BusSettings

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from app.web.shape import csv_cell
+from app.web.api.shape import csv_cell
 
 _FIGURES = ("known_s", "running_s", "length", "length_unit")
 _MORE = ("at_speed_s", "unread_s", "speed_average", "speed_greatest", "speed_unit")

@@ -10,11 +10,11 @@ import msgspec
 from starlette.requests import HTTPConnection
 
 from app.home.lease import SITE
-from app.routing.headers import to_home
-from app.routing.hop import HEADER
+from app.routing.forwarding.headers import to_home
+from app.routing.forwarding.hop import HEADER
 from app.routing.peers import Peers
 from app.routing.site_servers import SiteServers, target_of
-from app.web.security import PASSED_ON
+from app.web.admission.security import PASSED_ON
 
 MAX_S = 1.0
 MAX_BYTES = 4 * 1024 * 1024

@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 
 from app.database import StoreConnection
-from app.routing.hop import SECRET_BYTES
+from app.routing.forwarding.hop import SECRET_BYTES
 
 
 def site_secret(connection: StoreConnection) -> bytes:

@@ -12,11 +12,11 @@ from starlette.types import Scope
 from app.database import Database
 from app.errors import StoreError
 from app.home.homes import Home
+from app.routing.forwarding.hop import Hop, opened, sealed
 from app.routing.homes import BusHomes
-from app.routing.hop import Hop, opened, sealed
 from app.routing.secret import site_secret
 from app.routing.store_clock import StoreClock
-from app.server.admission import ARRIVED_AT
+from app.server.admission.turns import ARRIVED_AT
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from bus.messages import Message
 
 if TYPE_CHECKING:  # it imports what a server without TLS does not need
-    from app.server.server_certificate import ServerCertificate
+    from app.server.tls.certificate import ServerCertificate
 
 
 @dataclass(frozen=True)

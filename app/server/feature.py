@@ -17,7 +17,7 @@ _log = structlog.get_logger()
 def make(services: Services) -> None:
     server, certificate = services.settings.server, None
     if server.tls is not None:
-        from app.server.server_certificate import ServerCertificate
+        from app.server.tls.certificate import ServerCertificate
 
         certificate = ServerCertificate(server.tls)
         services.lifespan.add(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from app.audit.act import Act
 from app.commands.catalogue import WRITE_PARAMETER
-from app.web.access import Role
+from app.web.admission.access import Role
 
 SAVE = Act("save_parameter_set", Role.ENGINEER, "parameter_set", "event_set_taken")
 MARK_GOLDEN = Act("mark_golden_set", Role.ENGINEER, "parameter_set", "event_set_golden")

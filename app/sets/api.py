@@ -15,19 +15,19 @@ from app.live.api.routes import Live
 from app.live.api.schemas import MaybeTime, UnitAddress
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets.acts import EXPORT_SECRET, MARK_GOLDEN, SAVE, SCHEDULE
-from app.sets.compare import ParameterDifference, compare, with_unit
+from app.sets.comparison.compare import ParameterDifference, compare, with_unit
+from app.sets.comparison.drift import BusDrift, DriftedParameter
 from app.sets.document import write_document
-from app.sets.drift import BusDrift, DriftedParameter
-from app.sets.keeper import SetKeeper
 from app.sets.lookup import SetAtHome, Sets, StoredSet, set_or_404, unit_rows_or_404
 from app.sets.model import Number, ParameterSet, ParameterSetSummary, SetHead, StoredRaw, UnitRows
-from app.sets.schedule import SetSchedule
-from app.web.access import Person, Viewer
-from app.web.api_route import ApiRoute
-from app.web.next_page import NEXT_PAGE, link_next
-from app.web.schema import problems
+from app.sets.saving.keeper import SetKeeper
+from app.sets.saving.schedule import SetSchedule
+from app.web.admission.access import Person, Viewer
+from app.web.api.next_page import NEXT_PAGE, link_next
+from app.web.api.route import ApiRoute
+from app.web.api.schema import problems
+from app.web.api.shape import MessageObject, StrictBody, UnitAddresses, iso
 from app.web.services import bus_service, bus_service_of
-from app.web.shape import MessageObject, StrictBody, UnitAddresses, iso
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
 from bus.text import Lines, OneLine

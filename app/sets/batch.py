@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, UnitLive
-from app.sets.compare import with_unit
-from app.sets.effects import warning_of
+from app.sets.comparison.compare import with_unit
 from app.sets.model import UnitRows
-from app.sets.reading import known_rows, status_of
-from app.web.access import Person
+from app.sets.restore.effects import warning_of
+from app.sets.saving.reading import known_rows, status_of
+from app.web.admission.access import Person
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.parameter import Parameter, check_writable_value
 from bus.catalogue.parameters import PARAMETERS

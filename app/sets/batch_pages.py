@@ -10,9 +10,9 @@ from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.sets.batch import learn, refuse_moved, rows_of_batch, write_batch
-from app.sets.effects import OPERATING_VALUES, effect_message
-from app.web.shape import parse_integer
-from app.web.templating import render
+from app.sets.restore.effects import OPERATING_VALUES, effect_message
+from app.web.api.shape import parse_integer
+from app.web.rendering.templating import render
 from bus.catalogue.parameter import Parameter
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from app.sets.compare import with_unit
+from app.sets.comparison.compare import with_unit
 from app.sets.model import ParameterRow, ParameterSet, UnitRows
-from app.web.shape import StrictBody
+from app.web.api.shape import StrictBody
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
 from bus.instants import UnixTime

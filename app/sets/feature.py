@@ -5,22 +5,24 @@ from __future__ import annotations
 from functools import partial
 
 from app.audit.log import EventLog
-from app.auth.rights import Rights
+from app.auth.rights.rights import Rights
 from app.commands.service.command_service import CommandService
 from app.database import Database
 from app.feature import Feature, Services
 from app.live.state.bus_live import BusLive
-from app.sets import api, batch_pages, pages, restore_api, restore_pages
+from app.sets import api, batch_pages, pages
 from app.sets.acts import ACTS
-from app.sets.drift import BusDrift
-from app.sets.first_write import FirstWrites
-from app.sets.keeper import SetKeeper
-from app.sets.reading import ParameterReader
-from app.sets.restore import RestoreService
-from app.sets.restore_store import RestoreStore
-from app.sets.schedule import SERVER, SetSchedule
+from app.sets.comparison.drift import BusDrift
+from app.sets.restore import api as restore_api
+from app.sets.restore import pages as restore_pages
+from app.sets.restore.restores import RestoreService
+from app.sets.restore.store import RestoreStore
+from app.sets.saving.first_write import FirstWrites
+from app.sets.saving.keeper import SetKeeper
+from app.sets.saving.reading import ParameterReader
+from app.sets.saving.schedule import SERVER, SetSchedule
+from app.sets.saving.taking import Takings
 from app.sets.store import SetStore
-from app.sets.taking import Takings
 from app.web.services import Registry
 
 

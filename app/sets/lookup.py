@@ -9,13 +9,13 @@ from fastapi import Depends, Form, UploadFile
 from starlette.requests import HTTPConnection
 
 from app.errors import Problem, or_404
-from app.routing.at_home import at_home_of
+from app.routing.forwarding.at_home import at_home_of
 from app.sets.document import MAX_DOCUMENT, THE_FILE, read_document
 from app.sets.model import ParameterSet, UnitRows
-from app.sets.restore import RestoreService
-from app.sets.restore_record import Restore
+from app.sets.restore.record import Restore
+from app.sets.restore.restores import RestoreService
 from app.sets.store import SetStore
-from app.web.bounds import MAX_BODY_BYTES, parse_apart
+from app.web.admission.bounds import MAX_BODY_BYTES, parse_apart
 from app.web.services import service
 from bus.messages import Message, term
 
@@ -84,7 +84,7 @@ KnownRestore = Annotated[Restore, Depends(restore_or_404)]
 
 @dataclass(frozen=True, slots=True)
 class FormSource:
-    """``text``: a side, as :mod:`app.sets.sides` names it. ``file`` None: none was uploaded."""
+    """``text``: a side, as :mod:`app.sets.comparison.sides` names it. ``file`` None: none was uploaded."""
 
     text: str
     file: UploadFile | None

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PlainSerializer
 
 from app.live.api.schemas import Time
-from app.web.shape import iso
+from app.web.api.shape import iso
 from bus.instants import UnixTime
 
 Number = Annotated[int, Field(description="Number of the parameter, 1 to 40.")]

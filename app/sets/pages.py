@@ -13,20 +13,20 @@ from app.errors import or_404
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state.bus_live import LiveState
-from app.routing.at_home import at_home_of
+from app.routing.forwarding.at_home import at_home_of
 from app.sets.acts import MARK_GOLDEN, SAVE, SCHEDULE
 from app.sets.api import Drift
-from app.sets.compare import compare, row_message
-from app.sets.keeper import SetKeeper
+from app.sets.comparison.compare import compare, row_message
+from app.sets.comparison.sides import choices, side
 from app.sets.lookup import SetAtHome, Sets, StoredSet
-from app.sets.schedule import SetSchedule
-from app.sets.sides import choices, side
-from app.sets.taking import Takings
+from app.sets.saving.keeper import SetKeeper
+from app.sets.saving.schedule import SetSchedule
+from app.sets.saving.taking import Takings
 from app.sets.unit_ranges import unit_ranges
-from app.web.access import Person, Viewer
+from app.web.admission.access import Person, Viewer
+from app.web.api.shape import UnitAddresses
+from app.web.rendering.templating import render
 from app.web.services import bus_service_of, service
-from app.web.shape import UnitAddresses
-from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
 from bus.text import Lines, OneLine

@@ -14,11 +14,11 @@ from app.messages import DEFAULT
 from app.sites.board import LineOnBoard
 from app.sites.fleet import FleetLookup
 from app.sites.tile import no_report, shown_level, verdict_text
-from app.web.access import Viewer
-from app.web.api_route import ApiRoute
+from app.web.admission.access import Viewer
+from app.web.api.route import ApiRoute
+from app.web.api.shape import Instant, MessageShown, iso, maybe_shown, message_shown
+from app.web.rendering.templating import Templates
 from app.web.services import service
-from app.web.shape import Instant, MessageShown, iso, maybe_shown, message_shown
-from app.web.templating import Templates
 from bus.instants import UnixTime, unix_now
 
 router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)

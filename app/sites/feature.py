@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.audit.log import EventLog
 from app.commands.safeguards.service import Safeguards
 from app.database import Database
@@ -15,14 +15,14 @@ from app.live.state.bus_live import LiveState
 from app.messages import DEFAULT, Language
 from app.recipes.book import RecipeBook
 from app.routing.site_servers import SiteServers
-from app.sets.drift import BusDrift
+from app.sets.comparison.drift import BusDrift
 from app.sites import api, pages, wallboard
 from app.sites.board import LineBoard
 from app.sites.fleet import Fleet
 from app.sites.last_events import LastEvents
 from app.sites.own_lines import OwnLines
 from app.sites.publisher import CHANNEL, SummaryPublisher, notify_lines
-from app.web.templating import PageFleet, Templates
+from app.web.rendering.templating import PageFleet, Templates
 from bus.instants import unix_now
 
 

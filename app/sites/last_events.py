@@ -7,9 +7,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from app.audit.kinds import EventKind
+from app.audit.events.kinds import EventKind
+from app.audit.events.store import Filter
 from app.audit.log import Event, EventLog
-from app.audit.store import Filter
 from app.errors import StoreError
 from app.live.state.bus_live import LiveState
 from app.sites.summary import EventSummary

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from msgspec.structs import replace
 
 from app.alarms.alarm import Alarm
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.live.screen.fields import Translator
 from app.live.screen.sources import GoldenDrift, LoadedRecipes, UnitGuards
 from app.live.state.bus_live import LiveState

@@ -11,8 +11,8 @@ from starlette.responses import Response
 from app.live.screen.fields import Translator
 from app.sites.fleet import FleetLookup
 from app.sites.tile import line_key
-from app.web.access import Viewer
-from app.web.templating import render, templates_of
+from app.web.admission.access import Viewer
+from app.web.rendering.templating import render, templates_of
 
 router = APIRouter(include_in_schema=False)
 

@@ -9,7 +9,7 @@ from decimal import Decimal
 from itertools import islice
 
 from app.alarms.alarm import Alarm
-from app.alarms.line_alarms import rank
+from app.alarms.monitor.line_alarms import rank
 from app.conditions.priority import PRIORITIES
 from app.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts
 from app.live.diagnosis.cause import Cause, bus_cause, unit_cause

@@ -10,7 +10,7 @@ from app.live.screen.cause_text import cause_texts
 from app.live.screen.fields import Fields, Translator
 from app.sites.board import LineOnBoard
 from app.sites.summary import MAX_POINTS, Counts, LineSummary
-from app.web.formats import UNKNOWN
+from app.web.rendering.formats import UNKNOWN
 from bus.instants import UnixTime
 from bus.messages import Message
 

@@ -14,9 +14,9 @@ from app.live.pages import UnitOnLine, unit_on_line
 from app.live.screen.fields import Translator
 from app.sites.fleet import FleetLookup
 from app.sites.tile import line_key
-from app.web.access import Viewer
+from app.web.admission.access import Viewer
+from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of, unknown_bus
-from app.web.templating import render, templates_of
 
 router = APIRouter(include_in_schema=False)
 Size = Literal["large", "medium", "small", "tiny"]

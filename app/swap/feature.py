@@ -7,7 +7,7 @@ from functools import partial
 from app.audit.log import EventLog
 from app.database import Database
 from app.feature import Feature, Services
-from app.sets.restore import RestoreService
+from app.sets.restore.restores import RestoreService
 from app.swap import pages
 from app.swap.acts import ACTS
 from app.swap.service import SwapService

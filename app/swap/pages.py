@@ -15,17 +15,17 @@ from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.sets.api import ParameterSets
-from app.sets.keeper import SetKeeper
+from app.sets.comparison.sides import offers
 from app.sets.lookup import FILE_FORM, Chosen, Restores, Sets, set_or_404, unit_rows_or_404
-from app.sets.restore_view import RestoreOmission, rows_left_out
-from app.sets.sides import offers
+from app.sets.restore.view import RestoreOmission, rows_left_out
+from app.sets.saving.keeper import SetKeeper
 from app.swap.acts import BEGIN, CANCEL, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED
 from app.swap.record import Swap
 from app.swap.rules import PROVEN, STEPS, Advice, advice, done_steps
 from app.swap.service import SwapService, look, source_of, step_text
-from app.web.access import Person
+from app.web.admission.access import Person
+from app.web.rendering.templating import render
 from app.web.services import bus_service_of, service
-from app.web.templating import render
 from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)

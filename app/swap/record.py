@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass, field
 
-from app.sets.restore_record import Restore
+from app.sets.restore.record import Restore
 from app.swap.rules import SwapState, finding
 from bus.instants import UnixTime
 from bus.messages import Message, listed

@@ -15,19 +15,19 @@ from app.commands.api.responses import outcome_message
 from app.commands.service.command_service import CommandService
 from app.errors import Problem, StoreError
 from app.live.state.bus_live import LiveState
-from app.sets.keeper import SetKeeper
+from app.sets.comparison.sides import side
 from app.sets.lookup import FormSource
 from app.sets.model import ParameterSet
-from app.sets.reading import status_of
-from app.sets.restore import RestoreService
-from app.sets.restore_record import Restore
-from app.sets.sides import side
+from app.sets.restore.record import Restore
+from app.sets.restore.restores import RestoreService
+from app.sets.saving.keeper import SetKeeper
+from app.sets.saving.reading import status_of
 from app.sets.store import SetStore
 from app.swap.acts import BEGIN, CANCEL, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED
 from app.swap.record import Swap, SwapSource
 from app.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, SwapState
 from app.swap.store import SwapStore
-from app.web.access import Person, account_shown
+from app.web.admission.access import Person, account_shown
 from bus.contract import ScanBus
 from bus.instants import Clock
 from bus.messages import Message, joined, listed, parameter_name

@@ -8,7 +8,7 @@ from app.database import StoreConnection
 from app.database.engine import upsert
 from app.database.messages import messages_of, stored_messages
 from app.database.queries import Tables, writing
-from app.sets.restore_record import Restore
+from app.sets.restore.record import Restore
 from app.swap.record import Swap, SwapSource
 
 _VALUES = ("who", "began_at", "set_id", "set_unit", "is_new", "proven", "restore_id", "seen")

@@ -23,9 +23,9 @@ from app.recipes.rules import why_not_setpoint
 from app.sets.batch import rows_of_batch
 from app.sets.batch_pages import typed_batch, writable_or_404
 from app.sets.lookup import KnownRestore, Restores
-from app.sets.restore_pages import Ticks, ticked
+from app.sets.restore.pages import Ticks, ticked
 from app.tray.own_tray import OwnTray
-from app.web.arrival import Deadline
+from app.web.admission.arrival import Deadline
 from bus.errors import CallerError
 from bus.messages import Message
 

@@ -7,8 +7,8 @@ from app.find.finders import Finders, FixedPlace
 from app.live.state.bus_live import LiveState
 from app.tray import adding, pages
 from app.tray.contents import Trays
-from app.web.access import Person
-from app.web.head_tray import HeadTray, TrayCount
+from app.web.admission.access import Person
+from app.web.rendering.head_tray import HeadTray, TrayCount
 from bus.instants import monotonic_now
 from bus.messages import Message
 

@@ -12,7 +12,7 @@ from app.commands.undo.changes import Values, action_for
 from app.errors import Problem
 from app.tray.contents import Trays
 from app.tray.rows import Judge, TrayRow
-from app.web.arrival import Deadline
+from app.web.admission.arrival import Deadline
 from app.web.services import bus_service_of
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Action

@@ -12,8 +12,8 @@ from app.commands.review import SetpointChange
 from app.commands.undo.changes import ValuePlace, Values, action_for
 from app.commands.values import measure_of_value, parameter_message
 from app.live.state.bus_live import BusLive, UnitLive, follower
-from app.sets.effects import warning_of
-from app.sets.reading import status_of
+from app.sets.restore.effects import warning_of
+from app.sets.saving.reading import status_of
 from app.tray.contents import key_of, steps_of
 from bus.catalogue.parameter import danger_of_writing
 from bus.catalogue.parameters import PARAMETERS

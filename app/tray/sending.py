@@ -12,8 +12,8 @@ from app.commands.undo.changes import ValuePlace, Values, action_for
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
 from app.tray.contents import steps_of
-from app.web.access import Person
-from app.web.arrival import Deadline
+from app.web.admission.access import Person
+from app.web.admission.arrival import Deadline
 from bus.contract import Result, UnitOutcome
 from bus.instants import Monotonic
 from bus.messages import Message

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from app.feature import Feature, Services
-from app.web import pages, schema
-from app.web.assets import Assets, static_dir, templates_dir
-from app.web.templating import Templates
-from app.web.turns import Turns
+from app.web.admission.turns import Turns
+from app.web.api import schema
+from app.web.rendering import pages
+from app.web.rendering.assets import Assets, static_dir, templates_dir
+from app.web.rendering.templating import Templates
 
 
 def make(services: Services) -> None:

@@ -18,11 +18,11 @@ from starlette.routing import Match
 from starlette.websockets import WebSocket
 
 from app.errors import Problem, ProblemCode, StoreError, TooCostlyError
-from app.server.fair_queue import TooManyWaitingError
+from app.server.admission.fair_queue import TooManyWaitingError
 from app.server.security_headers import HEADERS
-from app.web.access import person_of
-from app.web.shape import message_shown, reason_shown
-from app.web.templating import render, templates_of
+from app.web.admission.access import person_of
+from app.web.api.shape import message_shown, reason_shown
+from app.web.rendering.templating import render, templates_of
 from bus.errors import CallerError
 from bus.messages import Message
 from bus.validation import fault_message

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from app.alarms.alarm import Alarm
-from app.alarms.bus_alarms import BusAlarms
+from app.alarms.journal.store import AlarmStore
+from app.alarms.monitor.bus_alarms import BusAlarms
 from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings
-from app.alarms.store import AlarmStore
 from app.audit.log import EventLog
 from app.database import Database
 from app.live.state.bus_live import LiveState

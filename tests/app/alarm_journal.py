@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
+from app.alarms.journal.store import AlarmStore
 from app.alarms.rules.observed import ObservedSpan
-from app.alarms.store import AlarmStore
 from app.audit.log import EventLog
 from app.database import Database
 from bus.instants import UnixTime

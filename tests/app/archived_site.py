@@ -6,9 +6,9 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 from app.audit.archive.archiving import EventArchive
-from app.audit.keys import open_keys
+from app.audit.events.store import heads_of
 from app.audit.log import EventLog
-from app.audit.store import heads_of
+from app.audit.proof.keys import open_keys
 from app.settings import Settings, load
 from bus.instants import UnixTime
 from tests.stores import open_store, store_table

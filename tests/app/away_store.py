@@ -10,14 +10,14 @@ from typing import Any, TypeVar
 
 import pytest
 
-from app.audit.keyring import KEY_BYTES, KeyRing
-from app.audit.keys import Keys
 from app.audit.local_log.file import MAX_BYTES, LocalFile
 from app.audit.local_log.local_log import LocalLog
 from app.audit.log import EventLog
+from app.audit.proof.keyring import KEY_BYTES, KeyRing
+from app.audit.proof.keys import Keys
 from app.database import SqliteDatabase, StoreConnection
 from app.database.availability import Availability
-from app.database.reserve import Reserve
+from app.database.sqlite.reserve import Reserve
 from app.errors import StoreUnavailableError
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app

@@ -19,7 +19,7 @@ from app.handover.settings import ShiftSettings
 from app.main import create_app
 from app.notification.settings import NotifySettings
 from app.settings import ServerSettings, Settings, Site, load
-from app.web.access import PEOPLE_ROLES, Role
+from app.web.admission.access import PEOPLE_ROLES, Role
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.administrator import BY
 from tests.stores import store_settings
@@ -81,7 +81,7 @@ class House:
 
     async def events(self, kind: str) -> list[dict[str, Any]]:
         """Return the events of one kind, newest first."""
-        from app.audit.store import Filter
+        from app.audit.events.store import Filter
 
         return (await self.services[EventLog].page(Filter(kind=kind), 100))[0]
 

@@ -13,12 +13,12 @@ from typing import Any
 from click.testing import CliRunner, Result
 
 from app.cli import cli
-from app.cli.migrate_store import PARTS
+from app.cli.stores.migrate_store import PARTS
 from app.database import SqliteDatabase
 from app.database.copying.places import Folder, StorePlace
 from app.database.copying.statements import quoted
 from app.database.copying.tables import tables_of
-from app.handover.pictures import MIGRATIONS as PICTURE_STEPS
+from app.handover.notes.pictures import MIGRATIONS as PICTURE_STEPS
 from app.history.series.runs import HOUR
 from tests.app.history_line import NOON, Shelf, polls
 

@@ -15,11 +15,11 @@ from app.commands.safeguards.limits import NO_LIMITS
 from app.commands.service.command_service import WriteSubscriber
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
-from app.sets.drift import BusDrift
-from app.sets.keeper import SetKeeper
-from app.sets.reading import ParameterReader
+from app.sets.comparison.drift import BusDrift
+from app.sets.saving.keeper import SetKeeper
+from app.sets.saving.reading import ParameterReader
 from app.sets.store import SetStore
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Action,

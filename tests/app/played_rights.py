@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.errors import Problem
-from app.web.access import AccountSubscriber, Person
+from app.web.admission.access import AccountSubscriber, Person
 from bus.messages import Message
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 from app.live.screen.fields import Fields, Translator
 from app.live.screen.sources import AlarmChangeSubscriber, Drifted, Sources, UnitSubscriber
-from app.web.head_control import BusControl
+from app.web.rendering.head_control import BusControl
 from bus.messages import Message
 
 

@@ -7,7 +7,7 @@ from app.live.screen.fields import Translator
 from app.live.screen.screen import Screen
 from app.live.state.bus_live import LiveState
 from app.messages import Languages
-from app.web.formats import Formats
+from app.web.rendering.formats import Formats
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.app.played_sources import played_sources

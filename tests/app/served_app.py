@@ -15,7 +15,7 @@ from app.auth.store import Token
 from app.database import Database
 from app.feature import Services
 from app.main import create_app
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.app.complete_app import settings_in
 
 

@@ -45,12 +45,12 @@ from app.routing.other_lines import OtherLines
 from app.routing.peers import Peers
 from app.routing.site_servers import SiteServers
 from app.settings import Settings, Site
-from app.web.access import Person, Role, Via
-from app.web.assets import Assets, static_dir, templates_dir
+from app.web.admission.access import Person, Role, Via
+from app.web.admission.turns import Turns
 from app.web.problems import install
+from app.web.rendering.assets import Assets, static_dir, templates_dir
+from app.web.rendering.templating import Templates
 from app.web.services import Registry
-from app.web.templating import Templates
-from app.web.turns import Turns
 from bus.contract import (
     CONTRACT_VERSION,
     AppMessage,

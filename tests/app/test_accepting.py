@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from app.server.accepting import MAX_AT_ONCE, accept_connections
+from app.server.connection.accepting import MAX_AT_ONCE, accept_connections
 
 COUNT = 50
 

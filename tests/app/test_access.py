@@ -15,13 +15,13 @@ from starlette.types import Message, Receive, Scope, Send
 from uvicorn.protocols.utils import ClientDisconnected
 
 from app.auth import rules
-from app.auth.access import COOKIE, PUBLIC_PATHS
 from app.auth.accounts import Accounts
-from app.auth.identity import Identity
+from app.auth.rights.access import COOKIE, PUBLIC_PATHS
+from app.auth.rights.identity import Identity
 from app.main import create_app
-from app.server.client_connection import EXTENSION, NoClientConnection
-from app.web.access import Person, Requires, Role
-from app.web.routes import demands, refuse_undeclared
+from app.server.connection.client_connection import EXTENSION, NoClientConnection
+from app.web.admission.access import Person, Requires, Role
+from app.web.admission.routes import demands, refuse_undeclared
 from tests.administrator import BY
 from tests.app.complete_app import EVERY_ROLE, HOST, PASSWORD, House, complete_app, settings_in
 

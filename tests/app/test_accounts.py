@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from app.audit.act import Act
+from app.audit.events.store import Filter
 from app.audit.log import EventLog
-from app.audit.store import Filter
 from app.auth import rules, store
 from app.auth.accounts import Accounts
 from app.auth.acts import (
@@ -31,7 +31,7 @@ from app.auth.acts import (
 )
 from app.auth.store import CompanyAccount, User
 from app.errors import Problem
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.errors import CallerError
 from bus.messages import Message
 from tests.administrator import BY

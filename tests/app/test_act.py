@@ -11,10 +11,10 @@ from app.commands.catalogue import COMMANDS
 from app.errors import Problem
 from app.main import FEATURES, create_app
 from app.settings import Site
-from app.web.access import Person, Requires, Role, public
-from app.web.assets import Assets, static_dir, templates_dir
-from app.web.routes import required
-from app.web.templating import Templates
+from app.web.admission.access import Person, Requires, Role, public
+from app.web.admission.routes import required
+from app.web.rendering.assets import Assets, static_dir, templates_dir
+from app.web.rendering.templating import Templates
 from bus.messages import Message
 from tests.app.complete_app import settings_in
 

@@ -9,7 +9,7 @@ from contextlib import suppress
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from app.server.admission import HEALTH, LoopTurns, RequestAdmission, sender_of
+from app.server.admission.turns import HEALTH, LoopTurns, RequestAdmission, sender_of
 
 
 async def iterations(count: int) -> None:

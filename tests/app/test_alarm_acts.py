@@ -17,12 +17,12 @@ from app.alarms.acts import (
     AlarmAct,
     AlarmShelveRequest,
 )
-from app.alarms.line_alarms import LineAlarms
-from app.alarms.site_alarms import SiteAlarms
-from app.audit.store import Filter
+from app.alarms.monitor.line_alarms import LineAlarms
+from app.alarms.monitor.site_alarms import SiteAlarms
+from app.audit.events.store import Filter
 from app.database import Database
 from app.errors import Problem
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.instants import UnixTime
 from tests.app.alarm_bus import BUS, RUN, AlarmBus
 from tests.app.complete_app import EVERY_ROLE

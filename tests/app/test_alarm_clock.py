@@ -12,8 +12,8 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from app.alarms.occurrences import occurrences
-from app.alarms.performance import measure
+from app.alarms.journal.occurrences import occurrences
+from app.alarms.journal.performance import measure
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.performance import CHATTERS_S, FLEETING_S
 from bus.instants import UnixTime

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.alarms.store import AlarmStore, JournalEntry
+from app.alarms.journal.store import AlarmStore, JournalEntry
 from app.audit.log import EventLog
 from tests.sizes import sizes
 from tests.stores import open_store

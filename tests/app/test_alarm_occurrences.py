@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from app.alarms.occurrences import MAX_OCCURRENCES, occurrences
-from app.alarms.store import AlarmStore
+from app.alarms.journal.occurrences import MAX_OCCURRENCES, occurrences
+from app.alarms.journal.store import AlarmStore
 from bus.instants import UnixTime
 from tests.app.alarm_journal import Journal, T, alarm_journal
 from tests.stores import both_engines

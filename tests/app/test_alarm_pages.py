@@ -12,15 +12,15 @@ import httpx
 import pytest
 
 from app.alarms.banner import AlarmBanner
-from app.alarms.bus_alarms import BusAlarms
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.bus_alarms import BusAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.rules.facts import AlarmFacts
 from app.alarms.rules.observed import ObservedSpan
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
 from app.live.state.bus_live import LiveState
-from app.web.access import Role
-from app.web.templating import Templates
+from app.web.admission.access import Role
+from app.web.rendering.templating import Templates
 from bus.contract import Reading
 from bus.instants import UnixTime, unix_now
 from tests.app.complete_app import House, complete_app

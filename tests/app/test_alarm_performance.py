@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.alarms.performance import AlarmPerformance, measure
+from app.alarms.journal.performance import AlarmPerformance, measure
 from app.alarms.rules.observed import MAX_GAP_S, ObservedSpan, observed_until
 from app.alarms.rules.performance import MIN_FOR_TOP_TEN, AlarmCounts, figures, flooded
 from bus.instants import UnixTime

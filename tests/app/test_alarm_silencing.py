@@ -6,11 +6,11 @@ import sqlite3
 
 import pytest
 
-from app.alarms.line_alarms import LineAlarms
-from app.alarms.site_alarms import SiteAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
+from app.alarms.monitor.site_alarms import SiteAlarms
 from app.database import Database
 from app.errors import StoreError
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.instants import UnixTime
 from tests.app.alarm_bus import BUS, RUN, AlarmBus
 from tests.stores import both_engines

@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.simulation.simulator import Simulator
@@ -20,7 +20,7 @@ from app.history.series.runs import micros
 from app.history.service import History
 from app.history.store import tables
 from app.settings import load
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import ParameterValue, Reading
 from bus.instants import UnixTime
 from tests.app.complete_app import House, complete_app

@@ -11,12 +11,12 @@ import httpx
 import pytest
 
 from app.alarms.acts import ALARM_ACTS
-from app.alarms.bus_alarms import BusAlarms
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.bus_alarms import BusAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.state.bus_live import LiveState
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import Reading
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app

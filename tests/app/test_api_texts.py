@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from app.main import create_app
-from app.web.schema import openapi_document
+from app.web.api.schema import openapi_document
 from tests.app.complete_app import settings_in
 
 AS_DATA = {

@@ -13,8 +13,8 @@ import pytest
 from starlette.requests import Request
 
 from app.errors import Problem
-from app.web.access import Role
-from app.web.assets import Assets, static_dir, templates_dir
+from app.web.admission.access import Role
+from app.web.rendering.assets import Assets, static_dir, templates_dir
 from tests.app.complete_app import House, complete_app
 
 

@@ -14,8 +14,10 @@ from typing import Any
 import httpx
 import pytest
 
-from app.audit import anchoring as module
-from app.audit.anchor import (
+from app.audit.events.store import Filter
+from app.audit.log import EventLog
+from app.audit.proof import anchoring as module
+from app.audit.proof.anchor import (
     AnchorError,
     anchor_line,
     append_line,
@@ -23,18 +25,16 @@ from app.audit.anchor import (
     read_anchor_file,
     read_anchors,
 )
-from app.audit.anchoring import Anchoring, AnchorStatus, anchor_notice
-from app.audit.chain import SITE, Head
-from app.audit.keyring import KeyRing
-from app.audit.log import EventLog
+from app.audit.proof.anchoring import Anchoring, AnchorStatus, anchor_notice
+from app.audit.proof.chain import SITE, Head
+from app.audit.proof.keyring import KeyRing
 from app.audit.settings import Audit
-from app.audit.store import Filter
 from app.auth.accounts import Accounts
-from app.database.connection import open_for_reading
+from app.database.sqlite.connection import open_for_reading
 from app.main import create_app
 from app.messages import Languages
-from app.web.access import Role
-from app.web.formats import Formats
+from app.web.admission.access import Role
+from app.web.rendering.formats import Formats
 from bus.messages import Message
 from tests.administrator import BY
 from tests.app.complete_app import settings_in

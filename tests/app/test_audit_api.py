@@ -15,7 +15,7 @@ import pytest
 
 from app.audit.log import EventLog
 from app.database import Database
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.messages import Message
 from bus.messages import number as decimal
 from tests.app.complete_app import House, complete_app

@@ -11,15 +11,15 @@ from typing import Any
 
 import pytest
 
-from app.audit import appending
-from app.audit.anchor import Anchors, anchor_line, joined_heads, newest_anchor, read_anchors
-from app.audit.anchoring import Anchoring
-from app.audit.chain import SITE, Head, entry_hash, origin_of, sealed_entry, sealed_head
-from app.audit.entry import new_entry
-from app.audit.keyring import BEGINNING, KeyOrigin, KeyRing
-from app.audit.keys import Keys, open_keys, passing_keys
+from app.audit.events import appending
+from app.audit.events.entry import new_entry
+from app.audit.events.store import heads_of, prove
 from app.audit.log import EventLog
-from app.audit.store import heads_of, prove
+from app.audit.proof.anchor import Anchors, anchor_line, joined_heads, newest_anchor, read_anchors
+from app.audit.proof.anchoring import Anchoring
+from app.audit.proof.chain import SITE, Head, entry_hash, origin_of, sealed_entry, sealed_head
+from app.audit.proof.keyring import BEGINNING, KeyOrigin, KeyRing
+from app.audit.proof.keys import Keys, open_keys, passing_keys
 from app.database import Database, SqliteDatabase, StoreConnection
 from app.database.migration import MIGRATIONS
 from app.database.opening import open_database
@@ -218,7 +218,7 @@ async def test_from_time_to_time_a_line_names_all_chains(
 ) -> None:
     """The start reads the end of a long file alone."""
     anchor = tmp_path / "anchor"
-    monkeypatch.setattr("app.audit.anchoring.FULL_EVERY_BYTES", 500)
+    monkeypatch.setattr("app.audit.proof.anchoring.FULL_EVERY_BYTES", 500)
     with closing(SqliteDatabase(tmp_path / "lineside.db")) as database:
         log = EventLog(database, keys=Keys(RING))
         await log.record(kind="estop", what="e-stop", bus=WET)

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.audit.chain import FIELDS, SITE, Head, entry_hash, sealed_entry, sealed_head
-from app.audit.entry import new_entry
-from app.audit.keyring import BEGINNING, KeyOrigin, KeyRing
-from app.audit.walk import AuditVerification, Walk
+from app.audit.events.entry import new_entry
+from app.audit.proof.chain import FIELDS, SITE, Head, entry_hash, sealed_entry, sealed_head
+from app.audit.proof.keyring import BEGINNING, KeyOrigin, KeyRing
+from app.audit.proof.walk import AuditVerification, Walk
 
 Log = list[dict[str, Any]]
 RING = KeyRing((b"k" * 32,))

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from app.audit.events.store import Filter
 from app.audit.log import ENDED_BEFORE, Event, EventLog
-from app.audit.store import Filter
 from app.database import Database
 from app.errors import ConstraintError
 from bus.contract import Frame
@@ -236,7 +236,7 @@ async def test_a_subscriber_that_fails_affects_no_other(log: EventLog) -> None:
 async def test_a_message_that_this_version_does_not_have_is_shown_as_it_was_stored(
     log: EventLog, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.audit.entry._KNOWN", {"term"})
+    monkeypatch.setattr("app.audit.events.entry._KNOWN", {"term"})
     await log.record(kind="server", what=Message("event_server_started"), old=term("stopped"))
     [event] = await newest(log)
     assert event["what"] == "server started"

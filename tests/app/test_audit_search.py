@@ -11,12 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from app.audit import store
+from app.audit.events import store
+from app.audit.events.store import Filter
 from app.audit.log import EventLog
-from app.audit.store import Filter
-from app.database import Database, connection
+from app.database import Database
+from app.database.sqlite import connection
 from app.errors import TooCostlyError
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.app.complete_app import complete_app
 from tests.stores import both_engines, only_sqlite, open_store
 

@@ -11,9 +11,9 @@ import pytest
 
 from app.auth.accounts import Accounts
 from app.auth.pages import DEVICE_COOKIE
-from app.auth.throttle import FREE
+from app.auth.sign_in.throttle import FREE
 from app.database import Database
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House, complete_app
 

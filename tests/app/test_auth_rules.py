@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from app.auth import rules
 from app.auth.settings import Sessions
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.errors import CallerError
 
 

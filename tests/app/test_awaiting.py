@@ -12,8 +12,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.cli import awaiting
-from app.cli.listening import listen
+from app.cli.serving import awaiting
+from app.cli.serving.listening import listen
 from app.database.settings import StoreSettings
 from app.errors import StoreError, StoreUnavailableError
 from app.server.service_manager import ServiceManager

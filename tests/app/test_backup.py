@@ -19,7 +19,7 @@ from app.audit.log import EventLog
 from app.backup.schedule import RETRY_S, name_of, next_after, next_due, too_many
 from app.backup.service import Backups, WriteBackup, left_out_of, newest_in
 from app.backup.settings import BackupSettings
-from app.cli.backup_store import write_backup
+from app.cli.stores.backup_store import write_backup
 from app.conditions.of_server import backup_is_overdue
 from app.errors import StoreError
 from app.settings import Settings, load
@@ -292,7 +292,7 @@ def test_what_was_written_is_read_back(tmp_path: Path, monkeypatch: pytest.Monke
     config = tmp_path / "lineside.toml"
     config.write_text('[server]\ndata = "./data"\n')
     add_people(config)
-    monkeypatch.setattr("app.cli.backup_store._digest", lambda store: (store.name, "0" * 64))
+    monkeypatch.setattr("app.cli.stores.backup_store._digest", lambda store: (store.name, "0" * 64))
     with pytest.raises(StoreError):
         write_backup(tmp_path / "data", tmp_path / "one.tar")
     assert not (tmp_path / "one.tar").exists()

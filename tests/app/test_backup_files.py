@@ -13,10 +13,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli import cli
-from app.cli.backup_cipher import decrypt, encrypt
-from app.cli.backup_files import ENCRYPTED, IN_CLEAR, SiteFile, files_of, place_files
-from app.cli.backup_findings import backup_findings
-from app.cli.backup_store import WORKING, write_backup
+from app.cli.findings.backup import backup_findings
+from app.cli.stores.backup_cipher import decrypt, encrypt
+from app.cli.stores.backup_files import ENCRYPTED, IN_CLEAR, SiteFile, files_of, place_files
+from app.cli.stores.backup_store import WORKING, write_backup
 from app.errors import StoreError
 from app.settings import load
 from tests.e2e.site import add_people
@@ -118,7 +118,7 @@ def test_a_key_that_protects_nothing_is_refused(site: Path, written: str | None,
 
 
 def test_without_openssl_it_fails_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.cli.backup_cipher.shutil.which", lambda _: None)
+    monkeypatch.setattr("app.cli.stores.backup_cipher.shutil.which", lambda _: None)
     with pytest.raises(StoreError, match="openssl"):
         encrypt(b"secret", KEY.encode())
 
@@ -165,7 +165,7 @@ def test_no_file_is_written_over_that_came_meanwhile(site: Path, monkeypatch: py
         archive.write_text("mine")
         return opened(*words, **named)  # type: ignore[call-overload]
 
-    monkeypatch.setattr("app.cli.backup_store.tarfile.open", come)
+    monkeypatch.setattr("app.cli.stores.backup_store.tarfile.open", come)
     with pytest.raises(StoreError, match="exists"):
         write_backup(site / "data", archive)
     assert archive.read_text() == "mine"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.audit.budget import (
+from app.audit.events.budget import (
     BURST,
     BURST_OF_ALL,
     FIRST_PAUSE_S,

@@ -8,19 +8,19 @@ from random import Random
 
 import pytest
 
-from app.alarms.control_left import control_left_by
-from app.alarms.expiry_watch import ExpiryWatch
-from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
-from app.alarms.store import AlarmStore
-from app.audit.anchoring import AnchorStatus
+from app.alarms.journal.store import AlarmStore
+from app.alarms.monitor.control_left import control_left_by
+from app.alarms.monitor.expiry_watch import ExpiryWatch
+from app.alarms.monitor.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
 from app.audit.log import EventLog
+from app.audit.proof.anchoring import AnchorStatus
 from app.auth.store import Token
 from app.conditions.catalogue import CONDITIONS
 from app.conditions.of_server import DAY_S, certificate_expires, token_expires
 from app.database import Database
 from app.history.status import HistoryStatus
 from app.live.diagnosis.links import bus_facts
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import BusFigures, BusLink, ParameterValue
 from bus.instants import Monotonic, UnixTime
 from tests.app.alarm_bus import AT_SPEED, REMOTE, AlarmBus

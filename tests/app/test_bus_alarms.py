@@ -9,7 +9,7 @@ from decimal import Decimal
 import pytest
 
 from app.alarms.alarm import Alarm
-from app.alarms.own import own_definition
+from app.alarms.own.definition import own_definition
 from app.alarms.rules import changes
 from app.alarms.settings import AlarmSettings
 from app.database import Database

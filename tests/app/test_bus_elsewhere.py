@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import pytest_asyncio
 
-from app.alarms.bus_alarms import BusAlarms
+from app.alarms.monitor.bus_alarms import BusAlarms
 from app.alarms.settings import BuiltInAlarmSettings
 from app.audit.settings import Audit
 from app.database import Database
@@ -27,7 +27,7 @@ from app.routing.site_servers import SiteServers
 from app.settings import ServerSettings, Settings
 from app.sites.fleet import Fleet
 from app.sites.summary import notices
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.instants import unix_now
 from bus.settings import BusSettings, UnitSettings
 from tests.app.complete_app import House, settings_in

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.audit import proof_of
-from app.cli.findings import Finding, findings
+from app.cli.findings.machine import Finding, findings
+from app.cli.site.audit import proof_of
 from app.errors import StoreError
 from app.settings import Settings, load
 from bus.messages import Message

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from app.cli import authority, certificate, cli
-from app.cli.certificate import own_addresses, server_names
+from app.cli import cli
+from app.cli.setup import authority, certificate
+from app.cli.setup.certificate import own_addresses, server_names
 from app.settings import ServerSettings
 from bus.tls import read_certificate
 from tests.certificates import subject_of

@@ -14,9 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.keyring import KeyOrigin
-from app.audit.keys import make_key_file
-from app.cli import check, live_findings
+from app.audit.proof.keyring import KeyOrigin
+from app.audit.proof.keys import make_key_file
+from app.cli.findings import check
+from app.cli.findings import live as live_findings
 from app.conditions import of_server
 from app.database import SqliteDatabase, StoreConnection
 from app.database.engine import tables_without_rights

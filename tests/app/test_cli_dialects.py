@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from app.cli import scan
 from app.cli.options import command_of
+from app.cli.wire import scan
 from tests import fork_server
 
 PATIENCE_MS = 400

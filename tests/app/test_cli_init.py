@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from app.cli import cli
-from app.cli.accounts import with_accounts
-from app.cli.init import likely_port, starter
+from app.cli.setup.accounts import with_accounts
+from app.cli.setup.init import likely_port, starter
 from app.settings import load
 from tests.app.test_cli_scan import line, unit
 
@@ -70,8 +70,8 @@ def test_it_takes_the_adapter_that_is_plugged_in(tmp_path: Path) -> None:
 @pytest.fixture
 def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     """Prompts are read from the input of the runner."""
-    monkeypatch.setattr("app.cli.init.is_interactive", lambda: True)
-    monkeypatch.setattr("app.cli.init.ADDRESSES", range(1, 6))
+    monkeypatch.setattr("app.cli.setup.init.is_interactive", lambda: True)
+    monkeypatch.setattr("app.cli.setup.init.ADDRESSES", range(1, 6))
 
 
 @pytest.mark.usefixtures("at_a_terminal")

@@ -15,10 +15,10 @@ import psycopg
 import pytest
 
 from app.audit.archive.archiving import EventArchive
-from app.audit.keys import open_keys
+from app.audit.events.store import heads_of
 from app.audit.log import EventLog
-from app.audit.store import heads_of
-from app.cli import copy_report, migrate_store
+from app.audit.proof.keys import open_keys
+from app.cli.stores import copy_report, migrate_store
 from app.database import Database, SqliteDatabase
 from app.database.copying.places import Folder, PostgresqlPlace
 from app.database.engine import upsert

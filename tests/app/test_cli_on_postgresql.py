@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from app.audit.keyring import KeyOrigin
-from app.audit.keys import make_key_file
+from app.audit.proof.keyring import KeyOrigin
+from app.audit.proof.keys import make_key_file
 from app.cli import cli
 from app.database.settings import StoreSettings
 from tests import fork_server

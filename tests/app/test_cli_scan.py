@@ -13,9 +13,9 @@ import pytest
 import serial
 from click.testing import CliRunner, Result
 
-from app.cli import scan
 from app.cli.options import command_of
-from app.cli.scan import announcement, bauds_to_try
+from app.cli.wire import scan
+from app.cli.wire.scan import announcement, bauds_to_try
 from bus.catalogue import numbers
 from bus.errors import WireError
 from bus.line.scan.found import Found

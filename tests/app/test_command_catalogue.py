@@ -8,7 +8,7 @@ import pytest
 
 from app.commands.catalogue import COMMANDS, kind_of_command, timeout_s_for
 from app.commands.rules.setpoint import NewSetpoint
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Action,

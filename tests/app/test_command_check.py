@@ -14,7 +14,7 @@ from app.commands.rules.setpoint import Moves
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, NO_LIMITS, CommandBlock, Limits
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, LiveState
-from app.web.arrival import DEFAULT_TIMEOUT_S
+from app.web.admission.arrival import DEFAULT_TIMEOUT_S
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Action,

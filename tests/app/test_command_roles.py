@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from app.audit.store import Filter
+from app.audit.events.store import Filter
 from app.commands.catalogue import COMMANDS, READ_PARAMETERS, ROLES_BY_COMMAND, kind_of_command
 from app.errors import Problem
 from app.sets.batch import rows_of_batch, write_batch
-from app.sets.schedule import SERVER
+from app.sets.saving.schedule import SERVER
 from app.settings import Site
-from app.web.access import Person, Role
-from app.web.assets import Assets, static_dir, templates_dir
-from app.web.templating import Templates
+from app.web.admission.access import Person, Role
+from app.web.rendering.assets import Assets, static_dir, templates_dir
+from app.web.rendering.templating import Templates
 from bus.contract import Action, ReadParameters, SetSpeed
 from tests.app.stage import PlayedWorker, Stage, responding
 from tests.app.test_command_catalogue import ALL

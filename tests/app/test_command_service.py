@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from app.audit.store import Filter
+from app.audit.events.store import Filter
 from app.commands.catalogue import timeout_s_for
 from app.errors import Problem, StoreError
 from app.live.state.bus_live import LiveState
-from app.web.access import Person, Role
-from app.web.arrival import DEFAULT_TIMEOUT_S
+from app.web.admission.access import Person, Role
+from app.web.admission.arrival import DEFAULT_TIMEOUT_S
 from bus.contract import (
     Action,
     Cancel,

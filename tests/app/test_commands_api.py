@@ -12,9 +12,9 @@ import pytest
 
 from app.commands.api.trace_file import parse_trace_line
 from app.commands.service.command_service import MAX_AT_ONCE
-from app.web.access import Person, Role
-from app.web.shape import iso
-from app.web.turns import Turns
+from app.web.admission.access import Person, Role
+from app.web.admission.turns import Turns
+from app.web.api.shape import iso
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Command,

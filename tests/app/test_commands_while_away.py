@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from app.audit.store import Filter
+from app.audit.events.store import Filter
 from app.commands.catalogue import COMMANDS, kind_of_command
 from app.commands.service.record import MAX_REJECTIONS
 from app.errors import Problem
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.contract import (
     Action,
     ChangeBaud,

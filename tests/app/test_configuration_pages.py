@@ -10,7 +10,7 @@ import pytest
 
 import app.configuration.service as service_module
 from app.configuration.service import ConfigurationFile
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.configuration_file import (
     TEXT,

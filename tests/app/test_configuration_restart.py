@@ -12,7 +12,7 @@ import pytest
 
 from app.configuration import restart as restart_module
 from app.configuration.restart import Restart
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests import fork_server
 from tests.app.complete_app import House
 from tests.app.configuration_file import TEXT, PlantFile, house_with_file, plant_file

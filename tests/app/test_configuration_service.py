@@ -15,7 +15,7 @@ from app.configuration.service import ConfigurationFile
 from app.configuration.versions import FOLDER, MAX_VERSIONS, ConfigurationVersion, StoredVersion, VersionStore
 from app.errors import Problem, StoreUnavailableError
 from app.settings import load
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app

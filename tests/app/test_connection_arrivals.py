@@ -6,7 +6,7 @@ from math import inf
 
 import pytest
 
-from app.server.connection_arrivals import FULL_READ_BYTES, ORDINARY_TURN_S, ConnectionArrivals
+from app.server.connection.arrivals import FULL_READ_BYTES, ORDINARY_TURN_S, ConnectionArrivals
 
 NOW = 1000.0
 

@@ -6,15 +6,15 @@ import asyncio
 
 import pytest
 
-from app.server.admission import LoopTurns
-from app.server.connection_protocol import (
+from app.server.admission.refusal_log import RefusalLog
+from app.server.admission.turns import LoopTurns
+from app.server.connection.connections import Connection, Connections
+from app.server.connection.protocol import (
     MAX_BYTES_A_TURN,
     MAX_PIECES_A_TURN,
     SLICE_BYTES,
     ConnectionProtocol,
 )
-from app.server.connections import Connection, Connections
-from app.server.refusal_log import RefusalLog
 
 
 class Transport(asyncio.Transport):

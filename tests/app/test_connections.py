@@ -9,7 +9,7 @@ from ipaddress import ip_network
 
 import pytest
 
-from app.server.connections import (
+from app.server.connection.connections import (
     MAX_IN_ALL,
     MAX_OF_ACCOUNT,
     MAX_OF_ADDRESS,
@@ -17,7 +17,7 @@ from app.server.connections import (
     Connection,
     Connections,
 )
-from app.server.pace import MAX_BODY_S, MIN_RATE, STALL_S, WITHIN_S, Awaited, Backlog, Pace
+from app.server.connection.pace import MAX_BODY_S, MIN_RATE, STALL_S, WITHIN_S, Awaited, Backlog, Pace
 
 
 @dataclass(frozen=True)

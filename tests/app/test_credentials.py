@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from app.cli import cli
-from app.cli.credentials import TOKEN_VARIABLE, bearer_token
+from app.cli.api.credentials import TOKEN_VARIABLE, bearer_token
 from bus.errors import CallerError
 
 

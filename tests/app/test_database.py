@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
-from app.database import Database, SqliteDatabase, connection
-from app.database.connection import open_for_reading
+from app.database import Database, SqliteDatabase
+from app.database.sqlite import connection
+from app.database.sqlite.connection import open_for_reading
 from app.errors import ConstraintError, StoreError
 from bus.errors import CallerError
 

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.keys import open_keys
+from app.audit.events.store import Filter, heads_of
 from app.audit.log import EventLog
-from app.audit.store import Filter, heads_of
-from app.cli.demo import configuration
-from app.cli.past import write_past
-from app.cli.past.story import PHASES, past_of
+from app.audit.proof.keys import open_keys
+from app.cli.simulated.demo import configuration
+from app.cli.simulated.past import write_past
+from app.cli.simulated.past.story import PHASES, past_of
 from app.database.opening import open_database
 from app.history.intake.opening import MIGRATIONS
 from app.history.series.runs import HOUR

@@ -7,10 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from app.auth import lasting, pages, rights, rules, signin, store, strength, throttle
+from app.auth import pages, rules, store
+from app.auth.rights import lasting, rights
+from app.auth.sign_in import signin, strength, throttle
 from app.live.api import line_stream
-from app.server import addresses, connections, http, pace
-from app.web import api_route, bounds
+from app.server.admission import addresses
+from app.server.connection import connections, http, pace
+from app.web.admission import bounds
+from app.web.api import route as api_route
 
 DOCS = Path(__file__).parents[2] / "docs"
 SIGN_IN = "| limit | value |"

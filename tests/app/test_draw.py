@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from app.conditions.draw import MAX_TENTHS, NO_DRAW, UNKNOWN_DRAW, SectionSpeed, draw_between, percent_of
 from app.live.state.bus_live import BusLive, LiveState
 from app.live.state.draw import draw_of
-from app.web.formats import UNKNOWN
+from app.web.rendering.formats import UNKNOWN
 from bus.contract import ParameterValue, UnitLink
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.app.screens import RUN, line, line_view, reading, screen

@@ -13,8 +13,8 @@ from app.commands.catalogue import timeout_s_for
 from app.commands.service.command_service import CommandService
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
-from app.web.access import Role
-from app.web.arrival import Deadline
+from app.web.admission.access import Role
+from app.web.admission.arrival import Deadline
 from bus.contract import BusLink, Result, SetLine
 from bus.contract.durations import POLL_BYTES, change_s, longest_stage_s, stage_s
 from bus.settings import BAUDS

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from app.database import Database, StoreConnection
-from app.database.connection import open_for_reading, open_for_writing
 from app.database.engine import (
     clock,
     has_column,
@@ -22,6 +21,7 @@ from app.database.engine import (
     snapshot,
     upsert,
 )
+from app.database.sqlite.connection import open_for_reading, open_for_writing
 from bus.instants import unix_now
 from tests.stores import both_engines, only_sqlite, open_store
 

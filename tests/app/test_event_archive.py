@@ -13,8 +13,6 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from app.audit.anchor import read_anchor_file
-from app.audit.anchoring import Anchoring
 from app.audit.archive import archiving as module
 from app.audit.archive import cuts
 from app.audit.archive.archiving import EventArchive
@@ -22,12 +20,14 @@ from app.audit.archive.cut import Cut
 from app.audit.archive.file import ArchiveWriter, EventArchiveError, entries_in
 from app.audit.archive.month import month_of, months_due
 from app.audit.archive.proof import ArchiveProof, prove_archive
-from app.audit.chain import Head
-from app.audit.keyring import KeyRing
-from app.audit.keys import Keys
+from app.audit.events.store import Filter
 from app.audit.log import EventLog
-from app.audit.store import Filter
-from app.audit.walk import AuditVerification
+from app.audit.proof.anchor import read_anchor_file
+from app.audit.proof.anchoring import Anchoring
+from app.audit.proof.chain import Head
+from app.audit.proof.keyring import KeyRing
+from app.audit.proof.keys import Keys
+from app.audit.proof.walk import AuditVerification
 from app.database import StoreConnection
 from app.database.migration import MIGRATIONS
 from app.errors import ConstraintError

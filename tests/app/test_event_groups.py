@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 
-from app.audit import groups
-from app.audit.groups import MAX_PARTS, EventRow, link_parts
+from app.audit.events import groups
+from app.audit.events.groups import MAX_PARTS, EventRow, link_parts
+from app.audit.events.store import Filter
 from app.audit.log import EventLog
-from app.audit.store import Filter
-from app.database.migrating import bring_up_to_date
 from app.database.migration import MIGRATIONS
-from app.web.access import Role
+from app.database.sqlite.migrating import bring_up_to_date
+from app.web.admission.access import Role
 from bus.messages import number as decimal
 from tests.app.complete_app import House, complete_app
 from tests.app.intents import intend

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from app.server.fair_queue import MAX_REST_S, FairQueue, TooManyWaitingError
+from app.server.admission.fair_queue import MAX_REST_S, FairQueue, TooManyWaitingError
 
 MAX_OF_ONE, MAX_WAITING = 5, 200
 

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from app.audit.events.store import Filter
 from app.audit.log import EventLog
-from app.audit.store import Filter
 from app.find.matching import missing, rank, words_of
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import ParameterValue
 from bus.messages import Message
 from tests.app.complete_app import complete_app

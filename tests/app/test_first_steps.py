@@ -8,7 +8,7 @@ import pytest
 
 from app.live.first_steps import next_step
 from app.live.state.bus_live import LiveState
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import BusLink
 from bus.instants import UnixTime
 from tests.app.complete_app import complete_app

@@ -10,11 +10,11 @@ import pytest
 from starlette.datastructures import Headers
 from starlette.types import Message, Receive, Scope, Send
 
-from app.server.addresses import canonical, source_of
-from app.server.forwarded import MAX_HOPS, MAX_UNDER_WAY, Forwarded, Origin, origin_of
+from app.server.admission.addresses import canonical, source_of
+from app.server.admission.forwarded import MAX_HOPS, MAX_UNDER_WAY, Forwarded, Origin, origin_of
 from app.settings import ConfigurationError, load
-from app.web.access import Role
-from app.web.security import host_name
+from app.web.admission.access import Role
+from app.web.admission.security import host_name
 from tests.app.complete_app import PASSWORD, complete_app, settings_in
 
 PROXIES = (ip_network("10.0.0.0/28"), ip_network("2001:db8::/64"))

@@ -16,13 +16,13 @@ from websockets.exceptions import ConnectionClosedError
 from websockets.frames import Frame, Opcode
 from websockets.streams import StreamReader
 
-from app.server.admission import LoopTurns
-from app.server.client_connection import ClientConnection as Outlet
-from app.server.client_connection import client_connection
-from app.server.connections import Connection, Connections
-from app.server.frames import text_frame
-from app.server.refusal_log import RefusalLog
-from app.server.websocket import WebSocketProtocol
+from app.server.admission.refusal_log import RefusalLog
+from app.server.admission.turns import LoopTurns
+from app.server.connection.client_connection import ClientConnection as Outlet
+from app.server.connection.client_connection import client_connection
+from app.server.connection.connections import Connection, Connections
+from app.server.connection.frames import text_frame
+from app.server.connection.websocket import WebSocketProtocol
 
 PATIENCE_S = 30.0
 

@@ -13,8 +13,8 @@ from typing import Any
 import httpx
 import pytest
 
-from app.alarms.bus_alarms import BusAlarms
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.bus_alarms import BusAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.audit.log import EventLog
 from app.commands.safeguards.limits import Limits
 from app.commands.safeguards.service import Safeguards
@@ -22,7 +22,7 @@ from app.database import Database
 from app.errors import Problem
 from app.handover.service import Handover, NewNote
 from app.live.state.bus_live import LiveState
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.contract import BusLink, Reading
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app

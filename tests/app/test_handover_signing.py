@@ -20,10 +20,10 @@ from app.database import Database, StoreConnection
 from app.database.migration import MIGRATIONS
 from app.errors import Problem
 from app.handover.service import Handover
-from app.handover.sheet import write_sheet
-from app.handover.signatures import missing_signatures
-from app.handover.signing import ShiftSignRequest, Signing
-from app.web.access import Person, Role
+from app.handover.sheet.sheet import write_sheet
+from app.handover.signing.signatures import missing_signatures
+from app.handover.signing.signing import ShiftSignRequest, Signing
+from app.web.admission.access import Person, Role
 from bus.instants import UnixTime
 from tests.app.complete_app import PASSWORD, House, complete_app
 from tests.app.played_line import BUS, played_line

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.server.handshakes import (
+from app.server.admission.handshakes import (
     A_SECOND,
     MAX_AT_ONCE,
     MAX_TOGETHER,

@@ -11,7 +11,7 @@ import pytest
 from app.help.chapters import BY_NAME, CHAPTERS, Chapter
 from app.help.handbook import MAX_FOUND, Handbook, render, slug
 from app.help.reference import calls_of
-from app.web.navigation import HELP
+from app.web.rendering.navigation import HELP
 from docs import site
 from tests.test_architecture import ROOT
 

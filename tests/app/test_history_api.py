@@ -28,13 +28,13 @@ from app.history.series.runs import Run
 from app.history.service import History
 from app.history.store import tables
 from app.settings import ServerSettings, Settings, Site
-from app.web.access import Person, Role
-from app.web.assets import Assets, static_dir, templates_dir
+from app.web.admission.access import Person, Role
+from app.web.admission.turns import Turns
+from app.web.api.shape import iso
 from app.web.problems import install
+from app.web.rendering.assets import Assets, static_dir, templates_dir
+from app.web.rendering.templating import Templates
 from app.web.services import Registry
-from app.web.shape import iso
-from app.web.templating import Templates
-from app.web.turns import Turns
 from bus.contract import UnitLink
 from bus.instants import UnixTime
 from bus.messages import Message

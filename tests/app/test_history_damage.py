@@ -24,7 +24,7 @@ from app.history.settings import HistorySettings
 from app.history.status import store_notice
 from app.history.store.damage import BlockKey, StoredTier
 from app.settings import ServerSettings, Settings
-from app.web.formats import Formats
+from app.web.rendering.formats import Formats
 from bus.instants import unix_now
 from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
 from tests.app.stage import until as arrived

@@ -17,7 +17,7 @@ from app.history.spool.follower import Follower
 from app.history.spool.spool import Spool
 from app.history.status import store_notice
 from app.history.store import tables
-from app.web.formats import Formats
+from app.web.rendering.formats import Formats
 from bus.contract import UnitLink
 from bus.instants import Monotonic
 from bus.messages import Message

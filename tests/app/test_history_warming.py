@@ -9,8 +9,8 @@ import pytest
 from app.history import pages
 from app.history.service import History
 from app.settings import ServerSettings, Settings, Site
-from app.web.assets import Assets, static_dir, templates_dir
-from app.web.templating import Templates
+from app.web.rendering.assets import Assets, static_dir, templates_dir
+from app.web.rendering.templating import Templates
 from bus.settings import BusSettings, UnitSettings
 
 

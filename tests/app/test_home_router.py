@@ -17,16 +17,16 @@ from fastapi.routing import APIRoute
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
+from app.audit.events.store import Filter
 from app.audit.log import EventLog
-from app.audit.store import Filter
 from app.live.api.line_stream import LineStream
 from app.live.browsers.hub import Hub
 from app.live.state.bus_live import LiveState
 from app.main import FEATURES
+from app.routing.forwarding.target import COOKIE
 from app.routing.store_clock import StoreClock
-from app.routing.target import COOKIE
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import Reading
 from tests.app.complete_app import EVERY_ROLE
 from tests.app.played_commands import HEALTHY, REMOTE

@@ -7,8 +7,8 @@ from base64 import urlsafe_b64encode
 import msgspec
 import pytest
 
-from app.routing.headers import to_client, to_home
-from app.routing.hop import MAX_AGE_S, ForgedHopError, Hop, opened, sealed
+from app.routing.forwarding.headers import to_client, to_home
+from app.routing.forwarding.hop import MAX_AGE_S, ForgedHopError, Hop, opened, sealed
 from app.routing.store_clock import KNOWN_FOR_S, StoreClock
 
 SECRET = b"s" * 32

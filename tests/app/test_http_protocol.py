@@ -12,19 +12,19 @@ import uvicorn
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
-from app.server.admission import LoopTurns
-from app.server.client_connection import client_connection
-from app.server.connection_protocol import CLOSING_S
-from app.server.connections import MAX_OF_ADDRESS, Connections
-from app.server.http import (
+from app.server.admission.refusal_log import RefusalLog
+from app.server.admission.turns import LoopTurns
+from app.server.connection.client_connection import client_connection
+from app.server.connection.connections import MAX_OF_ADDRESS, Connections
+from app.server.connection.http import (
     MAX_HEAD_BYTES,
     MAX_HEADERS,
     MAX_PASSED_OVER_BYTES,
     MAX_PIPELINED,
     HttpProtocol,
 )
-from app.server.pace import MIN_RATE, PROMPT_S, STALL_S, WITHIN_S, Awaited
-from app.server.refusal_log import RefusalLog
+from app.server.connection.pace import MIN_RATE, PROMPT_S, STALL_S, WITHIN_S, Awaited
+from app.server.connection.protocol import CLOSING_S
 
 HEAD = b"GET / HTTP/1.1\r\nHost: here\r\n"
 GET = HEAD + b"\r\n"

@@ -14,8 +14,8 @@ from app.live.screen.fields import Translator
 from app.live.screen.screen import Screen
 from app.live.state.bus_live import LiveState
 from app.settings import Site
-from app.web.assets import Assets, static_dir, templates_dir
-from app.web.templating import Templates
+from app.web.rendering.assets import Assets, static_dir, templates_dir
+from app.web.rendering.templating import Templates
 from bus.contract import BusFigures, Frame, Frames, Progress, UnitFigures
 from bus.messages import term
 from tests.app.played_sources import NoAlarms, played_sources

@@ -9,13 +9,13 @@ import sqlite3
 import msgspec
 import pytest
 
-from app.audit.keyring import KeyRing
+from app.audit.proof.keyring import KeyRing
 from app.commands.service import idempotency
 from app.commands.service.command_request import CommandRequest, without_secret
 from app.commands.service.command_service import CommandService
 from app.errors import Problem, StoreError
 from app.live.command_ids import key_of
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.contract import Action, Command, Result, SetLine, SetSpeed, UnitOutcome, WriteParameter
 from bus.messages import Message, term
 from tests.app.stage import PlayedWorker, Stage, responding, result_of

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from app.cli import install_service
-from app.cli.install_service import (
+from app.cli.findings.service import service_findings
+from app.cli.setup import install_service
+from app.cli.setup.install_service import (
     carry_out,
     configured,
     installation,
@@ -22,8 +23,7 @@ from app.cli.install_service import (
     unit_of,
     write_configuration,
 )
-from app.cli.service_findings import service_findings
-from app.cli.service_unit import ServiceUnit, quoted
+from app.cli.setup.service_unit import ServiceUnit, quoted
 from bus.errors import LinesideError
 from tests import fork_server
 from tests.test_service_unit import UNITS

@@ -11,7 +11,7 @@ import pytest
 
 from app.live.state.bus_live import LiveState
 from app.messages import Languages
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.messages import Message, listed, number, term
 from tests.app.complete_app import House, complete_app
 from tests.app.page_texts import PAGES, texts_without

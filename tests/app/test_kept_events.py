@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.backup_store import space_needed
-from app.cli.kept_events import FOLDER, is_kept
+from app.cli.stores.backup_store import space_needed
+from app.cli.stores.kept_events import FOLDER, is_kept
 from app.settings import Settings
 from tests.app.archived_site import archived_site
 from tests.app.test_backup_archived_events import MONTHS, restored, run

@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from app.messages import Languages
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.app.complete_app import House, complete_app
 
 

@@ -14,9 +14,9 @@ from starlette.types import Send
 from starlette.websockets import WebSocketDisconnect
 
 from app.auth.accounts import Accounts
-from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks, run_while_allowed
+from app.auth.rights.lasting import NO_LONGER_SIGNED_IN, Rechecks, run_while_allowed
 from app.main import create_app
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import settings_in
 

@@ -13,7 +13,7 @@ from app.live.browsers.hub import Hub
 from app.live.screen.diff import Groups, merge_groups
 from app.sites.fleet import Fleet
 from app.sites.summary import end_notice, notices
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.app.complete_app import EVERY_ROLE, House, complete_app
 from tests.app.played_line import played_line
 from tests.app.test_line_board import summary

@@ -13,11 +13,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from app.audit.events.store import Filter
 from app.audit.local_log.file import LocalFile
 from app.audit.local_log.transaction import LoggedEvent, LoggedTransaction
 from app.audit.local_log.writing import forget_old
 from app.audit.log import EventLog
-from app.audit.store import Filter
 from app.database import SqliteDatabase
 from app.errors import StoreError, StoreUnavailableError
 from bus.instants import unix_now

@@ -12,7 +12,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from app.audit.log import EventLog
 from app.live.state.bus_live import LiveState
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitFigures, UnitLink
 from bus.instants import unix_now
 from tests.app.complete_app import House, complete_app

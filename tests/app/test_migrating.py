@@ -15,10 +15,10 @@ from app.database.messages import UNREADABLE, messages_of, stored_messages
 from app.database.migration import MIGRATIONS, migrations_in
 from app.errors import StoreError
 from app.sets.model import ParameterRow, UnitRows
-from app.sets.order import Write
-from app.sets.plan import LeftOut, RestorePlan
-from app.sets.restore_record import RowResult
-from app.sets.restore_store import RestoreStore
+from app.sets.restore.order import Write
+from app.sets.restore.plan import LeftOut, RestorePlan
+from app.sets.restore.record import RowResult
+from app.sets.restore.store import RestoreStore
 from bus.messages import Message
 
 FIRST = "CREATE TABLE a (x INTEGER);\nINSERT INTO a VALUES (1);\n"

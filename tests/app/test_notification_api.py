@@ -10,11 +10,11 @@ from typing import Any
 import httpx
 import pytest
 
-from app.alarms.bus_alarms import BusAlarms
+from app.alarms.monitor.bus_alarms import BusAlarms
 from app.errors import Problem
 from app.notification.service import Notification
 from app.notification.settings import NotifySettings
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from tests.app.complete_app import House, complete_app
 from tests.app.notification_servers import PlayedMailServer, mail_server
 from tests.app.played_line import BUS, played_line
@@ -166,7 +166,7 @@ async def test_a_link_that_was_altered_is_refused_in_words(house: House, mail: P
 async def test_a_link_that_has_expired_is_refused_in_words(
     house: House, mail: PlayedMailServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.notification.acknowledge_link.VALID_S", -1)
+    monkeypatch.setattr("app.notification.message.acknowledge_link.VALID_S", -1)
     link = await risen(house, mail)
     operator = await house.signed_in(Role.OPERATOR)
     response = await operator.get(link)

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from app.notification.compose import Letter
-from app.notification.mail import MailServer
-from app.notification.secret_file import MAIL_PASSWORD_VARIABLE, NotDeliveredError
+from app.notification.message.compose import Letter
+from app.notification.sending.mail import MailServer
+from app.notification.sending.secret_file import MAIL_PASSWORD_VARIABLE, NotDeliveredError
 from app.notification.settings import SmtpSettings
 from tests.app.notification_servers import PlayedMailServer, certificate, mail_server, server_context
 
@@ -121,7 +121,7 @@ async def test_a_server_that_is_not_there(authority: Path) -> None:
 
 
 async def test_one_that_does_not_respond(authority: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.notification.mail.SOCKET_S", 0.2)
+    monkeypatch.setattr("app.notification.sending.mail.SOCKET_S", 0.2)
     async with mail_server(greeting="") as server:
         assert "did not respond in time" in await refusal(settings(server.port, authority))
 

@@ -8,8 +8,8 @@ from datetime import datetime
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from app.alarms.journal.store import JournalEntry
 from app.alarms.rules.states import AlarmState, AlarmTrigger
-from app.alarms.store import JournalEntry
 from app.notification.rules.notices import (
     LATE_S,
     Episode,

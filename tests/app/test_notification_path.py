@@ -13,20 +13,20 @@ from typing import Any
 import pytest
 
 from app.alarms.acts import ACKNOWLEDGE
-from app.alarms.bus_alarms import BusAlarms
-from app.alarms.line_alarms import LineAlarms
-from app.alarms.own_book import OwnAlarmBook
-from app.alarms.site_alarms import FailingEndpoints
+from app.alarms.monitor.bus_alarms import BusAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
+from app.alarms.monitor.site_alarms import FailingEndpoints
+from app.alarms.own.book import OwnAlarmBook
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.state.bus_live import LiveState
-from app.notification.notice import OutboxItem
-from app.notification.notifier import AlarmNotifier
-from app.notification.outbox import NotificationDelivery
+from app.notification.message.notice import OutboxItem
+from app.notification.outbox.notifier import AlarmNotifier
+from app.notification.outbox.outbox import NotificationDelivery
+from app.notification.outbox.store import NotificationStore
 from app.notification.service import Notification
 from app.notification.settings import NotifySettings
-from app.notification.store import NotificationStore
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.contract import Reading
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -191,7 +191,7 @@ async def test_a_site_in_german_writes_german(tmp_path: Path, servers: Any) -> N
 async def test_a_refused_message_is_tried_again_and_fails_as_an_alarm(
     path: Path_, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.notification.dispatcher.retry_after_s", lambda _: 0.0)
+    monkeypatch.setattr("app.notification.sending.dispatcher.retry_after_s", lambda _: 0.0)
     path.mail.replies["RCPT"] = "451 later"
     await path.estop(active=True)
     site = path.house.services[LineAlarms].site
@@ -232,7 +232,7 @@ async def test_an_attempt_that_a_crash_interrupted_is_repeated_with_its_id(
 async def test_a_result_that_cannot_be_stored_sends_nothing_twice(
     path: Path_, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.notification.dispatcher.STORE_RETRY_S", 0.0)
+    monkeypatch.setattr("app.notification.sending.dispatcher.STORE_RETRY_S", 0.0)
     record, failures = path.house.services[EventLog].record, [StoreError(Message("store_closed"))] * 3
 
     async def fails_thrice(**event: Any) -> int:
@@ -301,8 +301,8 @@ async def test_each_address_gets_one_heartbeat_a_day(
         checked_again.set()
         return "2026-11-22"
 
-    monkeypatch.setattr("app.notification.dispatcher.heartbeat_due", due)
-    monkeypatch.setattr("app.notification.dispatcher.HEARTBEAT_CHECK_S", 0.01)
+    monkeypatch.setattr("app.notification.sending.dispatcher.heartbeat_due", due)
+    monkeypatch.setattr("app.notification.sending.dispatcher.HEARTBEAT_CHECK_S", 0.01)
     async with running(tmp_path, *servers) as path:
         assert (await path.mail.mail())["Subject"] == "Mill 7: notification works"
         assert (await path.hooks.body())["kind"] == "heartbeat"

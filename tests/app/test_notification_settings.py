@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from app.cli import check
+from app.cli.findings import check
 from app.cli.options import command_of
-from app.notification import mail, webhook
+from app.notification.sending import mail, webhook
 from app.settings import load
 from tests.app.configured import faults_of
 from tests.app.notification_servers import mail_server, receiver

@@ -11,15 +11,15 @@ from typing import Any
 import pytest
 
 from app.messages.languages import Languages
-from app.notification import apprise_url
-from app.notification.compose import Composer, Letter, hook_body
-from app.notification.endpoints import NotificationEndpoint
-from app.notification.notice import AlarmNotice, NoticeKind, OutboxItem
-from app.notification.outbox import NotificationDelivery
-from app.notification.secret_file import NotDeliveredError
-from app.notification.senders import Senders
+from app.notification.message.compose import Composer, Letter, hook_body
+from app.notification.message.notice import AlarmNotice, NoticeKind, OutboxItem
+from app.notification.outbox.outbox import NotificationDelivery
+from app.notification.sending import apprise_url
+from app.notification.sending.endpoints import NotificationEndpoint
+from app.notification.sending.secret_file import NotDeliveredError
+from app.notification.sending.senders import Senders
 from app.notification.settings import AppriseSettings
-from app.web.formats import Formats
+from app.web.rendering.formats import Formats
 from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.notification_servers import receiver

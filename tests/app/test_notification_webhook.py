@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from app.notification import webhook
-from app.notification.secret_file import NotDeliveredError
+from app.notification.sending import webhook
+from app.notification.sending.secret_file import NotDeliveredError
 from app.notification.settings import WebhookSettings
 from bus.instants import UnixTime
 from tests.app.notification_servers import certificate, receiver, server_context

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from app.alarms.acts import ACKNOWLEDGE
-from app.alarms.bus_alarms import BusAlarms
-from app.alarms.line_alarms import LineAlarms
-from app.notification.notifier import AlarmNotifier
+from app.alarms.monitor.bus_alarms import BusAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
+from app.notification.outbox.notifier import AlarmNotifier
 from app.notification.service import Notification
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from tests.app.away_store import AwayDatabase, away_house
 from tests.app.notification_servers import PlayedMailServer, PlayedReceiver, mail_server, receiver
 from tests.app.played_line import BUS, played_line

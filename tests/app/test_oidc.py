@@ -10,13 +10,13 @@ import httpx
 import pytest
 from starlette.types import Message
 
-from app.auth.access import COOKIE
 from app.auth.accounts import Accounts
-from app.auth.lasting import NO_LONGER_SIGNED_IN
 from app.auth.oidc.pages import ATTEMPT_COOKIE
 from app.auth.oidc.provider import Provider
 from app.auth.oidc.single_sign_on import SingleSignOn
-from app.web.access import Role
+from app.auth.rights.access import COOKIE
+from app.auth.rights.lasting import NO_LONGER_SIGNED_IN
+from app.web.admission.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import HOST, PASSWORD, House, complete_app
 from tests.app.notification_servers import certificate, server_context

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from app.auth.oidc import single_sign_on
-from app.cli.oidc_findings import oidc_findings
+from app.cli.findings.oidc import oidc_findings
 from app.lifespan import StartError
 from app.settings import ConfigurationError, load
 from tests.app.complete_app import complete_app

@@ -18,7 +18,7 @@ from app.live.diagnosis.cause import Cause, abnormal, bus_cause, unit_cause
 from app.live.diagnosis.links import unit_facts
 from app.live.screen.cause_text import cause_texts, check_text
 from app.live.state.bus_live import LiveState
-from app.web.assets import static_dir
+from app.web.rendering.assets import static_dir
 from bus.contract import BusLink, ParameterValue, UnitLink
 from bus.instants import UnixTime
 from bus.messages import TEXTS, Message

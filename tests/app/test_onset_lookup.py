@@ -13,7 +13,7 @@ from app.live.state.bus_live import LiveState
 from app.live.state.onset import Onset, WordSpan
 from app.live.state.onset_lookup import DAY_S, HOUR_S, OnsetLookup
 from app.pipeline import Pipeline
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import BusLink, Reading, Snapshot, UnitLink, UnitState
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app

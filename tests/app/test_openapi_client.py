@@ -16,7 +16,7 @@ from openapi_python_client.config import Config, ConfigFile, MetaType
 
 from app.database import Database
 from app.main import create_app
-from app.web.schema import openapi_document, with_published_names
+from app.web.api.schema import openapi_document, with_published_names
 from bus.contract import UnitOutcome
 from tests.app.complete_app import settings_in
 from tests.app.stage import PlayedWorker, Stage, responding

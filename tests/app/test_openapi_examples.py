@@ -12,8 +12,8 @@ from jsonschema_rs import Draft202012Validator
 from app.database import Database
 from app.help.reference import calls_of, in_html
 from app.main import create_app
-from app.web.examples import add_examples
-from app.web.schema import openapi_document
+from app.web.api.examples import add_examples
+from app.web.api.schema import openapi_document
 from tests.app.complete_app import settings_in
 from tests.app.strict_schema import strict
 

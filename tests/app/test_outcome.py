@@ -4,7 +4,7 @@ import pytest
 
 from app.commands.forms.outcome import outcome_text
 from app.errors import Problem
-from app.web.arrival import Deadline
+from app.web.admission.arrival import Deadline
 from bus.contract import Result, UnitOutcome
 from bus.instants import monotonic_now
 from bus.messages import Message, term

@@ -14,14 +14,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from app.alarms.alarm import Alarm
-from app.alarms.line_alarms import LineAlarms
-from app.alarms.own_book import MAX_OWN, OwnAlarmBook
+from app.alarms.monitor.line_alarms import LineAlarms
+from app.alarms.own.book import MAX_OWN, OwnAlarmBook
 from app.audit.log import EventLog
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.live.state.bus_live import LiveState
 from app.settings import Settings
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -195,7 +195,7 @@ async def test_only_an_engineer_changes_alarms(house: House, role: Role) -> None
 
 async def test_there_is_a_greatest_number_of_them(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     assert MAX_OWN == 500
-    monkeypatch.setattr("app.alarms.own_book.MAX_OWN", 1)
+    monkeypatch.setattr("app.alarms.own.book.MAX_OWN", 1)
     engineer = await house.program(Role.ENGINEER)
     await added(engineer)
     response = await engineer.post(PATH, json={**FAST, "name": "Second"})

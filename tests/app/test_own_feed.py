@@ -11,8 +11,8 @@ import pytest
 from starlette.types import Message, Receive, Scope, Send
 
 from app.main import create_app
+from app.server.connection.own_feed import OnlyFeed
 from app.server.encryption import Encryption
-from app.server.own_feed import OnlyFeed
 from app.server.settings import TlsSettings
 from app.settings import ServerSettings
 from tests.app.complete_app import settings_in
@@ -67,7 +67,7 @@ def test_with_a_certificate_its_fault_is_that_of_the_server(tmp_path: Path) -> N
 
 def test_without_tls_nothing_of_it_is_imported(tmp_path: Path) -> None:
     code = (
-        "import sys; from app.settings import Settings; from app.cli.server import Server; "
+        "import sys; from app.settings import Settings; from app.cli.serving.server import Server; "
         "Server(Settings.model_validate({'server': {'data': sys.argv[1]}}), False, {}, bool); "
         "import bus.worker.process; "
         "print(sorted(name for name in sys.modules if 'tls' in name.split('.')[-1] "

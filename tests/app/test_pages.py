@@ -13,7 +13,7 @@ import pytest
 from app.home.homes import Homes
 from app.live.pages import digits_of, view_for
 from app.live.state.bus_live import LiveState
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import ParameterValue
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from app.cli import port_findings
-from app.cli.port_findings import is_connected_to, is_worker_of
+from app.cli.findings import ports as port_findings
+from app.cli.findings.ports import is_connected_to, is_worker_of
 from app.errors import StoreError
 from app.home.lease import HomeRow
 from app.home.store import Beat

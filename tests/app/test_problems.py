@@ -10,10 +10,10 @@ import httpx
 import pytest
 
 from app.audit.log import EventLog
-from app.auth.identity import Identity
+from app.auth.rights.identity import Identity
 from app.errors import Problem, StoreError
 from app.server.security_headers import HEADERS
-from app.web.access import Role
+from app.web.admission.access import Role
 from app.web.problems import problem_json
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app

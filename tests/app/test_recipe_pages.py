@@ -11,7 +11,7 @@ import pytest
 
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import ParameterValue
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA

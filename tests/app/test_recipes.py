@@ -11,7 +11,7 @@ from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
 from app.recipes.rules import NOT_CONFIGURED, Recipe, RecipeDryRunStep, RecipeSetpoint, dry_run, setpoints_now
 from app.recipes.store import RecipeStore
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message, in_english

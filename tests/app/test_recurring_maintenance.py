@@ -16,7 +16,7 @@ from app.notification.rules.recurring import first_at, recurring_spans
 from app.notification.service import Notification
 from app.notification.settings import DAYS, DayOfWeek, MaintenanceSettings, NotifySettings, SmtpSettings
 from app.settings import load
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.instants import UnixTime, unix_now
 from tests.app.complete_app import complete_app
 from tests.app.configured import faults_of

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 from structlog.testing import capture_logs
 
-from app.server.refusal_log import ErrorLines, RefusalLog
-from app.server.repeats import WINDOW_S
+from app.server.admission.refusal_log import ErrorLines, RefusalLog
+from app.server.admission.repeats import WINDOW_S
 from bus.instants import Monotonic
 
 COUNT = 4212

@@ -11,11 +11,11 @@ from starlette.websockets import WebSocketDisconnect
 from structlog.testing import capture_logs
 
 from app.audit.log import EventLog
-from app.auth.access import RecordRefusals
 from app.auth.accounts import Accounts
+from app.auth.rights.access import RecordRefusals
 from app.database import Database
-from app.server.refusal_log import RefusalLog
-from app.web.access import Role
+from app.server.admission.refusal_log import RefusalLog
+from app.web.admission.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import House, complete_app
 

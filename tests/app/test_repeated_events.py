@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from app.audit.events.repeated import MANY, MAX_KEYS, RepeatedEvents
+from app.audit.events.store import Filter
 from app.audit.log import EventLog
-from app.audit.repeated import MANY, MAX_KEYS, RepeatedEvents
-from app.audit.store import Filter
-from app.server.repeats import WINDOW_S
+from app.server.admission.repeats import WINDOW_S
 from tests.app.complete_app import complete_app
 from tests.stores import both_engines, open_store, without_trigger
 

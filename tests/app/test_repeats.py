@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.server.repeats import MAX_KEYS, WINDOW_S, Repeats, Repetition
+from app.server.admission.repeats import MAX_KEYS, WINDOW_S, Repeats, Repetition
 from bus.instants import Monotonic
 
 START = Monotonic(1000.0)

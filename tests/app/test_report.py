@@ -16,11 +16,11 @@ from click.testing import CliRunner, Result
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.alarms.store import JournalEntry, write_alarms
+from app.alarms.journal.store import JournalEntry, write_alarms
 from app.cli import cli
 from app.database import SqliteDatabase
-from app.handover.notes import Note
-from app.handover.notes import add as add_note
+from app.handover.notes.notes import Note
+from app.handover.notes.notes import add as add_note
 from app.handover.rules.shift_times import Shift
 from app.history.series.draw import SpeedStretch, draw_figures
 from app.history.series.gaps import Marks

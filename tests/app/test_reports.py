@@ -13,7 +13,7 @@ import pytest
 from app.notification.service import Notification
 from app.reports.schedule import ReportSchedule
 from app.settings import load
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.configuration import ConfigurationError
 from bus.contract import Reading
 from bus.instants import UnixTime

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from app.database import SqliteDatabase, reserve
-from app.database.reserve import FILE, MIN_FREE, MIN_FREE_OF_OTHERS, Reserve
+from app.database import SqliteDatabase
+from app.database.sqlite import reserve
+from app.database.sqlite.reserve import FILE, MIN_FREE, MIN_FREE_OF_OTHERS, Reserve
 
 SIZE = 8_000_000
 

@@ -10,8 +10,8 @@ from typing import Any
 import httpx
 import pytest
 
-from app.sets.restore import RestoreService
-from app.web.access import Role
+from app.sets.restore.restores import RestoreService
+from app.web.admission.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, PlayedLine, played_line
 from tests.app.stage import until

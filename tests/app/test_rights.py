@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from app.auth import store
-from app.auth.rights import (
+from app.auth.rights.rights import (
     FRESH_S,
     PASSWORD_CHANGED,
     ROLE_LOWERED,
@@ -23,7 +23,7 @@ from app.auth.rights import (
 from app.auth.store import Token, User
 from app.database import Database
 from app.errors import Problem, StoreError
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.messages import Message
 from tests.stores import open_store
 

@@ -10,8 +10,8 @@ import pytest
 from app.audit.log import EventLog
 from app.auth import rules
 from app.auth.accounts import Accounts
-from app.auth.rights import Rights
-from app.web.access import Person, Role
+from app.auth.rights.rights import Rights
+from app.web.admission.access import Person, Role
 from tests.administrator import BY
 from tests.stores import both_engines, open_store
 

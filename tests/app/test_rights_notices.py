@@ -11,15 +11,16 @@ from typing import Any
 import pytest
 
 from app.audit.log import EventLog
-from app.auth import notices, rights, rules, store
+from app.auth import rules, store
 from app.auth.accounts import Accounts
-from app.auth.notices import RightsNotice
-from app.auth.rights import Rights
+from app.auth.rights import notices, rights
+from app.auth.rights.notices import RightsNotice
+from app.auth.rights.rights import Rights
 from app.auth.settings import Sessions
-from app.auth.signin import SignIn
+from app.auth.sign_in.signin import SignIn
 from app.database import Database
-from app.database.connection import SqliteDatabase
-from app.web.access import Person, Role
+from app.database.sqlite.connection import SqliteDatabase
+from app.web.admission.access import Person, Role
 from tests.administrator import BY
 from tests.app.stage import until
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.routing.target import is_own, named_bus, named_server, place_of, prefixes_of
+from app.routing.forwarding.target import is_own, named_bus, named_server, place_of, prefixes_of
 from tests.app.played_site import PlayedHomes
 
 PREFIXES = prefixes_of(

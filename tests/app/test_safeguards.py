@@ -11,14 +11,14 @@ from typing import Any
 
 import pytest
 
-from app.audit.store import Filter
+from app.audit.events.store import Filter
 from app.commands.safeguards import service
 from app.commands.safeguards.control import LAPSES_AFTER_S
 from app.commands.safeguards.limits import NO_LIMITS, BlockStore, CommandBlock, Limits, LimitsStore
 from app.commands.safeguards.read_only import ReadOnly, ReadOnlyStore
 from app.commands.service import command_service
 from app.errors import Problem
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.contract import Command, Update
 from bus.instants import Monotonic, UnixTime
 from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged, until

@@ -10,9 +10,9 @@ from starlette.testclient import TestClient, WebSocketDenialResponse
 
 from app.auth.accounts import Accounts
 from app.main import create_app
-from app.web.access import Role
-from app.web.bounds import MAX_BODY_BYTES
-from app.web.security import same_origin
+from app.web.admission.access import Role
+from app.web.admission.bounds import MAX_BODY_BYTES
+from app.web.admission.security import same_origin
 from tests.administrator import BY
 from tests.app.complete_app import HOST, House, complete_app, settings_in
 

@@ -12,7 +12,7 @@ import pytest
 
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import BusLink, ExecuteAll, ExecuteSpeed, ParameterValue, SetLine, Staged, UnitLink
 from bus.instants import unix_now
 from tests.app.complete_app import House, complete_app

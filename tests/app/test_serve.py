@@ -23,10 +23,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from app.cli import hosting
-from app.cli.demo import CHOOSE
-from app.cli.hosting import HostingError, only_one
-from app.cli.listening import NEXT_PORTS, ListenError, listen, listen_from
+from app.cli.serving import hosting
+from app.cli.serving.hosting import HostingError, only_one
+from app.cli.serving.listening import NEXT_PORTS, ListenError, listen, listen_from
+from app.cli.simulated.demo import CHOOSE
 from app.database import SqliteDatabase
 from app.server.service_manager import ServiceManager
 from app.settings import load

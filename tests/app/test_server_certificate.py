@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from app.server import server_certificate
-from app.server.server_certificate import ServerCertificate
 from app.server.settings import TlsSettings
+from app.server.tls import certificate as server_certificate
+from app.server.tls.certificate import ServerCertificate
 from bus.instants import unix_now
 from bus.messages import Message
 from bus.tls import TlsFileError, read_certificate

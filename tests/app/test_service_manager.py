@@ -10,7 +10,7 @@ from typing import cast
 
 import pytest
 
-from app.cli.liveness import MAX_STILL_S, Liveness
+from app.cli.serving.liveness import MAX_STILL_S, Liveness
 from app.database import Database
 from app.errors import StoreError, StoreUnavailableError
 from app.server.service_manager import PartsProgress, ServiceManager

@@ -19,7 +19,7 @@ from app.commands.safeguards.limits import NO_LIMITS, Limits
 from app.commands.safeguards.service import Safeguards
 from app.live.state.bus_live import LiveState, UnitLive
 from app.recipes.book import RecipeBook
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSpeed, Update
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA, a_bus, responding

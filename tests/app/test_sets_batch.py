@@ -7,7 +7,7 @@ import pytest
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
 from app.sets.batch import BatchRow, refuse_moved, rows_of_batch, write_batch
-from app.sets.effects import NO_RAMP
+from app.sets.restore.effects import NO_RAMP
 from bus.contract import ParameterValue
 from bus.messages import Message
 from tests.app.played_commands import ANNA, PlayedCommands, a_bus, factory, responding

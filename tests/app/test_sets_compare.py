@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.messages import Languages
-from app.sets.compare import compare, differences, drift
+from app.sets.comparison.compare import compare, differences, drift
 from app.sets.model import ParameterRow, UnitRows
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message, number

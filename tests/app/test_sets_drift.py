@@ -9,7 +9,7 @@ import pytest
 
 from app.audit.log import EventLog
 from app.live.screen.sources import Drifted
-from app.sets.drift import BusDrift
+from app.sets.comparison.drift import BusDrift
 from app.sets.model import ParameterRow, ParameterSet, UnitRows
 from app.sets.store import SetStore
 from bus.catalogue.parameters import PARAMETERS

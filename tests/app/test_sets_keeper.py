@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from app.errors import Problem, StoreError
-from app.sets.taking import Takings
-from app.web.access import Person, Role
+from app.sets.saving.taking import Takings
+from app.web.admission.access import Person, Role
 from bus.messages import Message
 from tests.app.played_commands import ANNA, SetScene
 from tests.app.screens import translator

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.errors import Problem
-from app.sets.effects import NO_RAMP, OPERATING_VALUES, warning_of
 from app.sets.model import ParameterRow, UnitRows
-from app.sets.plan import Selection, plan_restore, refuse_unwritable
-from app.sets.restore_record import MAY_RUN, RUNS, remarks
+from app.sets.restore.effects import NO_RAMP, OPERATING_VALUES, warning_of
+from app.sets.restore.plan import Selection, plan_restore, refuse_unwritable
+from app.sets.restore.record import MAY_RUN, RUNS, remarks
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
 

@@ -12,13 +12,13 @@ import pytest
 from app.database import Database
 from app.errors import Problem
 from app.sets.model import ParameterRow, UnitRows
-from app.sets.order import Write
-from app.sets.plan import Selection
-from app.sets.reading import ParameterReader
-from app.sets.restore import RestoreService
-from app.sets.restore_record import Restore
-from app.sets.restore_store import RestoreStore
-from app.web.access import Person, Role
+from app.sets.restore.order import Write
+from app.sets.restore.plan import Selection
+from app.sets.restore.record import Restore
+from app.sets.restore.restores import RestoreService
+from app.sets.restore.store import RestoreStore
+from app.sets.saving.reading import ParameterReader
+from app.web.admission.access import Person, Role
 from bus.contract import WriteParameter
 from bus.messages import Message
 from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, factory, responding

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from app.errors import ConstraintError, Problem
-from app.sets.first_write import FirstWrites
-from app.sets.schedule import REPORT_AFTER, SetSchedule, due_between
-from app.web.access import Person, Role
+from app.sets.saving.first_write import FirstWrites
+from app.sets.saving.schedule import REPORT_AFTER, SetSchedule, due_between
+from app.web.admission.access import Person, Role
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import UnitLink, UnitLinkState
 from tests.app.played_commands import ANNA, SetScene
@@ -40,7 +40,7 @@ class Scene(SetScene):
 @pytest.fixture
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     made = Scene(tmp_path)
-    monkeypatch.setattr("app.sets.keeper.unix_now", lambda: made.now.timestamp())
+    monkeypatch.setattr("app.sets.saving.keeper.unix_now", lambda: made.now.timestamp())
     yield made
     made.database.close()
 

@@ -17,14 +17,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.cli import backup_store
-from app.cli.backup_store import write_backup
-from app.cli.restore_store import read_backup
+from app.cli.stores import backup_store
+from app.cli.stores.backup_store import write_backup
+from app.cli.stores.restore_store import read_backup
 from app.errors import ConstraintError, StoreError
-from app.handover.pictures import FILE, MIGRATIONS
+from app.handover.notes.pictures import FILE, MIGRATIONS
 from app.handover.rules.orientation import TURNED, exif_of, orientation_of, plain_exif
 from app.handover.rules.pictures import plain_picture
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.errors import CallerError
 from tests.app.complete_app import House, complete_app
 from tests.stores import both_engines, open_store

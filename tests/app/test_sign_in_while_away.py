@@ -9,15 +9,15 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
-from app.auth.break_glass import ENDS_AFTER_S, BreakGlass, path_in, read_accounts
-from app.auth.break_glass_book import BreakGlassBook
-from app.auth.known import KnownCredentials, _read
+from app.auth.rights.known import KnownCredentials, _read
+from app.auth.sign_in.break_glass import ENDS_AFTER_S, BreakGlass, path_in, read_accounts
+from app.auth.sign_in.break_glass_book import BreakGlassBook
 from app.database import Database
 from app.errors import StoreError
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
 from tests import fork_server

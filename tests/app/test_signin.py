@@ -8,18 +8,19 @@ from pathlib import Path
 import pytest
 from argon2 import PasswordHasher, Type, extract_parameters
 
+from app.audit.events.store import Filter
 from app.audit.log import EventLog
-from app.audit.store import Filter
-from app.auth import passwords, rules, store
+from app.auth import rules, store
 from app.auth.accounts import Accounts
-from app.auth.identity import Identity
-from app.auth.rights import Rights
+from app.auth.rights.identity import Identity
+from app.auth.rights.rights import Rights
 from app.auth.settings import Sessions
-from app.auth.signin import SignedIn, SignIn, WrongSecretError
-from app.auth.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
+from app.auth.sign_in import passwords
+from app.auth.sign_in.signin import SignedIn, SignIn, WrongSecretError
+from app.auth.sign_in.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
 from app.database import Database
 from app.errors import Problem
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.errors import CallerError
 from tests.administrator import BY
 from tests.stores import both_engines, only_sqlite, open_store

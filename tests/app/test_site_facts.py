@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.cli import cli
-from app.cli.site_facts import backup_facts, certificate_facts, disk_facts
+from app.cli.site.facts import backup_facts, certificate_facts, disk_facts
 from app.database import SqliteDatabase
-from app.database.connection import open_unchanged
-from app.database.reserve import MIN_FREE_OF_OTHERS
+from app.database.sqlite.connection import open_unchanged
+from app.database.sqlite.reserve import MIN_FREE_OF_OTHERS
 from app.history.query.forecast import MAX_DAYS, days_left, growth_of_history
 from app.history.series.runs import DAY, HOUR, micros
 from app.settings import load

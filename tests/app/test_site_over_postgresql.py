@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from app.auth import notices
-from app.auth.notices import RightsNotice
+from app.auth.rights import notices
+from app.auth.rights.notices import RightsNotice
 from app.database import Database, StoreConnection, engine
 from app.database.opening import open_database
 from app.routing.secret import site_secret

@@ -14,13 +14,13 @@ import uvloop
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
-from app.server import stamping
-from app.server.admission import ARRIVED_AT, LoopTurns
-from app.server.connections import Connections
+from app.server.admission.refusal_log import RefusalLog
+from app.server.admission.turns import ARRIVED_AT, LoopTurns
+from app.server.connection import stamping
+from app.server.connection.connections import Connections
+from app.server.connection.stamping import StampingProtocol
+from app.server.connection.tcp_wait import TcpWait, tcp_wait
 from app.server.loop_watch import LoopWatch
-from app.server.refusal_log import RefusalLog
-from app.server.stamping import StampingProtocol
-from app.server.tcp_wait import TcpWait, tcp_wait
 from tests.app.stage import until
 
 Run = Callable[[Coroutine[Any, Any, None]], None]

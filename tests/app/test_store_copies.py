@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from app.database import SqliteDatabase, copies
-from app.database.copies import copy_of, put_aside, remove_older_copies
+from app.database import SqliteDatabase
+from app.database.sqlite import copies
+from app.database.sqlite.copies import copy_of, put_aside, remove_older_copies
 
 
 def names_in(folder: Path) -> list[str]:

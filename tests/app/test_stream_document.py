@@ -16,14 +16,14 @@ import httpx
 import pytest
 from jsonschema_rs import Draft202012Validator
 
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.shown import AlarmShown, alarm_json
 from app.live.api.line_stream import LineStream
 from app.live.api.stream_document import AlarmType, stream_document
 from app.live.api.stream_route import KINDS
 from app.live.state.bus_live import LiveState
-from app.web.access import Role
-from app.web.schema import openapi_document
+from app.web.admission.access import Role
+from app.web.api.schema import openapi_document
 from tests.app.complete_app import House, complete_app
 from tests.app.served_app import Api, served
 from tests.app.stage import snapshot

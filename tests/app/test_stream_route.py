@@ -16,7 +16,7 @@ from app.auth.accounts import Accounts
 from app.live.admission import Admission
 from app.live.api.line_stream import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, LineStream
 from app.live.state.bus_live import LiveState
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import HOST, House, complete_app
 from tests.app.stage import snapshot

@@ -12,18 +12,18 @@ import pytest
 
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
+from app.sets.comparison.sides import offers
 from app.sets.model import ParameterRow, ParameterSet, ParameterSetSummary, UnitRows
-from app.sets.order import Write
-from app.sets.plan import LeftOut, RestorePlan
-from app.sets.restore import EndSubscriber
-from app.sets.restore_record import Restore, RestoreState, RowResult
-from app.sets.sides import offers
+from app.sets.restore.order import Write
+from app.sets.restore.plan import LeftOut, RestorePlan
+from app.sets.restore.record import Restore, RestoreState, RowResult
+from app.sets.restore.restores import EndSubscriber
 from app.sets.store import SetStore
 from app.swap.record import Swap, SwapSource
 from app.swap.rules import PROVEN, STEPS, ProbeFinding, SwapState, advice, done_steps
 from app.swap.service import MAX_PROBES, SwapService, look, step_text
 from app.swap.store import SwapStore
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
 from bus.instants import UnixTime
 from bus.messages import Message, term

@@ -8,10 +8,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.sets.restore import RestoreService
+from app.sets.restore.restores import RestoreService
 from app.sets.store import SetStore
 from app.swap.service import SwapService
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, played_line
 

@@ -13,8 +13,8 @@ from babel.messages.catalog import Catalog
 from app.live.state.bus_live import LiveState
 from app.messages import Languages
 from app.messages.languages import DEFAULT, catalogs
-from app.web.access import Role
-from app.web.templating import Templates
+from app.web.admission.access import Role
+from app.web.rendering.templating import Templates
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
 from tests.app.complete_app import House, complete_app

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.auth.throttle import (
+from app.auth.sign_in.throttle import (
     FIRST_WAIT_S,
     FORGOTTEN_AFTER_S,
     FREE,

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from websockets.asyncio.client import connect
 
-from app.server.connections import MAX_OF_ADDRESS
-from app.server.pace import WITHIN_S, Awaited
-from app.server.tls_connection import HEADER_BYTES, MAX_PASSED_OVER_BYTES, MAX_RECORDS_A_TURN
+from app.server.connection.connections import MAX_OF_ADDRESS
+from app.server.connection.pace import WITHIN_S, Awaited
+from app.server.tls.connection import HEADER_BYTES, MAX_PASSED_OVER_BYTES, MAX_RECORDS_A_TURN
 from tests.app.tls_site import GET, PATIENCE_S, Ends, TlsSite, tls_site
 
 

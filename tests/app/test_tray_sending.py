@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from app.audit.store import Filter
+from app.audit.events.store import Filter
 from app.commands.undo.changes import ValuePlace, Values, values_set
 from app.tray.sending import TrayResult, send_changes
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.contract import (
     Action,
     Command,

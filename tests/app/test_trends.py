@@ -17,7 +17,7 @@ from app.audit.log import EventLog
 from app.errors import Problem
 from app.history import views
 from app.history.views import TrendViews, clean
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, played_line

@@ -10,7 +10,7 @@ import pytest
 
 from app.commands.forms.undo_shown import undo_shown
 from app.commands.undo.overlap import WritesUnderWay
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.contract import (
     Action,
     Command,

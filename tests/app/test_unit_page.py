@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from app.live.state.bus_live import LiveState
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import Reading
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line

@@ -13,7 +13,7 @@ from app.audit.log import EventLog
 from app.sites.fleet import Fleet
 from app.sites.last_events import LastEvents
 from app.sites.summary import EventSummary, notices
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import played_line

@@ -15,16 +15,16 @@ import uvicorn
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
-from app.server.admission import ARRIVED_AT, LoopTurns
-from app.server.client_connection import client_connection
-from app.server.connections import Connections
+from app.server.admission.refusal_log import RefusalLog
+from app.server.admission.turns import ARRIVED_AT, LoopTurns
+from app.server.connection.client_connection import client_connection
+from app.server.connection.connections import Connections
+from app.server.connection.stamping import StampingProtocol
+from app.server.connection.websocket import WebSocketProtocol
 from app.server.loop_watch import LoopWatch
-from app.server.refusal_log import RefusalLog
-from app.server.server_certificate import ServerCertificate
 from app.server.settings import TlsSettings
-from app.server.stamping import StampingProtocol
-from app.server.tls_connection import TlsConnection
-from app.server.websocket import WebSocketProtocol
+from app.server.tls.certificate import ServerCertificate
+from app.server.tls.connection import TlsConnection
 from bus.tls import HTTP_ALPN
 from tests.certificates import certificates
 

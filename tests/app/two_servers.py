@@ -18,13 +18,13 @@ from typing import Any
 
 import httpx
 
-from app.cli.server import Server
+from app.cli.serving.server import Server
 from app.database import Database
 from app.feature import Services
 from app.routing.peers import Peers
 from app.routing.site_servers import SiteServers
 from app.settings import Settings
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.instants import monotonic_now, unix_now
 from tests.app.complete_app import EVERY_ROLE, complete_app, settings_in
 from tests.app.played_line import BUS, PlayedLine, played_line

@@ -9,10 +9,15 @@ from pathlib import Path
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from app.auth import signin
-from app.web.access import Person, Role
-from app.web.anonymous import AT_ONCE_OF_ADDRESS, MAX_AT_ONCE, MAX_WAITING_OF_ADDRESS, AnonymousLimiter
-from app.web.bounds import MAX_PLAIN_BODY_BYTES
+from app.auth.sign_in import signin
+from app.web.admission.access import Person, Role
+from app.web.admission.anonymous import (
+    AT_ONCE_OF_ADDRESS,
+    MAX_AT_ONCE,
+    MAX_WAITING_OF_ADDRESS,
+    AnonymousLimiter,
+)
+from app.web.admission.bounds import MAX_PLAIN_BODY_BYTES
 from tests.app.complete_app import House, complete_app
 
 

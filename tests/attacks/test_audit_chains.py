@@ -14,13 +14,13 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from app.audit.anchoring import Anchoring
-from app.audit.chain import END_ALTERED, ROTATED, SITE, sealed_entry, sealed_head
-from app.audit.keyring import KeyRing
-from app.audit.keys import open_keys
+from app.audit.events.store import heads_of
 from app.audit.log import EventLog
-from app.audit.store import heads_of
-from app.audit.walk import MAX_CHAINS
+from app.audit.proof.anchoring import Anchoring
+from app.audit.proof.chain import END_ALTERED, ROTATED, SITE, sealed_entry, sealed_head
+from app.audit.proof.keyring import KeyRing
+from app.audit.proof.keys import open_keys
+from app.audit.proof.walk import MAX_CHAINS
 from app.cli import cli
 from app.database import SqliteDatabase
 from tests.attacks.test_audit_log import WITHOUT_ANCHOR, Plant

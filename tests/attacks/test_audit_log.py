@@ -16,12 +16,12 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from app.audit.anchoring import Anchoring
-from app.audit.chain import END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, SITE, entry_hash, sealed_head
-from app.audit.keyring import BEGINNING
-from app.audit.keys import open_keys
+from app.audit.events.store import heads_of
 from app.audit.log import EventLog
-from app.audit.store import heads_of
+from app.audit.proof.anchoring import Anchoring
+from app.audit.proof.chain import END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, SITE, entry_hash, sealed_head
+from app.audit.proof.keyring import BEGINNING
+from app.audit.proof.keys import open_keys
 from app.cli import cli
 from app.database import SqliteDatabase
 from app.database.migration import MIGRATIONS

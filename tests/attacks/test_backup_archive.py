@@ -16,8 +16,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from app.cli import backup_archive, cli
-from app.cli.backup_archive import MAX_ARCHIVE_BYTES
+from app.cli import cli
+from app.cli.stores import backup_archive
+from app.cli.stores.backup_archive import MAX_ARCHIVE_BYTES
 from app.database import SqliteDatabase
 
 MAIN = "lineside.db"

@@ -12,8 +12,8 @@ import pytest
 from starlette.types import Message, Scope
 
 from app.sets.document import MAX_KEY_STEPS, MAX_LINES, MAX_VALUES, DocumentError, read_document
-from app.web.access import Role
-from app.web.bounds import (
+from app.web.admission.access import Role
+from app.web.admission.bounds import (
     MAX_BODY_BYTES,
     MAX_CONTENT_TYPE,
     MAX_PARAMETERS,

@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from app.auth.accounts import Accounts
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import House, complete_app
 from tests.app.configuration_file import TEXT, UNIT, fields_of, form_of, written

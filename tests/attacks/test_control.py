@@ -12,7 +12,7 @@ import app.commands.safeguards.service as service_module
 from app.auth.accounts import Accounts
 from app.commands.safeguards.control import REQUEST_LAPSES_AFTER_S
 from app.commands.safeguards.service import MAX_REQUESTS
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.instants import monotonic_now
 from tests.administrator import BY
 from tests.app.complete_app import House, complete_app

@@ -12,11 +12,11 @@ from click.testing import CliRunner
 from structlog.testing import capture_logs
 
 from app.alarms.alarm import key_of
-from app.alarms.line_alarms import LineAlarms
-from app.audit.anchoring import Anchoring, AnchorStatus
-from app.audit.keys import open_keys
+from app.alarms.monitor.line_alarms import LineAlarms
+from app.audit.events.store import Filter, heads_of
 from app.audit.log import EventLog
-from app.audit.store import Filter, heads_of
+from app.audit.proof.anchoring import Anchoring, AnchorStatus
+from app.audit.proof.keys import open_keys
 from app.cli import cli
 from app.database import SqliteDatabase
 from app.main import create_app

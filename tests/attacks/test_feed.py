@@ -19,8 +19,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
+from app.audit.events.store import Filter
 from app.audit.log import EventLog
-from app.audit.store import Filter
 from app.feed.bus_feed import BusFeed, WorkerLeft
 from app.feed.channel import Channel
 from app.feed.holders import Credential
@@ -31,7 +31,7 @@ from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
 from app.live.change_recorder import ChangeRecorder
 from app.live.state.bus_live import Audience, BusLive
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import (
     MAX_UPDATES,
     AppMessage,

@@ -10,9 +10,9 @@ import httpx
 import pytest
 
 from app.auth.accounts import Accounts
-from app.auth.first_admin import FirstAdmin, new_code
-from app.auth.throttle import FREE, OF_NAME
-from app.web.access import Role
+from app.auth.sign_in.first_admin import FirstAdmin, new_code
+from app.auth.sign_in.throttle import FREE, OF_NAME
+from app.web.admission.access import Role
 from tests.app.complete_app import PASSWORD, House, complete_app
 
 

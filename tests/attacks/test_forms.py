@@ -14,7 +14,7 @@ import pytest
 
 from app.auth.accounts import Accounts
 from app.tray.contents import Trays
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import Reading
 from bus.instants import unix_now
 from tests.administrator import BY

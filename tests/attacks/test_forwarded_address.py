@@ -10,12 +10,12 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.audit.events.store import Filter
 from app.audit.log import EventLog
-from app.audit.store import Filter
 from app.auth.accounts import Accounts
-from app.cli.server import Server
-from app.server.addresses import Network
-from app.web.access import Role
+from app.cli.serving.server import Server
+from app.server.admission.addresses import Network
+from app.web.admission.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, settings_in
 

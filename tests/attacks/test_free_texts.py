@@ -13,8 +13,8 @@ from typing import Any
 import httpx
 import pytest
 
-from app.web.access import Role
-from app.web.shape import csv_cell
+from app.web.admission.access import Role
+from app.web.api.shape import csv_cell
 from tests.app.complete_app import House
 from tests.app.played_line import BUS, PlayedLine
 

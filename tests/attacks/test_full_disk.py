@@ -12,8 +12,8 @@ from typing import Any
 import httpx
 import pytest
 
-from app.database.reserve import SIZE, Reserve
-from app.web.access import Role
+from app.database.sqlite.reserve import SIZE, Reserve
+from app.web.admission.access import Role
 from tests.app.complete_app import PASSWORD as HOUSE_PASSWORD
 from tests.app.complete_app import complete_app
 from tests.e2e.limits import CALL_S, PROCEDURE_S

@@ -8,7 +8,7 @@ import pytest
 
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
-from app.web.access import Person, Role
+from app.web.admission.access import Person, Role
 from bus.contract import Result, WriteParameter
 from tests.app.stage import Stage, responding, staged
 

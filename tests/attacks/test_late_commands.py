@@ -11,10 +11,10 @@ import pytest
 
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
-from app.server import admission
-from app.web import arrival
-from app.web.access import Role
-from app.web.arrival import SAFE_METHODS
+from app.server.admission import turns as admission
+from app.web.admission import arrival
+from app.web.admission.access import Role
+from app.web.admission.arrival import SAFE_METHODS
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA
 from tests.app.played_commands import responding as responding_units

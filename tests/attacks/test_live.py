@@ -19,7 +19,7 @@ from app.live.browsers.broadcast import Broadcast
 from app.live.browsers.browser import Browser, Diff
 from app.live.browsers.hub import MAX_WATCH_BURST, Hub
 from app.main import create_app
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import settings_in
 from tests.app.screens import line, screen

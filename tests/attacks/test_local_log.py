@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.keyring import KEY_BYTES, KeyRing
-from app.audit.keys import Keys
+from app.audit.events.store import Filter
 from app.audit.local_log.file import FILE, LocalFile
 from app.audit.local_log.transaction import LoggedTransaction, sealed_line
 from app.audit.log import EventLog
-from app.audit.store import Filter
+from app.audit.proof.keyring import KEY_BYTES, KeyRing
+from app.audit.proof.keys import Keys
 from app.errors import StoreError
 from bus.messages import Message
 from tests.app.away_store import KEYS, AwayDatabase, event_log

@@ -14,12 +14,12 @@ import httpx
 import pytest
 from joserfc.jwk import ECKey, RSAKey
 
-from app.auth.access import COOKIE
 from app.auth.accounts import Accounts
 from app.auth.oidc import responses, single_sign_on
 from app.auth.oidc.id_token import Expected, InvalidTokenError, verified_claims
 from app.auth.oidc.pages import ATTEMPT_COOKIE
 from app.auth.oidc.single_sign_on import SingleSignOn
+from app.auth.rights.access import COOKIE
 from bus.instants import UnixTime
 from tests.app.complete_app import House
 from tests.app.played_provider import (

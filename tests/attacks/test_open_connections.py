@@ -15,12 +15,12 @@ from typing import Any
 import httpx
 import pytest
 
-from app.auth import rights
 from app.auth.accounts import Accounts
-from app.auth.identity import Identity
-from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks
+from app.auth.rights import rights
+from app.auth.rights.identity import Identity
+from app.auth.rights.lasting import NO_LONGER_SIGNED_IN, Rechecks
 from app.live.state.bus_live import LiveState
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import HOST, PASSWORD, House, complete_app
 from tests.app.stage import snapshot, until

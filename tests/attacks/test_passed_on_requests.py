@@ -12,13 +12,13 @@ import httpx
 import pytest
 import pytest_asyncio
 
+from app.audit.events.store import Filter
 from app.audit.log import Event, EventLog
-from app.audit.store import Filter
-from app.routing import courier
-from app.routing.hop import HEADER, Hop, sealed
+from app.routing.forwarding import courier
+from app.routing.forwarding.hop import HEADER, Hop, sealed
+from app.routing.forwarding.target import COOKIE
 from app.routing.site_servers import SiteServers
-from app.routing.target import COOKIE
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.app.two_servers import SECOND, TwoServers, two_servers
 
 BUS = "/api/v1/buses/dry-end"

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from app.audit.keys import open_keys
+from app.audit.events.store import heads_of
 from app.audit.log import EventLog
-from app.audit.store import heads_of
+from app.audit.proof.keys import open_keys
 from app.auth import store
 from app.auth.accounts import Accounts
 from app.auth.store import CompanyAccount
@@ -22,7 +22,7 @@ from app.cli import cli
 from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
 from app.database import Database, SqliteDatabase
 from app.settings import load
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.administrator import BY
 
 PASSWORD, OTHER_PASSWORD = "correct horse battery", "wrong horse battery"

@@ -9,10 +9,10 @@ import httpx
 import pytest
 
 from app.auth.accounts import Accounts
-from app.sets.restore import RestoreService
+from app.sets.restore.restores import RestoreService
 from app.sets.store import SetStore
 from app.swap.service import SwapService
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.catalogue.parameters import PARAMETERS
 from tests.administrator import BY
 from tests.app.complete_app import House

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.entry import Event
+from app.audit.events.entry import Event
 from app.audit.log import EventLog
 from app.commands.safeguards.service import Safeguards
 from app.recipes.book import RecipeBook
-from app.sets.schedule import SERVER, SetSchedule
+from app.sets.saving.schedule import SERVER, SetSchedule
+from app.sets.saving.taking import Takings
 from app.sets.store import SetStore
-from app.sets.taking import Takings
-from app.web.access import Role
+from app.web.admission.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, PlayedLine, played_line
 from tests.app.stage import until

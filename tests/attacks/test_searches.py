@@ -14,9 +14,9 @@ from starlette.types import Message, Receive, Scope, Send
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
 from app.history.service import History
-from app.server.fair_queue import FairQueue
-from app.web.access import Person, Role
-from app.web.turns import (
+from app.server.admission.fair_queue import FairQueue
+from app.web.admission.access import Person, Role
+from app.web.admission.turns import (
     MAX_AT_ONCE,
     MAX_READS,
     MAX_WAITING,

@@ -15,17 +15,17 @@ from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocketDisconnect
 
 from app.audit.log import CHUNK, EventLog
-from app.auth import passwords
 from app.auth.accounts import Accounts
-from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks
 from app.auth.pages import DEVICE_COOKIE
+from app.auth.rights.lasting import NO_LONGER_SIGNED_IN, Rechecks
 from app.auth.rules import SECRET_LENGTH
-from app.auth.signin import SignIn
-from app.auth.throttle import FREE, OF_ADDRESS, OF_NAME
+from app.auth.sign_in import passwords
+from app.auth.sign_in.signin import SignIn
+from app.auth.sign_in.throttle import FREE, OF_ADDRESS, OF_NAME
 from app.commands.safeguards.service import Safeguards
 from app.database import SqliteDatabase
 from app.main import create_app
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.contract import CONTRACT_VERSION, Hello, encode
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House, complete_app, settings_in

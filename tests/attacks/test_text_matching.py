@@ -14,9 +14,9 @@ import pytest
 from fastapi.routing import APIRoute
 
 from app.messages import Language, Languages
-from app.web.access import Role
-from app.web.bounds import MAX_QUERY
-from app.web.formats import Formats
+from app.web.admission.access import Role
+from app.web.admission.bounds import MAX_QUERY
+from app.web.rendering.formats import Formats
 from tests.app.complete_app import House, complete_app
 from tests.sizes import sizes
 

@@ -12,7 +12,7 @@ import pytest
 from app.auth.accounts import Accounts
 from app.commands.service.command_service import CommandService
 from app.commands.undo import stack
-from app.web.access import Role
+from app.web.admission.access import Role
 from bus.instants import unix_now
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House

@@ -15,14 +15,14 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.server import ServerState
 
-from app.server.admission import LoopTurns
-from app.server.client_connection import client_connection
-from app.server.connection_protocol import CLOSING_S, SLICE_BYTES
-from app.server.connections import Connections
-from app.server.http import HttpProtocol
-from app.server.pace import STALL_S
-from app.server.refusal_log import RefusalLog
-from app.server.websocket import (
+from app.server.admission.refusal_log import RefusalLog
+from app.server.admission.turns import LoopTurns
+from app.server.connection.client_connection import client_connection
+from app.server.connection.connections import Connections
+from app.server.connection.http import HttpProtocol
+from app.server.connection.pace import STALL_S
+from app.server.connection.protocol import CLOSING_S, SLICE_BYTES
+from app.server.connection.websocket import (
     MAX_FRAMES_AT_ONCE,
     MAX_MESSAGE_BYTES,
     MAX_UNREAD_BYTES,

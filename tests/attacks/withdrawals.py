@@ -9,8 +9,8 @@ from contextlib import closing
 from pathlib import Path
 
 from app.auth.accounts import Accounts
-from app.auth.rights import Rights
-from app.web.access import Role
+from app.auth.rights.rights import Rights
+from app.web.admission.access import Role
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House
 

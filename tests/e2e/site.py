@@ -28,12 +28,12 @@ from typing import IO, Any
 import httpx
 
 from app.auth.accounts import Accounts
-from app.cli.accounts import with_accounts
+from app.cli.setup.accounts import with_accounts
 from app.database.settings import IN_FILES, StoreSettings
 from app.settings import Site as SiteSettings
-from app.web.access import Role
-from app.web.assets import Assets, static_dir, templates_dir
-from app.web.templating import Templates
+from app.web.admission.access import Role
+from app.web.rendering.assets import Assets, static_dir, templates_dir
+from app.web.rendering.templating import Templates
 from bus.simulator.demo import demo_line
 from tests import fork_server
 from tests.administrator import BY

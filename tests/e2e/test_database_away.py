@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from app.cli import awaiting
+from app.cli.serving import awaiting
 from app.database.settings import StoreSettings
 from tests.app.test_awaiting import Away, settings_of, waiting
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages

@@ -13,7 +13,7 @@ from app.cli import cli
 from app.main import create_app
 from app.messages.languages import DEFAULT, catalogs
 from app.settings import Settings
-from app.web.schema import openapi_document
+from app.web.api.schema import openapi_document
 from tests.catalogs import catalog_at, wanted
 from tests.vocabulary import ROOT
 

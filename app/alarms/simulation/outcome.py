@@ -10,7 +10,7 @@ from pydantic import Field
 
 from app.alarms.rules.facts import Transition
 from app.alarms.rules.performance import CHATTERS_S
-from app.web.shape import InstantObject
+from app.web.api.shape import InstantObject
 from bus.instants import UnixTime
 
 CHATTERING_TIMES = 3

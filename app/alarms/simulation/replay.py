@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from app.alarms.own import OwnCondition, known_decimals, own_definition
+from app.alarms.own.definition import OwnCondition, known_decimals, own_definition
 from app.alarms.rules import changes
 from app.alarms.rules.changes import Changed
 from app.alarms.rules.facts import AlarmFacts

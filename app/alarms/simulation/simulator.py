@@ -17,7 +17,7 @@ from app.history.series.runs import HOUR, MINUTE, SECOND, micros
 from app.history.series.scaling import ParameterStep
 from app.history.service import History
 from app.history.store import tables
-from app.server.fair_queue import FairQueue
+from app.server.admission.fair_queue import FairQueue
 from bus.instants import UnixTime
 from bus.settings import BusSettings
 

@@ -15,7 +15,7 @@ from app.audit.archive.cut import Cut, heads_text
 from app.audit.archive.file import ArchiveWriter, EventArchiveError
 from app.audit.archive.month import is_known, months_due
 from app.audit.log import EventLog
-from app.audit.walk import Walk
+from app.audit.proof.walk import Walk
 from app.database import Database
 from app.errors import StoreError, StoreUnavailableError, system_error
 from app.server.in_thread import in_thread

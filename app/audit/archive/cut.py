@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
-from app.audit.chain import Head
-from app.audit.keyring import KeyRing
+from app.audit.proof.chain import Head
+from app.audit.proof.keyring import KeyRing
 from bus.instants import UnixTime
 
 

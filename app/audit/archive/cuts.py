@@ -6,7 +6,7 @@ from dataclasses import astuple, fields
 from typing import Any
 
 from app.audit.archive.cut import Cut
-from app.audit.keyring import KeyRing
+from app.audit.proof.keyring import KeyRing
 from app.database import StoreConnection
 from app.database.engine import has_column
 from bus.instants import UnixTime

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from app.audit.archive.cut import Cut
 from app.audit.archive.file import EventArchiveError, digest_of, entries_in
-from app.audit.chain import Head
-from app.audit.keyring import KeyRing
-from app.audit.walk import Walk
+from app.audit.proof.chain import Head
+from app.audit.proof.keyring import KeyRing
+from app.audit.proof.walk import Walk
 from bus.messages import Message
 
 CHUNK = 500

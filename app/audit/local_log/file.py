@@ -7,10 +7,10 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from app.audit.keyring import BEGINNING, KeyRing
 from app.audit.local_log.transaction import LoggedTransaction, ReadLog, read_lines, sealed_line
+from app.audit.proof.keyring import BEGINNING, KeyRing
 from app.database.private import FILE_MODE, refuse_link, sync_folder
-from app.database.reserve import Reserve
+from app.database.sqlite.reserve import Reserve
 from app.errors import StoreError, system_error
 from bus.instants import UnixTime
 from bus.messages import Message

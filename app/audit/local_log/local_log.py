@@ -11,11 +11,11 @@ from itertools import islice
 
 import structlog
 
-from app.audit.entry import Event, new_entry
-from app.audit.keys import Keys
+from app.audit.events.entry import Event, new_entry
 from app.audit.local_log.file import LocalFile
 from app.audit.local_log.transaction import LoggedTransaction, ReadLog, new_transaction
 from app.audit.local_log.writing import LateEntries, TransactionWriter, forget_old
+from app.audit.proof.keys import Keys
 from app.database import Database
 from app.database.availability import Availability
 from app.errors import StoreError, StoreUnavailableError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.database.availability import Availability
-from app.web.formats import Formats
+from app.web.rendering.formats import Formats
 from bus.instants import UnixTime
 from bus.messages import Message
 

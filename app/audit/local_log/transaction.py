@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from app.audit.keyring import BEGINNING, KeyRing
+from app.audit.proof.keyring import BEGINNING, KeyRing
 from bus.instants import UnixTime
 from bus.messages import Message
 

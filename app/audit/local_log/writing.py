@@ -11,10 +11,10 @@ from typing import Any, Protocol
 
 from msgspec.structs import replace
 
-from app.audit import appending
-from app.audit.entry import new_entry
-from app.audit.keys import Keys
+from app.audit.events import appending
+from app.audit.events.entry import new_entry
 from app.audit.local_log.transaction import LoggedTransaction
+from app.audit.proof.keys import Keys
 from app.database import StoreConnection
 from bus.instants import UnixTime
 from bus.messages import Message

@@ -8,7 +8,7 @@ from typing import Any
 
 from app.auth import rules
 from app.auth.settings import OidcSettings
-from app.web.access import PEOPLE_ROLES, Role
+from app.web.admission.access import PEOPLE_ROLES, Role
 from bus.errors import CallerError
 
 MAX_GROUPS = 5000

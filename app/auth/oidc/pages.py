@@ -9,12 +9,12 @@ from fastapi import APIRouter, Depends
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.auth.access import cookie_name, is_encrypted
 from app.auth.oidc.login_attempt import MAX_AGE_S, attempt_of
 from app.auth.oidc.refusal import NotAdmittedError
 from app.auth.oidc.single_sign_on import SingleSignOn
 from app.auth.pages import REAUTHENTICATE_COOKIE, SignInService, device_of, own_path, set_cookie, signed_in
-from app.web.access import address_of, person_of, public
+from app.auth.rights.access import cookie_name, is_encrypted
+from app.web.admission.access import address_of, person_of, public
 from app.web.services import service
 
 router = APIRouter(include_in_schema=False)

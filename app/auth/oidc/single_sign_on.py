@@ -17,10 +17,10 @@ from app.auth.oidc.groups import name_of, role_of
 from app.auth.oidc.login_attempt import LoginAttempt, new_attempt
 from app.auth.oidc.refusal import COUNTED, NotAdmittedError
 from app.auth.settings import OidcSettings
-from app.auth.signin import SignedIn, SignIn, count_refusal
+from app.auth.sign_in.signin import SignedIn, SignIn, count_refusal
 from app.auth.store import CompanyAccount, User
-from app.server.addresses import source_of
-from app.server.fair_queue import FairQueue, TooManyWaitingError
+from app.server.admission.addresses import source_of
+from app.server.admission.fair_queue import FairQueue, TooManyWaitingError
 from bus.bucket import Bucket
 from bus.errors import CallerError, LinesideError
 from bus.instants import MonotonicClock, monotonic_now

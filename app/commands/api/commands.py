@@ -43,10 +43,10 @@ from app.live.api.schemas import ParameterShown
 from app.live.api.view import parameter_json
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive, UnitLive
-from app.web.access import Person
-from app.web.api_route import ApiRoute, RequestKey
-from app.web.arrival import Deadline, made_at
-from app.web.schema import problems
+from app.web.admission.access import Person
+from app.web.admission.arrival import Deadline, made_at
+from app.web.api.route import ApiRoute, RequestKey
+from app.web.api.schema import problems
 from app.web.services import bus_service
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS

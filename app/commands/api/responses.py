@@ -12,8 +12,16 @@ from typing_extensions import TypeAliasType, TypedDict
 
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
+from app.web.api.shape import (
+    Instant,
+    MaybeInstant,
+    MessageShown,
+    ReasonShown,
+    iso,
+    message_shown,
+    reason_shown,
+)
 from app.web.problems import respond
-from app.web.shape import Instant, MaybeInstant, MessageShown, ReasonShown, iso, message_shown, reason_shown
 from bus.contract import Direction, Frame, Outcome, Result, UnitOutcome
 from bus.errors import unit_error, unit_error_name
 from bus.instants import UnixTime

@@ -32,11 +32,11 @@ from app.commands.safeguards.read_only import MAX_READ_ONLY_MINUTES
 from app.commands.safeguards.service import Safeguards
 from app.live.api.schemas import DisplayedValue
 from app.live.api.view import setpoint_text
-from app.web.access import Person, Viewer, name_of
-from app.web.api_route import ApiRoute
-from app.web.schema import limited
+from app.web.admission.access import Person, Viewer, name_of
+from app.web.api.route import ApiRoute
+from app.web.api.schema import limited
+from app.web.api.shape import StrictBody, iso
 from app.web.services import bus_service
-from app.web.shape import StrictBody, iso
 from bus.messages import Message
 from bus.text import OneLine
 

@@ -21,9 +21,9 @@ from app.commands.catalogue import READ_TRACE
 from app.commands.service.command_service import CommandService
 from app.commands.service.writer import Commands, permitted
 from app.errors import Problem
-from app.web.access import Person
-from app.web.api_route import ApiRoute
-from app.web.turns import DOWNLOAD
+from app.web.admission.access import Person
+from app.web.admission.turns import DOWNLOAD
+from app.web.api.route import ApiRoute
 from bus.contract import Frame, ReadTrace
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message

@@ -18,7 +18,7 @@ from app.commands.review import present_setpoint
 from app.commands.values import setpoint_message
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, follower
-from app.web.shape import parse_integer
+from app.web.api.shape import parse_integer
 from bus.contract import Result
 from bus.messages import Message, joined
 

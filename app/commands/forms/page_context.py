@@ -38,10 +38,10 @@ from app.live.pages import UnitOnLine, unit_on_line
 from app.live.screen.diff import FlatFields
 from app.live.screen.fields import Translator
 from app.live.state.bus_live import BusLive, LiveState, UnitLive
-from app.web.access import Person, not_signed_in, person_of
-from app.web.arrival import Deadline, made_at, refuse_late
+from app.web.admission.access import Person, not_signed_in, person_of
+from app.web.admission.arrival import Deadline, made_at, refuse_late
+from app.web.rendering.templating import render, templates_of
 from app.web.services import bus_service_of, service_of
-from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now

@@ -15,8 +15,8 @@ from app.commands.pages.control import others
 from app.commands.safeguards.read_only import MAX_READ_ONLY_MINUTES
 from app.commands.service.writer import permitted
 from app.errors import Problem
-from app.web.access import Person, Viewer
-from app.web.arrival import Deadline
+from app.web.admission.access import Person, Viewer
+from app.web.admission.arrival import Deadline
 from bus.contract import ChangeBaud, ScanBus
 from bus.errors import unit_error
 from bus.messages import Message

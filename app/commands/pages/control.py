@@ -11,8 +11,8 @@ from starlette.responses import Response
 from app.commands.acts import FORCE_CONTROL, TAKE_CONTROL
 from app.commands.forms.page_context import BusPage, OfBus
 from app.errors import Problem
-from app.web.access import Person, Role, Viewer
-from app.web.templating import render
+from app.web.admission.access import Person, Role, Viewer
+from app.web.rendering.templating import render
 from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)

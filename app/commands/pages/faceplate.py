@@ -7,13 +7,13 @@ from typing import Any
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.commands.forms.page_context import OfUnit, UnitPage
 from app.commands.review import nudges
 from app.commands.rules.setpoint_range import setpoint_range
 from app.commands.values import measure_of_setpoint
 from app.live.state.bus_live import follower
-from app.web.access import Viewer
+from app.web.admission.access import Viewer
 from app.web.services import service_of
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)

@@ -18,7 +18,7 @@ from app.commands.service.writer import permitted, permitted_writer
 from app.commands.values import measure_of_value, parameter_message
 from app.errors import Problem
 from app.live.api.view import parameter_json
-from app.web.access import Viewer
+from app.web.admission.access import Viewer
 from bus.catalogue.parameter import Parameter, danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ReadParameters, Result, WriteParameter

@@ -19,7 +19,7 @@ from app.commands.service.writer import permitted
 from app.commands.values import measure_of_setpoint, setpoint_message
 from app.errors import Problem
 from app.live.state.bus_live import follower
-from app.web.access import Viewer
+from app.web.admission.access import Viewer
 from bus.contract import SetLine
 from bus.errors import CallerError
 from bus.messages import Message, term

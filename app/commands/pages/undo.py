@@ -13,7 +13,7 @@ from app.commands.pages.setpoints import review_change
 from app.commands.pages.speed import review_setpoint
 from app.commands.service.undoing import UndoOffer
 from app.errors import Problem
-from app.web.access import Viewer
+from app.web.admission.access import Viewer
 from bus.contract import SetLine, SetSpeed, WriteAnalogOutput, WriteOutput, WriteParameter
 from bus.messages import Message, term
 

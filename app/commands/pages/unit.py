@@ -13,7 +13,7 @@ from app.commands.pages.faceplate import setting
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.errors import Problem
 from app.live.state.bus_live import UnitLive, setpoint_decimals
-from app.web.access import Person, Viewer
+from app.web.admission.access import Person, Viewer
 from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE
 from bus.catalogue.values import speed_raw, speed_text
 from bus.errors import CallerError

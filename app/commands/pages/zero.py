@@ -17,8 +17,8 @@ from app.commands.values import setpoint_message
 from app.errors import Problem
 from app.live.screen.fields import name_on_site
 from app.live.state.bus_live import BusLive
-from app.web.access import Viewer
-from app.web.arrival import Deadline
+from app.web.admission.access import Viewer
+from app.web.admission.arrival import Deadline
 from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
 from bus.instants import unix_now
 from bus.messages import Message, term

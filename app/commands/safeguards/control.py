@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from app.errors import Problem
-from app.web.access import account_shown
+from app.web.admission.access import account_shown
 from bus.instants import Monotonic, UnixTime
 from bus.messages import Message
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from app.database import Database, StoreConnection
 from app.database.engine import upsert
-from app.web.access import account_shown
+from app.web.admission.access import account_shown
 from bus.instants import UnixTime
 from bus.messages import Message, listed, term
 

@@ -10,8 +10,8 @@ from dataclasses import InitVar, dataclass, field
 
 from app.audit.act import Act
 from app.audit.log import EventLog
-from app.auth.rights import Rights
-from app.auth.signin import SignIn
+from app.auth.rights.rights import Rights
+from app.auth.sign_in.signin import SignIn
 from app.commands.acts import (
     BLOCK,
     END_CONTROL_REQUEST,
@@ -32,9 +32,9 @@ from app.commands.safeguards.read_only import ReadOnly, ReadOnlyStore
 from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
-from app.web.access import Person, Role, name_of
-from app.web.head_control import BusControl
-from app.web.rate_limit import RateLimit
+from app.web.admission.access import Person, Role, name_of
+from app.web.admission.rate_limit import RateLimit
+from app.web.rendering.head_control import BusControl
 from bus.bucket import Bucket
 from bus.instants import UnixTime, monotonic_now, unix_now
 from bus.messages import Message, term

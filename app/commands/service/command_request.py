@@ -8,8 +8,8 @@ from typing import Literal
 from msgspec.structs import replace
 
 from app.commands.catalogue import kind_of_command
-from app.web.access import Person
-from app.web.arrival import Deadline
+from app.web.admission.access import Person
+from app.web.admission.arrival import Deadline
 from bus.contract import Action, Result, UnitOutcome
 from bus.messages import Message
 

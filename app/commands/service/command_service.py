@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from app.auth.rights import Rights
+from app.auth.rights.rights import Rights
 from app.commands.catalogue import check, kind_of_command
 from app.commands.rules.objection import RuleContext, objection
 from app.commands.rules.setpoint import Moves, commanded_setpoint
@@ -28,9 +28,9 @@ from app.feed.channel import Channel
 from app.live.command_ids import new_command_id
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
-from app.server.fair_queue import FairQueue, TooManyWaitingError
-from app.web.access import Person, refuse_without
-from app.web.arrival import Deadline
+from app.server.admission.fair_queue import FairQueue, TooManyWaitingError
+from app.web.admission.access import Person, refuse_without
+from app.web.admission.arrival import Deadline
 from bus.contract import Action, Command, ReadParameters, Result
 from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message, joined

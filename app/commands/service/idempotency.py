@@ -16,12 +16,12 @@ from typing import Any
 
 import msgspec
 
-from app.audit.keyring import KeyRing
 from app.audit.local_log.transaction import LoggedTransaction, StoredPart
+from app.audit.proof.keyring import KeyRing
 from app.commands.service.command_request import CommandRequest
 from app.database import StoreConnection
 from app.errors import Problem
-from app.web.access import Person
+from app.web.admission.access import Person
 from bus.contract import Action, Result
 from bus.instants import UnixTime
 from bus.messages import Message

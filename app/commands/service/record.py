@@ -10,7 +10,7 @@ from typing import Any
 
 import structlog
 
-from app.audit.groups import PARTS, write_parts
+from app.audit.events.groups import PARTS, write_parts
 from app.audit.local_log.transaction import StoredPart
 from app.audit.log import EventLog, EventNumber
 from app.commands.catalogue import kind_of_command
@@ -20,7 +20,7 @@ from app.commands.wording import Wording
 from app.database import Database
 from app.errors import Problem, StoreError, StoreUnavailableError
 from app.live.state.bus_live import BusLive
-from app.web.access import Person
+from app.web.admission.access import Person
 from bus.bucket import Bucket
 from bus.contract import Action, Outcome, Result
 from bus.instants import Clock, monotonic_now

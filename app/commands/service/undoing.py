@@ -13,7 +13,7 @@ from app.commands.undo.overlap import WritesUnderWay
 from app.commands.undo.stack import LASTS_S, SentCommand, UndoStack
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
-from app.web.access import Person
+from app.web.admission.access import Person
 from bus.contract import Action, Result
 from bus.instants import MonotonicClock, UnixTime, unix_now
 from bus.messages import Message

@@ -8,8 +8,8 @@ from __future__ import annotations
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import UnitLive
-from app.web.access import Person
-from app.web.arrival import Deadline
+from app.web.admission.access import Person
+from app.web.admission.arrival import Deadline
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.parameter import Scale
 from bus.catalogue.parameters import PARAMETERS

@@ -14,7 +14,7 @@ from starlette.requests import HTTPConnection
 
 from app.commands.catalogue import WRITE_PARAMETER, CommandKind
 from app.commands.service.command_service import CommandService
-from app.web.access import Person, Requires
+from app.web.admission.access import Person, Requires
 from app.web.services import bus_service, bus_service_of
 
 Commands = Annotated[CommandService, bus_service(CommandService)]

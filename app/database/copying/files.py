@@ -9,15 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from app.database.connection import open_for_writing, open_unchanged, transact
 from app.database.copying import ledger
 from app.database.copying.rows import CopiedRow
 from app.database.copying.sides import CopyTarget, StoreSide
 from app.database.copying.statements import insert_row
 from app.database.copying.tables import StoreTable
-from app.database.migrating import bring_up_to_date
+from app.database.sqlite.connection import open_for_writing, open_unchanged, transact
+from app.database.sqlite.migrating import bring_up_to_date
+from app.database.sqlite.words import in_words
 from app.database.store_connection import StoreConnection
-from app.database.words import in_words
 
 T = TypeVar("T")
 

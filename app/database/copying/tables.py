@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-from app.database.migrating import bring_up_to_date
+from app.database.sqlite.migrating import bring_up_to_date
 
 STEPS = "migrations"
 """The table of the steps that a store has taken. Each store has its own."""

@@ -11,7 +11,6 @@ from typing import TypeVar
 import psycopg
 
 from app.database.availability import Availability
-from app.database.connection import Synchronous
 from app.database.database import COSTLY_S, Database, Listener, Work
 from app.database.migration import MIGRATIONS
 from app.database.postgresql.connection import PostgresqlConnection, connect, interrupt_all, name_of
@@ -20,6 +19,7 @@ from app.database.postgresql.migrating import bring_up_to_date, is_unfinished
 from app.database.postgresql.rows import NamedRow
 from app.database.postgresql.words import in_words
 from app.database.settings import StoreSettings
+from app.database.sqlite.connection import Synchronous
 from app.database.unfinished import refuse_unfinished
 from app.errors import StoreUnavailableError
 from bus.messages import Message

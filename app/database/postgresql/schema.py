@@ -7,8 +7,8 @@ import sqlite3
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from app.database.migrating import bring_up_to_date
 from app.database.postgresql.translation import translated
+from app.database.sqlite.migrating import bring_up_to_date
 
 FUNCTIONS = """
 CREATE OR REPLACE FUNCTION refuse_change() RETURNS trigger LANGUAGE plpgsql AS $body$

@@ -21,11 +21,11 @@ from app.history.series import values
 from app.history.series.runs import SECOND
 from app.history.service import seconds
 from app.history.status import HistoryStatus
-from app.web.access import Viewer
-from app.web.api_route import ApiRoute
-from app.web.shape import iso, json_response
-from app.web.templating import templates_of
-from app.web.turns import DOWNLOAD, SEARCH
+from app.web.admission.access import Viewer
+from app.web.admission.turns import DOWNLOAD, SEARCH
+from app.web.api.route import ApiRoute
+from app.web.api.shape import iso, json_response
+from app.web.rendering.templating import templates_of
 from bus.messages import Message
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)

@@ -8,8 +8,8 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.history.query.query import Resolution
-from app.web.schema import problems
-from app.web.shape import Instant, MessageShown
+from app.web.api.schema import problems
+from app.web.api.shape import Instant, MessageShown
 
 Column = Annotated[list[float | None], Field(description="In display units; null: a gap.")]
 TimeList = Annotated[

@@ -15,9 +15,9 @@ from app.history.query.query import SeriesQuery
 from app.history.series.runs import HOUR, micros
 from app.history.series.values import VALUES
 from app.history.service import History
-from app.web.bounds import refuse_year
+from app.web.admission.bounds import refuse_year
+from app.web.api.shape import DATE_TIME, parse_integer
 from app.web.services import service, unknown_bus, unknown_unit
-from app.web.shape import DATE_TIME, parse_integer
 from bus.instants import unix_now
 from bus.messages import Message
 

@@ -20,7 +20,7 @@ from app.history.series.runs import SECOND
 from app.history.service import History
 from app.history.store import tables
 from app.messages import Language
-from app.web.shape import csv_cell, csv_text
+from app.web.api.shape import csv_cell, csv_text
 from bus.messages import Message
 
 Format = Literal["csv", "parquet"]

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.database import Database
-from app.database.connection import Synchronous
 from app.database.opening import open_database
 from app.database.settings import StoreSettings
+from app.database.sqlite.connection import Synchronous
 from app.history.intake.database_outage import DatabaseOutage
 from app.history.intake.recorder import Recorder
 from app.history.intake.share import StoreShare

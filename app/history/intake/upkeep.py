@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from app.database import Database
-from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
+from app.database.sqlite.reserve import MIN_FREE_OF_OTHERS, free_bytes
 from app.history.intake.folding import compact
 from app.history.intake.share import COMPLETE, StoreShare
 from app.history.series.runs import DAY, HOUR, MINUTE

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import structlog
 
-from app.audit.kinds import EventKind
+from app.audit.events.kinds import EventKind
 from app.database import Database
-from app.database.copies import put_aside
 from app.database.engine import size_of
 from app.database.presence import proves_intact
-from app.database.reserve import free_bytes
 from app.database.settings import IN_FILES, StoreSettings
+from app.database.sqlite.copies import put_aside
+from app.database.sqlite.reserve import free_bytes
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.history.intake.clock_watch import ClockWatch
 from app.history.intake.database_outage import DatabaseOutage
@@ -35,7 +35,7 @@ from app.history.status import NOTICES, HistoryStatus, StoreState, damage_messag
 from app.history.store import tables
 from app.history.store.damage import BlockKey
 from app.history.store.inspection import FoundDamage, set_aside
-from app.web.shape import iso
+from app.web.api.shape import iso
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number
 

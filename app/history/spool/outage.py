@@ -14,7 +14,7 @@ from app.history.spool.spool import Spool
 from app.history.status import HistoryStatus
 from app.history.store import tables
 from app.history.store.inspection import FoundDamage
-from app.web.shape import iso
+from app.web.api.shape import iso
 from bus.instants import Clock, Monotonic, UnixTime, unix_now
 from bus.messages import Message
 

@@ -18,7 +18,7 @@ import msgspec
 import structlog
 
 from app.database.private import make_file, make_folder, sync_folder, write_file
-from app.database.reserve import free_bytes
+from app.database.sqlite.reserve import free_bytes
 from app.history.intake.updates import Delivery
 from app.history.spool.records import Facts, Record, SpooledUpdate, pack, records_in, unpack
 from app.history.spool.segments import Segment, SpoolContents, contents_of, to_give_up

@@ -10,7 +10,7 @@ from typing_extensions import TypedDict
 
 from app.live.api.schemas import WireShown
 from app.live.api.view import Json, wire_json
-from app.web.shape import MaybeInstant, iso
+from app.web.api.shape import MaybeInstant, iso
 from bus.contract import BusFigures, UnitFigures
 from bus.errors import unit_error_name
 

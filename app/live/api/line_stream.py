@@ -22,7 +22,7 @@ from app.live.api.recent_events import PIECE_BYTES, RecentEvents
 from app.live.api.view import Json, LineView, bus_fields
 from app.live.screen.diff import put_fields
 from app.live.state.bus_live import Audience, changed_by
-from app.web.shape import iso
+from app.web.api.shape import iso
 from bus.contract import Update
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from app.web.shape import parse_integer
+from app.web.api.shape import parse_integer
 
 PIECE_BYTES = 64 * 1024
 """How much a program is given at a time."""

@@ -13,8 +13,8 @@ from app.live.api.view import LineView
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state.bus_live import LiveState
 from app.routing.other_lines import OtherLines
-from app.web.access import Viewer
-from app.web.api_route import ApiRoute
+from app.web.admission.access import Viewer
+from app.web.api.route import ApiRoute
 from app.web.services import service
 from bus.instants import unix_now
 

@@ -20,10 +20,10 @@ from typing_extensions import TypedDict
 
 from app.live.api.schemas import BusShown, Line, Time, UnitShown
 from app.version import VERSION
-from app.web.access import Viewer
-from app.web.assets import Asset
-from app.web.bounds import parse_apart
-from app.web.schema import schema_name, with_published_names
+from app.web.admission.access import Viewer
+from app.web.admission.bounds import parse_apart
+from app.web.api.schema import schema_name, with_published_names
+from app.web.rendering.assets import Asset
 from app.web.services import service
 
 router = APIRouter(include_in_schema=False)

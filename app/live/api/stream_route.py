@@ -13,9 +13,9 @@ from app.errors import Problem
 from app.live.api.line_stream import LineStream
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
-from app.server.addresses import source_of
-from app.web.access import Viewer
-from app.web.api_route import ApiRoute
+from app.server.admission.addresses import source_of
+from app.web.admission.access import Viewer
+from app.web.api.route import ApiRoute
 from app.web.services import service
 from bus.messages import Message
 

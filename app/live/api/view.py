@@ -29,7 +29,7 @@ from app.live.state.bus_live import (
 from app.live.state.conditions import bits_of, mode_of
 from app.live.state.draw import draw_of
 from app.live.state.scan_time import scan_s_of
-from app.web.shape import iso, maybe_shown, message_shown
+from app.web.api.shape import iso, maybe_shown, message_shown
 from bus.catalogue.numbers import (
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,

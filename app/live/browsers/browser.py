@@ -17,8 +17,8 @@ from typing import Any
 import msgspec
 
 from app.live.screen.diff import Groups, merge_groups
-from app.server.client_connection import ClientConnection, NoClientConnection
-from app.server.frames import text_frame
+from app.server.connection.client_connection import ClientConnection, NoClientConnection
+from app.server.connection.frames import text_frame
 from bus.instants import UnixTime
 
 MAX_FRAMES = 300

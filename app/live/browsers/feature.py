@@ -6,13 +6,13 @@ from functools import partial
 
 from app.alarms.alarm import Alarm
 from app.alarms.banner import AlarmBanner
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.shown import AlarmShown, alarm_json
-from app.audit.anchoring import Anchoring, anchor_notice
 from app.audit.local_log.notice import away_notice
+from app.audit.proof.anchoring import Anchoring, anchor_notice
 from app.commands.safeguards.service import Safeguards
 from app.database.availability import Availability
-from app.database.reserve import Reserve
+from app.database.sqlite.reserve import Reserve
 from app.feature import Feature, Services
 from app.feed.bus_feed import BusFeed
 from app.history.service import History, status_words
@@ -31,11 +31,11 @@ from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
 from app.messages import DEFAULT
 from app.recipes.book import RecipeBook
+from app.routing.forwarding.target import holder_of
 from app.routing.site_servers import SiteServers
-from app.routing.target import holder_of
-from app.sets.drift import BusDrift
+from app.sets.comparison.drift import BusDrift
 from app.sites.fleet import Fleet
-from app.web.templating import Templates
+from app.web.rendering.templating import Templates
 from bus.instants import UnixTime, unix_now
 
 

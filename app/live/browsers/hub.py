@@ -23,7 +23,7 @@ from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
 from app.live.screen.words import STAGE_WORDS
 from app.live.state.bus_live import Audience, LiveState, changed_by
-from app.web.templating import Templates
+from app.web.rendering.templating import Templates
 from bus.bucket import Bucket
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
 from bus.instants import Clock, UnixTime, monotonic_now

@@ -16,12 +16,12 @@ from starlette.websockets import WebSocketDisconnect
 from app.errors import Problem
 from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
-from app.server.addresses import source_of
-from app.server.client_connection import client_connection
-from app.web.access import Person, Role, Viewer
+from app.server.admission.addresses import source_of
+from app.server.connection.client_connection import client_connection
+from app.web.admission.access import Person, Role, Viewer
 from app.web.problems import refuse_socket
+from app.web.rendering.templating import templates_of
 from app.web.services import service_of
-from app.web.templating import templates_of
 from bus.bucket import Bucket
 from bus.instants import monotonic_now
 from bus.messages import Message

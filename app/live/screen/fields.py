@@ -18,7 +18,7 @@ from app.live.state.bus_live import BusLive, UnitLive, follower, setpoint_decima
 from app.live.state.conditions import bits_of, mode_of
 from app.live.state.scan_time import offline_after_s, scan_s_of, stale_after_s
 from app.messages import Language
-from app.web.formats import MINUS, UNKNOWN, Formats
+from app.web.rendering.formats import MINUS, UNKNOWN, Formats
 from bus.catalogue.numbers import (
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from app.live.screen.fields import Fields, Translator
-from app.web.head_control import BusControl
+from app.web.rendering.head_control import BusControl
 from bus.instants import UnixTime
 from bus.messages import Message
 

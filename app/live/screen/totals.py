@@ -14,7 +14,7 @@ from app.live.screen.cause_text import cause_texts
 from app.live.screen.fields import Fields, Translator, name_on_site, scan_text, unit_key
 from app.live.state.age import figures_now
 from app.live.state.bus_live import BusLive
-from app.web.formats import UNKNOWN
+from app.web.rendering.formats import UNKNOWN
 from bus.instants import UnixTime
 from bus.messages import Message
 

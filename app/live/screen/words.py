@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from app.live.state.motion import MotionState
-from app.web.formats import UNKNOWN
+from app.web.rendering.formats import UNKNOWN
 from bus.contract import Stage
 
 STATE_WORDS: dict[MotionState, str] = {

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
+from app.alarms.journal.store import JournalEntry
 from app.alarms.rules.states import AlarmState
-from app.alarms.store import JournalEntry
 from app.conditions.priority import AlarmPriority
 from app.notification.rules.roster import DutyRoster
 from bus.instants import UnixTime

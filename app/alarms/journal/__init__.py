@@ -1,0 +1,1 @@
+"""Alarms at rest, the journal of their transitions, and its figures."""

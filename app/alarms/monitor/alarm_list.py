@@ -1,0 +1,243 @@
+"""The alarms of one bus or of the site: their changes in order, on disk, and made known."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import ChainMap, Counter
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+
+import structlog
+
+from app.alarms.alarm import NORMAL, SITE, Alarm, AlarmDefinition
+from app.alarms.journal.store import AlarmStore, JournalEntry, StoredAlarm, entry_of
+from app.alarms.rules import changes
+from app.alarms.rules.changes import Changed
+from app.alarms.rules.facts import AlarmFacts, due_at, shifted
+from app.alarms.rules.first_out import FirstOut
+from app.alarms.rules.observed import ObservedSpan, observed_until
+from app.conditions.priority import AlarmPriority
+from app.errors import StoreError
+from bus.instants import Clock, UnixTime
+
+RETRY_AFTER_S = 1.0
+TICK_S = 1.0
+OBSERVED_EVERY_S = 60.0
+"""How often the store learns that the alarms are still observed."""
+
+MAX_WITHDRAWN = 500
+"""Alarms whose definition ended, as long as what follows the journal may still need them."""
+
+AlarmSubscriber = Callable[[Alarm], None]
+"""Called with an alarm after it has changed."""
+log = structlog.get_logger()
+
+
+class AlarmList:
+    """Applies the rules. A change holds at once; the journal has it a moment later, in order, and
+    waits where the store cannot be written."""
+
+    def __init__(
+        self, definitions: Iterable[AlarmDefinition], store: AlarmStore, bus: str | None = None
+    ) -> None:
+        self.alarms = {definition.key: Alarm(definition) for definition in definitions}
+        self._withdrawn: dict[str, Alarm] = {}
+        self.known: Mapping[str, Alarm] = ChainMap(self.alarms, self._withdrawn)
+        """Also those whose definition has ended; the journal may be followed a moment later."""
+        self._place = bus or SITE
+        self._store = store
+        self._entries: list[JournalEntry] = []
+        self._changed: dict[str, Alarm] = {}
+        self._due: dict[str, UnixTime] = {}
+        self._wake = asyncio.Event()
+        self.writing = asyncio.Lock()
+        """Held while transitions are written: one that fails must not come after those that follow it."""
+        self._first_out = FirstOut()
+        self._subscribers: list[AlarmSubscriber] = []
+        self.annunciated: Counter[AlarmPriority] = Counter()
+        """How often alarms were annunciated since the server started."""
+        self.observed: ObservedSpan | None = None
+        """Since when its conditions are observed without a gap; None: they were not yet."""
+        self._recorded: ObservedSpan | None = None
+
+    def subscribe(self, subscriber: AlarmSubscriber) -> None:
+        """Call ``subscriber`` with each alarm that has changed."""
+        self._subscribers.append(subscriber)
+
+    def forget(self) -> None:
+        """Begin as after the start of the server: another one may have had these alarms meanwhile."""
+        self._entries, self._changed, self._due = [], {}, {}
+        self._withdrawn.clear()
+        self.observed = self._recorded = None
+        for alarm in self.alarms.values():
+            alarm.facts, alarm.holds, alarm.first_out = NORMAL, None, False
+            alarm.hidden_by = alarm.reason = ""
+
+    def load(self, stored: Mapping[str, StoredAlarm], now: UnixTime) -> None:
+        """Go on where the last run ended. Of what was active nothing is known until it is observed."""
+        for key, kept in stored.items():
+            alarm = self.alarms.get(key)
+            if alarm is None:
+                continue
+            unknown_since = now if kept.facts.active else None
+            alarm.facts = replace(kept.facts, unknown_since=unknown_since)
+            alarm.first_out, alarm.hidden_by, alarm.reason = kept.first_out, kept.hidden_by, kept.reason
+            self._schedule(alarm)
+
+    def put(self, alarm: Alarm) -> None:
+        """Take in an alarm while running, or another definition of one."""
+        self.alarms[alarm.definition.key] = alarm
+        self._withdrawn.pop(alarm.definition.key, None)
+        self._schedule(alarm)
+
+    def take_out(self, key: str) -> None:
+        """Its definition has ended, and it is normal."""
+        self._due.pop(key, None)
+        self._withdrawn[key] = self.alarms.pop(key)
+        if len(self._withdrawn) > MAX_WITHDRAWN:
+            del self._withdrawn[next(iter(self._withdrawn))]
+
+    # --- what happens to an alarm ---------------------------------------------------------------------
+
+    def observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
+        """Its condition holds, does not, or is not known."""
+        if holds is alarm.holds:
+            return
+        alarm.holds = holds
+        self.apply(alarm, changes.observe(alarm.facts, alarm.definition.attributes, holds, now))
+
+    def suppress(self, alarm: Alarm, suppressed: bool, now: UnixTime) -> None:
+        """Suppression by design begins or ends."""
+        if suppressed is not alarm.facts.suppressed:
+            self.apply(alarm, changes.suppress(alarm.facts, suppressed, now))
+
+    def restore(
+        self, alarm: Alarm, facts: AlarmFacts, hidden_by: str, reason: str, *, unless_changed_from: AlarmFacts
+    ) -> None:
+        """What a person did could not be recorded: it did not happen."""
+        if alarm.facts is not unless_changed_from:
+            return
+        alarm.facts, alarm.hidden_by, alarm.reason = facts, hidden_by, reason
+        self._schedule(alarm)
+        self._has_changed(alarm)
+
+    def advance(self, now: UnixTime) -> None:
+        """What time alone brings."""
+        for key in [key for key, due in self._due.items() if due <= now]:
+            alarm = self.alarms[key]
+            self.apply(alarm, changes.advance(alarm.facts, alarm.definition.attributes, now))
+
+    def clock_stepped(self, step_s: float) -> None:
+        """The clock of this machine was set: running times keep their length."""
+        for key, alarm in self.alarms.items():
+            facts = shifted(alarm.facts, step_s)
+            if facts != alarm.facts:
+                alarm.facts = facts
+                self._schedule(alarm)
+                self._changed[key] = alarm
+        self._wake.set()
+
+    def apply(self, alarm: Alarm, changed: Changed, who: str = "", reason: str = "") -> None:
+        """Take over how an alarm has changed; ``who``: the person who acted."""
+        alarm.facts, transitions = changed
+        self._schedule(alarm)
+        for each in transitions:
+            self._entries.append(entry_of(alarm.definition, each, who, reason))
+            if each.after == "unack_active" != each.before:
+                self.annunciated[alarm.definition.priority] += 1
+            if each.trigger == "rise":
+                alarm.first_out = False
+                if not alarm.facts.is_hidden:
+                    self._mark_first_out(alarm, each.at)
+        if transitions:
+            self._has_changed(alarm)
+
+    def _mark_first_out(self, alarm: Alarm, at: UnixTime) -> None:
+        first = self.alarms.get(self._first_out.rise(alarm.definition.key, at) or "")
+        if first is not None and not first.first_out:
+            first.first_out = True
+            self._has_changed(first)
+
+    def _schedule(self, alarm: Alarm) -> None:
+        key, due = alarm.definition.key, due_at(alarm.facts, alarm.definition.attributes)
+        if due is not None:
+            self._due[key] = due
+            self._wake.set()
+        else:
+            self._due.pop(key, None)
+
+    def _has_changed(self, alarm: Alarm) -> None:
+        self._changed[alarm.definition.key] = alarm
+        self._wake.set()
+        for subscriber in self._subscribers:
+            subscriber(alarm)
+
+    # --- to the disk ----------------------------------------------------------------------------------
+
+    def take_unwritten(self) -> tuple[list[JournalEntry], list[Alarm]]:
+        """Everything that is not on disk yet; the caller writes it, or gives it back."""
+        entries, alarms = self._entries, list(self._changed.values())
+        self._entries, self._changed = [], {}
+        return entries, alarms
+
+    def give_back(self, entries: list[JournalEntry], alarms: list[Alarm]) -> None:
+        """What could not be written waits, before what came since."""
+        self._entries = entries + self._entries
+        self._changed = {alarm.definition.key: alarm for alarm in alarms} | self._changed
+
+    async def write(self) -> None:
+        """Write everything that is not on disk yet. Raises StoreError; it then waits."""
+        async with self.writing:
+            entries, alarms = self.take_unwritten()
+            if not entries and not alarms:
+                return
+            try:
+                # The end of the server cancels who waits, and must not take back what was handed over.
+                await asyncio.shield(self._store.write(entries, alarms))
+            except StoreError:
+                self.give_back(entries, alarms)
+                raise
+
+    async def record_observed(self) -> None:
+        """Store until when the alarms were observed. Raises StoreError."""
+        if self.observed is not None:
+            await self._store.write_observed(self._place, self.observed)
+            self._recorded = self.observed
+
+    def _is_observed_longer(self) -> bool:
+        """Than the store knows, by so much that it is stored."""
+        if self.observed is None or self._recorded is None:
+            return self.observed is not None
+        is_other = self.observed.start != self._recorded.start
+        return is_other or self.observed.end - self._recorded.end >= OBSERVED_EVERY_S
+
+    async def follow(self, tick: Callable[[], None], clock: Clock) -> None:
+        """Run ``tick`` every second, what is due at its time, and write what has changed, without end."""
+        fault, ticked_at = "", UnixTime(0.0)
+        while True:
+            now = clock()
+            if not 0 <= now - ticked_at < TICK_S:
+                ticked_at = now
+                self.observed = observed_until(now, self.observed)
+                tick()
+            self.advance(now)
+            try:
+                await self.write()
+                if self._is_observed_longer():
+                    await self.record_observed()
+                fault = ""
+            except StoreError as error:
+                if str(error) != fault:
+                    log.error("alarm transitions wait", error=str(error))
+                fault = str(error)
+                await asyncio.sleep(RETRY_AFTER_S)
+            await self._wait(ticked_at + TICK_S, clock())
+
+    async def _wait(self, until: UnixTime, now: UnixTime) -> None:
+        """Until something has changed or is due, at the latest ``until``."""
+        due = min((until, *self._due.values()))
+        with suppress(TimeoutError):
+            async with asyncio.timeout(max(0.0, due - now)):
+                await self._wake.wait()
+        self._wake.clear()

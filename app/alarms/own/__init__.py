@@ -1,0 +1,1 @@
+"""The site's own alarms: defined, added, changed and removed."""

@@ -1,0 +1,129 @@
+"""An entry of the log as it is stored, and as it is read back. Pure.
+
+Every field has the type in which the store returns it, as the hash covers the written values and is compared
+with one over those read. Whatever a row holds, it can be shown.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import msgspec
+
+from bus.contract import Frame
+from bus.instants import UnixTime
+from bus.messages import LIST, NUMBER, TERM, TEXTS, Message
+
+Event = dict[str, Any]
+"""One event with its result, as `app.audit.events.entry.readable` gives it."""
+
+MAX_TIME = 253_370_764_800.0
+"""The year 9999: no date of the screen or of ISO 8601 goes further. Unix time in seconds."""
+_OPTIONAL = ("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome", "count")
+_TEXTS = ("who", "origin", "what", "message")
+MESSAGE_COLUMNS = ("who", "origin", "what", "old", "new", "message")
+"""The fields that may be messages."""
+
+
+def new_entry(*, kind: str, time: UnixTime, frames: Iterable[Frame] = (), **given: Any) -> dict[str, Any]:
+    """All fields of an entry but its id. ``time``: Unix time in seconds; ``frames`` carried the command. Of a
+    message the field has the text in English, and ``messages`` what it is."""
+    shown = json.dumps([_frame(frame) for frame in frames], separators=(",", ":"), ensure_ascii=False)
+    entry = {**dict.fromkeys(_OPTIONAL), **dict.fromkeys(_TEXTS, ""), **given, "kind": kind, "frames": shown}
+    messages = {name: _plain(entry[name]) for name in MESSAGE_COLUMNS if isinstance(entry[name], Message)}
+    entry |= {name: str(entry[name]) for name in messages}
+    entry["messages"] = json.dumps(messages, separators=(",", ":"), ensure_ascii=False) if messages else None
+    # SQLite has no negative zero.
+    return {name: _stored(value) for name, value in entry.items()} | {"time": float(time) + 0.0}
+
+
+def is_moment(time: UnixTime) -> bool:
+    """Whether a Unix time in seconds can be shown as a date; 0 means an unknown time."""
+    return math.isfinite(time) and 0 < float(time) < MAX_TIME
+
+
+def _plain(message: Any) -> Any:
+    """A message as JSON has it, each text as it is stored."""
+    match message:
+        case Message(code, params):
+            return {"code": code, "params": {name: _plain(value) for name, value in params.items()}}
+        case list():
+            return [_plain(each) for each in message]
+        case _:
+            return _stored(message)
+
+
+def _stored(value: Any) -> Any:
+    if isinstance(value, str):
+        # Half a character, which JSON can escape, is not UTF-8.
+        return str(value).encode("utf-8", "backslashreplace").decode()
+    return int(value) if isinstance(value, bool) else value
+
+
+def _frame(frame: Frame) -> dict[str, Any]:
+    return {
+        "at": frame.at,
+        "direction": frame.direction,
+        "data": frame.data.hex(" ").upper(),
+        "meaning": frame.meaning,
+        "meanings": _plain(frame.meanings),
+    }
+
+
+_MESSAGES = msgspec.json.Decoder(dict[str, Message])
+_KNOWN = {*TEXTS, NUMBER, TERM, LIST}
+
+
+class FrameRecord(msgspec.Struct):
+    """One frame that carried a command. ``at``: Unix time in seconds; ``data``: hexadecimal."""
+
+    at: UnixTime
+    direction: str
+    data: str
+    meaning: str
+    meanings: list[Message] = []
+
+
+def readable(row: Mapping[str, Any]) -> Event:
+    """The row as an event. Where its time or its frames are invalid, ``unreadable`` is true, the time 0,
+    which no event has, and the frames left out. ``messages``: of its fields, where known."""
+    has_time, frames = is_moment(row["time"]), frames_of(row["frames"])
+    event = {**row, "unreadable": not has_time or frames is None}
+    concluded_at = row["concluded_at"]
+    if concluded_at is not None and not is_moment(concluded_at):
+        event |= {"concluded_at": None, "unreadable": True}
+    parts = [messages_of(row["messages"]), messages_of(row["concluded_messages"])]
+    messages = {**(parts[0] or {}), **(parts[1] or {})}
+    # Of a code that this version does not have, the stored text is shown.
+    event["messages"] = {name: message for name, message in messages.items() if message.code in _KNOWN}
+    if None in parts:
+        event["unreadable"] = True
+    if event["entered_at"] is not None and not is_moment(event["entered_at"]):
+        event |= {"entered_at": None, "unreadable": True}
+    if not has_time:
+        event["time"] = 0.0
+    if frames is None:
+        event["frames"] = "[]"
+    return event
+
+
+def messages_of(text: str | None) -> dict[str, Message] | None:
+    """The messages of an entry's fields, by field, from its JSON; None where it is invalid."""
+    if text is None:
+        return {}
+    try:
+        return _MESSAGES.decode(text)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError):
+        return None
+
+
+def frames_of(text: str) -> list[FrameRecord] | None:
+    """The frames in the JSON of an entry; None where they are none."""
+    try:
+        frames = msgspec.json.decode(text, type=list[FrameRecord])
+    except (msgspec.MsgspecError, UnicodeError, RecursionError):
+        return None
+    return frames if all(is_moment(frame.at) for frame in frames) else None

@@ -1,0 +1,1 @@
+"""The proof that the log was not altered: chains, keys, and heads outside the store."""

@@ -1,0 +1,1 @@
+"""The account of a request, and what it may do at this moment."""

@@ -1,0 +1,217 @@
+"""Denies by default: every request and every handshake gets its person here, or is refused here."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from functools import partial
+from urllib.parse import quote, urlsplit
+
+from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
+from starlette.responses import RedirectResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Message as AsgiMessage
+from starlette.websockets import WebSocketDisconnect
+
+from app.audit.log import EventLog
+from app.auth.rights.identity import ExpiredTokenError, Identity
+from app.auth.rights.lasting import Rechecks, run_while_allowed
+from app.auth.sign_in.signin import count_refusal
+from app.errors import Problem, StoreError
+from app.server.admission.handshakes import Handshakes
+from app.server.admission.refusal_log import REFUSED, RefusalLog
+from app.server.connection.client_connection import client_connection
+from app.web.admission.access import Person, Role, account_shown, address_of, not_signed_in
+from app.web.admission.security import LOOPBACK, REFUSED_AT_HOME, refuse
+from app.web.problems import is_fragment, problem_json, wants_json
+from bus.instants import monotonic_now
+from bus.messages import Message
+
+COOKIE = "lineside_session"
+_HOST_PREFIX = "__Host-"
+"""Browsers take a cookie of such a name from this host alone, and by TLS (RFC 6265bis, 4.1.3.2)."""
+PUBLIC_PATHS = frozenset(
+    {
+        "/healthz",
+        "/login",
+        "/login/panel",
+        "/login/oidc",
+        "/login/oidc/callback",
+        "/setup",
+        "/manifest.webmanifest",
+        "/offline",
+        "/sw.js",
+        "/favicon.ico",
+    }
+)
+PUBLIC_PREFIX = "/static/"
+
+
+class Identify:
+    """Puts ``person`` into the scope. Only public paths are open without one; a token or a cookie
+    that is not valid is refused even where the demo needs none. A WebSocket or a
+    response in pieces ends with the rights of its person."""
+
+    def __init__(self, app: ASGIApp, identity: Identity, rechecks: Rechecks, *, demo: bool = False) -> None:
+        self._app = app
+        self._identity = identity
+        self._rechecks = rechecks
+        self._demo = demo
+        self._handshakes = Handshakes()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        connection, seen = HTTPConnection(scope), self._rechecks.count
+        try:
+            person = await self._person(connection)
+        except Problem as problem:
+            if isinstance(problem, ExpiredTokenError):
+                scope[REFUSED_ACCOUNT] = problem.account
+            await refuse(scope, receive, send, problem)
+            return
+        except StoreError as error:
+            await refuse(scope, receive, send, Problem(503, "store", error.message))
+            return
+        if person is None:
+            path = scope["path"]
+            if path not in PUBLIC_PATHS and not path.startswith(PUBLIC_PREFIX):
+                await _turn_away(connection, receive, send)
+                return
+            await self._app(scope, receive, send)
+            return
+        scope["person"] = replace(person, address=address_of(connection))
+        client_connection(scope).identify(person.account)
+        withdrawal = partial(
+            self._rechecks.until_withdrawn, person.account, partial(self._is_still, connection, person), seen
+        )
+        is_socket = scope["type"] == "websocket"
+        if is_socket:
+            await asyncio.sleep(self._handshakes.wait_s(person.account, monotonic_now()))
+        # Returning without the rest makes the server cut the connection, as an incomplete response.
+        await run_while_allowed(partial(self._app, scope, receive), withdrawal, send, is_socket=is_socket)
+
+    async def _is_still(self, connection: HTTPConnection, person: Person) -> bool:
+        """Whether who opened a connection may have it still; a store that fails ends nothing that runs."""
+        try:
+            return await self._person(connection, is_use=person.panel) == person
+        except Problem:
+            return False
+        except StoreError:
+            return True
+
+    async def _person(self, connection: HTTPConnection, *, is_use: bool = True) -> Person | None:
+        scheme, _, bearer = connection.headers.get("authorization", "").partition(" ")
+        if scheme.lower() == "bearer":
+            program = await self._identity.by_token(bearer.strip())
+            if program is None:
+                raise not_signed_in()
+            return program
+        cookie = connection.cookies.get(cookie_name(connection, COOKIE))
+        person = await self._identity.by_cookie(cookie, is_use=is_use) if cookie else None
+        if person is None and self._demo and _is_loopback(connection):
+            return Person("demo", Role.ADMIN, "demo")
+        return person
+
+
+def is_encrypted(connection: HTTPConnection) -> bool:
+    """Whether the browser reached this server, or the trusted proxy before it, by TLS."""
+    return connection.url.scheme in ("https", "wss")
+
+
+def cookie_name(connection: HTTPConnection, name: str) -> str:
+    """The name of a cookie that signs in, under the scheme of a request: one of the other is not read."""
+    return f"{_HOST_PREFIX}{name}" if is_encrypted(connection) else name
+
+
+async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -> None:
+    if connection.scope["type"] == "websocket" or wants_json(connection):
+        await refuse(connection.scope, receive, send, not_signed_in())
+    else:
+        await to_login(connection)(connection.scope, receive, send)
+
+
+def to_login(connection: HTTPConnection) -> Response:
+    """Send a person to the login and from there back; htmx moves the complete page."""
+    if is_fragment(connection):
+        response = problem_json(not_signed_in())
+        response.headers["HX-Redirect"] = _login_url(_page_of(connection), refused=True)
+        return response
+    is_page = connection.scope["method"] in ("GET", "HEAD")
+    query = connection.url.query
+    where = connection.url.path + (f"?{query}" if query else "")
+    return RedirectResponse(_login_url(where if is_page else _page_of(connection), refused=not is_page), 303)
+
+
+def _page_of(connection: HTTPConnection) -> str:
+    """Our own page that htmx or a form requests from; foreign ones were refused before."""
+    page = connection.headers.get("hx-current-url") or connection.headers.get("referer", "/")
+    try:
+        parts = urlsplit(page)
+    except ValueError:
+        return "/"
+    return parts.path + (f"?{parts.query}" if parts.query else "")
+
+
+def _login_url(next_page: str, *, refused: bool) -> str:
+    """``refused``: the login page then explains that the action was not carried out."""
+    query = [f"next={quote(next_page)}"] if next_page != "/" else []
+    query += ["refused=true"] if refused else []
+    return "/login" + ("?" + "&".join(query) if query else "")
+
+
+def _is_loopback(connection: HTTPConnection) -> bool:
+    """From this machine and under its own name: a foreign name for 127.0.0.1 is an attack."""
+    return address_of(connection) in LOOPBACK and connection.url.hostname in LOOPBACK
+
+
+REFUSED_ACCOUNT = "refused_account"
+"""Key in the scope: the account of an expired token."""
+
+
+class RecordRefusals:
+    """Logs what was refused, by the address of its client, and counts in the events each 403, and each 401
+    for a bearer token. A page without a sign-in is no attack."""
+
+    def __init__(self, app: ASGIApp, events: EventLog, log: RefusalLog) -> None:
+        self._app = app
+        self._events = events
+        self._log = log
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        status = 0
+
+        async def watching(message: AsgiMessage) -> None:
+            nonlocal status
+            status = message.get("status", status)
+            await send(message)
+
+        address: str = (scope.get("client") or ("", 0))[0]
+        try:
+            await self._app(scope, receive, watching)
+        except WebSocketDisconnect:  # before its handshake had a response
+            self._log.note(address, "incomplete", scope["path"])
+            return
+        if status not in REFUSED or (status == 401 and not Headers(scope=scope).get("authorization")):
+            return
+        self._log.note(address, str(status), scope["path"])
+        if status in (401, 403) and REFUSED_AT_HOME not in scope:
+            what, who, requested = _event_of(status, scope)
+            await count_refusal(self._events, "access_refused", what, who, address, requested)
+
+
+def _event_of(status: int, scope: Scope) -> tuple[Message, str | Message, str]:
+    """What the events have of a refusal, whose request it was, and its method and the path of its route,
+    without what the request filled into it."""
+    if status == 401:
+        account: str | None = scope.get(REFUSED_ACCOUNT)
+        who = account_shown(account) if account else Message("unknown_token")
+        return Message("event_token_refused"), who, ""
+    person: Person | None = scope.get("person")
+    if person is None:
+        return Message("event_foreign_page_refused"), "", ""
+    path = getattr(scope.get("route"), "path_format", "")
+    requested = f"{scope.get('method', 'GET')} {path}" if path else ""
+    return Message("event_access_refused"), account_shown(person.account), requested

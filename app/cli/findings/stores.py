@@ -1,0 +1,96 @@
+"""What ``lineside check`` finds of the stores and of the disk that they are on. Nothing is written."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from app.audit.proof.keys import find_key_file
+from app.cli.findings.machine import Finding, existing_part, fault, is_read_only, is_visible
+from app.database.opening import main_presence, refuse_newer, require_finished_database
+from app.database.presence import examining, presence_of, refusal_to_start
+from app.database.sqlite.migrating import is_store, is_unfinished
+from app.database.unfinished import refuse_unfinished
+from app.errors import StoreError, TooCostlyError
+from app.history.intake.upkeep import DiskReserve, space
+from app.settings import STORE_FILE, Settings
+from bus.instants import monotonic_now
+from bus.messages import Message
+
+MAX_EXAMINED_S = 10.0
+"""For each store; what SQLite has found sound by then is taken for the rest, too."""
+STEPS = 100_000
+"""Of SQLite between two looks at the clock."""
+MB = 1_000_000
+
+
+def store_findings(settings: Settings) -> Iterator[Finding]:
+    """Examine each store of the data folder, and its disk."""
+    folder, main = settings.server.data, settings.server.store
+    existing = existing_part(folder)
+    yield from _disk(existing)
+    if settings.store.url:
+        yield _database(settings)
+        return
+    try:
+        stores = sorted({main, *folder.glob("*.db")}) if existing == folder else [main]
+        key = find_key_file(settings.key_files)
+        refusal = refusal_to_start(str(main), presence_of(main), key, new=False)
+    except (StoreError, OSError) as error:
+        yield fault("check_store_refused", reason=_reason(error))
+        return
+    if refusal is not None:
+        yield fault("check_store_refused", reason=refusal)
+    for store in stores:
+        if is_visible(store) and not (refusal is not None and store == main):
+            yield _store(store)
+
+
+def _database(settings: Settings) -> Finding:
+    try:
+        presence = main_presence(settings.store, settings.server.store)
+        require_finished_database(settings.store)
+    except StoreError as error:
+        return fault("check_store_refused", reason=error.message)
+    key = find_key_file(settings.key_files)
+    refusal = refusal_to_start(settings.store_name, presence, key, new=False)
+    if refusal is not None:
+        return fault("check_store_refused", reason=refusal)
+    return Finding(Message.of("check_database", path=settings.store_name))
+
+
+def _disk(folder: Path) -> Iterator[Finding]:
+    """Judge the free space: a trial to write a byte succeeds where history has stopped already."""
+    free = shutil.disk_usage(folder).free
+    match space(free, DiskReserve()):
+        case "paused":
+            yield fault(
+                "check_disk_full", folder=str(folder), free=free // MB, reserve=DiskReserve().pause // MB
+            )
+        case "scarce" | "low":
+            yield Finding(Message.of("check_disk_low", folder=str(folder), free=free // MB))
+
+
+def _store(store: Path) -> Finding:
+    if is_read_only(store):
+        return fault("check_disk_read_only", path=str(store))
+    try:
+        with examining(store) as connection:
+            end = monotonic_now() + MAX_EXAMINED_S
+            connection.set_progress_handler(lambda: monotonic_now() > end, STEPS)
+            refuse_unfinished(str(store), has_ledger=is_unfinished(connection))
+            if store.name == STORE_FILE and is_store(connection):
+                refuse_newer(connection, str(store))
+            (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    except TooCostlyError:
+        verdict = "ok"
+    except (StoreError, OSError) as error:
+        return fault("check_store_refused", reason=_reason(error))
+    if verdict != "ok":
+        return fault("check_store_damaged", path=str(store), verdict=verdict)
+    return Finding(Message.of("check_store", path=str(store), size=store.stat().st_size // MB))
+
+
+def _reason(error: StoreError | OSError) -> Message:
+    return error.message if isinstance(error, StoreError) else Message.of("system_error", error=str(error))

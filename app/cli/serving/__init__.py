@@ -1,0 +1,1 @@
+"""The processes of a site: the dashboard, its workers, their start and their end."""

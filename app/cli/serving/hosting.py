@@ -1,0 +1,185 @@
+"""The dashboard and its workers from the first moment to the last."""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import os
+import secrets
+import signal
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import structlog
+import uvloop
+from pydantic import BaseModel
+
+from app.cli import loading
+from app.cli.ending import report
+from app.cli.serving.listening import listen, url_of
+from app.cli.serving.workers import WorkerProcesses
+from app.cli.setup.rights import become_owner_of
+from app.database.private import make_folder
+from app.errors import system_error
+from app.messages.languages import catalogs
+from app.messages.locales import locale_of
+from app.server.service_manager import ServiceManager
+from app.settings import LOCK_FILE, Settings
+from app.version import VERSION
+from bus.errors import LinesideError
+from bus.messages import Message
+from bus.worker.log import configure_log
+
+SWITCH_S = 0.001
+"""How long a thread that computes (a parameter set, a search, an export) keeps the interpreter from the event
+loop, each time that the loop has polled its sockets."""
+DATA_IN_USE = "data_in_use"
+_ENDINGS = (signal.SIGTERM, signal.SIGINT)
+
+
+class HostingError(LinesideError):
+    """The dashboard could not begin to serve."""
+
+
+@contextmanager
+def only_one(data: Path) -> Iterator[None]:
+    """Two servers on one folder of data would write the same store. Raises HostingError."""
+    try:
+        make_folder(data)
+        lock = os.open(data / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        reason = system_error(error)
+        raise HostingError(Message.of("data_not_writable", folder=str(data), error=reason)) from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        raise HostingError(Message.of(DATA_IN_USE, folder=str(data))) from error
+    finally:
+        os.close(lock)
+
+
+def host(
+    settings: Settings,
+    config: Path,
+    listening: socket.socket,
+    manager: ServiceManager,
+    *,
+    demo: bool = False,
+) -> bool:
+    """Serve at ``listening`` until SIGTERM or SIGINT, or until a person restarts the server: then True.
+    Raises HostingError and StoreError in words."""
+    rights = os.geteuid()
+    become_owner_of(settings.server.data)
+    can_restart = os.geteuid() == rights and settings.server.port != 0 and not demo
+    configure_log()
+    structlog.get_logger().info("lineside", version=VERSION)
+    sys.setswitchinterval(SWITCH_S)
+    # Its own workers never depend on a certificate: it may expire while they run.
+    is_encrypted = settings.server.tls is not None
+    own = listen("127.0.0.1", 0, Message("choose_port")) if is_encrypted else nullcontext(None)
+    with only_one(settings.server.data), own as feed:
+        return uvloop.run(_host(settings, config, listening, feed, manager, demo=demo, restarts=can_restart))
+
+
+async def _host(
+    settings: Settings,
+    config: Path,
+    listening: socket.socket,
+    feed: socket.socket | None,
+    manager: ServiceManager,
+    *,
+    demo: bool,
+    restarts: bool,
+) -> bool:
+    """The workers begin while the dashboard is still being read, and end before it does; where servers share
+    the store, each with the home of its bus. ``feed``: where they find it; None: where browsers do;
+    ``restarts``: whether a person may restart it, as one has where this is True."""
+    address, port = listening.getsockname()[:2]
+    url = url_of(address, port, "http" if feed is None else "https")
+    feed_url = url_of(*(feed or listening).getsockname()[:2])
+    # Not by app.auth, which imports FastAPI: the workers begin before that takes its quarter of a second.
+    tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus if bus.worker == "server"}
+    leased = bool(settings.store.url)
+    workers = WorkerProcesses(config, tokens, feed_url, leased=leased)
+    stopping, restart = _stop_requested(), asyncio.Event()
+    if not leased:
+        workers.start_all()
+    try:
+        with loading():
+            if (module := await _server_module(stopping)) is None:
+                return False
+            server = module.Server(
+                with_port(settings, port) if leased else settings,
+                demo,
+                tokens,
+                partial(_report_serving, url, manager),
+                feed,
+                workers if leased else None,
+            )
+        workers.watch(server.worker_responds)
+        server.each_second(module.Liveness(manager, server.services[module.Database], workers.are_kept).tick)
+        if restarts:
+            restart = server.services[module.Restart].offer()
+        restarting = asyncio.create_task(restart.wait())
+        serving = asyncio.create_task(server.serve([listening]))
+        await asyncio.wait({serving, stopping, restarting}, return_when=asyncio.FIRST_COMPLETED)
+        restarting.cancel()
+    finally:
+        stopping.cancel()
+        if restart.is_set():
+            manager.restarting()
+        else:
+            manager.stopping()
+        await workers.stop_all()
+    server.end()
+    await serving
+    if not server.started:
+        raise HostingError(Message("dashboard_not_started"))
+    return restart.is_set()
+
+
+def _report_serving(url: str, manager: ServiceManager, code: str) -> None:
+    """``code``: for the first admin; empty where there is a user."""
+    manager.ready(f"serving at {url}")
+    report(Message.of("dashboard_at", url=url))
+    if code:
+        report(Message.of("first_admin_code", url=url, code=code))
+
+
+def with_port(settings: Settings, port: int) -> Settings:
+    """With the port that was taken, where any free one may be."""
+    taken = settings.model_copy(update={"server": settings.server.model_copy(update={"port": port})})
+    taken._file = settings._file
+    return taken
+
+
+async def _server_module(stopping: asyncio.Task[Any]) -> Any:
+    """The dashboard's code; None where ``stopping`` came first. Beside many workers that start too,
+    importing it takes a minute on a small machine: they must not go on for so long."""
+    reading = asyncio.create_task(asyncio.to_thread(_import_server))
+    await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
+    return None if stopping.done() else await reading
+
+
+def _import_server() -> Any:
+    # FastAPI describes OpenAPI by 82 models, 1.2 MiB: they are built for who reads the description.
+    BaseModel.model_config["defer_build"] = True
+    # First, so that what is imported fills the 3 MiB that Babel reads and `locale_of` leaves out.
+    for path in catalogs().values():
+        locale_of(path.stem)
+    return import_module("app.cli.serving.server")
+
+
+def _stop_requested() -> asyncio.Task[Any]:
+    """Done once SIGTERM or SIGINT has come."""
+    ending = asyncio.Event()
+    for number in _ENDINGS:
+        asyncio.get_running_loop().add_signal_handler(number, ending.set)
+    return asyncio.create_task(ending.wait())

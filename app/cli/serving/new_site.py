@@ -1,0 +1,40 @@
+"""``lineside serve --new``: a new site where the former store is missing, empty or damaged."""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+
+from app.audit.proof.keys import find_key_file
+from app.cli.serving.serve import check_store
+from app.cli.setup.rights import become_owner_of
+from app.cli.site.log import open_log, record
+from app.database.opening import main_presence, open_database
+from app.database.sqlite.copies import put_aside
+from app.database.sqlite.words import in_words
+from app.errors import StoreError
+from app.settings import Settings
+from bus.messages import Message
+
+
+def begin_new_site(settings: Settings) -> None:
+    """Make a new store and a new key, with an entry in the new audit log; what is left of the former site is
+    kept under other names. Raises StoreError, also where the former store can be used or the configured
+    anchor is of the former site."""
+    check_store(settings, new=True)
+    if settings.audit.anchor is not None and settings.audit.anchor.exists():
+        # It may be on a medium that is written once, and would contradict the new log at each start.
+        raise StoreError(Message.of("anchor_of_former_site", path=str(settings.audit.anchor)))
+    become_owner_of(settings.server.data)
+    store, key = settings.server.store, find_key_file(settings.key_files)
+    presence = main_presence(settings.store, store)
+    with in_words(store):
+        if presence == "damaged":
+            put_aside(store)
+        if key is not None:
+            # Two stores cannot share a key file: it states how far the log of its store was.
+            stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+            key.rename(key.with_name(f"{key.name}.before-{stamp}"))
+    with closing(open_database(settings.store, store)) as database:
+        what = Message.of("event_site_begun", store=Message(f"store_was_{presence}"))
+        record(open_log(database, settings.key_files), "server", what)

@@ -1,0 +1,79 @@
+"""``lineside serve``: the dashboard and one bus worker for each ``[[bus]]``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import click
+
+from app.audit.proof.keys import find_key_file
+from app.cli.config_option import LINESIDE_TOML, Config
+from app.cli.ending import complain
+from app.cli.options import Option
+from app.cli.serving.listening import listen
+from app.cli.setup.service_unit import WRONG_CONFIGURATION
+from app.database.opening import main_presence
+from app.database.presence import refusal_to_start
+from app.errors import StoreError
+from app.server.service_manager import ServiceManager
+from app.settings import Settings, load
+from bus.configuration import ConfigurationError
+from bus.messages import Message
+
+NEW = "--new"
+
+
+def serve(
+    config: Config = LINESIDE_TOML,
+    new: Annotated[
+        bool, Option(NEW, help="Begin a new site where the store is missing, empty or damaged.")
+    ] = False,
+) -> None:
+    """Serve the dashboard and every bus, until Ctrl-C or SIGTERM."""
+    manager = ServiceManager()
+    with configuration_refused(manager):
+        settings = load(config)
+    choose = Message.of("choose_port_configured", file=str(config))
+    with listen(settings.server.host, settings.server.port, choose) as port:
+        if settings.store.url:
+            from app.cli.serving.awaiting import await_database
+
+            await_database(settings, port, manager)
+        check_store(settings, new=new)
+        from app.cli.serving.hosting import host
+
+        if new:
+            from app.cli.serving.new_site import begin_new_site
+
+            begin_new_site(settings)
+        restarts = host(settings, config.resolve(), port, manager)
+    if restarts:
+        # The same command in the same process, which a service manager goes on to watch. What the server had
+        # open is closed by now, and no descriptor is inherited. The site is no new one any more.
+        words = (word for word in sys.orig_argv[1:] if word != NEW)
+        os.execv(sys.executable, [sys.executable, *words])
+
+
+@contextmanager
+def configuration_refused(manager: ServiceManager) -> Iterator[None]:
+    """A service whose configuration is wrong ends with an exit code that systemd does not start again."""
+    try:
+        yield
+    except ConfigurationError as error:
+        if not manager.is_there:
+            raise
+        complain(error.message)
+        raise click.exceptions.Exit(WRONG_CONFIGURATION) from error
+
+
+def check_store(settings: Settings, *, new: bool = False) -> None:
+    """Raises StoreError where the main store is missing, empty or damaged and no first start explains that;
+    with ``new`` where one is there."""
+    presence = main_presence(settings.store, settings.server.store)
+    refusal = refusal_to_start(settings.store_name, presence, find_key_file(settings.key_files), new=new)
+    if refusal is not None:
+        raise StoreError(refusal)

@@ -1,0 +1,1 @@
+"""What an administrator sets up: configuration, accounts, certificates, the service."""

@@ -1,0 +1,1 @@
+"""A line without drives: simulated units, and a site that shows them."""

@@ -1,0 +1,1 @@
+"""What a site is and has recorded, read whether its dashboard runs or not."""

@@ -1,0 +1,122 @@
+"""What the files of a site hold of its operation, whether its dashboard runs or not. Nothing is made or
+changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+from app.backup.schedule import next_due
+from app.backup.service import newest_in
+from app.cli.findings.machine import existing_part
+from app.cli.stores.backup_archive import STORES
+from app.database.presence import examining
+from app.database.sqlite.copies import COMPANIONS
+from app.database.sqlite.reserve import free_bytes
+from app.errors import StoreError
+from app.history.query.forecast import MAX_DAYS, days_left, growth_of_events, growth_of_history
+from app.history.series.runs import micros
+from app.history.service import FILE as HISTORY
+from app.settings import STORE_FILE, Settings
+from bus.certificate import Certificate, MalformedCertificateError, certificates_in
+from bus.instants import UnixTime
+
+
+@dataclass(frozen=True, slots=True)
+class DiskFacts:
+    """``days``: for how long the free bytes are enough; None: not known yet. At most `MAX_DAYS`."""
+
+    stores: dict[str, int]
+    free: int
+    days: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateFacts:
+    """A file of certificates, and the one whose dates decide; None where it cannot be read."""
+
+    file: str
+    certificate: Certificate | None
+
+    @property
+    def ends_at(self) -> UnixTime | None:
+        return None if self.certificate is None else self.certificate.ends_at
+
+
+@dataclass(frozen=True, slots=True)
+class BackupFacts:
+    """When the newest backup was written, and when the next is due."""
+
+    folder: str
+    is_there: bool
+    newest: UnixTime | None
+    next: UnixTime
+
+
+def disk_facts(settings: Settings, now: UnixTime) -> DiskFacts:
+    """The stores of the data folder in bytes, and how long its disk lasts."""
+    data = settings.server.data
+    stores = {name: size for name in STORES if (size := _size(data / name))}
+    free = free_bytes(existing_part(data))
+    days = None if settings.store.url else _forecast(settings, stores, free, now)
+    return DiskFacts(stores, free, days)
+
+
+def certificate_facts(settings: Settings) -> list[CertificateFacts]:
+    """Every certificate that the configuration names."""
+    tls = settings.server.tls
+    own = [] if tls is None else [_certificate(tls.certificate, min)]
+    authorities = {*settings.notify.certificates, *([tls.client_ca] if tls and tls.client_ca else [])}
+    return [*own, *(_certificate(path, max) for path in sorted(authorities))]
+
+
+def backup_facts(settings: Settings, now: UnixTime) -> BackupFacts | None:
+    """The nightly backups; None where there are to be none."""
+    folder = settings.backup.folder
+    if folder is None:
+        return None
+    newest = newest_in(folder, now)
+    due = next_due(now, newest, None, settings.backup.at, ZoneInfo(settings.site.zone))
+    return BackupFacts(str(folder), folder.is_dir(), newest, max(now, due))
+
+
+def _size(store: Path) -> int:
+    """With what SQLite has beside it."""
+    total = 0
+    for path in (store, *(store.with_name(store.name + companion) for companion in COMPANIONS)):
+        with suppress(OSError):
+            total += path.stat().st_size
+    return total
+
+
+def _forecast(settings: Settings, stores: dict[str, int], free: int, now: UnixTime) -> float | None:
+    data = settings.server.data
+    if not {HISTORY, STORE_FILE} <= stores.keys():
+        return None
+    try:
+        with examining(data / HISTORY) as connection:
+            history = growth_of_history(connection, micros(now))
+        with examining(data / STORE_FILE) as connection:
+            events = growth_of_events(
+                connection, stores[STORE_FILE], is_archived=settings.audit.archive is not None
+            )
+    except StoreError:
+        return None
+    if history is None:
+        return None
+    readings, rollups, stored_days = history
+    kept = settings.history.raw_days
+    left = days_left(free, readings, stored_days, kept, rollups + events)
+    return MAX_DAYS if left is None else left
+
+
+def _certificate(path: Path, which: Callable[..., Certificate]) -> CertificateFacts:
+    """``which``: of several, that of a server ends with the first, authorities with the last."""
+    try:
+        found = certificates_in(path.read_text())
+        return CertificateFacts(str(path), which(found, key=lambda each: each.ends_at))
+    except (OSError, UnicodeDecodeError, MalformedCertificateError):
+        return CertificateFacts(str(path), None)

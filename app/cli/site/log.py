@@ -1,0 +1,53 @@
+"""The event log of a site from the command line, whether the dashboard runs or not."""
+
+from __future__ import annotations
+
+import asyncio
+import getpass
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from app.audit.events.kinds import EventKind
+from app.audit.events.store import heads_of
+from app.audit.log import EventLog
+from app.audit.proof.keys import open_keys
+from app.cli.serving.serve import check_store
+from app.cli.setup.rights import become_owner_of
+from app.database import Database
+from app.database.opening import open_database
+from app.database.private import make_private
+from app.settings import Settings
+from app.web.admission.access import Person, Role
+from bus.messages import Message
+
+
+def console() -> Person:
+    """The user of this machine as the caller of an act: a user who can write the store has every role."""
+    try:
+        name = getpass.getuser()
+    except (KeyError, OSError):
+        name = ""
+    return Person(name, Role.ADMIN, "console", address=Message("command_line"))
+
+
+def record(events: EventLog, kind: EventKind, what: Message, message: str | Message = "") -> None:
+    """Record in the events what the user of this machine has done."""
+    by = console()
+    who = by.name or by.address
+    asyncio.run(events.record(kind=kind, what=what, who=who, origin=by.address, message=message))
+
+
+def open_log(database: Database, key_files: Sequence[Path]) -> EventLog:
+    """The event log of a store, with its keys. Raises KeyFileError."""
+    return EventLog(database, keys=open_keys(key_files, database.file, database.read_now(heads_of)))
+
+
+@contextmanager
+def site_log(settings: Settings) -> Iterator[tuple[Database, EventLog]]:
+    """Open the main store of a site and its event log. Raises StoreError, KeyFileError."""
+    become_owner_of(settings.server.data)
+    check_store(settings)
+    make_private(settings.server.data)
+    with closing(open_database(settings.store, settings.server.store, checkpoints=False)) as database:
+        yield database, open_log(database, settings.key_files)

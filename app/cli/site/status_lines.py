@@ -1,0 +1,112 @@
+"""What the files of a site hold of its operation, as lines of a screen and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+from zoneinfo import ZoneInfo
+
+from app.cli.site.facts import (
+    BackupFacts,
+    CertificateFacts,
+    DiskFacts,
+    backup_facts,
+    certificate_facts,
+    disk_facts,
+)
+from app.handover.rules.shift_times import site_time
+from app.history.query.forecast import MAX_DAYS
+from app.settings import Settings
+from app.version import VERSION
+from app.web.api.shape import iso
+from bus.instants import UnixTime
+from bus.messages import Message, number
+
+MB, GB = 1e6, 1e9
+HOUR_S = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class SiteFacts:
+    """All of it, at one moment."""
+
+    disk: DiskFacts
+    certificates: list[CertificateFacts]
+    backup: BackupFacts | None
+    now: UnixTime
+
+
+def site_facts(settings: Settings, now: UnixTime) -> SiteFacts:
+    """Read the files of a site."""
+    disk, certificates = disk_facts(settings, now), certificate_facts(settings)
+    return SiteFacts(disk, certificates, backup_facts(settings, now), now)
+
+
+def facts_lines(settings: Settings, facts: SiteFacts) -> Iterator[Message]:
+    """One line for each fact."""
+    yield Message.of("dashboard_store", path=settings.store_name)
+    for name, size in facts.disk.stores.items():
+        yield Message.of("status_store", name=name, size=number(f"{size / MB:.1f}"))
+    yield _disk_line(facts.disk, in_files=not settings.store.url)
+    for each in facts.certificates:
+        if each.ends_at is None:
+            yield Message.of("status_certificate_unreadable", file=each.file)
+        else:
+            yield Message.of("status_certificate", file=each.file, day=_day(each.ends_at))
+    yield _backup_line(facts.backup, facts.now, ZoneInfo(settings.site.zone))
+
+
+def facts_json(settings: Settings, facts: SiteFacts) -> dict[str, Any]:
+    """The same facts for programs: bytes, days, ISO 8601."""
+    backup = facts.backup
+    return {
+        "site": settings.site.name,
+        "version": VERSION,
+        "configured": [
+            {"name": bus.name, "port": bus.port, "baud": bus.baud, "units": len(bus.unit)}
+            for bus in settings.bus
+        ],
+        "stores": facts.disk.stores,
+        "disk_free": facts.disk.free,
+        "disk_days": None if facts.disk.days is None else round(facts.disk.days, 1),
+        "certificates": [
+            {"file": each.file, "ends": None if each.ends_at is None else iso(each.ends_at)}
+            for each in facts.certificates
+        ],
+        "backup": None
+        if backup is None
+        else {
+            "folder": backup.folder,
+            "is_there": backup.is_there,
+            "newest": None if backup.newest is None else iso(backup.newest),
+            "next": iso(backup.next),
+        },
+    }
+
+
+def _disk_line(disk: DiskFacts, *, in_files: bool) -> Message:
+    free = number(f"{disk.free / GB:.1f}")
+    if not in_files:
+        return Message.of("status_disk_free", free=free)
+    if disk.days is None:
+        return Message.of("status_disk_unknown", free=free)
+    code = "status_disk_long" if disk.days >= MAX_DAYS else "status_disk"
+    return Message.of(code, free=free, n=int(disk.days))
+
+
+def _backup_line(backup: BackupFacts | None, now: UnixTime, zone: ZoneInfo) -> Message:
+    if backup is None:
+        return Message("status_no_backup")
+    if not backup.is_there:
+        return Message.of("backup_folder_missing", folder=backup.folder)
+    due = site_time(backup.next, zone)
+    if backup.newest is None:
+        return Message.of("status_backup_first", folder=backup.folder, due=due)
+    newest, hours = site_time(backup.newest, zone), int((now - backup.newest) / HOUR_S)
+    return Message.of("status_backup", newest=newest, hours=hours, due=due)
+
+
+def _day(at: UnixTime) -> str:
+    return datetime.fromtimestamp(float(at), UTC).date().isoformat()

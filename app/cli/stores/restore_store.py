@@ -1,0 +1,276 @@
+"""``lineside restore-store``: the stores of a backup take the place of the present ones. Rights that were
+withdrawn since stay so, blocks and limits stay in force, and an event names who restored it.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import tempfile
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import click
+
+from app.audit.events.store import heads_of
+from app.audit.proof.anchor import key_anchor_of, put_aside
+from app.audit.proof.chain import Head, newest_of
+from app.audit.proof.keys import find_key_file
+from app.auth.rights.withheld import Present, Withheld, read_present, withhold
+from app.cli.config_option import LINESIDE_TOML, Config
+from app.cli.ending import report
+from app.cli.options import Argument, Option
+from app.cli.setup.rights import become_owner_of
+from app.cli.site.log import open_log, record
+from app.cli.stores.backup_archive import STORES, open_archive
+from app.cli.stores.backup_files import place_files
+from app.cli.stores.backup_store import fault_of
+from app.cli.stores.kept_events import FOLDER
+from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
+from app.database import SqliteDatabase, StoreConnection
+from app.database.opening import require_files
+from app.database.presence import examining
+from app.database.private import make_private, refuse_link
+from app.database.sqlite.connection import open_for_reading
+from app.database.sqlite.copies import COMPANIONS
+from app.database.sqlite.migrating import is_store
+from app.database.sqlite.words import in_words
+from app.errors import StoreError
+from app.settings import STORE_FILE, load
+from bus.messages import Message, joined
+
+ASIDE = ".before-restore"
+
+
+def restore_store(
+    file: Annotated[Path, Argument(help="A file of backup-store.")],
+    config: Config = LINESIDE_TOML,
+    yes: Annotated[bool, Option("--yes", help="Skip the confirmation.")] = False,
+    files_to: Annotated[
+        Path | None,
+        Option(help="Restore no store: write the configuration and the other files into this new folder."),
+    ] = None,
+    key_file: Annotated[
+        Path | None, Option(help="The key of [backup] that the files are encrypted with, for --files-to.")
+    ] = None,
+) -> None:
+    """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
+    must not run. Every session ends. Tokens and users revoked or disabled since the backup stay so."""
+    if files_to is not None:
+        with in_words(file), open_archive(file) as archive:
+            placed = place_files(*archive.files(), key_file, files_to)
+        for path in placed:
+            report(Message.of("backup_file_placed", path=str(path)))
+        return
+    settings = load(config)
+    require_files(settings.store, "pg_restore")
+    server = settings.server
+    if not yes:
+        click.confirm(str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True)
+    anchor = settings.audit.anchor
+    done = read_backup(
+        file,
+        server.data,
+        settings.key_files,
+        None if anchor else settings.anchor_file,
+        settings.audit.archive,
+    )
+    report(Message.of("stores_restored", folder=str(server.data), names=done.names, suffix=ASIDE))
+    for path in done.events:
+        report(Message.of("backup_file_placed", path=str(path)))
+    if done.events_lost:
+        report(
+            Message.of(
+                "backup_events_lost", folder=str(file.absolute().parent / FOLDER), files=[*done.events_lost]
+            )
+        )
+    for aside in done.anchors:
+        report(Message.of("anchor_put_aside", path=str(aside)))
+    if done.withheld is not None:
+        if anchor is not None:
+            report(Message.of("anchor_outlives_restore", path=str(anchor)))
+        for consequence in consequences(done.withheld):
+            report(consequence)
+
+
+@dataclass(frozen=True, slots=True)
+class Restored:
+    """``names`` of the stores, what was ``withheld`` from the main one where the backup contains it, and the
+    ``anchors`` of the log that it replaced, under their new names; ``events``: the files that were put into
+    the archive of events, ``events_lost``: those that should be beside the backup and in no place are."""
+
+    names: list[str]
+    withheld: Withheld | None
+    anchors: tuple[Path, ...]
+    events: tuple[Path, ...]
+    events_lost: tuple[str, ...]
+
+
+def read_backup(
+    file: Path,
+    data: Path,
+    key_files: Sequence[Path],
+    anchor: Path | None = None,
+    event_archive: Path | None = None,
+) -> Restored:
+    """Put the stores of a backup into a data folder. The log of the main one continues under the key in the
+    first of ``key_files``; ``anchor`` and the one beside the key are put aside, for they name what came after
+    the backup. ``event_archive``: the folder that gets the archived events that are not there.
+
+    Raises StoreError, and then leaves everything unchanged, but for archived events that came back: every
+    store of the backup is checked, and the main one prepared, before the first is put in its place.
+    """
+    with in_words(file), open_archive(file) as archive:
+        # Not before: only root may be able to read the backup.
+        become_owner_of(data)
+        make_private(data)
+        if archive.manifest.all_events:
+            _require_archive(event_archive)
+        with tempfile.TemporaryDirectory(dir=data) as folder:
+            proved = archive.unpack(Path(folder))
+            for fresh in proved:
+                _prove(fresh, file)
+            for store in (data / name for name in STORES):
+                _refuse_while_open(store)
+            withheld: Withheld | None = None
+            anchors: tuple[Path, ...] = ()
+            events: tuple[Path, ...] = ()
+            lost: tuple[str, ...] = ()
+            if (fresh := Path(folder) / STORE_FILE) in proved:
+                try:
+                    withheld = make_ready(fresh, data / STORE_FILE, archive.message, key_files)
+                except (sqlite3.Error, ValueError) as error:
+                    raise _unsound(file, STORE_FILE, str(error)) from error
+                if archive.manifest.all_events and event_archive:
+                    events = tuple(archive.unpack_events(event_archive))
+                    lost = tuple(name for name in archive.lost_events if not (event_archive / name).exists())
+                # Before the stores: a log without an anchor is not taken for one that was cut off.
+                anchors = _anchors_put_aside(key_files, anchor)
+            for fresh in proved:
+                _put(fresh, data / fresh.name)
+    return Restored([fresh.name for fresh in proved], withheld, anchors, events, lost)
+
+
+def _require_archive(folder: Path | None) -> None:
+    if folder is None:
+        raise StoreError(Message("backup_needs_archive"))
+    if not folder.is_dir():
+        raise StoreError(Message.of("audit_archive_folder_missing", folder=str(folder)))
+
+
+def _anchors_put_aside(key_files: Sequence[Path], anchor: Path | None) -> tuple[Path, ...]:
+    key_file = find_key_file(key_files)
+    anchors = (anchor, None if key_file is None else key_anchor_of(key_file))
+    asides = [put_aside(path) for path in anchors if path is not None]
+    return tuple(aside for aside in asides if aside is not None)
+
+
+def _prove(store: Path, file: Path) -> None:
+    """A store of a backup is sound, and one that Lineside made."""
+    with examining(store) as connection:
+        fault: str | Message = fault_of(connection)
+        if not fault and not is_store(connection):
+            fault = Message("store_is_foreign")
+    if fault:
+        raise _unsound(file, store.name, fault)
+
+
+def _unsound(file: Path, store: str, verdict: str | Message) -> StoreError:
+    return StoreError(Message.of("backup_unsound", file=str(file), store=store, verdict=verdict))
+
+
+def _refuse_while_open(store: Path) -> None:
+    """Raises StoreError for a store that another program uses, and for a link, which may lead anywhere.
+
+    A store in WAL mode gives the exclusive lock to a sole user only. A damaged one has no users: a backup is
+    to take its place.
+    """
+    refuse_link(store)
+    if not store.exists():
+        return
+    try:
+        with closing(sqlite3.connect(store, timeout=0, isolation_level=None)) as connection:
+            connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+            connection.execute("BEGIN EXCLUSIVE")
+    except sqlite3.DatabaseError as error:
+        if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY:
+            raise StoreError(Message.of("store_in_use", store=str(store))) from error
+
+
+def _put(fresh: Path, place: Path) -> None:
+    if place.exists():
+        place.replace(place.with_name(place.name + ASIDE))
+    for companion in COMPANIONS:
+        place.with_name(place.name + companion).unlink(missing_ok=True)
+    fresh.replace(place)
+
+
+def make_ready(fresh: Path, present: Path, backup: Message, key_files: Sequence[Path]) -> Withheld:
+    """Change ``fresh``, the main store of a backup, before it takes the place of ``present``. ``key_files``:
+    where the key of its audit log is or may be made. Raises StoreError for one that cannot be used."""
+    standing = _standing(present)
+
+    def bring_in(connection: StoreConnection) -> Withheld:
+        if standing is None:
+            return withhold(connection, None)
+        keep_in_force(connection, standing.protection)
+        return withhold(connection, standing.rights)
+
+    with closing(SqliteDatabase(fresh)) as database:
+        events = open_log(database, key_files)
+        withheld = database.write_now(bring_in)
+        replaced = [] if standing is None else _replaced(standing.heads)
+        message = joined([backup, *replaced, *consequences(withheld)]) or ""
+        record(events, "server", Message("event_stores_restored"), message)
+    return withheld
+
+
+@dataclass(frozen=True, slots=True)
+class InForce:
+    """What the present store has in force, and the newest entry of each chain of its log."""
+
+    rights: Present | None
+    protection: Protection
+    heads: dict[str, Head]
+
+
+def _standing(present: Path) -> InForce | None:
+    """Read the present store; None where there is none that can be read, which may be why it is replaced."""
+    if not present.exists():
+        return None
+    try:
+        with closing(open_for_reading(present)) as connection:
+            return InForce(read_present(connection), read_protection(connection), heads_of(connection))
+    except (sqlite3.Error, ValueError):
+        return None
+
+
+def _replaced(heads: Mapping[str, Head]) -> list[Message]:
+    """Name where the log ended that is replaced, and where each of its other chains did."""
+    newest = newest_of(heads.values())
+    others = (head for _, head in sorted(heads.items()) if head is not newest)
+    return [
+        Message.of("restored_over", entry=newest.id, hash=newest.hash),
+        *(
+            Message.of("restored_over_bus", bus=head.chain, entry=head.id, hash=head.hash)
+            if head.chain
+            else Message.of("restored_over_site", entry=head.id, hash=head.hash)
+            for head in others
+        ),
+    ]
+
+
+def consequences(withheld: Withheld) -> list[Message]:
+    """Name what a restore does not bring back."""
+    found = [Message("withheld_sessions")]
+    names = {
+        "withheld_tokens": withheld.tokens,
+        "withheld_users": withheld.disabled,
+        "withheld_roles": withheld.lowered,
+    }
+    found += [Message.of(code, names=list(those)) for code, those in names.items() if those]
+    if not withheld.admins:
+        found.append(Message("withheld_no_admin"))
+    return found

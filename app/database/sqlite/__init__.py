@@ -1,0 +1,1 @@
+"""A store of SQLite: its connections, its migrations, the disk space kept for it."""

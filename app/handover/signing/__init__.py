@@ -1,0 +1,1 @@
+"""Signing a sheet: who leaves, who comes."""

@@ -1,0 +1,1 @@
+"""The message of a notification: its texts, its attachment, its link."""

@@ -1,0 +1,1 @@
+"""From the journal of alarms to an outbox that outlives a restart."""

@@ -1,0 +1,1 @@
+"""Whose turn it is, and what is refused before the app sees it."""

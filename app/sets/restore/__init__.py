@@ -1,0 +1,1 @@
+"""Restores: planned and ordered by pure rules, carried out row by row, shown and stored."""

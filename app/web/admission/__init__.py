@@ -1,0 +1,1 @@
+"""Checks before a route reads a request: origin, size, age, account, turn."""

@@ -1,0 +1,1 @@
+"""What every route of the API has in common, and the OpenAPI document."""
