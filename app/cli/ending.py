@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -22,6 +23,11 @@ def ending() -> Iterator[None]:
     except LinesideError as error:
         complain(error.message)
         raise click.exceptions.Exit(1) from error
+    except click.Abort:
+        if sys.stdin.isatty():
+            raise
+        complain(Message("prompt_without_response"))
+        raise click.exceptions.Exit(2) from None
     except BrokenPipeError:
         raise  # the reader of the output has left: click ends without a message
     except OSError as error:

@@ -194,10 +194,11 @@ def test_users(lineside: Shell) -> None:
     assert lineside("user", "list")[1] == ""
 
 
-def test_a_typed_password_is_prompted_for_twice(lineside: Shell) -> None:
-    code, out, _ = lineside("user", "add", "ann", "--role", "viewer", typed="correct horse\ncorrect horse\n")
-    assert code == 0
-    assert "correct horse" not in out
+def test_without_a_terminal_a_password_comes_by_its_option(lineside: Shell) -> None:
+    code, out, err = lineside("user", "add", "ann", "--role", "viewer", typed="correct horse\n")
+    assert (code, out) == (2, "")
+    assert "give --password-stdin" in err
+    assert lineside("user", "list")[1] == ""
 
 
 def test_a_terminal_prompts_for_the_password_without_echo(lineside: Shell) -> None:

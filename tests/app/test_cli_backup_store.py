@@ -107,6 +107,10 @@ def test_the_commands_print_one_line(tmp_path: Path) -> None:
     again = run(cli, ["backup-store", backup, "--config", str(config)])
     assert (again.exit_code, "exists already" in again.stderr) == (1, True)
     assert run(cli, ["restore-store", backup, "--config", str(config)], input="n\n").exit_code == 1
+    piped = run(cli, ["restore-store", backup, "--config", str(config)], input="")
+    assert (piped.exit_code, "--help" in piped.stderr) == (2, True)
+    absent = run(cli, ["restore-store", backup + "x", "--config", str(config)], input="y\n")
+    assert (absent.exit_code, "Replace" in absent.stdout) == (1, False)
     restored = run(cli, ["restore-store", backup, "--config", str(config), "--yes"])
     assert restored.exit_code == 0, restored.stderr
     with sqlite3.connect(tmp_path / "data" / "lineside.db") as connection:

@@ -19,6 +19,7 @@ from app.cli.site.log import console, site_log
 from app.cli.site.reading import reading_site
 from app.settings import load
 from app.web.admission.access import PEOPLE_ROLES, Role, role_named
+from bus.errors import CallerError
 from bus.messages import Message
 
 T = TypeVar("T")
@@ -125,7 +126,9 @@ def _token_shown(each: Token) -> dict[str, Any]:
 def _password(from_input: bool) -> str:
     """Whether it may be chosen is judged where it is stored, for the pages alike. A terminal is prompted in
     any case: it must not wait without a prompt."""
-    if from_input and not sys.stdin.isatty():
+    if not sys.stdin.isatty():
+        if not from_input:
+            raise CallerError(Message("password_without_terminal"))
         return sys.stdin.readline(MAX_LINE).rstrip("\r\n")
     typed: str = click.prompt("Password", hide_input=True, confirmation_prompt=True)
     return typed

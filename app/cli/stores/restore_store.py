@@ -68,7 +68,7 @@ def restore_store(
     require_files(settings.store, "pg_restore")
     server = settings.server
     if not yes:
-        click.confirm(str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True)
+        _confirm(file, server.data)
     anchor = settings.audit.anchor
     done = read_backup(
         file,
@@ -93,6 +93,14 @@ def restore_store(
             report(Message.of("anchor_outlives_restore", path=str(anchor)))
         for consequence in consequences(done.withheld):
             report(consequence)
+
+
+def _confirm(file: Path, folder: Path) -> None:
+    with in_words(file), open_archive(file):
+        pass  # A file that is no backup is refused before the prompt.
+    if not click.confirm(str(Message.of("stores_replace", folder=str(folder), file=str(file)))):
+        report(Message("nothing_replaced"), err=True)
+        raise click.exceptions.Exit(1)
 
 
 @dataclass(frozen=True, slots=True)
