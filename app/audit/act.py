@@ -6,10 +6,26 @@ from dataclasses import dataclass, field
 from typing import Any, TypedDict
 
 from fastapi import Depends
+from starlette.requests import HTTPConnection
 
+from app.audit.act_limit import ActLimit
 from app.audit.events.kinds import EventKind
 from app.web.admission.access import Person, Requires, Role, refuse_without
+from app.web.services import service_of
+from bus.instants import monotonic_now
 from bus.messages import TEXTS, Message, ParamValue
+
+READS = frozenset({"GET", "HEAD"})
+
+
+class _Performs(Requires):
+    """A dependency that counts what it lets in, but for pages about it, among the acts of the account."""
+
+    async def resolve(self, connection: HTTPConnection) -> Person:
+        person = await super().resolve(connection)
+        if connection.scope["method"] not in READS:
+            service_of(connection, ActLimit).count(person.account, monotonic_now())
+        return person
 
 
 class Performed(TypedDict):
@@ -42,7 +58,7 @@ class Act:
     @property
     def permitted(self) -> Any:
         """A dependency of a route: ``Annotated[Person, RETIRE.permitted]``."""
-        return Depends(Requires(self.role, self.name))
+        return Depends(_Performs(self.role, self.name))
 
     def check(self, person: Person) -> None:
         """Raises Problem 403 ``forbidden`` for a person whose role does not include that of the act."""

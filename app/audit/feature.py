@@ -8,6 +8,7 @@ from functools import partial
 from zoneinfo import ZoneInfo
 
 from app.audit import api, pages
+from app.audit.act_limit import ActLimit
 from app.audit.archive.archiving import EventArchive
 from app.audit.configuration import change_since_last
 from app.audit.events.finding import EventFinder
@@ -31,6 +32,7 @@ def make(services: Services) -> None:
     settings, database, lifespan = services.settings, services[Database], services.lifespan
     keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
     local = _local_log(services, keys)
+    services.add(ActLimit())
     events = services.add(EventLog(database, keys=keys, local=local))
     services[Finders].add("find_events", EventFinder(events, settings))
     is_configured = settings.audit.anchor is not None

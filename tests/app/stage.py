@@ -20,6 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
+from app.audit.act_limit import ActLimit
 from app.audit.api import router as events_router
 from app.audit.log import EventLog
 from app.commands.api.commands import router as commands_router
@@ -275,7 +276,7 @@ class Stage:
         self.app.state.services = Registry(
             (
                 *(configuration, _templates(), view),
-                *(self.live, self.workers, self.events, Turns(), OtherLines(alone, Peers())),
+                *(self.live, self.workers, self.events, Turns(), ActLimit(), OtherLines(alone, Peers())),
             ),
             {settings.name: (bus, self.commands, self.guards)},
         )

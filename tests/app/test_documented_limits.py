@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from app.audit import act_limit
 from app.auth import pages, rules, store
 from app.auth.rights import lasting, rights
 from app.auth.sign_in import signin, strength, throttle
@@ -46,6 +47,12 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
             connections.MAX_OF_ACCOUNT,
             connections.MAX_IN_ALL,
         ),
+    ),
+    (
+        "api.md",
+        "an account makes {} changes other than commands (of alarms, sets, limits, control, users) at once, "
+        "then {} a second.",
+        (act_limit.MAX_ACTS, act_limit.ACTS_PER_S),
     ),
     ("api.md", "At most {} requests wait for a response on one connection", (http.MAX_PIPELINED,)),
     (
