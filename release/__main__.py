@@ -79,7 +79,8 @@ def bundle(path: Path, wheels: Path, version: str, seconds: int) -> None:
     ):
         for name, data in sorted(contents.items()):
             member = tarfile.TarInfo(f"{top}/{name}")
-            member.size, member.mtime, member.mode = len(data), seconds, 0o644
+            member.size, member.mtime = len(data), seconds
+            member.mode = 0o755 if data.startswith(b"#!") else 0o644
             archive.addfile(member, BytesIO(data))
 
 
