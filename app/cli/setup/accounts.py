@@ -49,8 +49,12 @@ def add_user(
     config: Config = LINESIDE_TOML,
 ) -> None:
     """Add a user."""
-    chosen, password = role_named(role), _password(password_stdin)
-    with_accounts(config, lambda accounts: accounts.add_user(name, chosen, password, by=console()))
+    store_user(config, name, role_named(role), _password(password_stdin))
+
+
+def store_user(config: Path, name: str, role: Role, password: str) -> None:
+    """Raises CallerError for a name or a password that cannot be chosen."""
+    with_accounts(config, lambda accounts: accounts.add_user(name, role, password, by=console()))
 
 
 @user.add("list")
@@ -130,6 +134,11 @@ def _password(from_input: bool) -> str:
         if not from_input:
             raise CallerError(Message("password_without_terminal"))
         return sys.stdin.readline(MAX_LINE).rstrip("\r\n")
+    return prompted_password()
+
+
+def prompted_password() -> str:
+    """What a terminal is prompted for twice, without echo."""
     typed: str = click.prompt("Password", hide_input=True, confirmation_prompt=True)
     return typed
 

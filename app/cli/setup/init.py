@@ -93,12 +93,12 @@ def _scanned(port: str) -> str:
 
 def prompt_for_admin(config: Path) -> None:
     """The first user, who can add the others; without a name the dashboard prompts for one."""
-    from app.cli.setup.accounts import add_user
+    from app.cli.setup.accounts import prompted_password, store_user
     from app.web.admission.access import Role
 
     while name := click.prompt("First admin (empty: later, in the browser)", default="", show_default=False):
         try:
-            add_user(name, Role.ADMIN, config=config)
+            store_user(config, name, Role.ADMIN, prompted_password())
         except CallerError as error:  # such as a password that is too simple
             report(error.message, err=True)
         else:
