@@ -71,10 +71,6 @@ class BusOnLine:
     port: str
     groups: list[Group]
 
-    @property
-    def grouped(self) -> bool:
-        return any(group.name for group in self.groups)
-
 
 @router.get("/")
 async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Response:

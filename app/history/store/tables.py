@@ -20,7 +20,6 @@ from app.history.series.runs import (
     PlainRun,
     Run,
     pack_columns,
-    runs_of,
     unpack_columns,
     unpack_runs,
 )
@@ -177,13 +176,9 @@ def raw_row(
     return unit, start, span, len(at) + sum(map(gt, until, at)), pack_columns(table, start)
 
 
-def raw_between(connection: StoreConnection, unit: int, start: int, end: int) -> list[Run]:
-    """All runs of the blocks that begin within a span, µs. Raises DamagedBlock."""
-    return runs_of(zip(*raw_columns(connection, unit, start, end), strict=True))
-
-
 def raw_columns(connection: StoreConnection, unit: int, start: int, end: int) -> list[list[int]]:
-    """The same as columns, one block after the other."""
+    """The runs of the blocks that begin within a span, µs, as columns, one block after the other. Raises
+    DamagedBlock."""
     rows = connection.execute(
         "SELECT start, data FROM raw WHERE unit = ? AND start >= ? AND start < ? ORDER BY start",
         (unit, start, end),
