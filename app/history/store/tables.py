@@ -20,6 +20,7 @@ from app.history.series.runs import (
     PlainRun,
     Run,
     pack_columns,
+    runs_of,
     unpack_columns,
     unpack_runs,
 )
@@ -176,9 +177,13 @@ def raw_row(
     return unit, start, span, len(at) + sum(map(gt, until, at)), pack_columns(table, start)
 
 
+def raw_between(connection: StoreConnection, unit: int, start: int, end: int) -> list[Run]:
+    """All runs of the blocks that begin within a span, µs. Raises DamagedBlock."""
+    return runs_of(zip(*raw_columns(connection, unit, start, end), strict=True))
+
+
 def raw_columns(connection: StoreConnection, unit: int, start: int, end: int) -> list[list[int]]:
-    """The runs of the blocks that begin within a span, µs, as columns, one block after the other. Raises
-    DamagedBlock."""
+    """The same as columns, one block after the other."""
     rows = connection.execute(
         "SELECT start, data FROM raw WHERE unit = ? AND start >= ? AND start < ? ORDER BY start",
         (unit, start, end),
