@@ -97,6 +97,7 @@ ACKNOWLEDGE = AlarmAct(
     means="Acknowledge the occurrence that the id names.",
     change=changes.acknowledge,
     locally=True,
+    counted=False,
 )
 SILENCE = AlarmAct(
     "silence_alarm",

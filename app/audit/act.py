@@ -51,6 +51,10 @@ class Act:
     locally: bool = field(default=False, kw_only=True)
     """Whether it is also done while the database is away, and logged locally first."""
 
+    counted: bool = field(default=True, kw_only=True)
+    """Whether an account does it only so often; not where something else bounds it, as alarms do their
+    acknowledgement, which nothing may delay."""
+
     def __post_init__(self) -> None:
         if self.event not in TEXTS:
             raise ValueError(f"act {self.name} has no text: {self.event}")
@@ -58,7 +62,7 @@ class Act:
     @property
     def permitted(self) -> Any:
         """A dependency of a route: ``Annotated[Person, RETIRE.permitted]``."""
-        return Depends(_Performs(self.role, self.name))
+        return Depends((_Performs if self.counted else Requires)(self.role, self.name))
 
     def check(self, person: Person) -> None:
         """Raises Problem 403 ``forbidden`` for a person whose role does not include that of the act."""

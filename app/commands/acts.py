@@ -14,7 +14,9 @@ TAKE_CONTROL = Act("take_control", Role.OPERATOR, "control", "event_control_take
 HAND_OVER_CONTROL = Act("hand_over_control", Role.OPERATOR, "control", "event_control_handed_over")
 FORCE_CONTROL = Act("force_control", Role.ADMIN, "control", "event_control_handed_over")
 """Handing over what another user holds."""
-RELEASE_CONTROL = Act("release_control", Role.OPERATOR, "control", "event_control_given_back", locally=True)
+RELEASE_CONTROL = Act(
+    "release_control", Role.OPERATOR, "control", "event_control_given_back", locally=True, counted=False
+)
 REQUEST_CONTROL = Act("request_control", Role.OPERATOR, "control", "event_control_requested", locally=True)
 GRANT_CONTROL = Act("grant_control", Role.OPERATOR, "control", "event_control_handed_over")
 """Handing over to the account that has requested control."""

@@ -92,7 +92,7 @@ def test_programs_and_people_get_words_while_it_waits(
         assert "db-1" not in health.text, "strangers learn nothing of the plant"
         page = get(f"http://127.0.0.1:{port}/", **GERMAN)
         assert (page.status_code, page.headers["cache-control"]) == (503, "no-store")
-        assert page.headers["refresh"] == awaiting.AGAIN_S
+        assert page.headers["refresh"] == awaiting.RETRY_AFTER_S
         assert '<html lang="de">' in page.text
         assert "Die Datenbank antwortet nicht." in page.text
     printed = capsys.readouterr()

@@ -26,7 +26,7 @@ WITHIN_S = 0.5
 MAX_END_S = 2.0
 MAX_HEAD = 8192
 WAITING = Message("waits_for_store")
-AGAIN_S = "5"
+RETRY_AFTER_S = "5"
 """When a page loads itself again: a panel on a wall has no keyboard."""
 _ACCEPTED = re.compile(rb"^accept-language: *([^\r\n]*)", re.IGNORECASE | re.MULTILINE)
 _PAGE = """<!doctype html>
@@ -95,4 +95,4 @@ def _response(head: bytes, languages: Languages, otherwise: str) -> bytes:
     accepted = _ACCEPTED.search(head)
     language = languages.choose("", accepted[1].decode("latin-1") if accepted else "", otherwise)
     page = _PAGE.format(language=language, text=language.t(WAITING))
-    return last_response(503, "text/html; charset=utf-8", page.encode(), Refresh=AGAIN_S)
+    return last_response(503, "text/html; charset=utf-8", page.encode(), Refresh=RETRY_AFTER_S)
