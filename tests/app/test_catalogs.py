@@ -289,3 +289,19 @@ def test_a_folder_that_cannot_be_written_costs_nothing(tmp_path: Path) -> None:
     source.write_text('msgid ""\nmsgstr ""\n\nmsgid "open"\nmsgstr "apen"\n')
     file.touch()
     assert compiled(source, file / "in").gettext("open") == "apen"
+
+
+def german_texts() -> list[tuple[str, str]]:
+    """Each German text with its English."""
+    messages = [message for message in catalog_at(catalogs()["de"]) if message.id]
+    return [(str(message.id), text) for message in messages for text in each_text(message.string)]
+
+
+def test_a_german_text_requests_in_the_infinitive() -> None:
+    """Buttons and instructions have one form."""
+    assert [text for text in german_texts() if re.search(r"\b\w+en Sie\b", text[1])] == []
+
+
+def test_bedienfeld_is_the_keypad_of_the_drive_and_nothing_else() -> None:
+    wrong = [text for text in german_texts() if "Bedienfeld" in text[1] and "keypad" not in text[0].lower()]
+    assert wrong == []
