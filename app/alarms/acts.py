@@ -96,7 +96,6 @@ ACKNOWLEDGE = AlarmAct(
     path="acknowledge",
     means="Acknowledge the occurrence that the id names.",
     change=changes.acknowledge,
-    locally=True,
     counted=False,
 )
 SILENCE = AlarmAct(
@@ -107,7 +106,6 @@ SILENCE = AlarmAct(
     path="silence",
     means="End the sound of the occurrence that the id names. It is still to be acknowledged.",
     change=changes.silence,
-    locally=True,
 )
 RESET = AlarmAct(
     "reset_alarm",
@@ -117,7 +115,6 @@ RESET = AlarmAct(
     path="reset",
     means="Reset an acknowledged alarm that is latched.",
     change=changes.reset,
-    locally=True,
 )
 SHELVE = AlarmAct(
     "shelve_alarm",
@@ -128,7 +125,6 @@ SHELVE = AlarmAct(
     means="Hide it until a time. It is still detected and recorded.",
     body=AlarmShelveRequest,
     change=changes.shelve,
-    locally=True,
     hides=True,
 )
 UNSHELVE = AlarmAct(
@@ -140,7 +136,6 @@ UNSHELVE = AlarmAct(
     means="Annunciate it again before its time.",
     body=AlarmReturnRequest,
     change=changes.unshelve,
-    locally=True,
 )
 REMOVE = AlarmAct(
     "remove_alarm_from_service",
@@ -151,7 +146,6 @@ REMOVE = AlarmAct(
     means="Hide it until it is returned to service. It is still detected and recorded.",
     body=AlarmOutOfServiceRequest,
     change=changes.remove_from_service,
-    locally=True,
     hides=True,
 )
 RETURN = AlarmAct(
@@ -163,14 +157,11 @@ RETURN = AlarmAct(
     means="Annunciate it again.",
     body=AlarmReturnRequest,
     change=changes.return_to_service,
-    locally=True,
 )
 ALARM_ACTS = (ACKNOWLEDGE, SILENCE, RESET, SHELVE, UNSHELVE, REMOVE, RETURN)
 """The acts on one alarm; each has its routes."""
 
-SILENCE_SOUNDING = Act(
-    "silence_sounding_alarms", Role.OPERATOR, "alarm", "event_alarms_silenced", locally=True
-)
+SILENCE_SOUNDING = Act("silence_sounding_alarms", Role.OPERATOR, "alarm", "event_alarms_silenced")
 """With all that sound; of one alone :data:`SILENCE` is recorded."""
 ADD_OWN = Act("add_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_added")
 CHANGE_OWN = Act("change_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_changed")

@@ -49,7 +49,7 @@ from bus.messages import Message
 
 def make(services: Services) -> None:
     settings, database, events = services.settings, services[Database], services[EventLog]
-    store = AlarmStore(database, events)
+    store = AlarmStore(database)
     for name, bus in services.buses.items():
         _make_of_bus(services, name, bus, store)
     of_site = services.add(_alarms_of_site(services, store))

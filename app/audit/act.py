@@ -35,7 +35,6 @@ class Performed(TypedDict):
     who: str | Message
     origin: str | Message
     what: Message
-    locally: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +47,6 @@ class Act:
     role: Role
     kind: EventKind
     event: str
-    locally: bool = field(default=False, kw_only=True)
-    """Whether it is also done while the database is away, and logged locally first."""
-
     counted: bool = field(default=True, kw_only=True)
     """Whether an account does it only so often; not where something else bounds it, as alarms do their
     acknowledgement, which nothing may delay."""
@@ -71,4 +67,4 @@ class Act:
     def by(self, person: Person, **params: ParamValue) -> Performed:
         """What the audit log records of it: ``events.record(**RETIRE.by(person, name=name), bus=bus)``."""
         what = Message.of(self.event, **params)
-        return {"kind": self.kind, **person.author, "what": what, "locally": self.locally}
+        return {"kind": self.kind, **person.author, "what": what}

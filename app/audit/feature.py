@@ -13,14 +13,11 @@ from app.audit.archive.archiving import EventArchive
 from app.audit.configuration import change_since_last
 from app.audit.events.finding import EventFinder
 from app.audit.events.store import heads_of
-from app.audit.local_log.file import LocalFile
-from app.audit.local_log.local_log import LocalLog
 from app.audit.log import EventLog
 from app.audit.proof.anchoring import Anchoring
-from app.audit.proof.keys import Keys, open_keys
+from app.audit.proof.keys import open_keys
 from app.database import Database
 from app.database.migration import FIRST, Migration
-from app.database.sqlite.reserve import Reserve
 from app.feature import Feature, Services
 from app.find.finders import Finders
 from app.home.lease import SITE
@@ -31,9 +28,8 @@ from bus.messages import Message
 def make(services: Services) -> None:
     settings, database, lifespan = services.settings, services[Database], services.lifespan
     keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
-    local = _local_log(services, keys)
     services.add(ActLimit())
-    events = services.add(EventLog(database, keys=keys, local=local))
+    events = services.add(EventLog(database, keys=keys))
     services[Finders].add("find_events", EventFinder(events, settings))
     is_configured = settings.audit.anchor is not None
     anchoring = services.add(Anchoring(events, settings.anchor_file, is_configured=is_configured))
@@ -52,19 +48,6 @@ def make(services: Services) -> None:
     lifespan.add("repeated events", events.repeated.follow, end=record_all)
 
 
-def _local_log(services: Services, keys: Keys) -> LocalLog | None:
-    """Where the database may be away. What the last run left in it comes into the audit log first."""
-    database, availability = services[Database], services[Database].availability
-    if availability is None:
-        return None
-    file = LocalFile(services.settings.server.data, services[Reserve])
-    local = services.add(LocalLog(database, availability, file, keys))
-    watch = partial(availability.watch, database.probe)
-    end = partial(availability.end, database.probe, database.interrupt)
-    services.lifespan.add("local log", watch, local.forget, start=local.load, end=end)
-    return local
-
-
 async def _record_start(settings: Settings, database: Database, events: EventLog) -> None:
     """Record what this run begins with."""
     data = settings.server.data
@@ -79,7 +62,7 @@ async def _record_start(settings: Settings, database: Database, events: EventLog
 
 
 async def _record_end(events: EventLog) -> None:
-    await events.record(kind="server", what=Message("event_server_ended"), locally=True)
+    await events.record(kind="server", what=Message("event_server_ended"))
 
 
 def _store_changed(steps: Sequence[Migration]) -> Message:

@@ -4,31 +4,25 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from typing import Any, Required, TypedDict, Unpack
 
 import structlog
-from msgspec import to_builtins
 
 from app.audit.archive.cuts import newest_cut
-from app.audit.events import store
+from app.audit.events import appending, store
 from app.audit.events.entry import Event as Event
 from app.audit.events.entry import is_moment, new_entry, readable
 from app.audit.events.kinds import EventKind
 from app.audit.events.repeated import RepeatedEvents
 from app.audit.events.store import Filter
-from app.audit.local_log.local_log import LocalLog
-from app.audit.local_log.transaction import LoggedEvent, LoggedTransaction, StoredPart, new_transaction
-from app.audit.local_log.writing import PartWriter, TransactionWriter
 from app.audit.proof.anchor import read_key_anchor
 from app.audit.proof.chain import Head, newest_of
 from app.audit.proof.keyring import KeyRing
 from app.audit.proof.keys import Keys, passing_keys
 from app.audit.proof.walk import AuditVerification, Walk
 from app.database import Database, StoreConnection
-from app.errors import ConstraintError, StoreError, StoreUnavailableError
+from app.errors import ConstraintError, StoreUnavailableError
 from bus.contract import Frame, Outcome
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
@@ -36,16 +30,11 @@ from bus.messages import Message
 log = structlog.get_logger()
 
 EventSubscriber = Callable[[Event], None]
-Also = Callable[[StoreConnection], None]
+Also = Callable[[StoreConnection], object]
 """Writes something else in the transaction of an event."""
-EventNumber = int | LoggedEvent
-"""An event of the log, or one that is in the local log so far."""
 
 CHUNK = 1000
-URGENT_S = 0.5
-"""How long a command that stops a line waits for a slow database; then it is logged locally."""
 ENDED_BEFORE = Message("server_stopped")
-NOT_LOGGED = Message("command_not_logged")
 
 
 class EventFields(TypedDict, total=False):
@@ -67,30 +56,15 @@ class EventFields(TypedDict, total=False):
 class EventLog:
     """Append-only. Whatever returns from here is on disk. An event of a bus is in the chain of that bus, any
     other in that of the site. Without ``keys``, what seals the entries ends with the process: nothing that is
-    kept may be written so. ``local``: where the database may be away, what takes what is logged ``locally``
-    until it is back. All else raises StoreUnavailableError meanwhile."""
+    kept may be written so."""
 
-    def __init__(
-        self,
-        database: Database,
-        clock: Clock = unix_now,
-        keys: Keys | None = None,
-        local: LocalLog | None = None,
-    ) -> None:
+    def __init__(self, database: Database, clock: Clock = unix_now, keys: Keys | None = None) -> None:
         self.keys = keys or passing_keys()
-        self.local = local
-        self._writer = TransactionWriter(self.keys) if local is None else local.writer
         self.proof = LogProof(database, self.keys)
         self.repeated = RepeatedEvents(self.record, clock)
         self._database = database
         self._clock = clock
         self._subscribers: list[EventSubscriber] = []
-        if local is not None:
-            local.on_followed(self._publish_followed)
-
-    def add_writer(self, kind: str, writer: PartWriter) -> None:
-        """Write the parts of this kind by ``writer``."""
-        self._writer.writers[kind] = writer
 
     def subscribe(self, subscriber: EventSubscriber) -> Callable[[], None]:
         """Call ``subscriber`` with each event, a command again at its outcome; return what ends it."""
@@ -98,39 +72,32 @@ class EventLog:
         return lambda: self._subscribers.remove(subscriber)
 
     async def intend_together(
-        self,
-        intents: Sequence[Mapping[str, Any]],
-        also: Also | None = None,
-        parts: Sequence[StoredPart] = (),
-        *,
-        locally: bool = False,
-    ) -> list[EventNumber]:
-        """Store commands before they are sent, in one transaction with ``parts``; their numbers in order."""
-        entries = [self._entry("command", **intent) for intent in intents]
-        return await self._append_all(entries, also, parts, locally=locally, is_urgent=True)
+        self, intents: Sequence[Mapping[str, Any]], also: Also | None = None
+    ) -> list[int]:
+        """Store commands before they are sent, in one transaction with ``also``; their numbers in order."""
+        return await self._append_all([self._entry("command", **intent) for intent in intents], also)
 
-    async def conclude_together(self, outcomes: Mapping[EventNumber, tuple[Outcome, str | Message]]) -> None:
+    async def conclude_together(self, outcomes: Mapping[int, tuple[Outcome, str | Message]]) -> None:
         """Store the outcome and message of several commands, by event number, in one transaction."""
         entries = [
-            self._entry("fate", about=to_builtins(event), outcome=outcome, message=message)
+            self._entry("fate", about=event, outcome=outcome, message=message)
             for event, (outcome, message) in outcomes.items()
         ]
-        await self._write_all(entries, locally=True, is_urgent=True)
+        await self._write_all(entries)
         for event in outcomes:
             await self._publish_stored(event)
 
     async def conclude(
         self,
-        event: EventNumber,
+        event: int,
         outcome: Outcome,
         message: str | Message = "",
         frames: Sequence[Frame] = (),
-        parts: Sequence[StoredPart] = (),
+        also: Also | None = None,
     ) -> None:
-        """Store the outcome of an intent; ``frames`` carried it. ``parts``: in the same transaction."""
-        about = to_builtins(event)
-        entry = self._entry("fate", about=about, outcome=outcome, message=message, frames=frames)
-        await self._write_all([entry], parts=parts, locally=True, is_urgent=True)
+        """Store the outcome of an intent; ``frames`` carried it. ``also``: in the same transaction."""
+        entry = self._entry("fate", about=event, outcome=outcome, message=message, frames=frames)
+        await self._write_all([entry], also)
         await self._publish_stored(event)
 
     async def record(
@@ -140,19 +107,13 @@ class EventLog:
         at: UnixTime | None = None,
         count: int = 1,
         also: Also | None = None,
-        parts: Sequence[StoredPart] = (),
-        locally: bool = False,
         **fields: Unpack[EventFields],
-    ) -> EventNumber:
-        """Store a complete event; ``at``: when, if not just now, ``count``: how often, and ``also`` and
-        ``parts`` what belongs to it, in the same transaction. Returns the event's number."""
+    ) -> int:
+        """Store a complete event; ``at``: when, if not just now, ``count``: how often, and ``also``
+        what belongs to it, in the same transaction. Returns the event's number."""
         time = {} if at is None or not is_moment(at) else {"time": at}
         entry = self._entry(kind, **fields, count=count if count > 1 else None, **time)
-        return (await self._append_all([entry], also, parts, locally=locally))[0]
-
-    async def store_parts(self, parts: Sequence[StoredPart]) -> None:
-        """Store what belongs to no event, directly or, while the database is away, locally first."""
-        await self._write_all([], parts=parts, locally=True)
+        return (await self._append_all([entry], also))[0]
 
     async def close_open_intents(self, bus: str | None) -> int:
         """When the home of a bus, or of the site (None), is taken: what was open when that ended is
@@ -193,95 +154,27 @@ class EventLog:
         """Every kind there is an event of."""
         return await self._database.read_costly(store.kinds)
 
-    async def _append_all(
-        self,
-        entries: Sequence[Event],
-        also: Also | None = None,
-        parts: Sequence[StoredPart] = (),
-        **how: bool,
-    ) -> list[EventNumber]:
-        numbers = await self._write_all(entries, also, parts, **how)
-        self._publish_new(entries, [number for number in numbers if isinstance(number, int)])
+    async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
+        numbers = await self._write_all(entries, also)
+        for number, entry in zip(numbers, entries, strict=True):
+            about = {"id": number, "concluded_at": None, "concluded_messages": None}
+            self._publish(readable({"entered_at": None, **entry, **about}))
         return numbers
 
-    async def _write_all(
-        self,
-        entries: Sequence[Event],
-        also: Also | None = None,
-        parts: Sequence[StoredPart] = (),
-        *,
-        locally: bool = False,
-        is_urgent: bool = False,
-    ) -> list[EventNumber]:
-        at = entries[0]["time"] if entries else self._clock()
-        transaction = new_transaction(at, entries, parts)
-        if self.local is None:
-            return list(await self._database.write(self._writing(transaction, also)))
-        if not self.local.is_needed:
-            try:
-                async with asyncio.timeout(URGENT_S if locally and is_urgent else None):
-                    return list(await self._database.write(self._writing(transaction, also)))
-            except (StoreUnavailableError, TimeoutError):
-                if not locally:
-                    await self._withdraw(transaction)
-                    raise
-        elif not locally:
-            self.local.refuse()
-        assert also is None or not locally
-        await self.local.add(transaction, is_urgent=is_urgent)
-        return list(transaction.events)
-
-    def _writing(
-        self, transaction: LoggedTransaction, also: Also | None
-    ) -> Callable[[StoreConnection], list[int]]:
-        write = self._writer.write if self.local is None else self._writer.write_noted
-
+    async def _write_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
         def append(connection: StoreConnection) -> list[int]:
-            numbers = write(connection, transaction)
+            numbers = appending.append(connection, entries, self.keys)
             if also is not None:
                 also(connection)
             return numbers
 
-        return append
-
-    async def _withdraw(self, transaction: LoggedTransaction) -> None:
-        """Commands are not sent whose intent may or may not be stored: where it is, it ends so."""
-        intents = [
-            each
-            for each, entry in zip(transaction.events, transaction.entries, strict=True)
-            if entry["kind"] == "command" and entry["about"] is None and entry["outcome"] is None
-        ]
-        if intents and self.local is not None:
-            conclusions = [
-                self._entry("fate", about=to_builtins(each), outcome="not_sent", message=NOT_LOGGED)
-                for each in intents
-            ]
-            with suppress(StoreError):
-                await self.local.add(new_transaction(self._clock(), conclusions), is_urgent=False)
+        return await self._database.write(append)
 
     def _entry(self, kind: str, **members: Any) -> dict[str, Any]:
         return new_entry(**{"time": self._clock(), "kind": kind, **members})
 
-    def _publish_new(self, entries: Sequence[Event], numbers: Sequence[int]) -> None:
-        for number, entry in zip(numbers, entries, strict=False):
-            about = {"id": number, "concluded_at": None, "concluded_messages": None}
-            self._publish(readable({"entered_at": None, **entry, **about}))
-
-    async def _publish_followed(self, entries: Sequence[Event], numbers: Sequence[int]) -> None:
-        """Entries that have come out of the local log."""
-        news = zip(numbers, entries, strict=True)
-        for number, entry in news:
-            if entry["about"] is None:
-                self._publish_new([entry], [number])
-            elif self._subscribers:
-                # Until all has followed, nothing else reads the database.
-                about = entry["about"]
-                event = await self._database.attempt(partial(store.one, number=about))
-                if event is not None:
-                    self._publish(event)
-
-    async def _publish_stored(self, number: EventNumber) -> None:
-        if not self._subscribers or not isinstance(number, int):
+    async def _publish_stored(self, number: int) -> None:
+        if not self._subscribers:
             return
         try:
             event = await self._database.read(lambda connection: store.one(connection, number))

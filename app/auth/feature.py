@@ -17,7 +17,7 @@ from app.auth.rights.lasting import Rechecks
 from app.auth.rights.rights import Rights
 from app.auth.sign_in.break_glass import BreakGlass, path_in
 from app.auth.sign_in.first_admin import FirstAdmin
-from app.auth.sign_in.signin import SESSION_ENDED, SignIn, write_session_ended
+from app.auth.sign_in.signin import SignIn
 from app.database import Database
 from app.feature import Feature, Services
 from app.server.admission.refusal_log import RefusalLog
@@ -37,7 +37,6 @@ def make(services: Services) -> None:
         services.lifespan.add("known credentials", known.watch)
         break_glass = BreakGlass(path_in(settings.server.data), database.availability)
         services.add(break_glass)
-        events.add_writer(SESSION_ENDED, write_session_ended)
     sign_in = services.add(
         SignIn(
             database,

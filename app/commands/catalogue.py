@@ -94,8 +94,7 @@ class CommandKind(Generic[A]):
     is_event: Callable[[A], bool] = lambda action: action.writes
     """Whether it is recorded before it is sent."""
     only_slows: Callable[[A, BusLive], bool] = lambda _, _bus: False
-    """Whether it can only make units slower, or stop them, as they were last read: such a command is sent
-    also while the database is away, logged locally first."""
+    """Whether it can only make units slower, or stop them, as they were last read."""
 
 
 SET_SPEED = CommandKind(

@@ -21,7 +21,6 @@ from app.notification.maintenance import Maintenance
 from app.notification.message.acknowledge_link import acknowledge_link, check_link
 from app.notification.message.attachment import ReportAttachments
 from app.notification.message.compose import Composer
-from app.notification.outbox.away import AwayNotification
 from app.notification.outbox.outbox import NotificationDelivery, NotificationOutbox
 from app.notification.outbox.store import NotificationStore
 from app.notification.rules.notices import QuietSpan
@@ -93,7 +92,6 @@ class Notification:
         formats = Formats(language.locale, settings.site.zone)
         composer = Composer(settings.site.name, language, formats, self._link)
         senders = Senders(settings.notify.smtp, composer, reports)
-        self.away = AwayNotification(self.plan, senders, events, clock)
         self.dispatcher = Dispatcher(self.plan, self.outbox, senders, events, failing, local_time, clock)
 
     async def load(self) -> None:

@@ -36,7 +36,7 @@ class AlarmBus:
         self.drifted: set[int] = set()
         self.left_control: Callable[[], Message | None] = lambda: None
         self.events = EventLog(database)
-        self.store = AlarmStore(database, self.events)
+        self.store = AlarmStore(database)
         settings = [
             AlarmSettings(**{"name": f"Own {i}", "bus": BUS, "unit": 1, **o}) for i, o in enumerate(own)
         ]

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from app.alarms.journal.store import AlarmStore
 from app.alarms.rules.observed import ObservedSpan
-from app.audit.log import EventLog
 from app.database import Database
 from bus.instants import UnixTime
 from tests.stores import open_store
@@ -22,7 +21,7 @@ class Journal:
 
     def __init__(self, database: Database) -> None:
         self._database = database
-        self.store = AlarmStore(database, EventLog(database))
+        self.store = AlarmStore(database)
         self.spans = [ObservedSpan(UnixTime(T), UnixTime(T + 1800))]
 
     def observed(self) -> list[ObservedSpan]:

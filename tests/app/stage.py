@@ -73,7 +73,6 @@ from bus.contract import (
 )
 from bus.messages import term
 from bus.settings import BusSettings, UnitSettings
-from tests.app.away_store import AwayDatabase, event_log
 from tests.app.played_rights import PlayedRights
 from tests.app.played_site import PlayedHomes
 from tests.app.played_sources import NoAlarms, NoGoldenSets, NoLines, NoRecipes
@@ -226,11 +225,9 @@ class Stage:
         *,
         control: bool = False,
         missed_ticks: int = 1000,
-        may_be_away: bool = False,
     ) -> None:
-        self.away = AwayDatabase(folder / "lineside.db") if may_be_away else None
-        self.database: Database = self.away or open_store(folder / "lineside.db")
-        self.events = event_log(self.away, folder) if self.away else EventLog(self.database)
+        self.database: Database = open_store(folder / "lineside.db")
+        self.events = EventLog(self.database)
         self.live = LiveState([settings], time.time())
         self.history = History()
         self.skipped_s = 0.0
@@ -372,16 +369,14 @@ async def staged(
     *,
     control: bool = False,
     missed_ticks: int = 1000,
-    may_be_away: bool = False,
     **bus: Any,
 ) -> AsyncIterator[Stage]:
-    """The stage, served on a free port. ``may_be_away``: its store is one over a network."""
+    """The stage, served on a free port."""
     stage = Stage(
         folder,
         bus_settings(**bus),
         control=control,
         missed_ticks=missed_ticks,
-        may_be_away=may_be_away,
     )
     await stage.guards.load()
     config = uvicorn.Config(

@@ -50,7 +50,6 @@ def test_an_act_is_recorded_with_its_person_and_its_text() -> None:
         "who": "anna",
         "origin": "token",
         "what": Message.of("event_recipe_retired", name="A", version=2),
-        "locally": False,
     }
 
 

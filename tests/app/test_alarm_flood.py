@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from app.alarms.journal.store import AlarmStore, JournalEntry
-from app.audit.log import EventLog
 from tests.sizes import sizes
 from tests.stores import open_store
 
@@ -42,7 +41,7 @@ async def test_a_kill_in_a_flood_loses_and_repeats_no_transition(tmp_path: Path,
     for _ in range(kills):
         flood_and_kill(path, dice.randint(3, 12))
     database = open_store(path)
-    store = AlarmStore(database, EventLog(database))
+    store = AlarmStore(database)
     journal = await store.journal(1_000_000, None)
     stored = await store.load()
     database.close()

@@ -12,7 +12,6 @@ from app.alarms.journal.store import AlarmStore
 from app.alarms.monitor.control_left import control_left_by
 from app.alarms.monitor.expiry_watch import ExpiryWatch
 from app.alarms.monitor.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
-from app.audit.log import EventLog
 from app.audit.proof.anchoring import AnchorStatus
 from app.auth.store import Token
 from app.conditions.catalogue import CONDITIONS
@@ -184,7 +183,7 @@ def test_that_the_clock_was_set_is_an_alarm_with_the_step(database: Database) ->
     now, step = 1000.0, 0.0
     site = SiteAlarms(
         {},
-        AlarmStore(database, EventLog(database)),
+        AlarmStore(database),
         lambda: UnixTime(now + step),
         lambda: now,  # type: ignore
     )
@@ -230,7 +229,7 @@ async def test_the_token_and_the_certificate_that_end_first_are_named(
 
     expiry = ExpiryWatch(stored, [certificate(tmp_path), tmp_path / "none.pem"], lambda: now)
     conditions = site_conditions(lambda: HistoryStatus(), AnchorStatus, FailingEndpoints(), expiry)
-    site = SiteAlarms(conditions, AlarmStore(database, EventLog(database)))
+    site = SiteAlarms(conditions, AlarmStore(database))
     site.tick()
     token, authority = (site.list.alarms[f"_.{code}"] for code in ("token_expiring", "certificate_expiring"))
     assert (token.holds, authority.holds) == (None, None)

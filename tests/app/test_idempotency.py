@@ -170,10 +170,11 @@ class Table:
         result = Result("id", now, "verified", read_back=17, units=[UnitOutcome(1, "verified", read_back=17)])
 
         def work(connection: sqlite3.Connection) -> None:
-            for part in idempotency.begun(request, self._ring, now):
-                idempotency.write_begun(connection, part.data, False)
-            for part in idempotency.ended(request, without_secret(request.action, result)) if ends else ():
-                idempotency.write_ended(connection, part.data, False)
+            written = [idempotency.begun(request, self._ring, now)]
+            written += [idempotency.ended(request, without_secret(request.action, result))] if ends else []
+            for write in written:
+                if write is not None:
+                    write(connection)
 
         await self._database.write(work)
 

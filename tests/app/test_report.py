@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from click.testing import CliRunner, Result
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.alarms.journal.store import JournalEntry, write_alarms
+from app.alarms.journal.store import JournalEntry, alarm_writer
 from app.cli import cli
 from app.database import SqliteDatabase
 from app.handover.notes.notes import Note
@@ -295,8 +295,7 @@ def test_it_has_the_alarms_that_came_changes_and_notes(config: Path) -> None:
     shift = Shift(UnixTime(NOON - 21_600), UnixTime(NOON + 7200))
     note = Note(UnixTime(NOON), UnixTime(NOON), "anna", "Belt is new", "dry-end", 1, None, None, "anna", None)
     with closing(SqliteDatabase(config.parent / "data" / "lineside.db")) as database:
-        journal = [asdict(entry) for entry in (came, later)]
-        database.write_now(lambda store: write_alarms(store, {"journal": journal, "facts": []}, False))
+        database.write_now(alarm_writer([came, later], []))
         database.write_now(lambda store: add_note(store, note, shift))
     found = report_of(config, "--shift", SHIFT)
     assert [(each["code"], each["unit"]) for each in found["alarms"]] == [("unit_offline", 1)]

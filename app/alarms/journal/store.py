@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from typing import Annotated, Any, TypeVar
 
 from pydantic import Field
@@ -13,8 +13,6 @@ from app.alarms.alarm import Alarm, AlarmDefinition, BusName, UnitNumber, state_
 from app.alarms.rules.facts import AlarmFacts, Transition
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.states import AlarmState, AlarmTrigger
-from app.audit.local_log.transaction import StoredPart
-from app.audit.log import EventLog
 from app.conditions.priority import AlarmPriority
 from app.database import Database, StoreConnection, StoreRow
 from app.database.engine import upsert
@@ -141,8 +139,6 @@ class StoredAlarm:
 _FACTS = ("alarm", *_STORED_FACTS, *_OF_ALARM)
 _COLUMNS = tuple(field.name for field in fields(JournalEntry) if field.name != "id")
 _values_of, _facts_of, _marks_of = attrgetter(*_COLUMNS), attrgetter(*_STORED_FACTS), attrgetter(*_OF_ALARM)
-ALARMS = "alarms"
-"""The kind of the part that holds transitions and the facts that they led to."""
 _ADD_ENTRY = f"INSERT INTO alarm_journal ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
 _PUT_FACTS = upsert("alarm_facts", _FACTS[:1], _FACTS[1:])
 
@@ -150,10 +146,8 @@ _PUT_FACTS = upsert("alarm_facts", _FACTS[:1], _FACTS[1:])
 class AlarmStore:
     """All access to the tables of alarms."""
 
-    def __init__(self, database: Database, events: EventLog) -> None:
+    def __init__(self, database: Database) -> None:
         self._database = database
-        self._events = events
-        events.add_writer(ALARMS, write_alarms)
 
     async def load(self) -> dict[str, StoredAlarm]:
         """The stored facts of each alarm, by its key."""
@@ -164,9 +158,8 @@ class AlarmStore:
         return (await self._database.read(lambda connection: _load(connection, key))).get(key)
 
     async def write(self, entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> None:
-        """Transitions in order, and the facts that they led to, in one transaction; while the database is
-        away, they are logged locally first."""
-        await self._events.store_parts([alarm_part(entries, alarms)])
+        """Transitions in order, and the facts that they led to, in one transaction."""
+        await self._database.write(alarm_writer(entries, alarms))
 
     async def write_observed(self, place: str, span: ObservedSpan) -> None:
         """The alarms of a bus, or of the site, were observed so long."""
@@ -195,24 +188,19 @@ class AlarmStore:
         return [JournalEntry(*row) for row in rows]
 
 
-def alarm_part(entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> StoredPart:
+def alarm_writer(
+    entries: Sequence[JournalEntry], alarms: Iterable[Alarm]
+) -> Callable[[StoreConnection], None]:
     """What writes transitions and facts in a transaction. The rows are made now: the facts may change until
     they are written."""
-    journal = [dict(zip(_COLUMNS, _values_of(entry), strict=True)) for entry in entries]
-    values = [(alarm.definition.key, *_facts_of(alarm.facts), *_marks_of(alarm)) for alarm in alarms]
-    facts = [dict(zip(_FACTS, each, strict=True)) for each in values]
-    return StoredPart(ALARMS, {"journal": journal, "facts": facts})
+    journal = [_values_of(entry) for entry in entries]
+    facts = [(alarm.definition.key, *_facts_of(alarm.facts), *_marks_of(alarm)) for alarm in alarms]
 
+    def write(connection: StoreConnection) -> None:
+        connection.executemany(_ADD_ENTRY, journal)
+        connection.executemany(_PUT_FACTS, facts)
 
-def journal_of(part: StoredPart) -> list[dict[str, Any]]:
-    """The transitions in a part, by the names of their columns; none of another kind."""
-    return part.data["journal"] if part.kind == ALARMS else []
-
-
-def write_alarms(connection: StoreConnection, data: Any, _late: bool, /) -> None:
-    """Write the part :data:`ALARMS`."""
-    connection.executemany(_ADD_ENTRY, [itemgetter(*_COLUMNS)(row) for row in data["journal"]])
-    connection.executemany(_PUT_FACTS, [itemgetter(*_FACTS)(row) for row in data["facts"]])
+    return write
 
 
 def _load(connection: StoreConnection, key: str | None = None) -> dict[str, StoredAlarm]:

@@ -8,7 +8,7 @@ from functools import partial
 from typing_extensions import Unpack
 
 from app.alarms.alarm import Alarm
-from app.alarms.journal.store import alarm_part
+from app.alarms.journal.store import alarm_writer
 from app.alarms.monitor.alarm_list import AlarmList
 from app.alarms.rules.changes import Changed
 from app.audit.events.kinds import EventKind
@@ -44,22 +44,19 @@ class ActTransaction:
         events: EventLog,
         *beside: Also,
         kind: EventKind,
-        locally: bool = False,
         **fields: Unpack[EventFields],
     ) -> None:
         """Record the act in the audit log, with the journal and what is written ``beside`` it. Raises
         StoreError; every alarm is then as it was before, unless it has changed since."""
         taken = [(each, *each.take_unwritten()) for each in self._lists]
-        parts = [alarm_part(entries, alarms) for _, entries, alarms in taken]
+        written = [*beside, *(alarm_writer(entries, alarms) for _, entries, alarms in taken)]
 
         def write(connection: StoreConnection) -> None:
-            for each in beside:
+            for each in written:
                 each(connection)
 
         try:
-            await events.record(
-                kind=kind, locally=locally, **fields, also=write if beside else None, parts=parts
-            )
+            await events.record(kind=kind, **fields, also=write)
         except StoreError:
             for each, entries, alarms in taken:
                 each.give_back([entry for entry in entries if entry.who != self._who], alarms)

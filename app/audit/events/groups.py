@@ -6,7 +6,6 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from app.audit.events.store import Filter
 from app.audit.log import Event, EventLog
@@ -29,20 +28,11 @@ class EventRow:
         return Counter(part["outcome"] for part in self.parts).most_common()
 
 
-PARTS = "event_parts"
-"""The kind of the part that links the parts of a change; its data is their number."""
-
-
 def link_parts(connection: StoreConnection, count: int) -> None:
     """Note that the last ``count`` events are parts of the one before; in the transaction that wrote them."""
     [last] = connection.execute("SELECT max(id) FROM events").fetchone()
     rows = [(number, last - count) for number in range(last - count + 1, last + 1)]
     connection.executemany("INSERT INTO event_parts (event, change) VALUES (?, ?)", rows)
-
-
-def write_parts(connection: StoreConnection, data: Any, _late: bool, /) -> None:
-    """Write the part :data:`PARTS`."""
-    link_parts(connection, data)
 
 
 async def page(events: EventLog, wanted: Filter, limit: int) -> tuple[list[EventRow], int | None]:

@@ -6,10 +6,8 @@ import asyncio
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import ceil
-from typing import Any
 
 from app.audit.events.kinds import EventKind
-from app.audit.local_log.transaction import StoredPart
 from app.audit.log import EventLog
 from app.auth import rules, store
 from app.auth.acts import LOG_OUT
@@ -40,10 +38,6 @@ MAX_HASHED_AT_ONCE = 2
 MAX_WAITING_OF_PLACE = 5
 MAX_WAITING = 200
 """Two seconds' worth; half of them at most from places that never signed in."""
-
-
-SESSION_ENDED = "session_ended"
-"""The kind of the part that ends a session; its data is the hash, the name and the time."""
 
 
 class WrongSecretError(Problem):
@@ -172,17 +166,11 @@ class SignIn:
         await asyncio.gather(*(subscriber(name) for subscriber in self._signed_out))
 
     async def _end(self, hash_: bytes, name: str) -> bool:
-        """End a session; whether it was the user's last. While the database is away, it ends there later."""
+        """End a session; whether it was the user's last."""
         now = self._clock()
         if self.known is not None:
             self.known.note_session(hash_, None)
-        try:
-            return await self._database.write(lambda connection: _end_session(connection, hash_, name, now))
-        except StoreUnavailableError:
-            if self.known is None:
-                raise
-            await self._events.store_parts([StoredPart(SESSION_ENDED, [hash_.hex(), name, float(now)])])
-            return not self.known.is_signed_in(name)
+        return await self._database.write(lambda connection: _end_session(connection, hash_, name, now))
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""
@@ -285,7 +273,7 @@ class SignIn:
         """Begin a session of a break-glass account, once that is logged."""
         assert self.break_glass is not None
         what = Message.of("event_break_glass_used", role=term(user.role))
-        await self._events.record(kind="login", what=what, who=user.name, origin=address, locally=True)
+        await self._events.record(kind="login", what=what, who=user.name, origin=address)
         self.break_glass.begin(hash_, user)
 
     def _is_weak(self, user: User, secret: str) -> bool:
@@ -314,14 +302,8 @@ class SignIn:
             if self.break_glass is not None and name in self.break_glass.accounts():
                 what = Message("event_sign_in_refused")
                 await self._events.record(
-                    kind="login_refused", what=what, who=name, origin=source_of(address), locally=True
+                    kind="login_refused", what=what, who=name, origin=source_of(address)
                 )
-
-
-def write_session_ended(connection: StoreConnection, data: Any, _late: bool, /) -> None:
-    """Write the part :data:`SESSION_ENDED`."""
-    hash_, name, now = data
-    _end_session(connection, bytes.fromhex(hash_), name, now)
 
 
 def _end_session(connection: StoreConnection, hash_: bytes, name: str, now: UnixTime) -> bool:

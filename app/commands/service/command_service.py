@@ -205,7 +205,6 @@ class CommandService:
             raise controlled(Message.of("nothing_sent", reason=objection), self._bus)
 
     def _apply_rules(self, action: Action, confirm: bool) -> None:
-        self._record.refuse_unlogged(action, self._live)
         # A broadcast reaches units of which nothing is known to be staged, too.
         slows = kind_of_command(action).only_slows(action, self._live)
         mode = self._guards.read_only_now() if action.writes and not slows else None

@@ -10,13 +10,11 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import OrderedDict
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import msgspec
 
-from app.audit.local_log.transaction import LoggedTransaction, StoredPart
+from app.audit.log import Also
 from app.audit.proof.keyring import KeyRing
 from app.commands.service.command_request import CommandRequest
 from app.database import StoreConnection
@@ -30,8 +28,6 @@ MAX_AGE_S = 7 * 86_400.0
 """How long a key is remembered."""
 MAX_OF_A_SENDER = 2000
 """How many keys of one sender are remembered; the oldest are forgotten first."""
-BEGUN, ENDED = "idempotency_begun", "idempotency_ended"
-"""What a key stores in the transactions of its command."""
 UNREADABLE = Message("result_unreadable")
 _FROM_BEFORE = ""
 """The sender of keys that an earlier version has stored without one."""
@@ -75,48 +71,30 @@ def refuse_other(key: str | None, *, same: bool) -> None:
         raise Problem(422, "invalid", Message.of("id_used", id=str(key)), id=key)
 
 
-def begun(request: CommandRequest, ring: KeyRing, now: UnixTime) -> list[StoredPart]:
-    """What stores, beside its event, that the result of a command with a key is open."""
+def begun(request: CommandRequest, ring: KeyRing, now: UnixTime) -> Also | None:
+    """What stores, beside its event, that the result of a command with a key is open; None without a key. It
+    raises ConstraintError for a key that its sender has used."""
     if request.key is None:
-        return []
-    command = digest(ring, request.bus, request.action)
-    return [StoredPart(BEGUN, [request.person.sender, request.key, float(now), command])]
+        return None
+    sender, row = request.person.sender, (request.key, float(now), digest(ring, request.bus, request.action))
+
+    def write(connection: StoreConnection) -> None:
+        connection.execute(_FORGET_OLD, (now - MAX_AGE_S,))
+        connection.execute(_FORGET_MANY, {"sender": sender, "others": MAX_OF_A_SENDER - 2})
+        connection.execute(_INSERT, (sender, *row))
+
+    return write
 
 
-def ended(request: CommandRequest, result: Result) -> list[StoredPart]:
-    """What stores the result of a command with a key, without the frames, which are in the events."""
+def ended(request: CommandRequest, result: Result) -> Also | None:
+    """What stores the result of a command with a key, without the frames, which are in the events; None
+    without a key."""
     if request.key is None:
-        return []
-    stored = msgspec.json.encode(msgspec.structs.replace(result, frames=[])).decode()
-    return [StoredPart(ENDED, [request.person.sender, request.key, stored])]
-
-
-def write_begun(connection: StoreConnection, data: Any, late: bool, /) -> None:
-    """Raises ConstraintError for a key that its sender has used; late, the first use of it stays."""
-    sender, _, now, _ = data
-    connection.execute(_FORGET_OLD, (now - MAX_AGE_S,))
-    connection.execute(_FORGET_MANY, {"sender": sender, "others": MAX_OF_A_SENDER - 2})
-    connection.execute(f"{_INSERT} ON CONFLICT DO NOTHING" if late else _INSERT, data)
-
-
-def write_ended(connection: StoreConnection, data: Any, _late: bool, /) -> None:
-    sender, key, stored = data
-    store = "UPDATE idempotency SET result = ? WHERE sender = ? AND key = ?"
-    connection.execute(store, (stored.encode(), sender, key))
-
-
-def find_pending(pending: Iterable[LoggedTransaction], sender: str, key: str) -> Earlier | None:
-    """The command of a sender's key in the local log."""
-    found: Earlier | None = None
-    for part in (part for transaction in pending for part in transaction.parts):
-        match part:
-            case StoredPart(kind=kind, data=[of, named, at, command]) if kind == BEGUN:
-                if (of, named) == (sender, key):
-                    found = Earlier(command, Result(key, at, "unverified", Message("server_stopped")))
-            case StoredPart(kind=kind, data=[of, named, stored]) if kind == ENDED and found is not None:
-                if (of, named) == (sender, key):
-                    found = Earlier(found.command, msgspec.json.decode(stored, type=Result))
-    return found
+        return None
+    stored = msgspec.json.encode(msgspec.structs.replace(result, frames=[]))
+    values = (stored, request.person.sender, request.key)
+    query = "UPDATE idempotency SET result = ? WHERE sender = ? AND key = ?"
+    return lambda connection: connection.execute(query, values)
 
 
 def find(connection: StoreConnection, sender: str, key: str) -> Earlier | None:

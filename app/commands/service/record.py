@@ -10,24 +10,20 @@ from typing import Any
 
 import structlog
 
-from app.audit.events.groups import PARTS, write_parts
-from app.audit.local_log.transaction import StoredPart
-from app.audit.log import EventLog, EventNumber
+from app.audit.events.groups import link_parts
+from app.audit.log import EventLog
 from app.commands.catalogue import kind_of_command
 from app.commands.service import idempotency
 from app.commands.service.command_request import CommandRequest
 from app.commands.wording import Wording
-from app.database import Database
-from app.errors import Problem, StoreError, StoreUnavailableError
+from app.database import Database, StoreConnection
+from app.errors import Problem, StoreError
 from app.live.state.bus_live import BusLive
 from app.web.admission.access import Person
-from bus.bucket import Bucket
 from bus.contract import Action, Outcome, Result
-from bus.instants import Clock, monotonic_now
+from bus.instants import Clock
 from bus.messages import Message, term
 
-MAX_REJECTIONS, REJECTION_EVERY_S = 100, 10.0
-"""Rejected commands that are logged locally at once, and how often one more: the local log is for others."""
 log = structlog.get_logger()
 
 
@@ -35,8 +31,8 @@ log = structlog.get_logger()
 class Intent:
     """The events of one command. ``parts``: unit → event, for a change of several."""
 
-    event: EventNumber
-    parts: dict[int, EventNumber]
+    event: int
+    parts: dict[int, int]
 
 
 class CommandRecord:
@@ -46,10 +42,6 @@ class CommandRecord:
         self._events = events
         self._database = database
         self._now = now
-        self._rejections = Bucket(1 / REJECTION_EVERY_S, MAX_REJECTIONS)
-        events.add_writer(PARTS, write_parts)
-        events.add_writer(idempotency.BEGUN, idempotency.write_begun)
-        events.add_writer(idempotency.ENDED, idempotency.write_ended)
 
     async def earlier(self, person: Person, key: str, bus: str, action: Action) -> Result | None:
         """The result of this sender's earlier command with this key, also from before a restart. Raises
@@ -66,41 +58,23 @@ class CommandRecord:
         return await self._find(person.sender, key) is not None
 
     async def _find(self, sender: str, key: str) -> idempotency.Earlier | None:
-        """While the database is away: of what is in the local log. A command that is sent then may be sent
-        again by its key from before a restart: it makes nothing faster."""
-        try:
-            return await self._database.read(lambda store: idempotency.find(store, sender, key))
-        except StoreUnavailableError:
-            local = self._events.local
-            return None if local is None else idempotency.find_pending(local.pending(), sender, key)
-
-    def refuse_unlogged(self, action: Action, live: BusLive) -> None:
-        """Raises Problem 503 for a command that cannot be logged now."""
-        local, kind = self._events.local, kind_of_command(action)
-        if local is None or not local.is_needed or not kind.is_event(action):
-            return
-        if not kind.only_slows(action, live):
-            try:
-                local.refuse()
-            except StoreUnavailableError as error:
-                raise _unlogged(error) from error
+        return await self._database.read(lambda store: idempotency.find(store, sender, key))
 
     async def intend(self, request: CommandRequest, live: BusLive) -> Intent:
-        """On disk when this returns: in the events or, where it only slows while the database is away, in the
-        local log. Raises StoreError or Problem 503, and then nothing may be sent."""
+        """On disk when this returns. Raises StoreError, and then nothing may be sent."""
         kind = kind_of_command(request.action)
         by_unit = kind.part_wordings(request.action, live)
         group = _entry(request, request.action.only_unit, kind.wording(request.action, live))
         parts = [_entry(request, unit, words) for unit, words in by_unit.items()]
-        beside = idempotency.begun(request, self._events.keys.ring, self._now())
-        if parts:
-            beside.append(StoredPart(PARTS, len(parts)))
-        try:
-            event, *others = await self._events.intend_together(
-                [group, *parts], parts=beside, locally=kind.only_slows(request.action, live)
-            )
-        except StoreUnavailableError as error:
-            raise _unlogged(error) from error
+        begun = idempotency.begun(request, self._events.keys.ring, self._now())
+
+        def beside(connection: StoreConnection) -> None:
+            if begun is not None:
+                begun(connection)
+            if parts:
+                link_parts(connection, len(parts))
+
+        event, *others = await self._events.intend_together([group, *parts], beside)
         return Intent(event, dict(zip(by_unit, others, strict=True)))
 
     async def conclude(self, intent: Intent, request: CommandRequest, result: Result) -> None:
@@ -115,21 +89,11 @@ class CommandRecord:
             log.error("outcome not stored", command=request.id, outcome=result.outcome, error=str(error))
 
     async def reject(self, request: CommandRequest, live: BusLive, problem: Problem) -> None:
-        """Record a rejected command with the reason; while the database is away, few of many."""
-        local = self._events.local
-        if local is not None and local.is_needed and not self._rejections.take(monotonic_now()):
-            log.warning("rejected command not logged", command=request.id, why=problem.code)
-            return
+        """Record a rejected command with the reason."""
         entry = _entry(
             request, request.action.only_unit, kind_of_command(request.action).wording(request.action, live)
         )
-        await self._events.record(
-            kind="command", **entry, outcome=problem.code, message=problem.message, locally=True
-        )
-
-
-def _unlogged(error: StoreUnavailableError) -> Problem:
-    return Problem(503, "store", Message.of("command_refused_away", reason=error.message), outcome="store")
+        await self._events.record(kind="command", **entry, outcome=problem.code, message=problem.message)
 
 
 def _entry(request: CommandRequest, unit: int | None, words: Wording) -> dict[str, Any]:
@@ -153,7 +117,7 @@ def _origin(request: CommandRequest) -> str | Message:
     return Message.of("origin_token", origin=origin)
 
 
-def _outcomes(intent: Intent, result: Result) -> dict[EventNumber, tuple[Outcome, str | Message]]:
+def _outcomes(intent: Intent, result: Result) -> dict[int, tuple[Outcome, str | Message]]:
     by_unit = {part.unit: (part.outcome, part.message or "") for part in result.units}
     group = (result.outcome, result.message or "")
     return {event: by_unit.get(unit, group) for unit, event in intent.parts.items()}

@@ -364,9 +364,7 @@ class HomeKeeper:
     async def _write_event(self, code: str, bus: str, epoch: int, who: str, why: str | Message) -> None:
         event = Message.of(code, server=self._homes.server, epoch=epoch)
         try:
-            await self._events.record(
-                kind="home", who=who, bus=bus or None, what=event, message=why, locally=True
-            )
+            await self._events.record(kind="home", who=who, bus=bus or None, what=event, message=why)
         except StoreError as error:
             log.warning("event of a home not recorded", what=str(event), why=str(error))
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import count
 
 from app.alarms.alarm import SITE
-from app.alarms.journal.store import JournalEntry, journal_of
+from app.alarms.journal.store import JournalEntry
 from app.alarms.monitor.alarm_list import AlarmList
-from app.errors import StoreUnavailableError
 from app.notification.message.notice import OutboxItem, notice_of
-from app.notification.outbox.away import local_key
 from app.notification.outbox.outbox import STANDING
 from app.notification.rules.notices import Episode, Followed, PlannedNotice, due, follow
 from app.notification.service import Notification
@@ -21,15 +19,6 @@ from bus.instants import UnixTime
 TICK_S = 1.0
 STANDING_AFTER_PASSES = 10
 """By then the condition of each alarm was observed again, where its unit responds."""
-
-
-@dataclass(slots=True)
-class AwayFollowing:
-    """How far the local log was followed, and to what it led. ``notified``: alarm, occurrence, address."""
-
-    open: dict[str, Episode]
-    serial: int = 0
-    notified: set[tuple[str, int, str]] = field(default_factory=set)
 
 
 class AlarmNotifier:
@@ -52,7 +41,6 @@ class AlarmNotifier:
         self._place = place
         self._cursor = 0
         self._open: dict[str, Episode] = {}
-        self._away: AwayFollowing | None = None
 
     async def follow(self) -> None:
         """Follow the journal without end. Call :meth:`load` first: notification that was never on begins with
@@ -72,43 +60,13 @@ class AlarmNotifier:
 
     async def advance(self) -> None:
         """Take in what the journal has, and what is due by now."""
-        try:
-            entries, cursor = await self._store.journal_after(self._bus, self._cursor)
-        except StoreUnavailableError:
-            self._advance_away()
-            return
-        self._away = None
+        entries, cursor = await self._store.journal_after(self._bus, self._cursor)
         known = [entry for entry in entries if entry.alarm in self._alarms]
         quiet, now, local = self._notification.present()
         done = follow(self._open, known, self._rules, quiet, now, local)
         if known or done.notices or done.open != self._open:
             await self._save(done, cursor, {entry.id: entry for entry in known}, now)
         self._cursor, self._open = cursor, done.open
-
-    def _advance_away(self) -> None:
-        """The same while the database is away, from the local log. When it is back, the journal is followed
-        from where it was left; what was sent meanwhile is not sent again."""
-        local = self._notification.events.local
-        if local is None:
-            return
-        if self._away is None:
-            self._away = AwayFollowing(dict(self._open))
-        pending, self._away.serial = local.since(self._away.serial)
-        rows = (row for each in pending for part in each.parts for row in journal_of(part))
-        entries = [JournalEntry(**row) for row in rows if row["bus"] == self._bus]
-        known = [entry for entry in entries if entry.alarm in self._alarms]
-        quiet, now, present = self._notification.present()
-        done = follow(self._away.open, known, self._rules, quiet, now, present)
-        self._away.open = done.open
-        items = [self._item(each, None, now) for each in done.notices]
-        self._away.notified |= {(item.alarm, item.occurrence, item.endpoint) for item in items}
-        items += [
-            replace(self._all_clear(entry, now), endpoint=endpoint)
-            for entry in done.cleared
-            for alarm, occurrence, endpoint in sorted(self._away.notified)
-            if (alarm, occurrence) == (entry.alarm, entry.occurrence)
-        ]
-        self._notification.away.notify([replace(item, key=local_key(item)) for item in items])
 
     async def notify_standing(self) -> None:
         """Once after a start: each address that a rule notifies by now learns of the alarms that wait for

@@ -13,7 +13,6 @@ from app.alarms.journal.store import JournalEntry
 from app.database import Database, StoreConnection
 from app.database.engine import upsert
 from app.notification.message.notice import OutboxItem
-from app.notification.outbox.away import forget_sent_clears, was_sent_locally
 from app.notification.outbox.outbox import ADD, ADD_NEW, ADD_TO_NOTIFIED, MAX_AGE_S, put
 from app.notification.rules.notices import Episode, QuietSpan, opened_by
 from app.web.api.shape import InstantObject
@@ -116,11 +115,9 @@ class NotificationStore:
             connection.executemany(
                 f"INSERT INTO notification_episode ({', '.join(_EPISODE)}, source) VALUES ({marks})", rows
             )
-            put(connection, ADD, [item for item in items if not was_sent_locally(connection, item)])
+            put(connection, ADD, items)
             put(connection, ADD_NEW, standing)
             put(connection, ADD_TO_NOTIFIED, cleared)
-            for item in cleared:
-                forget_sent_clears(connection, item)
 
         await self._database.write(write)
 

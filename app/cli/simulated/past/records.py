@@ -69,7 +69,7 @@ class _Records:
         self._now = past.begins
         keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
         self._events = EventLog(database, lambda: self._now, keys)
-        self._alarms = AlarmStore(database, self._events)
+        self._alarms = AlarmStore(database)
         self._recipes, self._sets = RecipeStore(database), SetStore(database)
         self._zone, self._shifts = ZoneInfo(settings.site.zone), settings.shift.minutes
         self._occurrences: Counter[str] = Counter()
