@@ -11,10 +11,13 @@ from app.conditions.of_bus import PORT_LOST
 from app.conditions.of_unit import BY_READING, UNIT_OFFLINE
 from app.live.state.conditions import status_conditions
 from bus.catalogue.status import status_bits
-from bus.contract import BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
+from bus.contract import BusFigures, BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
 from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import BusSettings
+
+PORT_REMARKS = frozenset(("diagnosis_port_changed", "diagnosis_port_changed_by", "diagnosis_port_shared"))
+"""Of a diagnosis, which become events."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,7 @@ class Changes:
     _port: BusLinkState | None = None
     _conditions: dict[int, frozenset[str]] = field(default_factory=dict)
     _links: dict[int, UnitLinkState] = field(default_factory=dict)
+    _remarks: list[Message] = field(default_factory=list)
 
     def see(self, update: Update) -> list[LineEvent]:
         """What this update changes, compared with the one before."""
@@ -52,6 +56,8 @@ class Changes:
                 return self._see_unit_link(update)
             case BusLink():
                 return self._see_port(update)
+            case BusFigures():
+                return self._see_remarks(update)
         return []
 
     def _see_reading(self, reading: Reading) -> list[LineEvent]:
@@ -73,6 +79,13 @@ class Changes:
         if before == "unknown":
             return []
         return [_event(UNIT_OFFLINE, update.unit, update.at, update.link == "offline", update.cause)]
+
+    def _see_remarks(self, figures: BusFigures) -> list[LineEvent]:
+        """That another program uses the port or changed its settings."""
+        before = self._remarks
+        self._remarks = [each for each in figures.diagnosis if each.code in PORT_REMARKS]
+        new = [each for each in self._remarks if each not in before]
+        return [LineEvent("bus", None, figures.at, each, "", "", series=each.code) for each in new]
 
     def _see_port(self, update: BusLink) -> list[LineEvent]:
         before, self._port = self._port, update.link

@@ -49,6 +49,8 @@ from bus.wire.exchange import Exchange
 from bus.wire.lengths import usual_reply_bytes
 
 CLOSED_TO_OFFLINE_S = 3.0
+MAX_PORT_REMARKS = 5
+"""The newest ones are kept."""
 
 
 class NextExchange(NamedTuple):
@@ -90,6 +92,8 @@ class LineLoop:
         """All that wait or are under way."""
         self._baud_search = BaudSearch(clock.now())
         self._closed_at = clock.now()
+        self._port_remarks: dict[str, tuple[Message, Monotonic]] = {}
+        """What is wrong about the port, until when it is in the diagnosis."""
         self._resting: Completion[None] = Completion()
         self._ended: tuple[NextRequest, CurrentExchange] | None = None
         self._foreseen: NextExchange | None = None
@@ -233,6 +237,17 @@ class LineLoop:
             self._events += self.roster.port_closed(self.clock.epoch(now), cause, long=True)
         self._report()
 
+    def note_port(self, remark: Message, *, about: str, lasts_s: float) -> None:
+        """Have ``remark`` in the diagnosis for a while; while there is one ``about`` the same, that stays."""
+        known, _ = self._port_remarks.pop(about, (remark, None))
+        self._port_remarks[about] = known, self.clock.now() + lasts_s
+        if len(self._port_remarks) > MAX_PORT_REMARKS:
+            del self._port_remarks[next(iter(self._port_remarks))]
+
+    def _diagnosis_of_port(self, now: Monotonic) -> list[Message]:
+        self._port_remarks = {about: each for about, each in self._port_remarks.items() if each[1] > now}
+        return [remark for remark, _ in self._port_remarks.values()]
+
     def _port_opened(self, port: OpenPort) -> None:
         self.link.attach(port, self.baud)
         self.schedule.probes.forgive(self.clock.now())
@@ -316,5 +331,8 @@ class LineLoop:
         figures = self._figures.take(now, at, self.link.counts, self.roster, self.schedule)
         other = self.link.second_master
         return msgspec.structs.replace(
-            figures, has_second_master=other.is_present(now), unrequested=other.noted
+            figures,
+            has_second_master=other.is_present(now),
+            unrequested=other.noted,
+            diagnosis=[*self._diagnosis_of_port(now), *figures.diagnosis],
         )

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import random
 from collections.abc import Awaitable, Callable
 
 import structlog
 
 from bus.errors import WireError
+from bus.instants import Monotonic
 from bus.line.line_loop import LineLoop
+from bus.line.port.open_error import is_device, programs_of, users_of
 from bus.line.port.open_port import open_port
 from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
 from bus.line.port_lease import NOT_CONFIRMED
@@ -19,6 +22,10 @@ from bus.reconnect_delay import STABLE_S, ReconnectDelay, is_worth_logging
 RETRY_S = 0.5
 CHECK_S = 0.5
 """A lost port without a report is detected after this time."""
+OTHERS_S = 60.0
+"""Between two looks at who else has the port open; at once when a unit no longer responds."""
+REMARK_S = 600.0
+"""How long the diagnosis has it that another program changed the settings of the port."""
 
 UNCONFIRMED_S = 0.1
 """Between two looks whether the port may be opened."""
@@ -99,12 +106,36 @@ class Opener:
         return pause_s
 
     async def _check(self, port: OpenPort) -> None:
+        """Notice that the port is lost, or that another program uses it or changed its settings."""
+        silent: frozenset[int] = frozenset()
+        looked_at = Monotonic(-math.inf)
         while True:
             await asyncio.sleep(CHECK_S)
             try:
-                port.check()
+                changed = port.check()
             except WireError as error:
                 self._line.lose_port(error.message)
+                continue
+            before, silent = silent, self._line.roster.unresponsive
+            if changed or silent - before or self._line.clock.now() - looked_at >= OTHERS_S:
+                looked_at = self._line.clock.now()
+                await self._note_others(changed)
+
+    async def _note_others(self, changed: list[str]) -> None:
+        """Report which programs have the port open beside this one, and what one of them has ``changed``."""
+        path = self._line.bus.port
+        if not is_device(path):
+            return
+        # In a thread: hundreds of processes may have thousands of files open.
+        programs = programs_of(await asyncio.to_thread(users_of, path))
+        if changed:
+            _log.warning("another program changed the settings of the port", port=path, changed=changed)
+            code = "diagnosis_port_changed_by" if programs else "diagnosis_port_changed"
+            remark = Message.of(code, changed=changed, programs=programs)
+            self._line.note_port(remark, about=f"{changed}", lasts_s=REMARK_S)
+        if programs:
+            remark = Message.of("diagnosis_port_shared", programs=programs)
+            self._line.note_port(remark, about=f"{remark}", lasts_s=OTHERS_S + 2 * CHECK_S)
 
     async def _end_unconfirmed(self) -> None:
         """Close the port when its lease runs out, also while nothing is sent."""

@@ -94,6 +94,11 @@ class Roster:
             record = self._records[unit] = _stranger(unit, UnixTime(0.0))
         return record
 
+    @property
+    def unresponsive(self) -> frozenset[int]:
+        """The configured units that need not be polled in every scan."""
+        return frozenset(unit for unit in self.configured if self._records[unit].unresponsive)
+
     def is_configured(self, unit: int) -> bool:
         return unit in self._known
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from app.live.changes import Changes, LineEvent
-from bus.contract import BusLink, UnitLink, Update
-from bus.messages import term
+from bus.contract import BusFigures, BusLink, UnitLink, Update
+from bus.messages import Message, term
 from tests.app.stage import HEALTHY, REMOTE, bus_settings, reading
 
 
@@ -55,6 +55,22 @@ def test_a_unit_lost_and_back_but_not_a_late_response() -> None:
     assert seen(link("unknown"), link("online"), link("stale"), link("offline"), link("online")) == [
         ("unit", 1, "online", "offline"),
         ("unit", 1, "offline", "online"),
+    ]
+
+
+def test_what_another_program_does_to_the_port_is_one_event() -> None:
+    def figures(*diagnosis: Message) -> BusFigures:
+        return BusFigures(2.0, 1.0, 1.0, 0.5, 1.0, diagnosis=list(diagnosis))
+
+    changed = Message.of("diagnosis_port_changed", changed=["echo"])
+    other = Message.of("diagnosis_port_changed", changed=["1200 baud"])
+    echo = Message("diagnosis_echo")
+    updates = (figures(echo), figures(changed, echo), figures(changed), figures(other, changed), figures())
+    changes = Changes(bus_settings())
+    found = [str(event.what) for update in updates for event in changes.see(update)]
+    assert found == [
+        "Another program changed the settings of the port: echo. They were put back.",
+        "Another program changed the settings of the port: 1200 baud. They were put back.",
     ]
 
 

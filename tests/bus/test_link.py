@@ -84,8 +84,9 @@ class Wires(PlayedClock):
     def retune(self, baud: int) -> None:
         """Any rate will do."""
 
-    def check(self) -> None:
+    def check(self) -> list[str]:
         """It is always there."""
+        return []
 
     def close(self) -> None:
         """Nothing to close."""

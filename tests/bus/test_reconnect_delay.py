@@ -76,8 +76,9 @@ def test_a_hundred_thousand_ends_are_worth_a_dozen_and_a_half_lines() -> None:
 class Port:
     """Open until it is dropped."""
 
-    def check(self) -> None:
+    def check(self) -> list[str]:
         """It is always there."""
+        return []
 
     def close(self) -> None:
         """Nothing to close."""
@@ -100,6 +101,7 @@ class PlayedLoop:
         self.bus = SimpleNamespace(port="socket://box:4001")
         self.baud = 9600
         self.lease = NO_LEASE
+        self.roster = SimpleNamespace(unresponsive=frozenset())
         self.link = SimpleNamespace(has_responses=responses > 0)
         self.opened: list[float] = []
         self.lost: asyncio.Future[Message]

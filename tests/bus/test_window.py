@@ -31,8 +31,9 @@ class Bench(PlayedClock):
     def retune(self, baud: int) -> None:
         """Not used."""
 
-    def check(self) -> None:
+    def check(self) -> list[str]:
         """Not used."""
+        return []
 
     def close(self) -> None:
         """Not used."""

@@ -129,9 +129,10 @@ class VirtualPort:
     def retune(self, baud: int) -> None:
         self.baud = baud
 
-    def check(self) -> None:
+    def check(self) -> list[str]:
         if self.gone:
             raise WireError(Message.of("adapter_gone", port="/dev/virtual"))
+        return []
 
     def close(self) -> None:
         self.gone = True

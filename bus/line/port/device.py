@@ -7,6 +7,7 @@ import fcntl
 import os
 import select
 import termios
+import time
 from array import array
 from contextlib import suppress
 from typing import Any
@@ -17,16 +18,21 @@ import serial_asyncio
 from bus.errors import WireError
 from bus.line.port.open_error import in_use, is_pseudo_terminal, users_of, why_not
 from bus.line.port.port import OpenPort, PartlySent, PortProtocol, PortUnavailable, Receiver
+from bus.line.port.port_settings import PortSettings
 from bus.messages import Message
 
 _TIOCGEXCL = 0x80045440
 """Linux, 3.8 and newer; the standard library does not name it."""
+COMPARE_S = 60.0
+"""Between two looks at the modem lines and the like, and at once after a request without a response."""
 
 
 class DevicePort:
     def __init__(self, instance: GatedSerial, transport: Any, protocol: PortProtocol, name: str) -> None:
         self._serial = instance
         self._descriptor = instance.device
+        self._settings = PortSettings(instance.device)
+        self._is_silent, self._compared_at = False, time.monotonic()
         self._transport = transport
         self._protocol = protocol
         self._name = name
@@ -34,11 +40,12 @@ class DevicePort:
     def write(self, data: bytes) -> None:
         """Straight to the descriptor: the transport would wait for the loop's next turn."""
         try:
+            self._settings.restore()
             written = os.write(self._descriptor, data)
         except BlockingIOError as error:
             raise WireError(Message.of("port_blocked", port=self._name)) from error
-        except OSError as error:
-            reason = os.strerror(error.errno or 0)
+        except (termios.error, OSError) as error:
+            reason = os.strerror(error.args[0] or 0)
             raise WireError(Message.of("port_gone_error", port=self._name, error=reason)) from error
         if written != len(data):
             raise PartlySent(Message.of("port_partly_sent", port=self._name, sent=written, all=len(data)))
@@ -47,23 +54,30 @@ class DevicePort:
         self._serial.listen(now=now)
 
     def drop_output(self) -> None:
+        """After a request without a response."""
+        self._is_silent = True
         with suppress(termios.error, OSError):
             termios.tcflush(self._descriptor, termios.TCOFLUSH)
 
     def retune(self, baud: int) -> None:
         try:
             self._serial.baudrate = baud
+            self._settings.keep()
         except (serial.SerialException, termios.error, OSError, ValueError) as error:
             message = Message.of("port_baud_refused", port=self._name, baud=baud, error=str(error))
             raise WireError(message) from error
 
-    def check(self) -> None:
+    def check(self) -> list[str]:
         try:
-            termios.tcgetattr(self._descriptor)
+            self._settings.restore()
+            if self._is_silent or time.monotonic() - self._compared_at >= COMPARE_S:
+                self._is_silent, self._compared_at = False, time.monotonic()
+                self._settings.restore_controls()
         except (termios.error, OSError) as error:
             raise WireError(Message.of("adapter_gone", port=self._name)) from error
         if is_claimed(self._descriptor, self._name):
             raise WireError(in_use(self._name))
+        return self._settings.take_changed()
 
     def close(self) -> None:
         if self._protocol.closed:

@@ -35,10 +35,15 @@ def in_use(path: str) -> Message:
 
 def used_by(path: str, users: Iterable[tuple[int, str]]) -> Message:
     """These programs have it, by process id and name; without any, another program."""
-    programs = [Message.of("process", program=name, pid=pid) for pid, name in users]
+    programs = programs_of(users)
     if not programs:
         return Message.of("port_in_use", port=path)
     return Message.of("port_in_use_by", port=path, programs=programs)
+
+
+def programs_of(users: Iterable[tuple[int, str]]) -> list[Message]:
+    """Programs by process id and name, as the value of a message."""
+    return [Message.of("process", program=name, pid=pid) for pid, name in users]
 
 
 def _errno_in(error: Exception) -> int | None:
@@ -77,6 +82,11 @@ def users_of(path: str) -> list[tuple[int, str]]:
     own = {os.getpid(), *_simulators_of(device)}
     pids = _lockers(device) - own or {pid for pid in _pids() if _has_open(pid, device)} - own
     return [(pid, _name(pid)) for pid in sorted(pids)]
+
+
+def is_device(path: str) -> bool:
+    """Whether a device is there, and not the URL of a device server."""
+    return Path(path).is_char_device()
 
 
 def is_pseudo_terminal(path: str) -> bool:

@@ -47,8 +47,9 @@ class OpenPort(Protocol):
     def retune(self, baud: int) -> None:
         """Go on at ``baud``. Raises WireError where the port cannot."""
 
-    def check(self) -> None:
-        """Raises WireError when the port is gone and this was not reported yet."""
+    def check(self) -> list[str]:
+        """What another program changed of its settings since the last call, which was put back.
+        Raises WireError when the port is gone and this was not reported yet."""
 
     def close(self) -> None:
         """Give it back, at once."""

@@ -77,9 +77,10 @@ class TcpPort:
     def retune(self, baud: int) -> None:
         raise WireError(Message.of("port_own_baud", port=self._name, baud=baud))
 
-    def check(self) -> None:
+    def check(self) -> list[str]:
         if self._transport.is_closing():
             raise WireError(Message.of("port_gone", port=self._name))
+        return []
 
     def close(self) -> None:
         if not self._protocol.closed:
