@@ -177,22 +177,26 @@ def render(
     templates = templates_of(request)
     person: Person | None = person_of(request)
     language = templates.language_of(request).on_screen
-    context = {
-        "person": person,
-        "may": partial(templates.may, person),
-        "request": request,
-        "path": request.url.path,
-        "now": time(),
-        # Called by a page with a head, and by no fragment.
-        "has_lines": lambda: service_of(request, PageFleet).has_lines(),
-        "elsewhere": lambda: service_of(request, PageFleet).elsewhere(),
-        "head_others": lambda: service_of(request, PageFleet).alarms(language),
-        "home_server": lambda: service_of(request, PageFleet).server,
-        "head_alarms": lambda: service_of(request, PageHead).alarms(language),
-        "controls": lambda: service_of(request, HeadControl).of_buses(),
-        "trays": lambda: service_of(request, HeadTray).of(person) if person else (),
-        "head_away": lambda: service_of(request, PageHead).away(language),
+    fleet = partial(service_of, request, PageFleet)
+    head = partial(service_of, request, PageHead)
+    # The context is given beside these and not merged, so that it cannot replace one of them. The services
+    # are used by a page with a head, and by no fragment.
+    html = templates.text(
+        language.tag,
+        name,
+        person=person,
+        may=partial(templates.may, person),
+        request=request,
+        path=request.url.path,
+        now=time(),
+        has_lines=lambda: fleet().has_lines(),
+        elsewhere=lambda: fleet().elsewhere(),
+        head_others=lambda: fleet().alarms(language),
+        home_server=lambda: fleet().server,
+        head_alarms=lambda: head().alarms(language),
+        controls=lambda: service_of(request, HeadControl).of_buses(),
+        trays=lambda: service_of(request, HeadTray).of(person) if person else (),
+        head_away=lambda: head().away(language),
         **context,
-    }
-    html = templates.text(language.tag, name, **context)
+    )
     return HTMLResponse(html, status, {"Cache-Control": "no-store", **(headers or {})})

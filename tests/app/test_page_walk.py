@@ -1,0 +1,192 @@
+"""Every page with several lines for every role, and that the frame of a page leaves its names."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import AsyncIterator, Iterator
+from html import unescape
+from urllib.parse import urljoin
+
+import httpx
+import pytest
+import pytest_asyncio
+from fastapi.routing import APIRoute
+from jinja2 import nodes
+from starlette.requests import Request
+
+from app.alarms.settings import BuiltInAlarmSettings
+from app.auth.accounts import Accounts
+from app.database import Database
+from app.main import create_app
+from app.recipes.rules import Recipe, RecipeSetpoint
+from app.recipes.store import RecipeStore
+from app.sets.model import ParameterSet, UnitRows
+from app.sets.store import SetStore
+from app.web.admission.access import PEOPLE_ROLES, Role
+from app.web.rendering.assets import templates_dir
+from app.web.rendering.templating import Templates, render
+from bus.instants import unix_now
+from bus.settings import BusSettings, UnitSettings
+from tests.administrator import BY
+from tests.app.complete_app import House, settings_in
+from tests.app.played_line import BUS, played_line
+from tests.app.test_lines_page import report
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+LINES = (2, 3)
+OF_A_KIND = 2
+"""Addresses that differ in a number or a name alone."""
+STARTS = (
+    "/",
+    "/?view=rows",
+    "/?view=matrix",
+    "/find?typed=a",
+    "/nowhere",
+    "/alarms/list",
+    "/wallboard",
+    "/docs",
+)
+BY_SCRIPT = (
+    *(
+        f"/bus/{BUS}/undo",
+        "/tray/strip",
+        "/tray",
+        "/alarms/own/values",
+        f"/bus/{BUS}/first-steps",
+        "/control",
+    ),
+    *(f"/units/{BUS}/1/faceplate", f"/bus/{BUS}/control/bus", f"/batch/{BUS}", f"/swap/{BUS}/1/look"),
+    *("/login", "/configuration/tables/store", "/users/the-admin/remove"),
+)
+LINK = re.compile(r'(?:href|hx-get)="(/[^"#]*)')
+NO_PAGE = re.compile(r"/(static|api|help/pictures|shifts/pictures|metrics|healthz|favicon|manifest|sw\.js)")
+NEEDS_MORE = {
+    "/setup": "no user",
+    "/login/oidc": "a provider",
+    "/login/oidc/callback": "a provider",
+    "/restores/{restore_id}": "a restore that has been started",
+    "/sets/taking/{taking_id}": "a reading that has been started",
+    "/bus/{bus}/undo/{id}": "a command that can be undone",
+    "/bus/{bus}/tray/review": "a change in the tray",
+    "/configuration/versions/{number}": "a change of the configuration",
+    "/notifications/acknowledge": "the link of a mail",
+    "/offline": "no link: the service worker",
+}
+DEFINES = (nodes.Assign, nodes.AssignBlock, nodes.Import, nodes.FromImport, nodes.Macro)
+SCOPES = (nodes.With, nodes.For, nodes.Macro, nodes.CallBlock, nodes.FilterBlock, nodes.AssignBlock)
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module", params=LINES)
+async def house(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> AsyncIterator[House]:
+    """As many lines here, of which one has a worker, and one at another server."""
+    settings = settings_in(tmp_path_factory.mktemp("site"), control=True)
+    more = [
+        BusSettings(name=f"line-{n}", port=f"/dev/null{n}", unit=(UnitSettings(id=7, name="Couch roll"),))
+        for n in range(1, request.param)
+    ]
+    lost = BuiltInAlarmSettings(code="worker_lost", bus="line-1", on_delay_s=0)
+    app = create_app(settings.model_copy(update={"bus": (*settings.bus, *more), "built_in_alarm": (lost,)}))
+    house = House(app, app.state.services)
+    async with house.services.lifespan.running():
+        await played_line(house.services)
+        report(house, "wet-end")
+        database = house.services[Database]
+        recipe = Recipe(BUS, "Tissue", "", "anna", unix_now(), (RecipeSetpoint(1, 100, "speed"),))
+        await RecipeStore(database).save(recipe)
+        for bus in (BUS, "line-1"):
+            await SetStore(database).save(
+                ParameterSet(
+                    bus, unix_now(), "anna", "by hand", (UnitRows(1, "Unwind", {}), UnitRows(2, "Nip", {}))
+                )
+            )
+        await house.services[Accounts].create_token("press", Role.VIEWER, **BY)
+        yield house
+        for client in house.clients:
+            await client.aclose()
+
+
+def kind_of(path: str) -> str:
+    kind = re.sub(r"[0-9]+", "0", path.partition("?")[0]).replace("line-0", BUS)
+    return re.sub("^/help/.*", "/help/a", kind)
+
+
+async def walk(client: httpx.AsyncClient) -> dict[str, httpx.Response]:
+    """Every page that links lead to, a few of each kind, by its address."""
+    waiting, found, seen = [*STARTS, *BY_SCRIPT], {}, Counter[str]()
+    while waiting:
+        path = waiting.pop()
+        if path in found or NO_PAGE.match(path) or (seen[kind_of(path)] >= OF_A_KIND and path not in STARTS):
+            continue
+        seen[kind_of(path)] += 1
+        response = found[path] = await client.get(path, headers={"Accept": "text/html"})
+        waiting += map(unescape, LINK.findall(response.text))
+        if "location" in response.headers:
+            waiting.append(urljoin(path, response.headers["location"]))
+    return found
+
+
+@pytest.mark.parametrize("role", PEOPLE_ROLES)
+async def test_every_page_with_several_lines(house: House, role: Role) -> None:
+    found = await walk(await house.signed_in(role))
+    failed = {path: page.status_code for path, page in found.items() if page.status_code >= 500}
+    assert failed == {}
+    routes = [
+        route for route in house.app.routes if isinstance(route, APIRoute) and "GET" in (route.methods or ())
+    ]
+    pages = [route for route in routes if not route.include_in_schema and not NO_PAGE.match(route.path)]
+    walked = {
+        route.path for route in pages for path in found if route.path_regex.match(path.partition("?")[0])
+    }
+    if role is Role.ADMIN:
+        assert {route.path for route in pages} - walked - NEEDS_MORE.keys() == set()
+    always = ("/", "/lines", f"/sets/1?bus={BUS}", "/sets/2?bus=line-1")
+    assert {found[path].status_code for path in always} == {200}
+
+
+async def test_control_is_handed_over_to_persons_alone(house: House) -> None:
+    """And not to the fields of other lines."""
+    person = await house.signed_in(Role.OPERATOR, "alone")
+    await person.post(f"/bus/{BUS}/control", data={"do": "take", "place": "bus"})
+    page = (await person.get(f"/bus/{BUS}")).text
+    assert "No other user with a page open can take control." in page
+    assert 'name="to"' not in page
+
+
+def leaked(node: nodes.Node) -> Iterator[nodes.Node]:
+    """What of a template defines a name in the context of each page that extends it."""
+    for child in node.iter_child_nodes():
+        if isinstance(child, DEFINES):
+            yield child
+        if not isinstance(child, SCOPES):
+            yield from leaked(child)
+
+
+async def test_the_frame_defines_no_name_that_a_page_sees(house: House) -> None:
+    environment = house.services[Templates].environment("en")
+    texts = {path: path.read_text(encoding="utf-8") for path in templates_dir().rglob("*.html")}
+    frames = {name for text in texts.values() for name in re.findall(r'extends "([^"]+)"', text)}
+    assert frames == {"base.html"}
+    assert list(leaked(environment.parse(texts[templates_dir() / "base.html"]))) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{% set others = 1 %}",
+        "{% if a %}{% set others %}{% endset %}{% endif %}",
+        '{% import "a" as others %}',
+    ],
+)
+async def test_a_name_of_the_frame_that_a_page_would_see_is_found(house: House, text: str) -> None:
+    environment = house.services[Templates].environment("en")
+    assert len(list(leaked(environment.parse(text)))) == 1
+    assert list(leaked(environment.parse(f"{{% with %}}{text}{{% endwith %}}"))) == []
+
+
+async def test_a_page_replaces_no_name_of_the_frame(house: House) -> None:
+    request = Request({"type": "http", "method": "GET", "path": "/", "headers": [], "app": house.app})
+    with pytest.raises(TypeError, match="now"):
+        render(request, "find/_found.html", now=1)
