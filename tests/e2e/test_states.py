@@ -18,6 +18,10 @@ PHONE = {"width": 360, "height": 740}
 PANEL = {"width": 1280, "height": 800}
 WALL = {"width": 1920, "height": 1080}
 TARGET = 48
+REASON = (
+    "Bearing of the pressure roll is being changed, the belt is off and a fitter stands in the nip;"
+    " ask Mr. Brown, phone 4711, or the control room"
+)
 
 TOO_SMALL = """target => [...document.querySelectorAll(
     "button, select, summary, .tabs__tab, .rail__item, .views__item, .strip__item, input:not([type=hidden])")]
@@ -49,7 +53,7 @@ def site(line_server: Callable[..., Site]) -> Site:
     made.line.remote.do("input", unit=2, input="estop", on=True)
     made.line.remote.do("mode", unit=3, to="local")
     with made.api("operator") as client:
-        client.post("/buses/line/units/4/block", json={"reason": "belt off, do not run"}).raise_for_status()
+        client.post("/buses/line/units/4/block", json={"reason": REASON}).raise_for_status()
     eventually(lambda: made.unit(2)["inputs"]["estop"] and not made.unit(3)["remote"], "the states are seen")
     return made
 
@@ -214,6 +218,32 @@ CUT_OFF = """() => [...document.querySelectorAll(
   .map(([one]) => one.outerHTML.slice(0, 200))"""
 """Causes, numbers and marks of which a part is outside of their tile or row."""
 
+PRESSED = """() => [...document.querySelectorAll(".line [data-unit], .fleet__tile")].flatMap(unit => {
+  unit.scrollIntoView({block: "center", behavior: "instant"});
+  const own = unit.matches("a") ? unit : unit.querySelector("[data-faceplate], .fleet__name a");
+  const links = [own, unit.querySelector(".tile__alarm")];
+  const {left, top, width, height} = unit.getBoundingClientRect();
+  const steps = [...Array(13).keys()].map(step => step / 12);
+  const points = steps.flatMap(i => steps.map(j => [left + 3 + (width - 6) * i, top + 3 + (height - 6) * j]));
+  const hits = points.map(([x, y]) => document.elementFromPoint(x, y));
+  const wrong = hits.filter(hit => !links.includes(hit?.closest("a") ?? null));
+  if (hits.filter(hit => own.contains(hit)).length < 0.7 * hits.length) wrong.push(unit);
+  return wrong.map(hit => `${unit.dataset.unit}: ${hit?.outerHTML.slice(0, 80)}`);
+})"""
+"""What of a unit a press hits that is neither the link to it nor its alarm, on a grid of points."""
+
+COVERED = """() => [...document.querySelectorAll(".tile")].flatMap(tile => {
+  const names = [".tile__head", ".tile__actual .value__number", ".status", ".tile__foot", ".bar"];
+  const parts = names
+    .map(part => tile.querySelector(part))
+    .filter(part => part.checkVisibility({visibilityProperty: true}))
+    .map(part => [part, part.getBoundingClientRect()]);
+  return parts.flatMap(([one, box], at) => parts.slice(at + 1)
+    .filter(([, other]) => box.bottom > other.top + 0.5 && other.bottom > box.top + 0.5)
+    .map(([other]) => `${tile.dataset.unit}: ${one.className}, ${other.className}`));
+})"""
+"""Parts of a tile of which one is over another."""
+
 FITTED = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
 """The first frame after a window has changed fits the cells to it (js/line-fit.js)."""
 
@@ -227,6 +257,20 @@ def test_no_cause_and_no_mark_of_the_line_is_cut_off(browser_page: OpensPages, l
             page.set_viewport_size({"width": width, "height": 800})
             page.evaluate(FITTED)
             assert page.evaluate(CUT_OFF) == [], f"{path}, {width}"
+
+
+@pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
+def test_a_press_anywhere_on_a_unit_opens_it_and_no_part_covers_another(
+    browser_page: OpensPages, locale: str
+) -> None:
+    page = browser_page(viewport=PANEL, locale=locale)
+    for path in ("/?view=tiles", "/?view=rows", "/?view=matrix", "/lines"):
+        opened(page, path)
+        for width, height in ((360, 740), (390, 844), (1280, 800), (1920, 1080)):
+            page.set_viewport_size({"width": width, "height": height})
+            page.evaluate(FITTED)
+            assert page.evaluate(PRESSED) == [], f"{path}, {width}"
+            assert page.evaluate(COVERED) == [], f"{path}, {width}"
 
 
 @pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
