@@ -15,7 +15,7 @@ from bus.messages import Message
 
 def act_on(place: TablePlace) -> Act:
     """What a person must be permitted to do."""
-    return CHANGE_MAIL if place.form.kind == "smtp" else CHANGE
+    return CHANGE_MAIL if place.form.kind in ("notify", "smtp") else CHANGE
 
 
 def edit_of(place: TablePlace, kind: str, texts: Mapping[str, str]) -> Edit:

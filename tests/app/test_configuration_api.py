@@ -87,7 +87,7 @@ async def test_a_unit_moves_and_an_alarm_is_removed(engineer: httpx.AsyncClient,
 async def test_what_cannot_be_done_with_a_table(
     engineer: httpx.AsyncClient, file: PlantFile, act: str
 ) -> None:
-    path = UNIT if act == "remove" else f"{API}/tables/notify"
+    path = UNIT if act == "remove" else f"{API}/tables/built_in_alarm.0"
     refused = await put(engineer, {}, path, act=act)
     assert (refused.status_code, refused.json()["reason"]) == (422, "configuration_no_such_change")
     assert file.text == TEXT
@@ -109,8 +109,17 @@ async def test_refusals(engineer: httpx.AsyncClient, file: PlantFile) -> None:
     assert file.text == f"# By hand.\n{TEXT}"
 
 
-async def test_the_mail_server_is_for_admins(house: House, engineer: httpx.AsyncClient) -> None:
-    path, values = f"{API}/tables/notify.smtp", {"host": "mail.example", "sender": "a@b.example"}
+@pytest.mark.parametrize(
+    ("table", "values"),
+    [
+        ("notify.smtp", {"host": "mail.example", "sender": "a@b.example"}),
+        ("notify", {"dashboard_url": "https://elsewhere.example"}),
+    ],
+)
+async def test_where_mails_and_their_links_lead_is_for_admins(
+    house: House, engineer: httpx.AsyncClient, table: str, values: dict[str, str]
+) -> None:
+    path = f"{API}/tables/{table}"
     assert (await put(engineer, values, path)).status_code == 403
     assert (await put(await house.program(Role.ADMIN), values, path)).status_code == 200
 
