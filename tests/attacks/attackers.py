@@ -285,6 +285,7 @@ ATTACKS: dict[str, tuple[int, Attack]] = {
     "streams that no one reads": (100, held(STREAMS[0])),
     "streams read slowly": (60, sipped(*STREAMS)),
     "streams without a sign in": (200, held(get("/api/v1/stream", more=""))),
+    "first pages of a viewer": (32, sent(get("/", "viewer"))),
     "wallboards without end": (12, sent(get("/wallboard", "viewer"))),
     "wallboards without a sign in": (60, sent(get("/wallboard", more=f"Accept: text/html\r\n{CLOSE}"))),
     "wallboards read slowly": (200, sipped(get("/wallboard", "viewer", ""))),

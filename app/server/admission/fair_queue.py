@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 
 K = TypeVar("K")
 
-MAX_REST_S = 0.05
+MAX_REST_S = 0.5
 
 
 class TooManyWaitingError(Exception):
