@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query
-from pydantic import AwareDatetime, BaseModel, Field
+from pydantic import BaseModel, Field
 from starlette.responses import Response, StreamingResponse
 
 from app.audit.events.entry import is_moment
@@ -19,9 +19,10 @@ from app.audit.proof.walk import AuditVerification
 from app.web.admission.access import Admin, Viewer
 from app.web.admission.turns import DOWNLOAD, SEARCH
 from app.web.api.route import ApiRoute
-from app.web.api.shape import Instant, MaybeInstant, csv_cell, csv_text, iso, json_response
+from app.web.api.shape import Instant, MaybeInstant, ZonedTime, csv_cell, csv_text, iso, json_response
 from app.web.services import service
 from bus.instants import UnixTime
+from bus.text import TypedText
 
 router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)
 MAX_EVENTS = 1000
@@ -103,10 +104,10 @@ async def wanted_events(
     kind: Literal[EventKind, ""] | None = None,
     bus: str | None = None,
     unit: Annotated[int | None, Query(ge=1, le=255)] = None,
-    who: str | None = None,
-    since: Annotated[AwareDatetime | None, Query(alias="from")] = None,
-    until: Annotated[AwareDatetime | None, Query(alias="to")] = None,
-    search: Annotated[str, Query(max_length=200)] = "",
+    who: TypedText | None = None,
+    since: Annotated[ZonedTime | None, Query(alias="from")] = None,
+    until: Annotated[ZonedTime | None, Query(alias="to")] = None,
+    search: Annotated[TypedText, Query(max_length=200)] = "",
 ) -> Filter:
     """The filter of the query."""
     begin = UnixTime(since.timestamp()) if since else None

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import msgspec
 from fastapi import APIRouter, Depends, Path, Query
-from pydantic import AwareDatetime, Field, TypeAdapter
+from pydantic import Field, TypeAdapter
 from starlette.requests import Request
 from starlette.responses import Response
 from typing_extensions import TypedDict
@@ -33,7 +33,7 @@ from app.web.admission.bounds import MAX_BODY_BYTES
 from app.web.admission.turns import SEARCH
 from app.web.api.route import ApiRoute, RequestKey
 from app.web.api.schema import limited, problems
-from app.web.api.shape import Instant, StrictBody, iso
+from app.web.api.shape import Instant, StrictBody, ZonedTime, iso
 from app.web.services import service
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -57,7 +57,7 @@ NoteText = Annotated[Lines, Field(min_length=1, max_length=MAX_NOTE_LENGTH)]
 
 async def _shift_of(
     shifts: Shifts,
-    start: Annotated[AwareDatetime, Path(description="When it starts. ISO 8601 with zone.")],
+    start: Annotated[ZonedTime, Path(description="When it starts. ISO 8601 with zone.")],
 ) -> Shift:
     return await shifts.shift_of(start)
 
@@ -70,7 +70,7 @@ class ShiftNoteRequest(StrictBody):
 
     text: NoteText
     time: Annotated[
-        AwareDatetime | None, Field(strict=False, description="In the shift, not in the future; with zone.")
+        ZonedTime | None, Field(strict=False, description="In the shift, not in the future; with zone.")
     ] = None
     bus: Annotated[OneLine, Field(max_length=80)] | None = None
     unit: Annotated[int | None, Field(ge=1, le=255)] = None
@@ -95,7 +95,7 @@ class ShiftsShown(TypedDict):
 async def get_shifts(
     _: Viewer,
     shifts: Shifts,
-    before: AwareDatetime | None = None,
+    before: ZonedTime | None = None,
     limit: Annotated[int, Query(ge=1, le=MAX_SHIFTS)] = 30,
 ) -> ShiftsShown:
     """The shift under way and those before it."""

@@ -9,7 +9,6 @@ from urllib.parse import urlencode
 
 import msgspec
 from fastapi import APIRouter, Depends, File, Form, Path, Query, UploadFile
-from pydantic import AwareDatetime
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
@@ -27,6 +26,7 @@ from app.handover.signing.signing import ShiftSignRequest
 from app.web.admission.access import Person, Viewer, address_of
 from app.web.admission.bounds import MAX_BODY_BYTES
 from app.web.admission.turns import SEARCH
+from app.web.api.shape import ZonedTime
 from app.web.rendering.templating import render
 from app.web.services import service
 from bus.instants import UnixTime
@@ -47,7 +47,7 @@ FormWord = Annotated[OneLine, Form(max_length=300)]
 
 @router.get("/shifts")
 async def shifts_page(
-    request: Request, _: Viewer, shifts: Shifts, before: AwareDatetime | None = None
+    request: Request, _: Viewer, shifts: Shifts, before: ZonedTime | None = None
 ) -> Response:
     """The shift under way, and those before it."""
     found = await shifts.summaries(before, ON_A_PAGE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Request, Response
-from pydantic import AwareDatetime, Field
+from pydantic import Field
 from starlette.requests import HTTPConnection
 from typing_extensions import TypedDict
 
@@ -30,7 +30,7 @@ from app.web.admission.access import Person, Viewer
 from app.web.admission.arrival import made_at
 from app.web.admission.turns import SEARCH
 from app.web.api.route import ApiRoute
-from app.web.api.shape import StrictBody, UnitAddresses, iso, parse_integer
+from app.web.api.shape import StrictBody, UnitAddresses, ZonedTime, iso, parse_integer
 from app.web.services import service
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -177,7 +177,7 @@ async def get_loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> Load
 
 @router.get("/buses/{bus}/recipe/runs", dependencies=[SEARCH])
 async def get_recipe_runs(
-    _: Viewer, events: Events, live: Live, bus: str, at: AwareDatetime | None = None
+    _: Viewer, events: Events, live: Live, bus: str, at: ZonedTime | None = None
 ) -> RecipeRuns | None:
     """The recipe that ran at a time (else now), since when, and when it ran before; null: none was loaded."""
     bus_or_404(live, bus)

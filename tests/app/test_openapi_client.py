@@ -19,6 +19,7 @@ from app.main import create_app
 from app.web.api.schema import openapi_document, with_published_names
 from bus.contract import UnitOutcome
 from tests.app.complete_app import settings_in
+from tests.app.served_app import served
 from tests.app.stage import PlayedWorker, Stage, responding
 
 PACKAGE = "lineside_client"
@@ -197,7 +198,45 @@ async def test_a_change_of_many_units(client: Generated, worker: PlayedWorker) -
     }
 
 
+def test_a_call_of_the_stream_returns(package: ModuleType, tmp_path: Path) -> None:
+    operation = importlib.import_module(f"{PACKAGE}.api.line.get_stream")
+    with served(tmp_path) as api, package.Client(base_url=api.url, headers=api.headers) as client:
+        for options in ({"seconds": 1}, {}):
+            assert "event: snapshot" in operation.sync(client=client, **options)
+
+
 # --- the document ------------------------------------------------------------------------------------
+
+
+def references(node: Any) -> Iterator[str]:
+    """Every ``$ref`` of a document."""
+    if isinstance(node, dict):
+        yield from (value for key, value in node.items() if key == "$ref" and isinstance(value, str))
+    for each in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
+        yield from references(each)
+
+
+def test_every_reference_leads_to_something(document: dict[str, Any]) -> None:
+    found = set(references(document))
+    assert {"#/components/headers/Retry-After", "#/components/schemas/Problem"} <= found
+    for reference in found:
+        node = document
+        for step in reference.removeprefix("#/").split("/"):
+            assert step in node, reference
+            node = node[step]
+
+
+def test_a_tried_request_does_not_state_an_old_time(document: dict[str, Any]) -> None:
+    """Tools send the example of a header along, and a write of long ago is refused."""
+    sent_at = [
+        parameter
+        for methods in document["paths"].values()
+        for operation in methods.values()
+        for parameter in operation.get("parameters", ())
+        if parameter["name"] == "Lineside-Sent-At"
+    ]
+    assert len(sent_at) > 40
+    assert all("example" not in str(parameter) for parameter in sent_at)
 
 
 def test_the_names_that_clients_are_written_against_stay(document: dict[str, Any]) -> None:

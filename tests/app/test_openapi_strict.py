@@ -120,6 +120,29 @@ async def test_every_member_of_a_response_is_described(house: House) -> None:
     assert len(checked) > 20
 
 
+async def test_a_number_is_no_time(house: House) -> None:
+    """Nowhere in the API: seconds and milliseconds look alike."""
+    program, tried = await house.program(Role.ADMIN), []
+    for path, methods in openapi_document(house.app)["paths"].items():
+        operation = methods.get("get", {})
+        for parameter in operation.get("parameters", ()):
+            if "date-time" not in str(parameter["schema"]):
+                continue
+            for number in ("1764400000", "1764400000.5", "1764400000000"):
+                values = {**VALUES, parameter["name"]: number}
+                query = query_of(operation, values) | (
+                    {parameter["name"]: number} if parameter["in"] == "query" else {}
+                )
+                response = await program.get(filled(path, values), params=query)
+                assert response.status_code == 422, (path, parameter["name"], number)
+            tried.append(path)
+    assert len(tried) > 20
+    note = {"text": "Web break", "bus": "dry-end", "unit": 1}
+    for at in (1764400000, "1764400000", 1764400000.5):
+        refused = await program.post("/api/v1/shifts/notes", json={**note, "time": at})
+        assert (refused.status_code, refused.json()["code"]) == (422, "invalid"), refused.text
+
+
 def filled(path: str, values: dict[str, str]) -> str:
     """The path with its places filled."""
     return re.sub(r"{(\w+)}", lambda match: values.get(match[1], "1"), path)

@@ -20,7 +20,6 @@ from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.shown import AlarmShown, alarm_json
 from app.live.api.line_stream import LineStream
 from app.live.api.stream_document import AlarmType, stream_document
-from app.live.api.stream_route import KINDS
 from app.live.state.bus_live import LiveState
 from app.web.admission.access import Role
 from app.web.api.schema import openapi_document
@@ -31,6 +30,7 @@ from tests.app.strict_schema import strict
 from tests.app.test_stream_route import streaming
 
 ALARM = AlarmType(AlarmShown)
+KINDS = ("snapshot", "change", "alarm", "heartbeat")
 CHAPTER = Path(__file__).resolve().parents[2] / "docs" / "api.md"
 PROGRAMS = {"python": [sys.executable, "-c"], "js": ["node", "--input-type=module", "-e"], "sh": ["sh", "-c"]}
 

@@ -9,7 +9,6 @@ from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query
-from pydantic import AwareDatetime
 from starlette.responses import Response
 
 from app.alarms.api import Alarms
@@ -20,7 +19,7 @@ from app.errors import Problem
 from app.web.admission.access import Viewer
 from app.web.admission.bounds import refuse_year
 from app.web.api.route import ApiRoute
-from app.web.api.shape import iso
+from app.web.api.shape import ZonedTime, iso
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
@@ -47,8 +46,8 @@ def month_at_most(since: datetime | None, until: datetime | None) -> tuple[UnixT
 
 async def wanted_performance(
     alarms: Alarms,
-    since: Annotated[AwareDatetime | None, Query(alias="from")] = None,
-    until: Annotated[AwareDatetime | None, Query(alias="to")] = None,
+    since: Annotated[ZonedTime | None, Query(alias="from")] = None,
+    until: Annotated[ZonedTime | None, Query(alias="to")] = None,
 ) -> AlarmPerformance:
     """The figures of a span."""
     return await measure(alarms, *month_at_most(since, until))

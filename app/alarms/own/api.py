@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query
-from pydantic import AwareDatetime, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from starlette.requests import HTTPConnection
 from typing_extensions import TypedDict
 
@@ -23,7 +23,7 @@ from app.history.api.spans import HistoryOf
 from app.routing.forwarding.at_home import at_home_of
 from app.web.admission.access import Engineer, Person
 from app.web.api.route import ApiRoute, RequestKey
-from app.web.api.shape import InstantObject, StrictBody
+from app.web.api.shape import InstantObject, StrictBody, ZonedTime
 from app.web.services import service
 
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
@@ -72,8 +72,8 @@ class AlarmSimulationRequest(OwnAlarmRequest):
     model_config = ConfigDict(populate_by_name=True)
 
     name: Annotated[str, Field(max_length=200)] = "New alarm"
-    since: Annotated[AwareDatetime | None, Field(alias="from", strict=False)] = None
-    until: Annotated[AwareDatetime | None, Field(alias="to", strict=False)] = None
+    since: Annotated[ZonedTime | None, Field(alias="from", strict=False)] = None
+    until: Annotated[ZonedTime | None, Field(alias="to", strict=False)] = None
 
 
 class OwnAlarmChangeRequest(OwnAlarmRequest):

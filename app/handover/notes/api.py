@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from pydantic import AwareDatetime, Field
+from pydantic import Field
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
@@ -19,7 +19,7 @@ from app.web.admission.access import Person, Viewer
 from app.web.admission.turns import SEARCH
 from app.web.api.route import ApiRoute, RequestKey
 from app.web.api.schema import limited
-from app.web.api.shape import StrictBody
+from app.web.api.shape import StrictBody, ZonedTime
 from bus.instants import UnixTime
 from bus.text import OneLine
 
@@ -31,7 +31,7 @@ class NoteRequest(StrictBody):
     """A note about a time, in whichever shift that is."""
 
     text: NoteText
-    time: Annotated[AwareDatetime, Field(strict=False, description="Not in the future; with zone.")]
+    time: Annotated[ZonedTime, Field(strict=False, description="Not in the future; with zone.")]
     bus: Annotated[OneLine, Field(max_length=80)] | None = None
     unit: Annotated[int | None, Field(ge=1, le=255)] = None
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import cycle, islice
@@ -82,13 +82,17 @@ class LineStream:
             self._readers -= 1
             self._left_at = self.monotonic()
 
-    async def pieces(self, bus: str | None, last_event_id: str = "") -> AsyncIterator[bytes]:
-        """All events after the one of this id, or a snapshot and all after it, until the server ends.
-        ``bus``: only of this one and of the site.
+    async def pieces(
+        self, bus: str | None, last_event_id: str = "", seconds: float | None = None
+    ) -> AsyncIterator[bytes]:
+        """Yield all events after the one of this id, or a snapshot and all after it, for ``seconds`` or
+        until the server ends. ``bus``: only of this one and of the site.
         """
+        loop = asyncio.get_running_loop()
+        end = None if seconds is None else loop.time() + seconds
         yield RETRY
         number = self._recent.number_of(last_event_id)
-        while not self._is_ending:
+        while not self._is_ending and (end is None or loop.time() < end):
             has_more = self._has_more
             if number is None or not self._recent.has_all_after(number):
                 number, text = self._snapshot(bus)
@@ -97,7 +101,9 @@ class LineStream:
             for begin in range(0, len(text), PIECE_BYTES):
                 yield text[begin : begin + PIECE_BYTES]
             if number == self._recent.newest:
-                await has_more.wait()
+                with suppress(TimeoutError):
+                    async with asyncio.timeout_at(end):
+                        await has_more.wait()
             await asyncio.sleep(PAUSE_S)
 
     def end(self) -> None:

@@ -173,7 +173,7 @@ def _renamed(node: Any) -> Any:
         return node
     renamed = {key: _renamed(value) for key, value in _portable(node).items()}
     reference, title = renamed.get("$ref"), renamed.get("title")
-    if isinstance(reference, str):
+    if isinstance(reference, str) and reference.startswith(_REF):
         renamed["$ref"] = _REF + schema_name(reference.removeprefix(_REF))
     if isinstance(title, str):
         renamed["title"] = schema_name(title)

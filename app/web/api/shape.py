@@ -11,7 +11,17 @@ from io import StringIO
 from typing import Annotated, Any
 
 import msgspec
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, InstanceOf, PlainSerializer, WithJsonSchema
+from pydantic import (
+    AfterValidator,
+    AwareDatetime,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    InstanceOf,
+    PlainSerializer,
+    WithJsonSchema,
+)
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
@@ -61,6 +71,17 @@ def iso(at: UnixTime) -> str:
 
 InstantObject = Annotated[UnixTime, PlainSerializer(iso, return_type=Instant)]
 """A Unix time as the member of a response, which pages format in the language of the reader."""
+
+
+def _refuse_number(value: object) -> object:
+    """Refuse seconds since the epoch, which pydantic takes for a time also where a text gives them."""
+    if isinstance(value, int | float) or (isinstance(value, str) and ":" not in value):
+        raise ValueError(Message("fault_not_a_time"))
+    return value
+
+
+ZonedTime = Annotated[AwareDatetime, BeforeValidator(_refuse_number), WithJsonSchema(DATE_TIME)]
+"""A time of a request: ISO 8601 with zone, never a number."""
 
 
 def parse_integer(text: str, digits: int = 18) -> int | None:
