@@ -31,18 +31,22 @@ def without_credentials(text: str) -> str:
     return _CREDENTIALS.sub(rf"\1{MASK}@", text)
 
 
-def check_one_line(text: str) -> str:
-    """Return ``text``. Raises ValueError for an invisible character, or one that ends the line."""
-    return _seen(text, frozenset())
+def composed(text: str) -> str:
+    """The text with each accented letter as one character (NFC). Some keyboards and programs write it as two,
+    which look the same and have to be equal."""
+    return unicodedata.normalize("NFC", text)
 
 
-OneLine = Annotated[str, AfterValidator(check_one_line)]
+OneLine = Annotated[str, AfterValidator(lambda text: _seen(text, frozenset()))]
 """A name or a reason."""
+TypedText = Annotated[str, AfterValidator(composed)]
+"""What a person types to find a name."""
 Lines = Annotated[str, AfterValidator(lambda text: _seen(text, _BREAKS))]
 """A comment."""
 
 
 def _seen(text: str, allowed: frozenset[str]) -> str:
+    """Return the text, composed. Raises ValueError for an invisible character that is not allowed."""
     base = marks = 0
     for place, sign in enumerate(text, 1):
         if sign not in allowed and _is_unseen(sign):
@@ -55,7 +59,7 @@ def _seen(text: str, allowed: frozenset[str]) -> str:
             raise ValueError(Message.of("too_many_marks", n=base, most=MAX_MARKS))
     if text and not text.isspace() and not any(map(_has_shape, text)):
         raise ValueError(Message("nothing_to_see"))
-    return text
+    return composed(text)
 
 
 def escaped(text: str) -> str:

@@ -31,14 +31,14 @@ from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
-from bus.text import OneLine
+from bus.text import OneLine, TypedText
 
 router = APIRouter(include_in_schema=False)
 
 ON_A_PAGE = 100
 SEE_OTHER = 303
 TypedReason = Annotated[OneLine, Form(max_length=200)]
-AlarmFilter = Annotated[str, Query(max_length=80)]
+AlarmFilter = Annotated[TypedText, Query(max_length=80)]
 ShownKeys = Sequence[Annotated[str, StringConstraints(max_length=200)]]
 
 

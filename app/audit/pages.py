@@ -22,6 +22,7 @@ from app.web.api.shape import parse_integer
 from app.web.rendering.formats import Formats
 from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
+from bus.text import TypedText
 
 router = APIRouter(include_in_schema=False)
 ON_A_PAGE = 100
@@ -37,10 +38,10 @@ async def events_page(
     kind: str = "",
     bus: str = "",
     unit: Annotated[str, Query(max_length=3)] = "",
-    who: str = "",
+    who: TypedText = "",
     since: Annotated[str, Query(max_length=10)] = "",
     until: Annotated[str, Query(max_length=10)] = "",
-    search: Annotated[str, Query(max_length=200)] = "",
+    search: Annotated[TypedText, Query(max_length=200)] = "",
 ) -> HTMLResponse:
     """A form's empty fields do not narrow; the days are days at the site."""
     chosen = dict(zip(FIELDS, (kind, bus, unit, who, since, until, search), strict=True))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Form
+from pydantic import AfterValidator
 from starlette.background import BackgroundTask
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
@@ -14,15 +15,22 @@ from app.auth.accounts import Accounts, check_has_own_password
 from app.auth.acts import CHANGE_OWN_PASSWORD, LOG_OUT
 from app.auth.oidc.refusal import refusal_shown
 from app.auth.oidc.single_sign_on import SingleSignOn
-from app.auth.rights.access import COOKIE, cookie_name, is_encrypted
 from app.auth.sign_in.first_admin import FirstAdmin, WrongCodeError
 from app.auth.sign_in.signin import SignedIn, SignIn, WrongSecretError
 from app.errors import Problem
 from app.web.admission.access import Person, Viewer, address_of, person_of, public
+from app.web.admission.cookies import (
+    SESSION,
+    cookie_of,
+    is_encrypted,
+    session_name,
+    set_cookie,
+)
 from app.web.rendering.templating import render, templates_of
 from app.web.services import service, service_of
 from bus.errors import CallerError
 from bus.messages import Message
+from bus.text import composed
 
 router = APIRouter(include_in_schema=False)
 
@@ -30,14 +38,18 @@ router = APIRouter(include_in_schema=False)
 SignInService = Annotated[SignIn, service(SignIn)]
 FirstAdminService = Annotated[FirstAdmin, service(FirstAdmin)]
 AccountsService = Annotated[Accounts, service(Accounts)]
+MAX_NAME = 64
+"""The stored part of a typed name; no user has one so long."""
 FormText = Annotated[str, Form()]
+TypedName = Annotated[
+    str, Form(), AfterValidator(lambda name: composed(name[: 4 * MAX_NAME].strip())[:MAX_NAME])
+]
+"""The name of a user or token; none is longer than MAX_NAME."""
 DEVICE_COOKIE = "lineside_device"
 """Distinguishes a browser with an earlier sign-in from those of strangers; it signs no one in."""
 DEVICE_KNOWN_S = 365 * rules.DAY
 REAUTHENTICATE_COOKIE = "lineside_reauthenticate"
 """Of a browser in which someone has logged out: the next company account signs in at its provider again."""
-MAX_NAME = 64
-"""The stored part of a typed name; no user has one so long."""
 
 
 @router.get("/login", dependencies=[Depends(public)])
@@ -62,20 +74,20 @@ async def login_page(
 async def log_in(
     request: Request,
     sign_in: SignInService,
-    name: FormText = "",
+    name: TypedName = "",
     password: FormText = "",
     next: FormText = "/",
 ) -> Response:
     """A person, by password."""
-    return await _sign_in(request, sign_in, name.strip(), password, next, panel=False)
+    return await _sign_in(request, sign_in, name, password, next, panel=False)
 
 
 @router.post("/login/panel", dependencies=[Depends(public)])
 async def log_panel_in(
-    request: Request, sign_in: SignInService, name: FormText = "", pin: FormText = "", next: FormText = "/"
+    request: Request, sign_in: SignInService, name: TypedName = "", pin: FormText = "", next: FormText = "/"
 ) -> Response:
     """A panel on the wall, by PIN."""
-    return await _sign_in(request, sign_in, name.strip(), pin, next, panel=True)
+    return await _sign_in(request, sign_in, name, pin, next, panel=True)
 
 
 @router.get("/setup", dependencies=[Depends(public)])
@@ -90,12 +102,12 @@ async def create_first_admin(
     first_admin: FirstAdminService,
     sign_in: SignInService,
     code: FormText = "",
-    name: FormText = "",
+    name: TypedName = "",
     password: FormText = "",
     again: FormText = "",
 ) -> Response:
     """Create the first admin by the code that the server printed, and log in."""
-    name, address = name.strip(), address_of(request)
+    address = address_of(request)
     try:
         await first_admin.create(code, name, password, again, address)
     except Problem as problem:
@@ -113,7 +125,7 @@ async def log_out(
     request: Request, person: Annotated[Person, LOG_OUT.permitted], sign_in: SignInService
 ) -> Response:
     """End the session and forget the cookie."""
-    name = cookie_name(request, COOKIE)
+    name = session_name(request)
     cookie = request.cookies.get(name)
     if cookie:
         await sign_in.sign_out(cookie, person)
@@ -153,10 +165,10 @@ async def change_password(
 ) -> Response:
     """Change the own password; every other session of the user ends."""
     check_has_own_password(person)
-    this_one = rules.secret_hash(request.cookies[cookie_name(request, COOKIE)])
+    this_one = rules.secret_hash(request.cookies[session_name(request)])
     try:
         await sign_in.check_present(person.name, present, address_of(request), device_of(request))
-        if password != again:
+        if composed(password) != composed(again):
             raise CallerError(Message("new_passwords_differ"))
         await accounts.change_own_password(password, by=person, keep=this_one)
     except CallerError as fault:
@@ -167,7 +179,7 @@ async def change_password(
 async def _sign_in(
     request: Request, sign_in: SignIn, name: str, secret: str, next: str, *, panel: bool
 ) -> Response:
-    name, device = name[:MAX_NAME], device_of(request)
+    device = device_of(request)
     try:
         begun = await sign_in.sign_in(name, secret, address_of(request), panel=panel, device=device)
     except Problem as problem:
@@ -175,34 +187,25 @@ async def _sign_in(
         if isinstance(problem, WrongSecretError):
             form.background = BackgroundTask(sign_in.note_refusal, name, address_of(request))
         return form
-    return signed_in(request, sign_in, begun, next)
+    return await signed_in(request, sign_in, begun, next)
 
 
-def signed_in(request: Request, sign_in: SignIn, begun: SignedIn, next_page: str) -> Response:
-    """To the page that was wanted, with the cookies of the session."""
+async def signed_in(request: Request, sign_in: SignIn, begun: SignedIn, next_page: str) -> Response:
+    """Redirect to the page that was wanted, with the cookies of the session. The session that the browser had
+    before ends: nothing else could end it any more."""
+    before = person_of(request)
+    if before is not None and before.via in ("session", "break_glass"):
+        await sign_in.sign_out(request.cookies[session_name(request)], before)
     home = begun.user.home if next_page == "/" else next_page
     response = RedirectResponse(own_path(home), 303)
-    set_cookie(request, response, COOKIE, begun.session, sign_in.lifetime_of(begun.user).absolute_s)
+    set_cookie(request, response, SESSION, begun.session, sign_in.lifetime_of(begun.user).absolute_s)
     set_cookie(request, response, DEVICE_COOKIE, begun.device, DEVICE_KNOWN_S)
     return response
 
 
-def set_cookie(request: Request, response: Response, name: str, value: str, max_age_s: float) -> None:
-    """Lax, so that a link from an e-mail opens signed in; changes are
-    guarded by its Origin (`app.web.admission.security`). Not Secure on plain HTTP, which plants use."""
-    response.set_cookie(
-        cookie_name(request, name),
-        value,
-        max_age=int(max_age_s),
-        httponly=True,
-        samesite="lax",
-        secure=is_encrypted(request),
-    )
-
-
 def device_of(request: Request) -> str:
     """The cookie of a browser with an earlier sign-in; empty for an invalid one."""
-    device = request.cookies.get(cookie_name(request, DEVICE_COOKIE), "")
+    device = cookie_of(request, DEVICE_COOKIE)
     return device if len(device) == rules.SECRET_LENGTH and device.isascii() else ""
 
 
@@ -246,7 +249,7 @@ def _setup_form(
         headers=problem.headers if problem else None,
         problem=problem,
         code=code[:MAX_NAME],
-        name=name[:MAX_NAME],
+        name=name,
     )
 
 

@@ -12,7 +12,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from app.auth import acts
 from app.auth.accounts import Accounts
-from app.auth.pages import FormText
+from app.auth.pages import FormText, TypedName
 from app.server.encryption import Encryption
 from app.web.admission.access import PEOPLE_ROLES, Admin, Person, Role, role_named
 from app.web.problems import is_fragment
@@ -77,26 +77,26 @@ async def users_page(_: Admin, page: OfUsers) -> HTMLResponse:
 async def add_user(
     by: Annotated[Person, acts.ADD_USER.permitted],
     page: OfUsers,
-    name: FormText = "",
+    name: TypedName = "",
     role: FormText = "viewer",
     password: FormText = "",
 ) -> Response:
     """Add a person, who signs in by password."""
-    return await page.after(page.accounts.add_user(name.strip(), role_named(role), password, by=by))
+    return await page.after(page.accounts.add_user(name, role_named(role), password, by=by))
 
 
 @router.post("/users/panels")
 async def add_panel(
     by: Annotated[Person, acts.ADD_PANEL.permitted],
     page: OfUsers,
-    panel: FormText = "",
+    panel: TypedName = "",
     panel_role: FormText = "viewer",
     pin: FormText = "",
     home: FormText = "/",
 ) -> Response:
     """Add a panel on the wall, which signs in by PIN; it is a viewer unless it is given another role."""
     role, begins = role_named(panel_role), home.strip() or "/"
-    return await page.after(page.accounts.add_panel(panel.strip(), role, pin, begins, by=by))
+    return await page.after(page.accounts.add_panel(panel, role, pin, begins, by=by))
 
 
 @router.post("/users/{name}/role")
@@ -147,19 +147,19 @@ async def remove(by: Annotated[Person, acts.REMOVE_USER.permitted], page: OfUser
 async def create_token(
     by: Annotated[Person, acts.CREATE_TOKEN.permitted],
     page: OfUsers,
-    token: FormText = "",
+    token: TypedName = "",
     token_role: FormText = "viewer",
     token_bus: FormText = "",
     expires: FormText = "",
 ) -> HTMLResponse:
     """Create a token, which is in this one response and nowhere else."""
-    name, create = token.strip(), page.accounts.create_token
+    create = page.accounts.create_token
     try:
         role, days = role_named(token_role, Role), _days(expires)
-        secret = await create(name, role, bus=token_bus, expires_days=days, by=by)
+        secret = await create(token, role, bus=token_bus, expires_days=days, by=by)
     except CallerError as error:
         return await page.render(fault=error)
-    return await page.render(token_name=name, token=secret)
+    return await page.render(token_name=token, token=secret)
 
 
 @router.get("/users/tokens/{name}/revoke")

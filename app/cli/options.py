@@ -47,9 +47,12 @@ class Option:
 class Argument:
     """Declares an argument, which has its place instead of a name."""
 
-    def __init__(self, *, help: str, metavar: str | None = None) -> None:
+    def __init__(
+        self, *, help: str, metavar: str | None = None, convert: Callable[[str], str] | None = None
+    ) -> None:
         self._help = help
         self._metavar = metavar
+        self._convert = convert
 
     def parameter(self, name: str, kind: Any, default: Any) -> click.Parameter:
         """The argument of a parameter of type ``kind``; a list takes all that is left."""
@@ -59,10 +62,13 @@ class Argument:
             help=self._help,
             type=_type_of(kind),
             nargs=-1 if is_list else 1,
-            callback=_listed if is_list else None,
+            callback=_listed if is_list else self._converted,
             required=default is inspect.Parameter.empty,
             metavar=self._metavar,
         )
+
+    def _converted(self, _context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
+        return value if self._convert is None else self._convert(value)
 
 
 AsJson = Annotated[bool, Option("--json", help="The result as JSON.")]

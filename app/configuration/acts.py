@@ -7,8 +7,8 @@ from app.web.admission.access import Role
 
 CHANGE = Act("change_configuration", Role.ENGINEER, "configuration", "event_configuration_edited")
 CHANGE_MAIL = Act("change_mail_server", Role.ADMIN, "configuration", "event_configuration_edited")
-"""The server sends its password to the mail server that is named here, and the links in its mails lead people to
-the address of the dashboard."""
+"""The server sends its password to the mail server that is named here, and the links in its mails lead
+people to the address of the dashboard."""
 ROLL_BACK = Act("roll_back_configuration", Role.ADMIN, "configuration", "event_configuration_rolled_back")
 """It may change everything, also what only the file has."""
 RESTART = Act("restart_server", Role.ADMIN, "server", "event_restart_requested")

@@ -19,6 +19,7 @@ from app.live.screen.fields import unit_key
 from app.live.screen.totals import strip_of
 from app.live.state.bus_live import BusLive, UnitLive
 from app.web.admission.access import Engineer, Viewer
+from app.web.admission.cookies import cookie_of, set_cookie
 from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
 from bus.catalogue.numbers import DECIMALS, MAX_DISPLAY
@@ -92,7 +93,7 @@ async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Res
         chosen=chosen,
     )
     if view is not None:
-        response.set_cookie(VIEW_COOKIE, view, max_age=YEAR_S, samesite="lax", httponly=True)
+        set_cookie(request, response, VIEW_COOKIE, view, YEAR_S)
     return response
 
 
@@ -137,7 +138,7 @@ def digits_of(unit: UnitLive) -> int:
 
 
 def _remembered(request: Request) -> ViewSize:
-    stored = request.cookies.get(VIEW_COOKIE, "")
+    stored = cookie_of(request, VIEW_COOKIE)
     match FORMER_VIEWS.get(stored, stored):
         case ("tiles" | "rows" | "matrix") as view:
             return view

@@ -27,7 +27,7 @@ from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
 from bus.messages import Message
-from bus.text import Lines, OneLine
+from bus.text import Lines, OneLine, TypedText
 
 router = APIRouter(include_in_schema=False)
 
@@ -145,7 +145,7 @@ async def retire(
     person: Annotated[Person, DELETE.permitted],
     book: Book,
     bus: Annotated[str, Form()],
-    name: Annotated[str, Form()],
+    name: Annotated[TypedText, Form()],
 ) -> Response:
     """Take a recipe out of the list."""
     await book.retire(person, bus, name)

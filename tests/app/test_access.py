@@ -16,11 +16,12 @@ from uvicorn.protocols.utils import ClientDisconnected
 
 from app.auth import rules
 from app.auth.accounts import Accounts
-from app.auth.rights.access import COOKIE, PUBLIC_PATHS
+from app.auth.rights.access import PUBLIC_PATHS
 from app.auth.rights.identity import Identity
 from app.main import create_app
 from app.server.connection.client_connection import EXTENSION, NoClientConnection
 from app.web.admission.access import Person, Requires, Role
+from app.web.admission.cookies import SESSION
 from app.web.admission.routes import demands, refuse_undeclared
 from tests.administrator import BY
 from tests.app.complete_app import EVERY_ROLE, HOST, PASSWORD, House, complete_app, settings_in
@@ -286,12 +287,60 @@ async def test_without_demo_this_machine_is_anonymous(house: House) -> None:
 async def test_signing_in_and_out(house: House) -> None:
     client = await house.signed_in(Role.VIEWER, "ann")
     assert (await client.get("/api/v1/me")).json() == {"name": "ann", "role": "viewer", "via": "session"}
-    cookie = client.cookies[COOKIE]
+    cookie = client.cookies[SESSION]
     out = await client.post("/logout")
     assert (out.status_code, out.headers["location"]) == (303, "/login")
-    assert COOKIE not in client.cookies
-    again = house.client(cookie=f"{COOKIE}={cookie}")
+    assert SESSION not in client.cookies
+    again = house.client(cookie=f"{SESSION}={cookie}")
     assert (await again.get("/api/v1/me")).status_code == 401
+
+
+async def test_signing_in_over_a_session_ends_it(house: House) -> None:
+    client = await house.signed_in(Role.VIEWER, "ann")
+    await house.add("bert", Role.VIEWER)
+    for name in ("ann", "bert"):
+        before = client.cookies[SESSION]
+        assert (await client.post("/login", data={"name": name, "password": "wrong"})).status_code == 401
+        assert (await client.get("/api/v1/me")).status_code == 200
+        assert (await client.post("/login", data={"name": name, "password": PASSWORD})).status_code == 303
+        old = house.client(cookie=f"{SESSION}={before}")
+        assert (await old.get("/api/v1/me")).status_code == 401
+        assert (await client.get("/api/v1/me")).json()["name"] == name
+    assert [event["who"] for event in await house.events("logout")] == ["ann", "ann"]
+
+
+async def test_two_dashboards_on_one_host_keep_their_cookies_apart(tmp_path: Path, house: House) -> None:
+    async with complete_app(tmp_path / "second") as second:
+        browser = await signed_in_at(house, 8000)
+        other = await signed_in_at(second, 8100)
+        other.cookies.update(browser.cookies)
+        browser.cookies.update(other.cookies)
+        for client, name in ((browser, "ann-8000"), (other, "ann-8100")):
+            assert (await client.get("/?view=rows")).status_code == 200
+            assert (await client.get("/api/v1/me")).json()["name"] == name
+        names = set(browser.cookies) | set(other.cookies)
+        assert all(name.endswith(("_8000", "_8100")) for name in names), names
+        assert (await other.post("/logout")).status_code == 303
+        assert (await browser.get("/api/v1/me")).status_code == 200
+
+
+async def signed_in_at(house: House, port: int) -> httpx.AsyncClient:
+    """A browser that has signed in at a port of the host."""
+    await house.add(f"ann-{port}", Role.VIEWER)
+    client = house.client()
+    client.base_url = f"http://{HOST}:{port}"
+    typed = {"name": f"ann-{port}", "password": PASSWORD}
+    assert (await client.post("/login", data=typed)).status_code == 303
+    return client
+
+
+async def test_a_session_of_before_names_had_a_port_stays(house: House) -> None:
+    session = (await house.signed_in(Role.VIEWER, "ann")).cookies[SESSION]
+    client = house.client(host=f"{HOST}:8000", cookie=f"{SESSION}={session}")
+    assert (await client.get("/api/v1/me")).json()["name"] == "ann"
+    out = await client.post("/logout")
+    assert out.headers["set-cookie"].startswith(f'{SESSION}=""')
+    assert (await client.get("/api/v1/me")).status_code == 401
 
 
 async def test_the_cookie_is_kept_from_scripts_and_other_sites(house: House) -> None:
@@ -326,11 +375,11 @@ async def test_over_https_the_cookies_are_bound_to_the_host(house: House) -> Non
 async def test_a_cookie_of_http_does_not_sign_in_over_https(house: House) -> None:
     """A page in clear could plant one."""
     client = await house.signed_in(Role.VIEWER, "ann")
-    session = client.cookies[COOKIE]
+    session = client.cookies[SESSION]
     for scheme, name, status in (
-        ("https", COOKIE, 401),
-        ("https", f"__Host-{COOKIE}", 200),
-        ("http", f"__Host-{COOKIE}", 401),
+        ("https", SESSION, 401),
+        ("https", f"__Host-{SESSION}", 200),
+        ("http", f"__Host-{SESSION}", 401),
     ):
         other = house.client(cookie=f"{name}={session}")
         other.base_url = f"{scheme}://{HOST}"

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Literal
 
 import httpx
 import pytest
+from argon2 import PasswordHasher
 
+from app.auth import store
 from app.auth.accounts import Accounts
 from app.auth.pages import DEVICE_COOKIE
 from app.auth.sign_in.throttle import FREE
@@ -19,6 +23,7 @@ from tests.app.complete_app import PASSWORD, House, complete_app
 
 HTML = {"accept": "text/html"}
 PIN = "471193"
+FORMS: tuple[Literal["NFC", "NFD"], ...] = ("NFC", "NFD")
 
 
 @pytest.fixture
@@ -141,6 +146,39 @@ async def test_a_browser_that_signed_in_is_known_again(house: House) -> None:
     client.cookies.set(DEVICE_COOKIE, "x" * 4000)
     response = await client.post("/login", data={"name": "ann", "password": PASSWORD})
     assert "x" * 44 not in response.headers["set-cookie"]
+
+
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+async def test_names_and_passwords_are_the_same_however_their_accents_are_typed(
+    house: House, admin: httpx.AsyncClient, form: Literal["NFC", "NFD"]
+) -> None:
+    texts = ("jürgen", "schöne grüne äpfel")
+    name, password = (unicodedata.normalize(form, text) for text in texts)
+    added = {"name": name, "role": "viewer", "password": password}
+    assert (await admin.post("/users", data=added)).status_code == 303
+    assert (await names(house))["jürgen"] == "viewer"
+    for each in FORMS:
+        name, password = (unicodedata.normalize(each, text) for text in texts)
+        assert await can_sign_in(house, name, password)
+    assert not await can_sign_in(house, "jürgen", "schone grune apfel")
+    assert not await can_sign_in(house, "jurgen", "schöne grüne äpfel")
+
+
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+async def test_a_password_hashed_as_it_was_typed_stays_valid(
+    house: House, form: Literal["NFC", "NFD"]
+) -> None:
+    await house.add("ann", Role.VIEWER)
+    password = "schöne grüne äpfel"
+    hashed = PasswordHasher(time_cost=1, memory_cost=64).hash(unicodedata.normalize(form, password))
+    await house.services[Database].write(lambda c: store.set_secret(c, "ann", hashed))
+    for each in FORMS:
+        assert await can_sign_in(house, "ann", unicodedata.normalize(each, password))
+
+
+async def test_separate_accents_make_no_password_longer(admin: httpx.AsyncClient) -> None:
+    typed = {"name": "ann", "role": "viewer", "password": unicodedata.normalize("NFD", "öxäqüvçzñ")}
+    assert (await admin.post("/users", data=typed)).status_code == 422
 
 
 async def test_a_worker_and_an_expiry_are_shown_with_their_token(

@@ -14,9 +14,9 @@ from app.auth.accounts import Accounts
 from app.auth.oidc.pages import ATTEMPT_COOKIE
 from app.auth.oidc.provider import Provider
 from app.auth.oidc.single_sign_on import SingleSignOn
-from app.auth.rights.access import COOKIE
 from app.auth.rights.lasting import NO_LONGER_SIGNED_IN
 from app.web.admission.access import Role
+from app.web.admission.cookies import SESSION
 from tests.administrator import BY
 from tests.app.complete_app import HOST, PASSWORD, House, complete_app
 from tests.app.notification_servers import certificate, server_context
@@ -87,7 +87,7 @@ async def test_a_person_in_no_group_is_refused_and_counted(house: House, provide
         response = await logged_in(client, provider)
         assert reason_of(response) == "groups"
     assert "in no group that may use Lineside" in (await client.get(response.headers["location"])).text
-    assert COOKIE not in client.cookies
+    assert SESSION not in client.cookies
     assert await users(house) == {}
     refused = (await house.events("login_refused"))[-1]
     assert (refused["who"], refused["what"]) == ("anna", "login with a company account refused")
@@ -144,7 +144,7 @@ async def test_a_lower_role_closes_open_connections(house: House, provider: Play
             closed.set_result(message["code"])
         is_open.set()
 
-    headers = [(b"host", HOST.encode()), (b"cookie", f"{COOKIE}={client.cookies[COOKIE]}".encode())]
+    headers = [(b"host", HOST.encode()), (b"cookie", f"{SESSION}={client.cookies[SESSION]}".encode())]
     scope = {"type": "websocket", "path": "/live", "query_string": b"", "headers": headers, "scheme": "ws"}
     socket = asyncio.create_task(house.app(scope, receive, send))
     await is_open.wait()
@@ -179,7 +179,7 @@ async def test_after_a_logout_the_person_signs_in_there_again(house: House, prov
     url = await sent(client)
     assert parse_qs(urlsplit(url).query)["prompt"] == ["login"]
     await client.get(CALLBACK, params=provider.login(url))
-    client.cookies.delete(COOKIE)
+    client.cookies.delete(SESSION)
     assert "prompt" not in parse_qs(urlsplit(await sent(client)).query)
 
 

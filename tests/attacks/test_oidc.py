@@ -19,7 +19,7 @@ from app.auth.oidc import responses, single_sign_on
 from app.auth.oidc.id_token import Expected, InvalidTokenError, verified_claims
 from app.auth.oidc.pages import ATTEMPT_COOKIE
 from app.auth.oidc.single_sign_on import SingleSignOn
-from app.auth.rights.access import COOKIE
+from app.web.admission.cookies import SESSION
 from bus.instants import UnixTime
 from tests.app.complete_app import House
 from tests.app.played_provider import (
@@ -165,7 +165,7 @@ async def test_a_forged_token_of_the_provider_signs_no_one_in(house: House, prov
     for name in ("not signed", "by the public key", "by another key of the same name"):
         provider.make_token = FORGED[name]
         assert reason_of(await logged_in(client, provider)) == "token"
-        assert COOKIE not in client.cookies
+        assert SESSION not in client.cookies
     refused = await house.events("login_refused")
     assert refused[0]["what"] == "login with a company account refused"
 

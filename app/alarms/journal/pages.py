@@ -22,6 +22,7 @@ from app.web.admission.access import Viewer
 from app.web.admission.turns import SEARCH
 from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
+from bus.text import TypedText
 
 router = APIRouter(include_in_schema=False)
 
@@ -38,7 +39,7 @@ AFTER: tuple[AlarmState, ...] = (
     "out_of_service",
 )
 """The states by which the journal is filtered."""
-TypedFilter = Annotated[str, Query(max_length=80)]
+TypedFilter = Annotated[TypedText, Query(max_length=80)]
 
 
 @router.get("/alarms/journal", dependencies=[SEARCH])

@@ -10,6 +10,7 @@ from app.auth import rules
 from app.auth.settings import OidcSettings
 from app.web.admission.access import PEOPLE_ROLES, Role
 from bus.errors import CallerError
+from bus.text import composed
 
 MAX_GROUPS = 5000
 
@@ -20,7 +21,7 @@ def name_of(claims: Mapping[str, Any], settings: OidcSettings) -> str:
     if not isinstance(name, str):
         return ""
     with suppress(CallerError):
-        rules.check_name(name)
+        rules.check_name(name := composed(name[: 4 * rules.MAX_NAME + 1]))
         return name
     return ""
 

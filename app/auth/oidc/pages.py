@@ -12,9 +12,9 @@ from starlette.responses import RedirectResponse, Response
 from app.auth.oidc.login_attempt import MAX_AGE_S, attempt_of
 from app.auth.oidc.refusal import NotAdmittedError
 from app.auth.oidc.single_sign_on import SingleSignOn
-from app.auth.pages import REAUTHENTICATE_COOKIE, SignInService, device_of, own_path, set_cookie, signed_in
-from app.auth.rights.access import cookie_name, is_encrypted
+from app.auth.pages import REAUTHENTICATE_COOKIE, SignInService, device_of, own_path, signed_in
 from app.web.admission.access import address_of, person_of, public
+from app.web.admission.cookies import cookie_of, forget_cookie, set_cookie
 from app.web.services import service
 
 router = APIRouter(include_in_schema=False)
@@ -31,7 +31,7 @@ async def begin_login(request: Request, single_sign_on: SingleSignOnService, nex
     again: a panel or a PC may be shared, and the provider may know the last one still."""
     if person_of(request):
         return RedirectResponse(own_path(next), 303)
-    has_logged_out = cookie_name(request, REAUTHENTICATE_COOKIE) in request.cookies
+    has_logged_out = bool(cookie_of(request, REAUTHENTICATE_COOKIE))
     try:
         url, attempt = single_sign_on.begin(next, _callback_url(request), reauthenticate=has_logged_out)
     except NotAdmittedError as refused:
@@ -47,7 +47,7 @@ async def finish_login(
 ) -> Response:
     """Begin the session of a browser that the provider sends back. What was refused is shown by the login
     page: this address has a code in it, and is not to be loaded again."""
-    attempt = attempt_of(request.cookies.get(cookie_name(request, ATTEMPT_COOKIE), ""))
+    attempt = attempt_of(cookie_of(request, ATTEMPT_COOKIE))
     try:
         begun = await single_sign_on.finish(
             attempt,
@@ -60,9 +60,9 @@ async def finish_login(
         response = _back_to_login(refused, "/" if attempt is None else attempt.next)
     else:
         assert attempt is not None
-        response = signed_in(request, sign_in, begun, attempt.next)
-        _forget(request, response, REAUTHENTICATE_COOKIE)
-    _forget(request, response, ATTEMPT_COOKIE)
+        response = await signed_in(request, sign_in, begun, attempt.next)
+        forget_cookie(request, response, REAUTHENTICATE_COOKIE)
+    forget_cookie(request, response, ATTEMPT_COOKIE)
     return response
 
 
@@ -76,7 +76,3 @@ def _back_to_login(refused: NotAdmittedError, next_page: str) -> Response:
     if own_path(next_page) != "/":
         query["next"] = next_page
     return RedirectResponse(f"/login?{urlencode(query)}", 303)
-
-
-def _forget(request: Request, response: Response, name: str) -> None:
-    response.delete_cookie(cookie_name(request, name), path="/", secure=is_encrypted(request))

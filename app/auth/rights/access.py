@@ -23,14 +23,12 @@ from app.server.admission.handshakes import Handshakes
 from app.server.admission.refusal_log import REFUSED, RefusalLog
 from app.server.connection.client_connection import client_connection
 from app.web.admission.access import Person, Role, account_shown, address_of, not_signed_in
+from app.web.admission.cookies import session_name
 from app.web.admission.security import LOOPBACK, REFUSED_AT_HOME, refuse
 from app.web.problems import is_fragment, problem_json, wants_json
 from bus.instants import monotonic_now
 from bus.messages import Message
 
-COOKIE = "lineside_session"
-_HOST_PREFIX = "__Host-"
-"""Browsers take a cookie of such a name from this host alone, and by TLS (RFC 6265bis, 4.1.3.2)."""
 PUBLIC_PATHS = frozenset(
     {
         "/healthz",
@@ -109,21 +107,11 @@ class Identify:
             if program is None:
                 raise not_signed_in()
             return program
-        cookie = connection.cookies.get(cookie_name(connection, COOKIE))
+        cookie = connection.cookies.get(session_name(connection))
         person = await self._identity.by_cookie(cookie, is_use=is_use) if cookie else None
         if person is None and self._demo and _is_loopback(connection):
             return Person("demo", Role.ADMIN, "demo")
         return person
-
-
-def is_encrypted(connection: HTTPConnection) -> bool:
-    """Whether the browser reached this server, or the trusted proxy before it, by TLS."""
-    return connection.url.scheme in ("https", "wss")
-
-
-def cookie_name(connection: HTTPConnection, name: str) -> str:
-    """The name of a cookie that signs in, under the scheme of a request: one of the other is not read."""
-    return f"{_HOST_PREFIX}{name}" if is_encrypted(connection) else name
 
 
 async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -> None:

@@ -20,6 +20,7 @@ from app.server.admission.addresses import source_of
 from bus.errors import CallerError
 from bus.instants import MonotonicClock, monotonic_now
 from bus.messages import Message
+from bus.text import composed
 
 _LETTERS = "ABCDEFGHJKMNPQRSTVWXYZ23456789"
 """Without those that look alike."""
@@ -53,7 +54,7 @@ class FirstAdmin:
         if not await self.is_open():
             raise Problem(409, "not_in_state", Message("first_admin_exists"))
         self._check(code, address)
-        if password != again:
+        if composed(password) != composed(again):
             raise CallerError(Message("new_passwords_differ"))
         await self._accounts.add_first_admin(name, password, address=address)
         self.code = ""

@@ -210,7 +210,7 @@ class SignIn:
             raise too_soon(ceil(wait_s))
 
     async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
-        secret = secret[: strength.MAX_PASSWORD + 1]
+        secret = secret[: strength.MAX_CODE_POINTS + 1]
         try:
             user, stored = await self._user_or_decoy(name)
         except StoreUnavailableError:

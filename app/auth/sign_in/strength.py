@@ -12,9 +12,12 @@ from pathlib import Path
 
 from bus.errors import CallerError
 from bus.messages import Message
+from bus.text import composed
 
 MIN_PASSWORD, MAX_PASSWORD = 12, 256
-"""Argon2 works on all of it; bounds the work of one request."""
+MAX_CODE_POINTS = 4 * MAX_PASSWORD
+"""Of a password whose accents are typed as separate characters (NFD).
+Argon2 works on all of it; bounds the work of one request."""
 MIN_PIECES = 7
 MIN_SIGNS = 5
 MIN_PIECES_OF_PIN = 4
@@ -69,6 +72,7 @@ def check_secret(secret: str, *, user: str, panel: bool, site: str) -> None:
 
 def check_password(password: str, *, user: str, site: str) -> None:
     """Raises CallerError for a password that ``user`` may not choose at ``site``."""
+    password = composed(password)
     if not MIN_PASSWORD <= len(password) <= MAX_PASSWORD:
         bounds = {"least": MIN_PASSWORD, "most": MAX_PASSWORD}
         raise CallerError(Message.of("password_length", count=len(password), **bounds))

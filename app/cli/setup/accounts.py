@@ -21,6 +21,7 @@ from app.settings import load
 from app.web.admission.access import PEOPLE_ROLES, Role, role_named
 from bus.errors import CallerError
 from bus.messages import Message
+from bus.text import composed
 
 T = TypeVar("T")
 MAX_LINE = 10_000
@@ -28,9 +29,9 @@ MAX_LINE = 10_000
 user = CommandGroup(help="Manage users.")
 token = CommandGroup(help="Manage tokens of programs.")
 
-UserName = Annotated[str, Argument(help="The name to log in with.")]
+UserName = Annotated[str, Argument(help="The name to log in with.", convert=composed)]
 FromInput = Annotated[bool, Option("--password-stdin", help="Read the password from standard input.")]
-TokenName = Annotated[str, Argument(help="Name of the token; unique.")]
+TokenName = Annotated[str, Argument(help="Name of the token; unique.", convert=composed)]
 
 
 def with_accounts(config: Path, work: Callable[[Accounts], Coroutine[Any, Any, T]]) -> T:

@@ -38,7 +38,7 @@ from app.web.api.schema import limited
 from app.web.api.shape import StrictBody, iso
 from app.web.services import bus_service
 from bus.messages import Message
-from bus.text import OneLine
+from bus.text import OneLine, TypedText
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"], route_class=ApiRoute)
 
@@ -96,7 +96,7 @@ class HandOverRequest(StrictBody):
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
-    to: Annotated[str, Field(min_length=1, max_length=60)]
+    to: Annotated[TypedText, Field(min_length=1, max_length=60)]
 
 
 class CommandBlockShown(TypedDict):

@@ -14,6 +14,7 @@ from app.errors import Problem
 from app.web.admission.access import Person, Role, Viewer
 from app.web.rendering.templating import render
 from bus.messages import Message
+from bus.text import TypedText
 
 router = APIRouter(include_in_schema=False)
 ControlStep = Literal["take", "release", "request", "decline", "withdraw", "grant", "hand-over"]
@@ -44,7 +45,7 @@ async def control(
     do: Annotated[ControlStep, Form()],
     place: Annotated[ControlPlace, Form()] = "head",
     of_bus: Annotated[str, Form(max_length=40)] = "",
-    to: Annotated[str, Form(max_length=80)] = "",
+    to: Annotated[TypedText, Form(max_length=80)] = "",
 ) -> Response:
     """One step with control of this bus; states why it had no effect, where another user was quicker."""
     fault: str | Message = ""

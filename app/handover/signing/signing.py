@@ -20,7 +20,7 @@ from app.web.admission.access import Person
 from app.web.api.shape import StrictBody
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
-from bus.text import OneLine
+from bus.text import OneLine, TypedText
 
 PageWriter = Callable[[bytes], bytes]
 """Makes the page of a sheet, in the language of the site, from its JSON."""
@@ -37,7 +37,7 @@ class ShiftSignRequest(StrictBody):
     digest: Annotated[
         str | None, Field(max_length=64, description="Of the signed sheet that was read; checked.")
     ] = None
-    name: Annotated[str, Field(max_length=64)] = ""
+    name: Annotated[TypedText, Field(max_length=64)] = ""
     password: Annotated[str, Field(max_length=1000)] = ""
     reason: Annotated[
         OneLine,

@@ -20,7 +20,7 @@ MAX_HOPS = 20
 MAX_UNDER_WAY = 200
 """Requests of one address behind a proxy; all browsers of a plant may have one."""
 _PORT = re.compile(r"(?:\[(?P<v6>[^\]]*)\]|(?P<v4>[^:]*))(?::\d{1,5})?")
-_HOST = re.compile(r"[A-Za-z0-9.-]{1,253}(?::\d{1,5})?|\[[0-9A-Fa-f:.]{2,45}\](?::\d{1,5})?")
+_HOST = re.compile(r"[A-Za-z0-9._-]{1,253}(?::\d{1,5})?|\[[0-9A-Fa-f:.]{2,45}\](?::\d{1,5})?")
 _SOCKET_SCHEMES = {"http": "ws", "https": "wss"}
 
 
