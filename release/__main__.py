@@ -17,7 +17,7 @@ from pathlib import Path
 
 from hatch_version import version as version_of_files
 from release.debian_tree import package_tree
-from release.packages import ROOT, requirements
+from release.packages import ROOT, extras, requirements
 from release.sbom import document
 
 
@@ -67,7 +67,7 @@ def bundle(path: Path, wheels: Path, version: str, seconds: int) -> None:
     """An archive with the wheels, their checksums and ``install.sh``."""
     major, minor = map(str, sys.version_info[:2])
     script = (ROOT / "release" / "install.sh").read_text(encoding="utf-8")
-    script = script.format(version=version, major=major, minor=minor)
+    script = script.format(version=version, major=major, minor=minor, extras=",".join(extras()))
     contents = {f"wheels/{wheel.name}": wheel.read_bytes() for wheel in wheels.iterdir()}
     listed = "".join(f"{sha256(data).hexdigest()}  {name}\n" for name, data in sorted(contents.items()))
     contents |= {"SHA256SUMS": listed.encode(), "install.sh": script.encode()}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from app.cli.setup.install_service import first_configuration
 from app.cli.setup.service_unit import CONFIGURATION, INSTALLED, ServiceUnit
-from release.packages import ROOT
+from release.packages import ROOT, extras
 
 TEMPLATES = ROOT / "release" / "debian"
 SCRIPTS = ("postinst", "prerm", "postrm")
@@ -49,7 +49,7 @@ def environment(folder: Path, home: Path, wheels: Path, version: str) -> None:
         [
             *(sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index"),
             *("--find-links", str(wheels), "--target", str(packages), "--no-compile"),
-            f"lineside=={version}",
+            f"lineside[{','.join(extras())}]=={version}",
         ],
         check=True,
     )

@@ -6,6 +6,8 @@ folder=${{1:-/opt/lineside}}
 python=${{PYTHON:-python3}}
 "$python" -c 'import sys; sys.exit(sys.version_info[:2] != ({major}, {minor}) and "This bundle is for Python {major}.{minor}; this is " + sys.version.split()[0] + ". Set PYTHON=/path/to/python{major}.{minor}.")'
 (cd "$here" && sha256sum --quiet --check SHA256SUMS)
-"$python" -m venv "$folder" || {{ echo "On Debian: apt install python3-venv" >&2; exit 1; }}
-"$folder/bin/python" -m pip install --disable-pip-version-check --quiet --no-index --find-links "$here/wheels" lineside=={version}
+# Debian's Python makes an environment without pip, unless python3-venv is installed: pip comes from its wheel.
+"$python" -m venv --without-pip "$folder"
+set -- "$here"/wheels/pip-*.whl
+"$folder/bin/python" "$1/pip" install --disable-pip-version-check --no-warn-script-location --quiet --no-index --find-links "$here/wheels" pip "lineside[{extras}]=={version}"
 echo "Installed. Try it: $folder/bin/lineside demo    As a service: sudo $folder/bin/lineside install-service"

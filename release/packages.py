@@ -10,14 +10,15 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parent.parent
-LOCK = ROOT / "requirements.lock"
+LOCK = ROOT / "requirements-dev.lock"
+"""Of the two locks the one that has the extras; what is in both has the same version."""
 ENTRY = re.compile(r"^(?P<name>[\w.-]+)==(?P<version>[^\s;]+)[^\n]*\n(?:[ ]+[^\n]*\n)*", re.M)
 
 
-def needed(name: str = "lineside") -> set[str]:
-    """The names of the packages that an installation without extras has besides ``name``."""
+def needed(*extras: str, name: str = "lineside") -> set[str]:
+    """Return the names of the packages that an installation with these extras has besides ``name``."""
     found: set[str] = set()
-    waiting = [(name, frozenset[str]())]
+    waiting = [(name, frozenset(extras))]
     while waiting:
         package, extras = waiting.pop()
         for text in distribution(package).requires or ():
@@ -30,6 +31,11 @@ def needed(name: str = "lineside") -> set[str]:
                     found.add(canonical)
                     waiting.append((canonical, frozenset(required.extras)))
     return found
+
+
+def extras(name: str = "lineside") -> list[str]:
+    """Return every extra: bundle and package have them all, for where there is no network to add one."""
+    return distribution(name).metadata.get_all("Provides-Extra") or []
 
 
 def locked(lock: Path = LOCK) -> dict[str, tuple[str, str]]:
@@ -47,6 +53,6 @@ def without_comments(entry: str) -> str:
 
 
 def requirements() -> str:
-    """A file of requirements with the hash of everything that runs, for pip."""
+    """Return a file of requirements for pip, with the hash of everything that runs and of pip itself."""
     entries = locked()
-    return "".join(entries[name][1] for name in sorted(needed()))
+    return "".join(entries[name][1] for name in sorted(needed(*extras()) | {"pip"}))

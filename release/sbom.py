@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from uuid import NAMESPACE_URL, uuid5
 
-from release.packages import ROOT, locked, needed
+from release.packages import ROOT, extras, locked, needed
 
 SENT_TO_BROWSERS = ("htmx.org", "uplot")
 
@@ -16,7 +16,7 @@ SENT_TO_BROWSERS = ("htmx.org", "uplot")
 def document(version: str, made_at: str) -> str:
     """``made_at``: ISO 8601. The same commit gives the same text."""
     own = {"type": "application", "name": "lineside", "version": version, "licenses": _license("MIT")}
-    parts = [*map(_of_python, sorted(needed())), *map(_of_browsers, SENT_TO_BROWSERS)]
+    parts = [*map(_of_python, sorted(needed(*extras()))), *map(_of_browsers, SENT_TO_BROWSERS)]
     made = {
         "bomFormat": "CycloneDX",
         "specVersion": "1.6",

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 SUITE = "bookworm"
-PACKAGES = "python3,python3-venv,systemd,systemd-sysv,debconf,kmod,udev,dbus,procps"
+PACKAGES = "python3,systemd,systemd-sysv,debconf,kmod,udev,dbus,procps"
 BOOT_S = 60
 ENVIRONMENT = "export PATH=/usr/sbin:/usr/bin:/sbin:/bin DEBIAN_FRONTEND=noninteractive LC_ALL=C"
 IS_UP = """

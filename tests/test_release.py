@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
+import sysconfig
+import tarfile
 from collections.abc import Iterator
 from importlib.metadata import distribution
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 
 from app.version import VERSION
-from release.__main__ import main
+from release.__main__ import bundle, main
 from release.debian_tree import debian_version, files, template
-from release.packages import locked, needed, requirements
+from release.packages import extras, locked, needed, requirements
 from release.sbom import document
 from tests.booted_machine import Machine, booted
 
@@ -56,17 +60,19 @@ def test_an_installation_is_light() -> None:
 
 def test_each_package_that_runs_has_its_version_and_hash() -> None:
     lines = requirements().splitlines()
-    assert {line.partition("==")[0] for line in lines if not line.startswith(" ")} == needed()
+    named = {line.partition("==")[0] for line in lines if not line.startswith(" ")}
+    assert named == needed(*extras()) | {"pip"}
+    assert {"joserfc", "pyarrow", "serialx"} <= named, "no extra can be added where there is no network"
     assert all(
         line.endswith("\\") != line.lstrip().startswith("--hash") or "--hash" in line for line in lines
     )
     assert "hatchling" in locked()
-    assert "hatchling" not in needed()
+    assert "hatchling" not in named
 
 
 def test_the_list_of_parts_names_each_with_its_version() -> None:
     parts = json.loads(document(VERSION, "2026-11-26T00:00:00Z"))["components"]
-    assert {part["name"] for part in parts} == {*needed(), "htmx.org", "uplot"}
+    assert {part["name"] for part in parts} == {*needed(*extras()), "htmx.org", "uplot"}
     assert all(part["purl"].endswith(f"@{part['version']}") for part in parts)
     assert document(VERSION, "2026-11-26T00:00:00Z") == document(VERSION, "2026-11-26T00:00:00Z")
 
@@ -76,6 +82,61 @@ def test_a_package_of_debian_holds_the_service_and_a_configuration() -> None:
     assert "ExecStart=/opt/lineside/bin/lineside serve" in made["usr/lib/systemd/system/lineside.service"]
     assert 'data = "/var/lib/lineside/data"' in made["usr/share/lineside/lineside.toml"]
     assert debian_version("1.4.1.dev7+gabc") == "1.4.1~dev7+gabc"
+
+
+def test_the_bundle_installs_where_python_cannot_make_pip(tmp_path: Path) -> None:
+    """Debian's Python has no ``ensurepip`` without python3-venv. The bundle is small: a pip, and a stub."""
+    wheels = tmp_path / "wheels"
+    wheels.mkdir()
+    pip = distribution("pip")
+    with ZipFile(wheels / f"pip-{pip.version}-py3-none-any.whl", "w") as wheel:
+        for file in pip.files or ():
+            if file.suffix != ".pyc" and ".." not in file.parts:
+                wheel.write(str(file.locate()), str(file))
+    stub_wheel(wheels, "1.0")
+    bundle(tmp_path / "lineside.tar.gz", wheels, "1.0", 0)
+    python = python_without_ensurepip(tmp_path / "python")
+    lacking = subprocess.run([python, "-c", "import ensurepip"], capture_output=True, text=True, check=False)
+    assert "No module named 'ensurepip'" in lacking.stderr
+    with tarfile.open(tmp_path / "lineside.tar.gz") as archive:
+        archive.extractall(tmp_path, filter="data")
+    script, folder = tmp_path / "lineside" / "install.sh", tmp_path / "installed here"
+    environment = os.environ | {"PYTHON": str(python)}
+    done = subprocess.run(["sh", script, folder], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"{folder}/bin/lineside install-service" in done.stdout
+    assert subprocess.check_output([folder / "bin" / "lineside"], text=True) == "a stub\n"
+    assert (folder / "bin" / "pip").exists(), "an upgrade is a wheel that pip installs"
+
+
+def python_without_ensurepip(folder: Path) -> Path:
+    """Make a copy of this Python's program beside all of its library but ``ensurepip``, as Debian has it."""
+    library = Path(sysconfig.get_path("stdlib"))
+    own = folder / "lib" / library.name
+    own.mkdir(parents=True)
+    for entry in library.iterdir():
+        if entry.name not in ("ensurepip", "site-packages", "dist-packages"):
+            (own / entry.name).symlink_to(entry)
+    (folder / "bin").mkdir()
+    program = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    shutil.copy(Path(sys.base_prefix) / "bin" / program, folder / "bin")
+    return folder / "bin" / program
+
+
+def stub_wheel(folder: Path, version: str) -> None:
+    """Make a wheel of Lineside's name, extras and command."""
+    about = f"lineside-{version}.dist-info"
+    metadata = ["Metadata-Version: 2.1", "Name: lineside", f"Version: {version}"]
+    members = {
+        "stub.py": 'def main():\n    print("a stub")\n',
+        f"{about}/METADATA": "\n".join((*metadata, *(f"Provides-Extra: {name}" for name in extras()), "")),
+        f"{about}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+        f"{about}/entry_points.txt": "[console_scripts]\nlineside = stub:main\n",
+    }
+    listed = "".join(f"{name},,\n" for name in (*members, f"{about}/RECORD"))
+    with ZipFile(folder / f"lineside-{version}-py3-none-any.whl", "w") as wheel:
+        for name, text in (members | {f"{about}/RECORD": listed}).items():
+            wheel.writestr(name, text)
 
 
 @pytest.mark.parametrize("script", ["postinst", "prerm", "postrm"])
