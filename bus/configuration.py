@@ -83,6 +83,8 @@ def read(path: Path) -> str:
         return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
         raise ConfigurationError(Message.of("configuration_missing", file=str(path))) from None
+    except PermissionError as error:
+        raise ConfigurationError(Message.of("configuration_not_permitted", file=str(path))) from error
     except UnicodeDecodeError as error:
         raise ConfigurationError(Message.of("configuration_not_utf8", file=str(path))) from error
     except OSError as error:

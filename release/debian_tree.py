@@ -9,8 +9,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from app.cli.setup.install_service import first_configuration
-from app.cli.setup.service_unit import CONFIGURATION, INSTALLED, ServiceUnit
+from app.cli.setup.service_unit import CONFIGURATION, INSTALLED, PACKAGED_UNIT, ServiceUnit
+from app.cli.setup.starting_file import first_configuration
 from release.packages import ROOT, extras
 
 TEMPLATES = ROOT / "release" / "debian"
@@ -64,7 +64,7 @@ def environment(folder: Path, home: Path, wheels: Path, version: str) -> None:
 
 def files(version: str) -> Iterator[tuple[str, str]]:
     """Path and text of each file beside the environment."""
-    yield "usr/lib/systemd/system/lineside.service", ServiceUnit().text
+    yield str(PACKAGED_UNIT.relative_to("/")), ServiceUnit().text
     yield "usr/lib/udev/rules.d/60-lineside.rules", template("udev.rules")
     yield "usr/share/lineside/lineside.toml", first_configuration(CONFIGURATION)
     yield "usr/share/doc/lineside/copyright", (ROOT / "LICENSE").read_text(encoding="utf-8")

@@ -10,4 +10,6 @@ python=${{PYTHON:-python3}}
 "$python" -m venv --without-pip "$folder"
 set -- "$here"/wheels/pip-*.whl
 "$folder/bin/python" "$1/pip" install --disable-pip-version-check --no-warn-script-location --quiet --no-index --find-links "$here/wheels" pip "lineside[{extras}]=={version}"
+# For sudo, whose path has it: the command of the guides is then the same as that of the Debian package.
+if [ "$folder" = /opt/lineside ] && [ -w /usr/local/bin ]; then ln -sf "$folder/bin/lineside" /usr/local/bin/lineside; fi
 echo "Installed. Try it: $folder/bin/lineside demo    As a service: sudo $folder/bin/lineside install-service"

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 from collections.abc import Iterator
 from importlib.metadata import distribution
 from pathlib import Path
@@ -26,6 +27,14 @@ from tests.booted_machine import Machine, booted
 MAX_PACKAGES, MAX_MB = 38, 100.0
 FIRST_PAGE_S, AGAIN_S = 60.0, 30.0
 PAGE = "http://127.0.0.1:8000/healthz"
+BUS = """
+[[bus]]
+name = "line-1"
+port = "/dev/ttyUSB0"
+[[bus.unit]]
+id = 1
+name = "Unwind"
+"""
 SERVER = "systemctl show -p MainPID --value lineside"
 RESTART = """
 import json, sys, time, urllib.request
@@ -80,7 +89,8 @@ def test_the_list_of_parts_names_each_with_its_version() -> None:
 def test_a_package_of_debian_holds_the_service_and_a_configuration() -> None:
     made = dict(files(VERSION))
     assert "ExecStart=/opt/lineside/bin/lineside serve" in made["usr/lib/systemd/system/lineside.service"]
-    assert 'data = "/var/lib/lineside/data"' in made["usr/share/lineside/lineside.toml"]
+    shipped = tomllib.loads(made["usr/share/lineside/lineside.toml"])
+    assert (shipped["server"]["data"], "bus" in shipped) == ("/var/lib/lineside/data", False)
     assert debian_version("1.4.1.dev7+gabc") == "1.4.1~dev7+gabc"
 
 
@@ -180,8 +190,12 @@ def test_the_package_is_installed_lives_through_faults_and_is_removed(
 ) -> None:
     [package] = release.glob("*.deb")
     there = machine.put(package)
-    machine.run(f"dpkg -i {there}")
+    told = machine.run(f"dpkg -i {there} 2>&1")
+    assert "http://127.0.0.1:8000/setup with the code " in told
+    assert "sudo journalctl -u lineside" in told
     machine.wait_for(PAGE, FIRST_PAGE_S)
+    machine.run(f"cat >> /etc/lineside/lineside.toml <<'END'\n{BUS}END\nsystemctl restart lineside")
+    machine.wait_for(PAGE, AGAIN_S)
     assert machine.run("lineside --version") == f"lineside {package.name.split('_')[1]}"
     assert "read-only" not in machine.run("journalctl -u lineside -o cat").lower()
 
@@ -215,6 +229,8 @@ def test_the_package_is_installed_lives_through_faults_and_is_removed(
     machine.wait_for(PAGE, AGAIN_S)
     assert machine.run("tail -1 /etc/lineside/lineside.toml") == "# mine"
     machine.run("dpkg -r lineside; test -e /var/lib/lineside/data/lineside.db; test ! -e /opt/lineside")
-    machine.run("dpkg -P lineside; test -e /etc/lineside/lineside.toml")
+    machine.run("dpkg -P lineside; test -e /etc/lineside/lineside.toml; getent passwd lineside")
+    machine.run(f"dpkg -i {there}; echo lineside lineside/remove-records boolean true | debconf-set-selections")
+    machine.run("dpkg -P lineside; test ! -e /etc/lineside; ! getent passwd lineside")
     assert shutil.which("lineside", path=str(machine.root / "usr/bin")) is None
     assert sys.version_info[:2] == (3, 11), "of the Python of this Debian"

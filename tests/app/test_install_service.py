@@ -75,7 +75,7 @@ def test_it_may_write_where_the_configuration_lets_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("ports", "opens_ports"),
     [
-        ([], False),
+        ([], True),
         (["socket://10.0.0.7:4001", "rfc2217://10.0.0.7:4002"], False),
         (["socket://10.0.0.7:4001", "/dev/ttyUSB0"], True),
     ],

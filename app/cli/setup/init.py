@@ -3,49 +3,59 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import sys
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from os import geteuid
 from pathlib import Path
 
 import click
 
-from app.cli.config_option import NEW_CONFIG, Config
+from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
-from app.cli.setup.rights import become_owner_of
+from app.cli.setup import install_service
+from app.cli.setup.rights import acting_as_owner_of
+from app.cli.setup.service_unit import CONFIGURATION, PACKAGED_UNIT, UNIT_FILE
+from app.cli.setup.starting_file import (
+    adapters,
+    example_bus,
+    has_own_bus,
+    likely_port,
+    with_bus,
+    with_names,
+    without_bus,
+)
+from app.configuration.service import replace_file
 from app.errors import system_error
+from app.settings import parse
+from bus.configuration import ConfigurationError, read
 from bus.errors import CallerError, LinesideError
 from bus.messages import Message
 
-BY_ID = Path("/dev/serial/by-id")
-USUAL_PORT = "/dev/ttyUSB0"
-STARTER = Path(__file__).with_name("starter.toml")
-BUS = "# One [[bus]] for each RS-422 cable.\n"
-"""Of the starter: what follows is the bus."""
 ADDRESSES = range(1, 256)
 ALLOWED_S = 0.05
 
 
-def init(config: Config = NEW_CONFIG) -> None:
-    """Write a commented lineside.toml to start from. An existing file is never overwritten.
+def init(config: Config = LINESIDE_TOML) -> None:
+    """Write a commented lineside.toml to start from, or complete the one that the service was installed with. A
+    file with a bus of its own is never changed.
 
-    At a terminal it prompts for the name of the machine, the port, whether to scan it, and the first admin.
+    At a terminal it prompts for the name of the machine, the port, whether to scan it, the names of the units,
+    and the first admin. The installed service is stopped for the scan and starts with what was written.
     """
-    become_owner_of(config.resolve().parent)
-    if config.exists():
-        raise _exists(config)
+    present = present_text(config)
+    text = without_bus(config) if present is None else present
     prompts = is_interactive()
-    text = prompted_text(config) if prompts else starter(config, likely_port())
-    try:
-        with config.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError as error:
-        raise _exists(config) from error
-    except OSError as error:
-        raise LinesideError(
-            Message.of("configuration_not_writable", file=str(config), error=system_error(error))
-        ) from error
-    if prompts:
-        prompt_for_admin(config)
+    with service_stopped(config) if prompts else service_running():
+        if prompts:
+            text = prompted_text(config, text)
+        else:
+            text = with_bus(text, example_bus(config, likely_port()))
+        with acting_as_owner_of(config.resolve().parent):
+            write(config, present, text)
+            if prompts:
+                prompt_for_admin(config)
     report(Message.of("configuration_written", file=str(config)))
 
 
@@ -54,25 +64,83 @@ def is_interactive() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
+def present_text(config: Path) -> str | None:
+    """Return the text of a file that has no bus yet, None where there is no file. Raises LinesideError for
+    any other, which is kept."""
+    try:
+        text = read(config)
+    except ConfigurationError as error:
+        if [fault.code for fault in error.faults] == ["configuration_missing"]:
+            return None
+        raise
+    if has_own_bus(text):
+        raise _exists(config)
+    return text
+
+
+def write(config: Path, present: str | None, text: str) -> None:
+    """Write a new file, or replace one that is still as it was read. Raises LinesideError."""
+    try:
+        if present is not None:
+            replace_file(config, present, text)
+            return
+        with config.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise _exists(config) from error
+    except OSError as error:
+        raise LinesideError(
+            Message.of("configuration_not_writable", file=str(config), error=system_error(error))
+        ) from error
+
+
 def _exists(config: Path) -> LinesideError:
     return LinesideError(Message.of("configuration_exists", file=str(config)))
 
 
-def prompted_text(config: Path) -> str:
-    """A new configuration of what a person types, and of what a scan finds."""
-    name = click.prompt("Name of the machine", default="My line")
+@contextmanager
+def service_running() -> Iterator[None]:
+    """Leave the service alone."""
+    yield
+
+
+@contextmanager
+def service_stopped(config: Path) -> Iterator[None]:
+    """Stop the installed service of this configuration, which may have the port open, and start it again in
+    any case. Only root may, and only systemd has one."""
+    is_installed = UNIT_FILE.exists() or PACKAGED_UNIT.exists()
+    if not (is_installed and config.absolute() == CONFIGURATION and install_service.BOOTED.is_dir()):
+        yield
+        return
+    if geteuid() != 0:
+        raise LinesideError(Message.of("init_needs_root", file=str(config)))
+    install_service.run(["systemctl", "stop", UNIT_FILE.name])
+    try:
+        yield
+    finally:
+        install_service.run(["systemctl", "restart", UNIT_FILE.name])
+        report(Message.of("init_service_started", unit=UNIT_FILE.stem))
+
+
+def prompted_text(config: Path, text: str) -> str:
+    """Return the configuration with what a person types, and with what a scan finds. Raises
+    ConfigurationError for what cannot be, such as too long a name."""
+    site = click.prompt("Name of the machine", default="My line")
     for adapter in adapters():
         click.echo(f"  adapter: {adapter}")
     port = click.prompt("Port", default=likely_port())
-    text = starter(config, port).replace('name = "My line"', f"name = {json.dumps(name)}", 1)
-    if not click.confirm("Scan it for units now? Nothing is written to them.", default=True):
-        return text
-    table = _scanned(port)
-    return text.partition(BUS)[0] + BUS + table if table else text
+    table, names = "", {}
+    if click.confirm("Scan it for units now? Nothing is written to them.", default=True):
+        table = _scanned(port)
+        units = tomllib.loads(table)["bus"][0]["unit"] if table else []
+        names = {unit["id"]: click.prompt(f"Name of unit {unit['id']}", default=unit["name"]) for unit in units}
+    text = with_names(with_bus(text, table or example_bus(config, port)), site, names)
+    parse(text, config)
+    return text
 
 
 def _scanned(port: str) -> str:
-    """The bus with the units that respond; empty where there is none, or no port, which it prints."""
+    """Return the bus with the units that respond; empty where there is none, or no port, which it prints."""
     # The scanner is the bus worker's: a file without a scan does not need it.
     from app.cli.wire.bus_table import bus_table
     from app.cli.wire.scan import allowed_ms, bauds_to_try, scan_bauds, units_of
@@ -83,16 +151,16 @@ def _scanned(port: str) -> str:
         asyncio.run(scan_bauds(scans, port, bauds_to_try(port, None), ADDRESSES, ALLOWED_S, False))
     except LinesideError as error:
         report(error.message, err=True)
-    found = units_of(scans)
+    found = [one for one in units_of(scans) if one.kind == "digimax"]
     if not found:
         report(Message("init_found_no_unit"), err=True)
         return ""
     report(Message.of("init_found_units", n=len(found)))
-    return bus_table(port, found, allowed_ms(scans))
+    return bus_table(port, units_of(scans), allowed_ms(scans))
 
 
 def prompt_for_admin(config: Path) -> None:
-    """The first user, who can add the others; without a name the dashboard prompts for one."""
+    """Prompt for the first user, who can add the others; without a name the browser prompts for one."""
     from app.cli.setup.accounts import prompted_password, store_user
     from app.web.admission.access import Role
 
@@ -103,21 +171,3 @@ def prompt_for_admin(config: Path) -> None:
             report(error.message, err=True)
         else:
             break
-
-
-def adapters(folder: Path = BY_ID) -> list[str]:
-    """The serial adapters of this machine by their lasting paths."""
-    return sorted(str(entry) for entry in folder.iterdir()) if folder.is_dir() else []
-
-
-def likely_port(folder: Path = BY_ID) -> str:
-    """The first serial adapter; else a usual name."""
-    return next(iter(adapters(folder)), USUAL_PORT)
-
-
-def starter(config: Path, port: str) -> str:
-    """The text of a new configuration. JSON's strings are TOML's too."""
-    text = STARTER.read_text(encoding="utf-8")
-    for name, value in {"config": str(config), "quoted_port": json.dumps(port), "port": port}.items():
-        text = text.replace(f"{{{name}}}", value)
-    return text

@@ -17,8 +17,8 @@ import click
 
 from app.cli.ending import report, wrong_option
 from app.cli.options import Option
-from app.cli.setup.init import USUAL_PORT, likely_port, starter
 from app.cli.setup.service_unit import CONFIGURATION, DATA, UNIT_FILE, USER, ServiceUnit
+from app.cli.setup.starting_file import first_configuration
 from app.errors import system_error
 from app.settings import ConfigurationError, Settings, load
 from bus.errors import LinesideError
@@ -67,10 +67,10 @@ def configured(config: Path) -> Settings | None:
 
 
 def unit_of(command: Path, config: Path, user: str, settings: Settings | None) -> ServiceUnit:
-    """The service of a configuration: it may open serial ports where a bus is on one, as in the first one."""
+    """Return the service of a configuration: it may open serial ports, unless every bus is on a device server."""
     if settings is None:
         return ServiceUnit(command, config, user)
-    has_ports = any(bus.has_local_port for bus in settings.bus)
+    has_ports = not settings.bus or any(bus.has_local_port for bus in settings.bus)
     return ServiceUnit(command, config, user, folders_written(settings, config), has_ports)
 
 
@@ -131,18 +131,11 @@ def write_configuration(unit: ServiceUnit) -> None:
     """A first configuration with the folder of the data; one that is there stays as it is."""
     try:
         with unit.configuration.open("x", encoding="utf-8") as file:
-            file.write(first_configuration(unit.configuration, likely_port()))
+            file.write(first_configuration(unit.configuration))
     except FileExistsError:
         return
     unit.configuration.chmod(0o640)
     shutil.chown(unit.configuration, unit.user, unit.user)
-
-
-def first_configuration(path: Path, port: str = USUAL_PORT) -> str:
-    """The text of the configuration that a service begins with, at ``path``."""
-    # Below the folder that the service may write in: the anchor of the audit log is beside the data.
-    data = json.dumps(str(DATA / "data"))
-    return re.sub(r'^data = ".*"', f"data = {data}", starter(path, port), flags=re.M)
 
 
 def user_exists(name: str) -> bool:

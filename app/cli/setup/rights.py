@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -15,6 +17,24 @@ def become_owner_of(folder: Path) -> None:
     os.setgroups(_groups_of(uid, gid))
     os.setresgid(gid, gid, gid)
     os.setresuid(uid, uid, uid)
+
+
+@contextmanager
+def acting_as_owner_of(folder: Path) -> Iterator[None]:
+    """Act as the owner of a folder, as `become_owner_of` does, and as root again afterwards."""
+    if os.geteuid() != 0 or (owner := _owner(folder)) is None:
+        yield
+        return
+    (uid, gid), own_gid, own_groups = owner, os.getegid(), os.getgroups()
+    os.setgroups(_groups_of(uid, gid))
+    os.setegid(gid)
+    os.seteuid(uid)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+        os.setegid(own_gid)
+        os.setgroups(own_groups)
 
 
 def _owner(folder: Path) -> tuple[int, int] | None:

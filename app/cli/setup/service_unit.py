@@ -15,6 +15,8 @@ CONFIGURATION = Path("/etc/lineside/lineside.toml")
 DATA = Path("/var/lib/lineside")
 INSTALLED = Path("/opt/lineside/bin/lineside")
 UNIT_FILE = Path("/etc/systemd/system/lineside.service")
+PACKAGED_UNIT = Path("/usr/lib/systemd/system/lineside.service")
+"""Of the Debian package; one in ``/etc`` goes before it."""
 WRONG_CONFIGURATION = os.EX_CONFIG
 """Exit code, as a service alone, of a configuration with which another start would end the same way."""
 DRIVERS = ("usbserial", "cdc_acm")
