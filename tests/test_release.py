@@ -112,7 +112,9 @@ def test_the_bundle_installs_where_python_cannot_make_pip(tmp_path: Path) -> Non
         archive.extractall(tmp_path, filter="data")
     script, folder = tmp_path / "lineside" / "install.sh", tmp_path / "installed here"
     environment = os.environ | {"PYTHON": str(python)}
-    done = subprocess.run(["sh", script, folder], env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["sh", script, folder], env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"{folder}/bin/lineside install-service" in done.stdout
     assert subprocess.check_output([folder / "bin" / "lineside"], text=True) == "a stub\n"
@@ -230,7 +232,9 @@ def test_the_package_is_installed_lives_through_faults_and_is_removed(
     assert machine.run("tail -1 /etc/lineside/lineside.toml") == "# mine"
     machine.run("dpkg -r lineside; test -e /var/lib/lineside/data/lineside.db; test ! -e /opt/lineside")
     machine.run("dpkg -P lineside; test -e /etc/lineside/lineside.toml; getent passwd lineside")
-    machine.run(f"dpkg -i {there}; echo lineside lineside/remove-records boolean true | debconf-set-selections")
+    machine.run(
+        f"dpkg -i {there}; echo lineside lineside/remove-records boolean true | debconf-set-selections"
+    )
     machine.run("dpkg -P lineside; test ! -e /etc/lineside; ! getent passwd lineside")
     assert shutil.which("lineside", path=str(machine.root / "usr/bin")) is None
     assert sys.version_info[:2] == (3, 11), "of the Python of this Debian"

@@ -79,7 +79,17 @@ def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_at_a_terminal_it_scans_and_adds_the_first_admin(tmp_path: Path) -> None:
     config = tmp_path / "lineside.toml"
     with line(unit(2), unit(5)) as port:
-        typed = ("Paper machine 2", port, "y", "Unwind", "", "anna", *("too short",) * 2, "anna", *(PASSWORD,) * 2)
+        typed = (
+            "Paper machine 2",
+            port,
+            "y",
+            "Unwind",
+            "",
+            "anna",
+            *("too short",) * 2,
+            "anna",
+            *(PASSWORD,) * 2,
+        )
         done = CliRunner().invoke(cli, ["init", "--config", str(config)], input="\n".join(typed) + "\n")
     assert done.exit_code == 0, done.output
     assert PASSWORD not in done.output + config.read_text()
@@ -106,7 +116,7 @@ def test_it_completes_the_file_of_the_package(tmp_path: Path) -> None:
     """Port, scan, names, first admin; comments, other settings and the mode of the file stay."""
     config = tmp_path / "lineside.toml"
     shipped = first_configuration(config).replace("/var/lib/lineside/data", str(tmp_path / "data"))
-    config.write_text(f"{shipped}# mine\n[shift]\nstarts = [\"06:00\", \"18:00\"]\n")
+    config.write_text(f'{shipped}# mine\n[shift]\nstarts = ["06:00", "18:00"]\n')
     config.chmod(0o640)
     assert load(config).bus == ()
     with line(unit(3), unit(4)) as port:

@@ -38,20 +38,19 @@ ALLOWED_S = 0.05
 
 
 def init(config: Config = LINESIDE_TOML) -> None:
-    """Write a commented lineside.toml to start from, or complete the one that the service was installed with. A
-    file with a bus of its own is never changed.
+    """Write a commented lineside.toml to start from, or complete the one that the service was installed
+    with. A file with a bus of its own is never changed.
 
-    At a terminal it prompts for the name of the machine, the port, whether to scan it, the names of the units,
-    and the first admin. The installed service is stopped for the scan and starts with what was written.
+    At a terminal it prompts for the name of the machine, the port, whether to scan it, the names of the
+    units, and the first admin. The installed service is stopped for the scan and starts with what was
+    written.
     """
     present = present_text(config)
     text = without_bus(config) if present is None else present
     prompts = is_interactive()
     with service_stopped(config) if prompts else service_running():
-        if prompts:
-            text = prompted_text(config, text)
-        else:
-            text = with_bus(text, example_bus(config, likely_port()))
+        example = example_bus(config, likely_port())
+        text = prompted_text(config, text) if prompts else with_bus(text, example)
         with acting_as_owner_of(config.resolve().parent):
             write(config, present, text)
             if prompts:
@@ -133,7 +132,9 @@ def prompted_text(config: Path, text: str) -> str:
     if click.confirm("Scan it for units now? Nothing is written to them.", default=True):
         table = _scanned(port)
         units = tomllib.loads(table)["bus"][0]["unit"] if table else []
-        names = {unit["id"]: click.prompt(f"Name of unit {unit['id']}", default=unit["name"]) for unit in units}
+        names = {
+            unit["id"]: click.prompt(f"Name of unit {unit['id']}", default=unit["name"]) for unit in units
+        }
     text = with_names(with_bus(text, table or example_bus(config, port)), site, names)
     parse(text, config)
     return text

@@ -67,7 +67,8 @@ def configured(config: Path) -> Settings | None:
 
 
 def unit_of(command: Path, config: Path, user: str, settings: Settings | None) -> ServiceUnit:
-    """Return the service of a configuration: it may open serial ports, unless every bus is on a device server."""
+    """Return the service of a configuration. It may open serial ports, unless every bus is on a device
+    server."""
     if settings is None:
         return ServiceUnit(command, config, user)
     has_ports = not settings.bus or any(bus.has_local_port for bus in settings.bus)
