@@ -49,6 +49,7 @@ from bus.wire.exchange import Exchange
 from bus.wire.lengths import usual_reply_bytes
 
 CLOSED_TO_OFFLINE_S = 3.0
+NOT_OPENED = Message("port_not_opened")
 MAX_PORT_REMARKS = 5
 """The newest ones are kept."""
 
@@ -83,7 +84,7 @@ class LineLoop:
         self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatusRequest(1)), seed)
         self.lease = lease
         self.link = Link(self.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace, lease)
-        self.state = self._port_is("closed", Message("port_not_opened"))
+        self.state = self._port_is("closed", NOT_OPENED)
         self._send_report = report
         self._events: list[Update] = []
         self._figures = Figures()
@@ -185,6 +186,8 @@ class LineLoop:
                 self.schedule.stopped_responding(request.unit, now)
             return
         assert result.responded_at is not None
+        if self.state.link == "closed":
+            self.port_is_back()
         is_probe = result.dialect not in (None, self.dialect)
         self._events += self.roster.take_response(
             request, reply, result.responded_at, result.frame, is_probe=is_probe
@@ -251,8 +254,16 @@ class LineLoop:
     def _port_opened(self, port: OpenPort) -> None:
         self.link.attach(port, self.baud)
         self.schedule.probes.forgive(self.clock.now())
-        self.state = self._port_is("open")
-        self._events.append(self.state)
+        if self.state.cause == NOT_OPENED:
+            self.port_is_back()
+
+    def port_is_back(self) -> None:
+        """Report the port as open. One that was lost is back with the first response, or once it has stayed
+        open for a while: a device server that ends may still accept connections."""
+        if self.link.open and self.state.link == "closed":
+            self.state = self._port_is("open")
+            self._events.append(self.state)
+            self._wake()
 
     def _port_lost(self) -> Message:
         """Whatever was under way ends as unknown; nothing is sent later. Returns the cause."""
@@ -260,7 +271,8 @@ class LineLoop:
         self._foreseen = self.trace.witness = None
         self._settle()
         now, cause = self.clock.now(), self.link.loss
-        self._closed_at = now
+        if self.state.link == "open":
+            self._closed_at = now
         self._port_closed(cause)
         self._events += self.roster.port_closed(self.clock.epoch(now), cause)
         for run in self.commands:

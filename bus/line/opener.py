@@ -148,6 +148,7 @@ class Opener:
     def _note_stable(self) -> None:
         """An opening that lasts is logged even where the ones before were not worth it."""
         self._causes = 0
+        self._line.port_is_back()
         if not self._backoff.is_worth_logging:
             self._log_open()
 

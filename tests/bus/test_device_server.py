@@ -6,10 +6,12 @@ import asyncio
 import socket
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
+from itertools import groupby
 
 import pytest
 
 from bus.contract import BusLink, SetSpeed
+from bus.line import opener
 from bus.line.port.open_port import open_port
 from bus.line.port.tcp import TCP_LOST_AFTER_MS
 from bus.messages import Message
@@ -55,6 +57,12 @@ def causes(app: FakeApp) -> list[str]:
     ]
 
 
+def states(app: FakeApp) -> list[str]:
+    """What the port was, one after the other."""
+    links = [update.link for update in app.updates() if isinstance(update, BusLink)]
+    return [link for link, _ in groupby(links)]
+
+
 def number_of(line: LineServer) -> int:
     return int(line.port.name.rpartition(":")[2])
 
@@ -76,12 +84,30 @@ async def test_one_that_accepts_and_drops_is_left_in_peace_and_found_when_it_ser
             result = await app.perform(SetSpeed(1, 777))
         assert result.outcome in ("bus_closed", "unverified", "not_sent")
         assert any(f"{line.port.name} closed the connection" in cause for cause in causes(app))
+        assert states(app) == ["open", "closed"], "one loss, although it was opened several times"
         seen = len(app.readings(1))
         line.plug()
         await app.until(lambda: len(app.readings(1)) > seen + 5)
         acted = line.call(lambda simulated: list(simulated.record.since(0, WireEventKind.ACTED)))
         assert acted == [], "nothing is sent late"
         assert (await app.perform(SetSpeed(1, 778))).outcome == "verified"
+        assert states(app) == ["open", "closed", "open"]
+
+
+async def test_a_device_server_before_silent_units_is_back_once_it_stays(
+    line: LineServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(opener, "STABLE_S", 0.5)
+    connections: list[asyncio.StreamWriter] = []
+    async with working(line) as app:
+        line.unplug()
+        await app.until(lambda: states(app)[-1] == "closed")
+        async with await asyncio.start_server(
+            lambda _, writer: connections.append(writer), "127.0.0.1", number_of(line)
+        ):
+            await app.until(lambda: states(app)[-1] == "open")
+            for connection in connections:
+                connection.close()
 
 
 async def test_a_lost_device_server_is_reported_with_its_cause(line: LineServer) -> None:

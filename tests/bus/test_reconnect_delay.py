@@ -102,6 +102,7 @@ class PlayedLoop:
         self.baud = 9600
         self.lease = NO_LEASE
         self.roster = SimpleNamespace(unresponsive=frozenset())
+        self.port_is_back = lambda: None
         self.link = SimpleNamespace(has_responses=responses > 0)
         self.opened: list[float] = []
         self.lost: asyncio.Future[Message]
