@@ -26,6 +26,7 @@ Model = TypeVar("Model", bound=BaseModel)
 SECRET_KEYS = ("url", "password", "token", "secret")
 HOLDS_SECRET = re.compile(rf"(?i)(?:^|[\s{{,.#\"'])(?:{'|'.join(SECRET_KEYS)})[\"']?\s*=")
 """Of a text of TOML with a key whose value may be a secret."""
+_DECIMAL_COMMA = re.compile(r"[\w.]+\s*=\s*[+-]?\d+,\d+")
 _SYNTAX_PLACE = re.compile(r"\(at (?:line (\d+), column \d+|end of document)\)")
 
 
@@ -100,6 +101,9 @@ def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> Message:
     message = _SYNTAX_PLACE.sub("", str(error)).strip()
     written = lines[max(0, line - 1)].strip()
     before = max((each.last for each in statements("".join(lines[: line - 1]))), default=0)
+    if _DECIMAL_COMMA.fullmatch(written):
+        right = written.replace(",", ".")
+        return Message.of("configuration_decimal_comma", file=str(path), line=line, text=written, right=right)
     hides = HOLDS_SECRET.search("".join(lines[before:line])) is not None
     shown = MASK if hides else without_credentials(repr(written))
     return Message.of("configuration_not_toml", file=str(path), line=line, error=message, text=shown)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from decimal import Decimal
 from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple
@@ -172,23 +173,55 @@ class BusSettings(Dialect):
         return self.turnaround_ms / 1000
 
 
+_WINDOWS_PORT = re.compile(r"(?i)(\\\\\.\\)?COM\d+:?")
+_ADDRESS = re.compile(r"(?i)(?:socket:|rfc2217:|tcp:)?((?:[a-z0-9._-]+|\[[0-9a-f:.]+\]):\d+)")
+_WITH_RATE = re.compile(r"(/dev/\w+)[:,@](\d+)")
+PORT_EXAMPLE = "/dev/ttyUSB0"
+
+
 def check_port(port: str) -> str:
     """The port itself. Raises ValueError for what is neither a path nor a URL that can be opened."""
-    if not port:
+    if not port or not port.isprintable() or port != port.strip():
         raise ValueError(Message("setting_device_path"))
-    if "://" in port and not port.startswith(("socket://", "rfc2217://")):
-        raise ValueError(Message("setting_port_scheme"))
-    if "://" in port and "@" in port:
-        # No device server is signed in to, and a port is shown on pages.
-        raise ValueError(Message("setting_url_with_password"))
-    if "://" in port and not _names_host_and_port(port):
-        raise ValueError(Message("setting_host_and_port"))
+    fault = _url_fault(port) if "://" in port else _path_fault(port)
+    if fault is not None:
+        raise ValueError(fault)
     return port
+
+
+def _url_fault(url: str) -> Message | None:
+    if not url.startswith(("socket://", "rfc2217://")):
+        return Message("setting_port_scheme")
+    if "@" in url:
+        # No device server is signed in to, and a port is shown on pages.
+        return Message("setting_url_with_password")
+    return None if _names_host_and_port(url) else Message("setting_host_and_port")
+
+
+def _path_fault(path: str) -> Message | None:
+    """What keeps ``path`` from being that of one device of this machine."""
+    if _WINDOWS_PORT.fullmatch(path):
+        return Message.of("setting_port_of_windows", example=PORT_EXAMPLE)
+    if address := _ADDRESS.fullmatch(path):
+        return Message.of("setting_port_without_scheme", example=f"socket://{address[1]}")
+    if re.fullmatch(r"[\d.]+", path):
+        return Message.of("setting_port_without_scheme", example=f"socket://{path}:4001")
+    if re.match(r"(?i)(?:socket|rfc2217|tcp|telnet):", path):
+        return Message("setting_port_scheme")
+    if any(sign in path for sign in "*?[]{}"):
+        return Message("setting_port_pattern")
+    if not path.startswith("/"):
+        example = f"/dev/{path}" if re.fullmatch(r"tty\w+", path) else PORT_EXAMPLE
+        return Message.of("setting_port_relative", example=example)
+    if with_rate := _WITH_RATE.fullmatch(path):
+        return Message.of("setting_port_with_rate", path=with_rate[1], baud=int(with_rate[2]))
+    return Message("setting_port_folder") if path.endswith("/") else None
 
 
 def _names_host_and_port(url: str) -> bool:
     parts = urlsplit(url)
     try:
-        return bool(parts.hostname) and bool(parts.port)
+        is_complete = bool(parts.hostname) and bool(parts.port)
     except ValueError:
         return False
+    return is_complete and not (parts.path.strip("/") or parts.query or parts.fragment or " " in url)

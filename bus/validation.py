@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,6 +11,8 @@ from bus.messages import Message
 _WITHOUT_BOUNDS = {
     "bool_parsing": Message("fault_not_true_or_false"),
     "bool_type": Message("fault_not_true_or_false"),
+    "decimal_parsing": Message("fault_not_a_number"),
+    "decimal_type": Message("fault_not_a_number"),
     "dict_type": Message("fault_not_a_mapping"),
     "extra_forbidden": Message("fault_no_such_field"),
     "finite_number": Message("fault_not_a_number"),
@@ -37,12 +40,16 @@ _WITH_BOUND = {
     "too_long": ("fault_at_most_items", "max_length"),
     "too_short": ("fault_at_least_items", "min_length"),
 }
+_NUMBERS = ("decimal_parsing", "float_parsing", "float_type")
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
 _TIMES = ("date_", "datetime_", "time_", "timezone_")
 
 
 def fault_message(error: Any) -> Message:
     """The message of one of a ValidationError's ``errors()``."""
     of: Mapping[str, Any] = error.get("ctx", {})
+    if error["type"] in _NUMBERS and _DECIMAL_COMMA.fullmatch(str(error["input"])):
+        return Message.of("fault_decimal_comma", right=str(error["input"]).strip().replace(",", "."))
     match error["type"]:
         # Of a text that a validator of ours has seen before pydantic measures it.
         case "too_long" | "too_short" if isinstance(error["input"], str):

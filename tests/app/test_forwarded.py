@@ -57,6 +57,7 @@ def test_the_right_most_address_that_is_no_trusted_proxy(peer: str, forwarded_fo
         ({"x_forwarded_proto": "javascript"}, "", ""),
         ({"x_forwarded_host": "evil.example, mill.example:8443"}, "", "mill.example:8443"),
         ({"x_forwarded_host": "mill.example/@evil"}, "", ""),
+        ({"x_forwarded_host": "mill_2:8443"}, "", "mill_2:8443"),
         ({"x_forwarded_host": "[2001:db8::1]:80"}, "", "[2001:db8::1]:80"),
     ],
 )
@@ -181,11 +182,12 @@ def test_a_wrong_name_stops_the_start_with_its_line(tmp_path: Path, key: str, wo
 def test_addresses_and_names_as_they_are_written(tmp_path: Path) -> None:
     path = tmp_path / "lineside.toml"
     path.write_text(
-        '[server]\ntrusted_proxies = ["10.0.0.5", "2001:db8::/64"]\nallowed_hosts = ["Mill", "[::1]"]\n'
+        '[server]\ntrusted_proxies = ["10.0.0.5", "2001:db8::/64"]\n'
+        'allowed_hosts = ["Mill", "[::1]", "mill_2"]\n'
     )
     server = load(path).server
     assert [str(network) for network in server.trusted_proxies] == ["10.0.0.5/32", "2001:db8::/64"]
-    assert server.allowed_hosts == ("mill", "::1")
+    assert server.allowed_hosts == ("mill", "::1", "mill_2")
 
 
 async def test_behind_a_proxy_each_address_has_so_many_requests_under_way() -> None:

@@ -26,7 +26,7 @@ data = "data"
 anchor = "anchor"
 [[bus]]
 name = "dry-end"
-port = "nowhere"
+port = "/dev/nowhere"
 [[bus.unit]]
 id = 1
 name = "Unwind"

@@ -101,6 +101,59 @@ def test_each_fault_names_its_line(tmp_path: Path, line: int, written: str, faul
     assert f"FILE:{line}: {fault_text}" in fault(tmp_path, "\n".join(lines))
 
 
+@pytest.mark.parametrize(
+    ("port", "right"),
+    [
+        ("COM3", "a port of Windows; write a device path, such as one in /dev/serial/by-id/ or /dev/ttyUSB0"),
+        (r"\\\\.\\com12", "a port of Windows"),
+        ("10.0.0.5:4001", "write socket://10.0.0.5:4001, or rfc2217://"),
+        ("moxa_1:4001", "write socket://moxa_1:4001"),
+        ("[fe80::1]:4001", "write socket://[fe80::1]:4001"),
+        ("socket:10.0.0.5:4001", "write socket://10.0.0.5:4001"),
+        ("socket:/10.0.0.5:4001", "socket://host:port"),
+        ("10.0.0.5", "write socket://10.0.0.5:4001"),
+        ("/dev/ttyUSB*", "a pattern may name several devices; write the path of one"),
+        ("/dev/ttyS[01]", "a pattern may name several devices"),
+        ("ttyUSB0", "a device path begins with /, like /dev/ttyUSB0"),
+        ("~/cable", "a device path begins with /"),
+        ("/dev/serial/by-id/", "this is a folder"),
+        ("/dev/ttyUSB0:9600", "write /dev/ttyUSB0 and, as a key of its own, baud = 9600"),
+        (" /dev/ttyUSB0", "write a device path"),
+        ("socket://10.0.0.5:4001/raw", "write host and port number"),
+        ("socket://10.0.0.5:4001?logging=debug", "write host and port number"),
+    ],
+)
+def test_a_port_that_can_be_none_is_refused_with_what_would_be_right(
+    tmp_path: Path, port: str, right: str
+) -> None:
+    assert right in fault(tmp_path, GOOD.replace("socket://10.0.0.7:4001", port))
+
+
+@pytest.mark.parametrize(
+    "port",
+    [
+        "socket://moxa_1:4001",
+        "rfc2217://[fe80::1]:4001",
+        "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0",
+        "/dev/pts/3",
+    ],
+)
+def test_a_port_that_can_be_one(tmp_path: Path, port: str) -> None:
+    path = write(tmp_path, GOOD.replace("socket://10.0.0.7:4001", port))
+    assert load_bus(path, "dry-end").port == port
+
+
+@pytest.mark.parametrize(
+    ("written", "right"),
+    [
+        ('turnaround_ms = "12,5"', "bus.turnaround_ms = '12,5': write it with a decimal point: 12.5"),
+        ("turnaround_ms = 12,5", "FILE:11: the line is turnaround_ms = 12,5; write it with a decimal point:"),
+    ],
+)
+def test_a_decimal_comma_is_answered_with_the_decimal_point(tmp_path: Path, written: str, right: str) -> None:
+    assert right in fault(tmp_path, GOOD.replace("baud = 4800", written))
+
+
 def test_a_missing_key_is_reported_at_its_place(tmp_path: Path) -> None:
     assert "FILE:13: [[bus.unit]] needs name = …" in fault(tmp_path, GOOD.replace('name = "Unwind"\n', ""))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime
+from decimal import Decimal
 from typing import Annotated, Any, Literal
 
 import pytest
@@ -46,6 +47,9 @@ _CASES: list[tuple[Any, Any, str]] = [
     (_Part, {"n": 1, "x": 1}, "there is no such field"),
     (AwareDatetime, "2026-11-22", "it must be a time in ISO 8601 with its zone, like 2026-11-22T06:00:00Z"),
     (datetime, "soon", "it must be a time in ISO 8601 with its zone, like 2026-11-22T06:00:00Z"),
+    (Decimal, "80,5", "write it with a decimal point: 80.5"),
+    (float, "-1,25", "write it with a decimal point: -1.25"),
+    (Decimal, "1,2,3", "it must be a finite number"),
     (Callable[[], None], 1, "it is malformed"),
 ]
 

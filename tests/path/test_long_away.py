@@ -51,7 +51,7 @@ class Polling:
             worker="of the test",
             started_at=self.since,
             software="test",
-            port="elsewhere",
+            port="/dev/elsewhere",
             sent_at=time.time(),
         )
 
