@@ -65,6 +65,7 @@ ProblemCode = Literal[
     "unknown_unit",
     "unsupported_type",
     "unverified",
+    "upgrade_required",
     "verified",
     "wrong_host",
 ]

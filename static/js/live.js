@@ -14,6 +14,7 @@ const STILL_MS = 2 * CHECK_MS;
 const CATCH_UP_MS = 50;
 const SPEAK_MS = 10_000;
 const RELOADED = "reloaded-for";
+const TOO_MANY = 429;
 const RETRY_MS = [200, 500, 1000, 2000];
 
 const body = document.body;
@@ -27,6 +28,8 @@ let lostSince = 0;
 let cause = "closed";
 let tries = 0;
 let retry = 0;
+/** Whether the server has responded by HTTP since a socket was last open. */
+let respondsByHttp = false;
 /** @type {{ units: string[], trace: string, lines?: true }} */
 let interest = { units: [], trace: "" };
 /** Whether the page shows all lines of all servers; see lines.js. */
@@ -51,12 +54,17 @@ function open() {
   clearTimeout(retry);
   const mine = new WebSocket(new URL(url, location.href.replace(/^http/, "ws")));
   socket = mine;
-  mine.onopen = () => socket === mine && sendInterest();
+  mine.onopen = () => {
+    if (socket !== mine) return;
+    respondsByHttp = false;
+    sendInterest();
+  };
   mine.onmessage = (event) => socket === mine && receive(JSON.parse(event.data));
   mine.onclose = () => {
     if (socket !== mine) return;
     socket = null;
     onLost("closed");
+    if (respondsByHttp) cause = "sockets";
     again();
   };
 }
@@ -65,7 +73,7 @@ function again() {
   clearTimeout(retry);
   retry = setTimeout(open, RETRY_MS[Math.min(tries, RETRY_MS.length - 1)]);
   tries += 1;
-  if (tries === 3) findCause();
+  if (tries % 5 === 3) findCause();
 }
 
 /** @param {LiveMessage} message */
@@ -167,20 +175,23 @@ function describe() {
     closed: "causeClosed",
     timeout: "causeTimeout",
     offline: "causeOffline",
+    sockets: "causeSockets",
   };
   document.querySelector("[data-gone-cause]").textContent = word(names[cause]);
   document.querySelector("[data-gone-since]").textContent = timeOfDay(lostSince);
   document.querySelector("[data-gone-for]").textContent = span(clock.now() - lostSince);
 }
 
+/** Where the server responds and the next socket does not open either, a proxy between does not pass WebSockets. */
 async function findCause() {
   try {
-    const response = await fetch("/account", {
+    const response = await fetch(cause === "sockets" ? "/live?failed=true" : "/live", {
       redirect: "manual",
       cache: "no-store",
       signal: AbortSignal.timeout(2000),
     });
     if (response.type === "opaqueredirect" || response.status === 401) location.reload();
+    respondsByHttp = response.status < 500 && response.status !== TOO_MANY;
   } catch {
     // No response: the overlay shows it already.
   }

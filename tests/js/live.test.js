@@ -19,10 +19,12 @@ async function openLive() {
   globalThis.clearTimeout = (timer) => timers.splice(timer - 1, 1, { at: Number.POSITIVE_INFINITY });
   globalThis.addEventListener = () => {};
   globalThis.navigator = { onLine: true };
+  const shown = {};
+  let refuses = false;
   let socket;
   globalThis.WebSocket = class {
     static OPEN = 1;
-    readyState = 1;
+    readyState = refuses ? 0 : 1;
     constructor() {
       socket = this;
     }
@@ -32,7 +34,7 @@ async function openLive() {
   Object.assign(document, {
     addEventListener: () => {},
     dispatchEvent: ({ type }) => type === "lineside:lost" && lost.push(clock.ms),
-    querySelector: () => ({ focus() {} }),
+    querySelector: (selector) => (selector === "[data-gone-cause]" ? shown : { focus() {} }),
   });
   document.body.dataset.liveUrl = "/live";
   location.href = "http://plant.example/";
@@ -52,6 +54,12 @@ async function openLive() {
     lost,
     receive,
     isLive,
+    refuse() {
+      refuses = true;
+      socket.onclose();
+    },
+    open: () => socket.onopen(),
+    cause: () => shown.textContent,
     speak: () => receive({ is: "changes", p: number, n: ++number, t: clock.ms / 1000, f: {} }),
     run(ms, every = Number.POSITIVE_INFINITY) {
       for (const end = clock.ms + ms; clock.ms < end; ) {
@@ -109,6 +117,29 @@ test("a page that is kept from its turns again and again still finds its server 
   page.run(3000, 1000);
   for (let turn = 0; turn < 5; turn++) page.stand(1000);
   assert.ok(page.lost.length > 0);
+});
+
+test("a server that responds while no socket opens is behind a proxy that does not pass WebSockets", async () => {
+  const page = await openLive();
+  const fetched = [];
+  globalThis.fetch = async (address) => {
+    fetched.push(address);
+    return { type: "basic", status: 426 };
+  };
+  globalThis.AbortSignal.timeout = () => undefined;
+  for (let tries = 0; tries < 10; tries++) {
+    page.refuse();
+    page.run(2000);
+    await new Promise(setImmediate);
+    if (fetched.length === 0) assert.equal(page.cause(), "causeClosed");
+  }
+  assert.equal(page.cause(), "causeSockets");
+  assert.deepEqual(fetched, ["/live", "/live?failed=true"]);
+  page.open();
+  page.receive({ is: "snapshot", digest: "a", n: 0, t: 0, f: {} });
+  page.refuse();
+  page.run(CHECK_MS);
+  assert.equal(page.cause(), "causeClosed");
 });
 
 test("a server that starts again with other names has the page load them once, also beside one with the former", async () => {

@@ -17,6 +17,7 @@ from pathlib import Path
 import httpx
 import pytest
 from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
 
 from tests import fork_server, unpacked
 from tests.app.served_tls import PATIENCE_S, eventually
@@ -160,6 +161,19 @@ async def first_of_live(behind: Proxied) -> str | bytes:
     ):
         await socket.send("{}")
         return await socket.recv()
+
+
+def test_a_proxy_that_does_not_pass_websockets_is_named_once(behind: Proxied) -> None:
+    with running(behind, "nginx", ("proxy_set_header Upgrade           $http_upgrade;", "")):
+        for _ in range(2):
+            with pytest.raises(InvalidStatus) as refused:
+                asyncio.run(first_of_live(behind))
+            assert refused.value.response.status_code == 426
+            assert (
+                b"the proxy does not pass WebSockets; in nginx add: proxy_http" in refused.value.response.body
+            )
+    log = (behind.folder / "serve.log").read_text()
+    assert log.count("the proxy does not pass WebSockets") == 1
 
 
 @pytest.mark.parametrize("wrong", ["$host", "plant"])

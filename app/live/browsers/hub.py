@@ -11,6 +11,8 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+import structlog
+
 from app.live.admission import Admission
 from app.live.browsers.broadcast import Broadcast
 from app.live.browsers.browser import Browser, LinesUpdate
@@ -23,10 +25,12 @@ from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
 from app.live.screen.words import STAGE_WORDS
 from app.live.state.bus_live import Audience, LiveState, changed_by
-from app.web.rendering.templating import Templates
+from app.web.rendering.templating import WEBSOCKET_LINES, Templates
 from bus.bucket import Bucket
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
 from bus.instants import Clock, UnixTime, monotonic_now
+
+log = structlog.get_logger()
 
 HEARTBEAT_S = 1.0
 MINUTE_S = 60.0
@@ -65,6 +69,7 @@ class Hub:
         self._watched_is_due = False
         self._alarms_due: asyncio.TimerHandle | None = None
         self._minute = 0.0
+        self._has_warned_of_proxy = False
         self._alarmed_units: set[tuple[str, int]] = set()
         for name, bus in live.buses.items():
             bus.subscribe(Audience.BROWSERS, partial(self._on_updates, name))
@@ -72,6 +77,12 @@ class Hub:
             sources.guards[name].on_control(self._show_control)
             sources.drift[name].on_change(partial(self.refresh_unit, name))
         sources.alarms.on_change(self._on_alarm)
+
+    def warn_of_proxy(self) -> None:
+        """Log once that a proxy before the server does not pass WebSockets."""
+        if not self._has_warned_of_proxy:
+            self._has_warned_of_proxy = True
+            log.warning("the proxy does not pass WebSockets", add=WEBSOCKET_LINES)
 
     @property
     def connected(self) -> int:

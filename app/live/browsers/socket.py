@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import msgspec
 from fastapi import APIRouter, WebSocket
+from starlette.requests import Request
 from starlette.websockets import WebSocketDisconnect
 
 from app.errors import Problem
@@ -20,7 +21,7 @@ from app.server.admission.addresses import source_of
 from app.server.connection.client_connection import client_connection
 from app.web.admission.access import Person, Role, Viewer
 from app.web.problems import refuse_socket
-from app.web.rendering.templating import templates_of
+from app.web.rendering.templating import WEBSOCKET_LINES, templates_of
 from app.web.services import service_of
 from bus.bucket import Bucket
 from bus.instants import monotonic_now
@@ -62,6 +63,23 @@ async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None
         await _serve(websocket, person, language, hub)
     finally:
         hub.admission.leave(person.account, address)
+
+
+@router.get("/live", include_in_schema=False)
+async def no_socket(request: Request, person: Viewer, failed: bool = False) -> None:
+    """Respond to what has to be a WebSocket: a proxy has left the upgrade out of a handshake, or a page
+    without a socket tries whether the server responds at all; ``failed``: it does, and no socket opens.
+
+    Raises Problem 426, and 429 where sockets are refused for another reason.
+    """
+    hub, address = service_of(request, Hub), source_of(request.client.host if request.client else "")
+    if not hub.admission.enter(person.account, address):
+        raise Problem(429, "too_many", Message("too_many_pages")).with_headers(Retry_After="10")
+    hub.admission.leave(person.account, address)
+    if failed or "sec-websocket-version" in request.headers:
+        hub.warn_of_proxy()
+    problem = Problem(426, "upgrade_required", Message.of("websockets_not_passed", line=WEBSOCKET_LINES))
+    raise problem.with_headers(Upgrade="websocket")
 
 
 async def _serve(websocket: WebSocket, person: Person, language: str, hub: Hub) -> None:

@@ -70,6 +70,12 @@ class Compiled(FileSystemBytecodeCache):
             super().dump_bytecode(bucket)
 
 
+WEBSOCKET_LINES = (
+    'proxy_http_version 1.1; proxy_set_header Upgrade $http_upgrade; proxy_set_header Connection "upgrade";'
+)
+"""What makes nginx pass WebSockets."""
+
+
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``, ``navigation()``,
@@ -124,6 +130,7 @@ class Templates:
             "navigation": pages_for,
             "on_phone": ON_PHONE,
             "help_of": HELP,
+            "websocket_lines": WEBSOCKET_LINES,
         }
         environment.filters["parameter"] = lambda number: language.t(parameter_name(number))
         environment.filters["isolated"] = language.isolated
