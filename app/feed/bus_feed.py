@@ -74,6 +74,9 @@ class BusFeed:
     _connection: WorkerConnection | None = None
     _watches: set[asyncio.Task[None]] = field(default_factory=set)
 
+    def __post_init__(self) -> None:
+        self._began = self.monotonic()
+
     async def load(self, newest: Awaitable[UnixTime | None]) -> None:
         """When the home of the bus is taken: up to the newest stored reading, the bus was followed."""
         self.coverage.until = await newest
@@ -153,7 +156,9 @@ class BusFeed:
         former, self._connection = self._connection, connection
         if former is not None:
             self._channel.closed(former)
-        self._pipeline.worker_connected(hello, unix_now(), again=again)
+        # After a restart of the server alone, the worker of another computer is linked again.
+        ran_before = not credential.own and hello.sent_at - hello.started_at > self.monotonic() - self._began
+        self._pipeline.worker_connected(hello, unix_now(), again=again or ran_before)
         return former
 
     async def _serve_holder(

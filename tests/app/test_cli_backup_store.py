@@ -115,3 +115,29 @@ def test_the_commands_print_one_line(tmp_path: Path) -> None:
     assert restored.exit_code == 0, restored.stderr
     with sqlite3.connect(tmp_path / "data" / "lineside.db") as connection:
         assert connection.execute("SELECT kind FROM events").fetchall() == [("server",)]
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_it_lists_the_tokens_that_it_will_revoke_before_it_begins(tmp_path: Path, keep: bool) -> None:
+    config, backup = tmp_path / "lineside.toml", tmp_path / "one.tar"
+    config.write_text('[server]\ndata = "data"\n')
+
+    def run(*words: object, text: str = "") -> str:
+        done = CliRunner().invoke(cli, [*map(str, words), "--config", str(config)], input=text)
+        return f"{done.exit_code} {done.output}"
+
+    password = "collect house bakery stable\n"
+    assert run("user", "add", "anna", "--role", "admin", "--password-stdin", text=password).startswith("0 ")
+    for name in ("plc", "prometheus", "scada"):
+        assert run("token", "create", name, "--role", "viewer").startswith("0 ")
+    assert run("backup-store", backup).startswith("0 ")
+    for name in ("plc", "scada"):
+        assert run("token", "revoke", name).startswith("0 ")
+    option = ["--keep-tokens"] if keep else []
+    asked = run("restore-store", backup, *option, text="n\n")
+    assert asked.startswith("1 ")
+    assert ("will be revoked: plc, scada." in asked.partition("Replace the stores")[0]) is not keep
+    assert "plc" not in run("token", "list"), "nothing was replaced"
+    assert run("restore-store", backup, *option, text="y\n").startswith("0 ")
+    left = [line.split("\t")[0] for line in run("token", "list")[2:].splitlines()]
+    assert left == (["plc", "prometheus", "scada"] if keep else ["prometheus"])

@@ -13,11 +13,13 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from app.audit.proof.keyring import KeyOrigin
 from app.audit.proof.keys import make_key_file
 from app.cli.findings import check
 from app.cli.findings import live as live_findings
+from app.cli.options import command_of
 from app.conditions import of_server
 from app.database import SqliteDatabase, StoreConnection
 from app.database.engine import tables_without_rights
@@ -155,12 +157,36 @@ def test_root_tries_with_the_rights_of_the_service(monkeypatch: pytest.MonkeyPat
             stack.enter_context(rights_of(SERVICE))
 
         monkeypatch.setattr(check, "become_owner_of", become)
+        monkeypatch.setenv("LOGNAME", "root")  # of who called it, by sudo
         result = check_live(config)
         assert (result.exit_code, dropped) == (1, [data])
         assert f"tried with the rights of user {SERVICE}" in result.stdout
         assert f"folder {data}: user {SERVICE} can write in it" in result.stdout
         assert f"{config}: user {SERVICE} may not read it" in result.stderr
         assert f"{data / 'history.db'}: user {SERVICE} may not read and write it" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("setting", "words", "code"),
+    [
+        ('certificate = "damaged.pem"\nkey = "server.key"\n', "damaged.pem", 1),
+        ('certificate = "expired.pem"\nkey = "expired.key"\n', "expired.pem", 1),
+        ('certificate = "server.pem"\nkey = "server.key"\nclient_ca = "worker-expired.pem"\n', "ended on", 1),
+        ('certificate = "server.pem"\nkey = "server.key"\n', "does not exist", 0),
+    ],
+)
+def test_a_fault_has_the_same_exit_code_without_a_trial(
+    config: Path, setting: str, words: str, code: int
+) -> None:
+    """The last one is the port, which is waited for."""
+    certificates(config.parent)
+    (config.parent / "damaged.pem").write_text("-----BEGIN CERTIFICATE-----\nx\n")
+    text = f"[server]\nport = {free_port()}\n[server.tls]\n{setting}{bus('/dev/ttyUSB99')}"
+    tried = run(config, text)
+    untried = CliRunner().invoke(command_of(check.check), ["--config", str(config)])
+    assert (tried.exit_code, untried.exit_code) == (code, code), tried.output + untried.output
+    assert words in tried.output
+    assert code == 0 or words in untried.stderr
 
 
 def test_each_certificate_has_its_days(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import ssl
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -14,6 +15,7 @@ from click.testing import CliRunner
 from app.cli import cli
 from app.cli.serving.listening import url_of
 from app.cli.site import status
+from tests.certificates import certificates
 from tests.free_port import free_port
 
 
@@ -117,11 +119,9 @@ def test_faults_of_the_server_are_listed(config: Path, play: Callable[[PlayedDas
     ]
 
 
-@pytest.mark.parametrize(
-    ("code", "body", "serves"),
-    [(200, b'{"status":"ok"}', True), (200, b"<html>", False), (404, b'{"status":"ok"}', False)],
-)
-def test_another_program_at_that_port_is_no_dashboard(code: int, body: bytes, serves: bool) -> None:
+def responder(code: int, body: bytes) -> type[BaseHTTPRequestHandler]:
+    """A handler with one response."""
+
     class Responder(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             self.send_response(code)
@@ -132,7 +132,43 @@ def test_another_program_at_that_port_is_no_dashboard(code: int, body: bytes, se
         def log_message(self, format: str, *args: object) -> None:
             """Nothing is printed."""
 
-    with HTTPServer(("127.0.0.1", 0), Responder) as server:
+    return Responder
+
+
+def test_a_server_that_read_its_certificate_before_the_file_was_damaged(config: Path) -> None:
+    """It serves; the file is named, and the token is not sent to what cannot be verified."""
+    certificates(config.parent)
+    server = HTTPServer(("127.0.0.1", 0), responder(200, b'{"status":"ok"}'))
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(config.parent / "server.pem", config.parent / "server.key")
+    server.socket = context.wrap_socket(server.socket, server_side=True)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    config.write_text(
+        f"[server]\nport = {server.server_port}\n"
+        '[server.tls]\ncertificate = "damaged.pem"\nkey = "server.key"\n'
+    )
+    (config.parent / "damaged.pem").write_text("-----BEGIN CERTIFICATE-----\nx\n")
+    call = ["status", "--config", str(config), "--token", "secret"]
+    try:
+        result = CliRunner().invoke(cli, call)
+        printed = json.loads(CliRunner().invoke(cli, [*call, "--json"]).stdout)
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+    assert result.exit_code == 0, result.output
+    assert f"serving at https://127.0.0.1:{server.server_port}" in result.stdout
+    assert f"degraded: {config.parent / 'damaged.pem'}" in result.stdout
+    assert (printed["serving"], printed["buses"], len(printed["degraded"])) == (True, None, 1)
+
+
+@pytest.mark.parametrize(
+    ("code", "body", "serves"),
+    [(200, b'{"status":"ok"}', True), (200, b"<html>", False), (404, b'{"status":"ok"}', False)],
+)
+def test_another_program_at_that_port_is_no_dashboard(code: int, body: bytes, serves: bool) -> None:
+    with HTTPServer(("127.0.0.1", 0), responder(code, body)) as server:
         responding = threading.Thread(target=server.handle_request)
         responding.start()
         assert status.is_serving(f"http://127.0.0.1:{server.server_port}") is serves

@@ -6,6 +6,7 @@ from datetime import datetime
 from typing import Any
 
 import pytest
+from msgspec import structs
 
 from app.audit.events.store import Filter
 from app.errors import StoreError
@@ -52,6 +53,13 @@ async def test_workers_come_go_and_come_back(stage: Stage) -> None:
     assert "started" in found[0]["what"]
     assert "not connected" in found[1]["what"]
     assert "is back" in found[2]["what"]
+
+
+async def test_a_worker_that_ran_before_the_server_has_not_started(stage: Stage) -> None:
+    """The server was restarted, and the worker of another computer was not."""
+    first = hello()
+    await stage.worker(structs.replace(first, started_at=first.sent_at - 3600))
+    assert "is back" in (await events(stage, 1))[0]["what"]
 
 
 async def test_what_happened_while_the_app_was_away_is_written_down_too(stage: Stage) -> None:

@@ -69,10 +69,12 @@ def _company_account(row: StoreRow) -> CompanyAccount | None:
     return CompanyAccount(row["issuer"], row["subject"])
 
 
-def withhold(restored: StoreConnection, present: Present | None) -> Withheld:
+def withhold(restored: StoreConnection, present: Present | None, *, keep_tokens: bool = False) -> Withheld:
     """Remove from the restored store the rights withdrawn since; ``present`` None: unknown which."""
     restored.execute("DELETE FROM sessions")
-    tokens = _withhold_tokens(restored, frozenset() if present is None else present.tokens)
+    gone = [] if keep_tokens else _tokens_unknown(restored, present)
+    restored.executemany("DELETE FROM tokens WHERE hash = ?", [(hash_,) for hash_, _ in gone])
+    tokens = tuple(name for _, name in gone)
     disabled: list[str] = []
     lowered: list[str] = []
     for user in store.users(restored) if present is not None else ():
@@ -86,11 +88,15 @@ def withhold(restored: StoreConnection, present: Present | None) -> Withheld:
     return Withheld(tokens, tuple(disabled), tuple(lowered), store.admins_left(restored))
 
 
-def _withhold_tokens(restored: StoreConnection, known: frozenset[bytes]) -> tuple[str, ...]:
+def tokens_to_revoke(restored: StoreConnection, present: Present | None) -> list[str]:
+    """Return the names of the tokens that `withhold` would revoke."""
+    return [name for _, name in _tokens_unknown(restored, present)]
+
+
+def _tokens_unknown(restored: StoreConnection, present: Present | None) -> list[tuple[bytes, str]]:
+    known = frozenset[bytes]() if present is None else present.tokens
     rows = restored.execute("SELECT hash, name FROM tokens ORDER BY name").fetchall()
-    gone = [(hash_, name) for hash_, name in rows if hash_ not in known]
-    restored.executemany("DELETE FROM tokens WHERE hash = ?", [(hash_,) for hash_, _ in gone])
-    return tuple(name for _, name in gone)
+    return [(hash_, name) for hash_, name in rows if hash_ not in known]
 
 
 def _take_over(restored: StoreConnection, user: User, now: PresentUser) -> bool:

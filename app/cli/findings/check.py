@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +13,8 @@ import click
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import complain, report
 from app.cli.findings.backup import backup_findings
-from app.cli.findings.machine import Finding, findings
+from app.cli.findings.certificates import certificate_findings
+from app.cli.findings.machine import Finding, fault, findings, user
 from app.cli.findings.notification import notification_findings
 from app.cli.findings.oidc import oidc_findings
 from app.cli.findings.service import service_findings
@@ -37,7 +39,7 @@ def check(
 ) -> None:
     """Check the configuration and this machine; faults are listed by file and line. Exit 0 or 1."""
     settings = load(config)
-    found = [*_live(settings, config.absolute())] if live else [*_found(settings)]
+    found = [*_findings(settings, config.absolute(), live=live)]
     if as_json:
         shown = [{"fault": each.is_fault, **message_shown(each.message)} for each in found]
         click.echo(json.dumps({"config": str(config), "site": settings.site.name, "findings": shown}))
@@ -49,25 +51,27 @@ def check(
         raise click.exceptions.Exit(1)
 
 
-def _found(settings: Settings) -> Iterator[Finding]:
+def _findings(settings: Settings, config: Path, *, live: bool) -> Iterator[Finding]:
+    """Judge with the rights of the service, also where root calls: what it may not read is a fault."""
+    if live:
+        from app.cli.findings.ports import port_users
+
+        # Root sees the programs of every user.
+        users = port_users(settings)
+    become_owner_of(settings.server.data)
+    if not os.access(config, os.R_OK):
+        yield fault("live_configuration_unreadable", user=user(), file=str(config))
     yield from findings(settings)
+    yield from certificate_findings(settings)
     yield from store_findings(settings)
     yield from backup_findings(settings)
     yield from oidc_findings(settings.oidc)
     yield from notification_findings(settings.notify)
     yield from service_findings()
+    if live:
+        from app.cli.findings.live import live_findings
 
-
-def _live(settings: Settings, config: Path) -> Iterator[Finding]:
-    """All of it with the rights of the service, and what can be tried."""
-    from app.cli.findings.live import live_findings
-    from app.cli.findings.ports import port_users
-
-    # Root sees the programs of every user.
-    users = port_users(settings)
-    become_owner_of(settings.server.data)
-    yield from _found(settings)
-    yield from live_findings(settings, config, users)
+        yield from live_findings(settings, users)
 
 
 def _print(finding: Finding) -> None:

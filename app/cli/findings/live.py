@@ -10,32 +10,25 @@ from pathlib import Path
 from app.cli.findings.machine import Finding, fault, is_visible, may_make_files_in, user
 from app.cli.findings.ports import PortUsers, port_findings
 from app.cli.serving.listening import ListenError, PortInUse, listen, url_of
-from app.cli.site.facts import CertificateFacts, certificate_facts
-from app.cli.site.status import is_serving, own_certificate
+from app.cli.site.status import is_serving, verification
 from app.cli.site.status_lines import GB
-from app.conditions.of_server import DAY_S, certificate_expires
 from app.database.engine import tables_without_rights
 from app.database.opening import examining_main, main_presence, refuse_newer
 from app.database.sqlite.reserve import free_bytes
 from app.errors import StoreError
 from app.settings import LOCK_FILE, ServerSettings, Settings
-from bus.instants import UnixTime, unix_now
 from bus.messages import Message, ParamValue, number
-from bus.tls import TlsFileError, date_fault, read_certificate
 
 _LOCKS = Path("/proc/locks")
 
 
-def live_findings(settings: Settings, config: Path, users: PortUsers) -> Iterator[Finding]:
+def live_findings(settings: Settings, users: PortUsers) -> Iterator[Finding]:
     """Everything that can be tried, in the order of the file. ``users``: the programs at the serial ports."""
     serves = _serves(settings.server)
     has_lock = is_locked(settings.server.data / LOCK_FILE)
     yield Finding(Message.of("live_user", user=user()))
-    if not os.access(config, os.R_OK):
-        yield fault("live_configuration_unreadable", user=user(), file=str(config))
     yield from _address(settings.server, has_lock=has_lock, serves=serves)
     yield from _folders(settings)
-    yield from _certificates(settings)
     yield from _store(settings)
     yield from port_findings(settings, users, server_runs=bool(has_lock) or serves)
 
@@ -57,10 +50,8 @@ def _url(server: ServerSettings) -> str:
 
 
 def _serves(server: ServerSettings) -> bool:
-    try:
-        return bool(server.port) and is_serving(_url(server), own_certificate(server.tls))
-    except TlsFileError:
-        return False
+    own, _ = verification(server.tls)
+    return bool(server.port) and is_serving(_url(server), own)
 
 
 def _address(server: ServerSettings, *, has_lock: bool | None, serves: bool) -> Iterator[Finding]:
@@ -99,29 +90,6 @@ def _entries(data: Path) -> Iterator[Path]:
     """All below a folder, as far as this user may look."""
     for folder, folders, files in os.walk(data):
         yield from (Path(folder, name) for name in (*folders, *files))
-
-
-def _certificates(settings: Settings) -> Iterator[Finding]:
-    """How long each is valid. That of the server has its faults from `lineside check`, authorities here."""
-    now, own = unix_now(), settings.server.tls and str(settings.server.tls.certificate)
-    for each in certificate_facts(settings):
-        if each.certificate is not None and not date_fault(each.certificate, Path(each.file), now):
-            soon = certificate_expires(each.certificate.ends_at, now)
-            days = int((each.certificate.ends_at - now) / DAY_S)
-            code = "live_certificate_ends_soon" if soon else "live_certificate"
-            yield Finding(Message.of(code, file=each.file, n=days, day=each.certificate.ends_on))
-        elif each.file != own:
-            yield fault("live_certificate_refused", reason=_refusal(each, now))
-
-
-def _refusal(each: CertificateFacts, now: UnixTime) -> Message:
-    """Why an authority cannot be used."""
-    file = Path(each.file)
-    try:
-        certificate = each.certificate or read_certificate(file)
-    except TlsFileError as error:
-        return error.message
-    return date_fault(certificate, file, now) or Message.of("tls_no_certificate", file=each.file)
 
 
 def _store(settings: Settings) -> Iterator[Finding]:

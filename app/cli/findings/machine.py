@@ -4,9 +4,9 @@ port is opened."""
 from __future__ import annotations
 
 import errno
-import getpass
 import importlib.util
 import os
+import pwd
 import socket
 import stat
 import tempfile
@@ -37,11 +37,11 @@ def fault(code: str, /, **params: ParamValue) -> Finding:
 
 
 def user() -> Message:
-    """The user that runs the check."""
+    """Return the user whose rights hold now: root's environment still names root once it acts as another."""
     try:
-        return Message.of("machine_user", user=getpass.getuser())
-    except (KeyError, OSError):
-        return Message.of("machine_user", user=os.getuid())
+        return Message.of("machine_user", user=pwd.getpwuid(os.geteuid()).pw_name)
+    except KeyError:
+        return Message.of("machine_user", user=os.geteuid())
 
 
 def is_visible(path: Path) -> bool:

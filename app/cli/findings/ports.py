@@ -78,6 +78,9 @@ def _opened(bus: BusSettings, code: str) -> Finding:
     from bus.line.port.trial import port_fault
 
     reason = port_fault(bus.port)
+    if bus.has_local_port and not Path(bus.port).exists():
+        # As `lineside check` says: it is waited for. Here with the ports that there are instead.
+        return Finding(Message.of("check_port_refused", bus=bus.name, reason=reason or ""))
     if reason is not None:
         return fault("check_port_refused", bus=bus.name, reason=reason)
     return Finding(Message.of(code, bus=bus.name, port=bus.port))

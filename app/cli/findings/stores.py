@@ -8,6 +8,7 @@ from pathlib import Path
 
 from app.audit.proof.keys import find_key_file
 from app.cli.findings.machine import Finding, existing_part, fault, is_read_only, is_visible
+from app.cli.site.facts import size_of
 from app.database.opening import main_presence, refuse_newer, require_finished_database
 from app.database.presence import examining, presence_of, refusal_to_start
 from app.database.sqlite.migrating import is_store, is_unfinished
@@ -16,7 +17,7 @@ from app.errors import StoreError, TooCostlyError
 from app.history.intake.upkeep import DiskReserve, space
 from app.settings import STORE_FILE, Settings
 from bus.instants import monotonic_now
-from bus.messages import Message
+from bus.messages import Message, number
 
 MAX_EXAMINED_S = 10.0
 """For each store; what SQLite has found sound by then is taken for the rest, too."""
@@ -89,7 +90,7 @@ def _store(store: Path) -> Finding:
         return fault("check_store_refused", reason=_reason(error))
     if verdict != "ok":
         return fault("check_store_damaged", path=str(store), verdict=verdict)
-    return Finding(Message.of("check_store", path=str(store), size=store.stat().st_size // MB))
+    return Finding(Message.of("check_store", path=str(store), size=number(f"{size_of(store) / MB:.1f}")))
 
 
 def _reason(error: StoreError | OSError) -> Message:

@@ -9,6 +9,7 @@ import secrets
 import signal
 import socket
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from functools import partial
@@ -19,6 +20,7 @@ from typing import Any
 import structlog
 import uvloop
 from pydantic import BaseModel
+from pydantic.warnings import UnsupportedFieldAttributeWarning
 
 from app.cli import loading
 from app.cli.ending import report
@@ -171,6 +173,8 @@ async def _server_module(stopping: asyncio.Task[Any]) -> Any:
 def _import_server() -> Any:
     # FastAPI describes OpenAPI by 82 models, 1.2 MiB: they are built for who reads the description.
     BaseModel.model_config["defer_build"] = True
+    # FastAPI silences it where it makes a model, which is now built later.
+    warnings.filterwarnings("ignore", category=UnsupportedFieldAttributeWarning)
     # First, so that what is imported fills the 3 MiB that Babel reads and `locale_of` leaves out.
     for path in catalogs().values():
         locale_of(path.stem)

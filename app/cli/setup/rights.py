@@ -39,7 +39,7 @@ def acting_as_owner_of(folder: Path) -> Iterator[None]:
 
 def _owner(folder: Path) -> tuple[int, int] | None:
     """User and group of the folder, or of the nearest one above that is there; None where that is root."""
-    nearest = next((each for each in (folder, *folder.parents) if each.is_dir()), None)
+    nearest = next((each for each in (folder, *folder.parents) if os.path.isdir(each)), None)  # noqa: PTH112
     if nearest is None:
         return None
     found = nearest.stat()

@@ -59,7 +59,7 @@ class BackupFacts:
 def disk_facts(settings: Settings, now: UnixTime) -> DiskFacts:
     """The stores of the data folder in bytes, and how long its disk lasts."""
     data = settings.server.data
-    stores = {name: size for name in STORES if (size := _size(data / name))}
+    stores = {name: size for name in STORES if (size := size_of(data / name))}
     free = free_bytes(existing_part(data))
     days = None if settings.store.url else _forecast(settings, stores, free, now)
     return DiskFacts(stores, free, days)
@@ -83,8 +83,8 @@ def backup_facts(settings: Settings, now: UnixTime) -> BackupFacts | None:
     return BackupFacts(str(folder), folder.is_dir(), newest, max(now, due))
 
 
-def _size(store: Path) -> int:
-    """With what SQLite has beside it."""
+def size_of(store: Path) -> int:
+    """Return the bytes of a store with what SQLite has beside it."""
     total = 0
     for path in (store, *(store.with_name(store.name + companion) for companion in COMPANIONS)):
         with suppress(OSError):

@@ -42,10 +42,14 @@ def status(
     Exit 0 when it serves, else 1.
     """
     settings, bearer = load(config), bearer_token(token, token_file, required=False)
-    own = own_certificate(settings.server.tls)
-    url = url_of(settings.server.host, settings.server.port, "http" if own is None else "https")
+    tls = settings.server.tls
+    own, fault = verification(tls)
+    url = url_of(settings.server.host, settings.server.port, "http" if tls is None else "https")
     serves = is_serving(url, own)
-    buses, degraded = _state(url, bearer, own) if serves and bearer else (None, None)
+    # A token is sent to the configured certificate only.
+    buses, degraded = _state(url, bearer, own) if serves and bearer and fault is None else (None, None)
+    if fault is not None:
+        degraded = [{"code": fault.code, "since": None, "message": str(fault)}]
     facts = site_facts(settings, unix_now())
     if as_json:
         shown = {"serving": serves, "url": url, "store": settings.store_name, "buses": buses}
@@ -56,12 +60,23 @@ def status(
         lines = map(_configured, settings.bus) if buses is None else map(_line, buses)
         for line in (*lines, *facts_lines(settings, facts)):
             click.echo(f"  {line}")
-        for fault in degraded or ():
-            report(Message.of("site_degraded", fault=fault["message"]))
+        for each in degraded or ():
+            report(Message.of("site_degraded", fault=each["message"]))
         if serves and not bearer:
             report(Message("status_needs_token"))
     if not serves:
         raise LinesideError(Message.of("not_serving", url=url, config=str(config)))
+
+
+def verification(tls: TlsSettings | None) -> tuple[ssl.SSLContext | None, Message | None]:
+    """Return what verifies this machine's own server; instead, where its file of certificates is damaged, the
+    reason: a server that read it before still serves."""
+    from bus.tls import TlsFileError
+
+    try:
+        return own_certificate(tls), None
+    except TlsFileError as error:
+        return None, error.message
 
 
 def own_certificate(tls: TlsSettings | None) -> ssl.SSLContext | None:
@@ -79,7 +94,7 @@ def own_certificate(tls: TlsSettings | None) -> ssl.SSLContext | None:
 
 
 def is_serving(url: str, own: ssl.SSLContext | None = None) -> bool:
-    """Whether a Lineside dashboard serves at ``url``; ``own``: what verifies it by https."""
+    """Whether a Lineside dashboard serves at ``url``; ``own``: what verifies it by https, if anything can."""
     try:
         # Without TLS there is nothing to verify: the authorities of the machine are not read.
         response = httpx.get(f"{url}/healthz", timeout=WITHIN_S, trust_env=False, verify=own or False)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import sqlite3
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from app.audit.events.store import heads_of
 from app.audit.proof.anchor import key_anchor_of, put_aside
 from app.audit.proof.chain import Head, newest_of
 from app.audit.proof.keys import find_key_file
-from app.auth.rights.withheld import Present, Withheld, read_present, withhold
+from app.auth.rights.withheld import Present, Withheld, read_present, tokens_to_revoke, withhold
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.options import Argument, Option
@@ -48,6 +48,10 @@ def restore_store(
     file: Annotated[Path, Argument(help="A file of backup-store.")],
     config: Config = LINESIDE_TOML,
     yes: Annotated[bool, Option("--yes", help="Skip the confirmation.")] = False,
+    keep_tokens: Annotated[
+        bool,
+        Option("--keep-tokens", help="Keep also tokens of the backup that the present store does not know."),
+    ] = False,
     files_to: Annotated[
         Path | None,
         Option(help="Restore no store: write the configuration and the other files into this new folder."),
@@ -57,7 +61,8 @@ def restore_store(
     ] = None,
 ) -> None:
     """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
-    must not run. Every session ends. Tokens and users revoked or disabled since the backup stay so."""
+    must not run. Every session ends. Users disabled since the backup stay so; tokens that are not known now
+    are revoked, as is printed before anything is replaced."""
     if files_to is not None:
         with in_words(file), open_archive(file) as archive:
             placed = place_files(*archive.files(), key_file, files_to)
@@ -67,17 +72,28 @@ def restore_store(
     settings = load(config)
     require_files(settings.store, "pg_restore")
     server = settings.server
-    if not yes:
-        _confirm(file, server.data)
     anchor = settings.audit.anchor
+
+    def begin(revoked: Sequence[str]) -> None:
+        if revoked:
+            report(Message.of("restore_revokes_tokens", names=[*revoked]))
+        if not yes:
+            _confirm(file, server.data)
+
     done = read_backup(
         file,
         server.data,
         settings.key_files,
         None if anchor else settings.anchor_file,
         settings.audit.archive,
+        begin=begin,
+        keep_tokens=keep_tokens,
     )
-    report(Message.of("stores_restored", folder=str(server.data), names=done.names, suffix=ASIDE))
+    _report(done, file, server.data, anchor)
+
+
+def _report(done: Restored, file: Path, data: Path, anchor: Path | None) -> None:
+    report(Message.of("stores_restored", folder=str(data), names=done.names, suffix=ASIDE))
     for path in done.events:
         report(Message.of("backup_file_placed", path=str(path)))
     if done.events_lost:
@@ -96,8 +112,6 @@ def restore_store(
 
 
 def _confirm(file: Path, folder: Path) -> None:
-    with in_words(file), open_archive(file):
-        pass  # A file that is no backup is refused before the prompt.
     if not click.confirm(str(Message.of("stores_replace", folder=str(folder), file=str(file)))):
         report(Message("nothing_replaced"), err=True)
         raise click.exceptions.Exit(1)
@@ -122,10 +136,15 @@ def read_backup(
     key_files: Sequence[Path],
     anchor: Path | None = None,
     event_archive: Path | None = None,
+    *,
+    begin: Callable[[Sequence[str]], None] = lambda _: None,
+    keep_tokens: bool = False,
 ) -> Restored:
     """Put the stores of a backup into a data folder. The log of the main one continues under the key in the
     first of ``key_files``; ``anchor`` and the one beside the key are put aside, for they name what came after
-    the backup. ``event_archive``: the folder that gets the archived events that are not there.
+    the backup. ``event_archive``: the folder that gets the archived events that are not there. ``begin`` is
+    called with the names of the tokens that will be revoked, before anything is replaced; what it raises ends
+    the restore.
 
     Raises StoreError, and then leaves everything unchanged, but for archived events that came back: every
     store of the backup is checked, and the main one prepared, before the first is put in its place.
@@ -142,13 +161,16 @@ def read_backup(
                 _prove(fresh, file)
             for store in (data / name for name in STORES):
                 _refuse_while_open(store)
+            fresh = Path(folder) / STORE_FILE
+            begin([] if keep_tokens or fresh not in proved else _tokens_to_revoke(fresh, data / STORE_FILE))
             withheld: Withheld | None = None
             anchors: tuple[Path, ...] = ()
             events: tuple[Path, ...] = ()
             lost: tuple[str, ...] = ()
-            if (fresh := Path(folder) / STORE_FILE) in proved:
+            if fresh in proved:
                 try:
-                    withheld = make_ready(fresh, data / STORE_FILE, archive.message, key_files)
+                    present = data / STORE_FILE
+                    withheld = make_ready(fresh, present, archive.message, key_files, keep_tokens=keep_tokens)
                 except (sqlite3.Error, ValueError) as error:
                     raise _unsound(file, STORE_FILE, str(error)) from error
                 if archive.manifest.all_events and event_archive:
@@ -159,6 +181,12 @@ def read_backup(
             for fresh in proved:
                 _put(fresh, data / fresh.name)
     return Restored([fresh.name for fresh in proved], withheld, anchors, events, lost)
+
+
+def _tokens_to_revoke(fresh: Path, present: Path) -> list[str]:
+    standing = _standing(present)
+    with examining(fresh) as connection:
+        return tokens_to_revoke(connection, None if standing is None else standing.rights)
 
 
 def _require_archive(folder: Path | None) -> None:
@@ -215,16 +243,18 @@ def _put(fresh: Path, place: Path) -> None:
     fresh.replace(place)
 
 
-def make_ready(fresh: Path, present: Path, backup: Message, key_files: Sequence[Path]) -> Withheld:
+def make_ready(
+    fresh: Path, present: Path, backup: Message, key_files: Sequence[Path], *, keep_tokens: bool = False
+) -> Withheld:
     """Change ``fresh``, the main store of a backup, before it takes the place of ``present``. ``key_files``:
     where the key of its audit log is or may be made. Raises StoreError for one that cannot be used."""
     standing = _standing(present)
 
     def bring_in(connection: StoreConnection) -> Withheld:
         if standing is None:
-            return withhold(connection, None)
+            return withhold(connection, None, keep_tokens=keep_tokens)
         keep_in_force(connection, standing.protection)
-        return withhold(connection, standing.rights)
+        return withhold(connection, standing.rights, keep_tokens=keep_tokens)
 
     with closing(SqliteDatabase(fresh)) as database:
         events = open_log(database, key_files)
