@@ -38,8 +38,6 @@ class Services(Registry):
         self.demo = demo
         self.worker_tokens = worker_tokens
         self.ports = ports
-        self.is_shared = bool(settings.store.url)
-        """Whether other servers may use the store, too."""
         self.lifespan = Lifespan()
         self.lifespans_at_home = {bus: Lifespan() for bus in (SITE, *self.buses)}
 

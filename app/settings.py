@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import socket
+import tomllib
 from hashlib import sha256
 from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
 from pathlib import Path
@@ -25,7 +26,7 @@ from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings, refuse_buil
 from app.audit.settings import Audit
 from app.auth.settings import OidcSettings, Sessions
 from app.backup.settings import BackupSettings
-from app.database.settings import StoreSettings
+from app.former_settings import former_keys, without_former_keys
 from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
@@ -183,7 +184,6 @@ class Settings(StrictModel):
 
     site: Site = Site()
     server: ServerSettings = ServerSettings()
-    store: StoreSettings = StoreSettings()
     oidc: OidcSettings | None = None
     history: HistorySettings = HistorySettings()
     audit: Audit = Audit()
@@ -213,9 +213,9 @@ class Settings(StrictModel):
         return sha256(repr((VERSION, self.site, units)).encode()).hexdigest()[:16]
 
     @property
-    def store_name(self) -> str:
-        """Names the main store in messages."""
-        return self.store.shown or str(self.server.store)
+    def ignored_keys(self) -> list[str]:
+        """The keys of the file that an earlier version had, and that set nothing any more."""
+        return former_keys(tomllib.loads(self._text))
 
     @property
     def key_files(self) -> tuple[Path, ...]:
@@ -228,6 +228,11 @@ class Settings(StrictModel):
         name = f"{self._file.stem if self._file else data.name}{KEY_SUFFIX}"
         folders = (*((self._file.parent,) if self._file else ()), data.parent, data)
         return tuple(dict.fromkeys(folder / name for folder in folders))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_former_keys(cls, data: object) -> object:
+        return without_former_keys(data)
 
     @field_validator("bus")
     @classmethod
@@ -257,9 +262,6 @@ class Settings(StrictModel):
         refuse_unknown_names(self.notify, self.bus)
         refuse_unsendable(self.report, self.notify, self.bus)
         _refuse_unknown_homes(self.server, self.bus)
-        if self.backup.folder is not None and self.store.url:
-            message = Message("setting_backup_of_database")
-            raise PydanticCustomError("backup", "of files", {"message": message, "at": ("backup", "folder")})
         return self
 
 
@@ -281,7 +283,6 @@ def parse(text: str, path: Path) -> Settings:
     tls = settings.server.tls and settings.server.tls.in_folder(folder)
     absolute = {
         "server": settings.server.model_copy(update={"data": data, "tls": tls}),
-        "store": settings.store.in_folder(folder),
         "oidc": settings.oidc and settings.oidc.in_folder(folder),
         "audit": audit.model_copy(
             update={

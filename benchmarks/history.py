@@ -17,11 +17,11 @@ from typing import Any
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from app.database import Database, SqliteDatabase
+from app.database import Database
 from app.history.intake.folding import compact
-from app.history.intake.opening import MIGRATIONS
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
+from app.history.intake.writer import MIGRATIONS
 from app.history.query.query import SeriesQuery, run_query
 from app.history.series.runs import DAY, micros
 from app.history.series.values import VALUES
@@ -124,7 +124,7 @@ def _insert(connection: sqlite3.Connection, batch: list[Reading]) -> None:
 
 
 def _recorder(path: Path) -> Recorder:
-    return Recorder(SqliteDatabase(path, MIGRATIONS), Tail(), lambda _: None)
+    return Recorder(Database(path, MIGRATIONS), Tail(), lambda _: None)
 
 
 def _wire() -> str:
@@ -179,7 +179,7 @@ def _show_size(folder: Path) -> None:
 
 def _compact(path: Path) -> None:
     """As it is once every hour is over."""
-    database = SqliteDatabase(path, MIGRATIONS)
+    database = Database(path, MIGRATIONS)
     while (
         found := database.read_now(lambda c: tables.next_to_compact(c, micros(START) + 2 * DAY))
     ) is not None:
@@ -211,7 +211,7 @@ def _show_queries(folder: Path) -> None:
     count = build(folder / "large.db", "line", UNITS, end, 30, 365)
     took = time.perf_counter() - took
     size = (folder / "large.db").stat().st_size
-    database = SqliteDatabase(folder / "large.db", MIGRATIONS)
+    database = Database(folder / "large.db", MIGRATIONS)
     naive = _naive(folder / "naive.db")
     rows = []
     for name, days in (

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from app.audit.events.store import heads_of, prove
 from app.audit.proof.keys import open_keys
-from app.database import SqliteDatabase
-from app.history.intake.opening import MIGRATIONS
+from app.database import Database
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
+from app.history.intake.writer import MIGRATIONS
 from benchmarks.history_victim import KEY_FILE
 from benchmarks.tables import median, show
 
@@ -75,7 +75,7 @@ def _look(data: Path, last_event: int, newest: float) -> After:
         keys = open_keys([data / KEY_FILE], data / "lineside.db", heads_of(connection))
         intact = prove(connection, keys.ring, {}).broken is None
     tail = Tail()
-    database = SqliteDatabase(data / "history.db", MIGRATIONS)
+    database = Database(data / "history.db", MIGRATIONS)
     Recorder(database, tail, lambda _: None).replay()
     folded = database.read_now(
         lambda connection: connection.execute("SELECT max(until) FROM bits").fetchone()[0]

@@ -6,8 +6,8 @@ import random
 from collections.abc import Iterator
 from pathlib import Path
 
-from app.database import Database, SqliteDatabase
-from app.history.intake.opening import MIGRATIONS
+from app.database import Database
+from app.history.intake.writer import MIGRATIONS
 from app.history.series.rollup import combine, pack_rollups, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_runs
 from app.history.series.scaling import ParameterStep
@@ -49,7 +49,7 @@ def hour(seed: int) -> list[Run]:
 def build(path: Path, bus: str, units: int, end: int, raw_days: int, days: int) -> int:
     """Write a store that ends at ``end`` (µs): readings of the last ``raw_days``, rollups of ``days``. Gives
     how many readings it holds."""
-    database = SqliteDatabase(path, MIGRATIONS, synchronous="NORMAL")
+    database = Database(path, MIGRATIONS, synchronous="NORMAL")
     count = fill(database, (bus, units), end, raw_days=raw_days, days=days)
     database.close()
     return count

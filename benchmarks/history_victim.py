@@ -13,7 +13,7 @@ from pathlib import Path
 from app.audit.events.store import heads_of
 from app.audit.log import EventLog
 from app.audit.proof.keys import open_keys
-from app.database import SqliteDatabase
+from app.database import Database
 from app.history.service import History
 from app.settings import ServerSettings, Settings
 from bus.contract import Reading
@@ -30,7 +30,7 @@ EVENTS_FROM_STEP = 5
 async def _live(folder: Path) -> None:
     history = History(Settings(server=ServerSettings(data=folder / "flood")))
     store = folder / "flood" / "lineside.db"
-    database = SqliteDatabase(store)
+    database = Database(store)
     keys = open_keys([store.with_name(KEY_FILE)], store, database.read_now(heads_of))
     events = EventLog(database, keys=keys)
     history.start()

@@ -27,12 +27,11 @@ from hypothesis import settings
 from jinja2 import Environment
 
 import app.auth.sign_in.passwords
-import app.database.sqlite.connection
+import app.database.database
 import app.messages.languages
 import app.web.admission.routes
-from app.database.migration import MIGRATIONS, Migration
-from app.database.sqlite.migrating import bring_up_to_date
-from app.database.sqlite.reserve import Reserve
+from app.database.migration import MIGRATIONS, Migration, bring_up_to_date
+from app.database.reserve import Reserve
 from app.web.rendering.assets import Assets
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=30)
@@ -149,7 +148,7 @@ def stores_made_once() -> Iterator[None]:
     """A new store is a copy of one that has taken all its steps, and none waits for the disk: no test of this
     process ends its power supply. The processes that tests start and kill write as they do everywhere."""
     models = {folder: model_of(folder) for folder in (MIGRATIONS, HISTORY_MIGRATIONS)}
-    open_for_writing = app.database.sqlite.connection.open_for_writing
+    open_for_writing = app.database.database.open_for_writing
 
     def copy_if_new(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
         is_new = connection.execute("SELECT 1 FROM sqlite_master").fetchone() is None
@@ -166,8 +165,8 @@ def stores_made_once() -> Iterator[None]:
         return connection
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.database.sqlite.connection, "bring_up_to_date", copy_if_new)
-        patch.setattr(app.database.sqlite.connection, "open_for_writing", open_without_waiting)
+        patch.setattr(app.database.database, "bring_up_to_date", copy_if_new)
+        patch.setattr(app.database.database, "open_for_writing", open_without_waiting)
         patch.setattr(os, "fsync", lambda _: None)
         yield
     for model, _ in models.values():

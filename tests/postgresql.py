@@ -1,4 +1,4 @@
-"""One PostgreSQL for all tests that run at the same time, and a database for each test that wants one.
+"""One PostgreSQL for all tests that run at the same time, and an empty database for each test that wants one.
 
 The first process starts it, in a process beside the tests: it serves until the last of them has ended, also
 where they are killed. It keeps nothing, and never waits for the disk.
@@ -14,29 +14,16 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from functools import cache
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
-from app.database import Database
-from app.database.migration import MIGRATIONS
-from app.database.settings import StoreSettings
 from tests.fork_server import RUN
 
-if TYPE_CHECKING:
-    import psycopg
-
 ROOT = Path(__file__).parents[1]
-SCHEMAS = {
-    "main": MIGRATIONS,
-    "history": ROOT / "app" / "history" / "migrations",
-    "pictures": ROOT / "app" / "handover" / "migrations",
-}
-TEMPLATE = "lineside_template"
 USER = "lineside"
 GUARDED = "guarded"
 """A user who needs the password `PASSWORD`."""
@@ -122,75 +109,15 @@ def url_of(database: str) -> str:
     return f"postgresql://{USER}@/{database}?host={socket_folder()}"
 
 
-_free: list[StoreSettings] = []
-spoiled: set[str] = set()
-"""URLs of databases whose tables a test has changed."""
-
-
 @contextmanager
-def fresh_database(*, empty: bool = False) -> Iterator[StoreSettings]:
-    """A database with the tables of every store, none of which has a row, or one without any table."""
-    if empty:
-        yield _new_database("template0")
-        return
-    store = _free.pop() if _free else _new_database(TEMPLATE)
-    try:
-        yield store
-    finally:
-        _empty(store)
-        if store.url not in spoiled:
-            _free.append(store)
-
-
-def _new_database(model: str) -> StoreSettings:
-    """It goes when PostgreSQL ends."""
+def fresh_database() -> Iterator[str]:
+    """The URL of an empty database, which goes when PostgreSQL ends."""
     import psycopg
 
     name = f"test_{os.getpid()}_{next(_numbers)}"
     with psycopg.connect(url_of("postgres"), autocommit=True) as server:
-        server.execute(f'CREATE DATABASE "{name}" TEMPLATE {model} STRATEGY file_copy'.encode())
-    return StoreSettings(url=url_of(name))
-
-
-def _empty(store: StoreSettings) -> None:
-    """Remove every row; also of tables whose rules refuse that."""
-    import psycopg
-
-    try:
-        _cleaners[store.url].execute(_EMPTY)
-    except (KeyError, psycopg.OperationalError):
-        # A test may have ended all connections.
-        _cleaners[store.url] = psycopg.connect(store.url, autocommit=True)
-        _cleaners[store.url].execute(_EMPTY)
-
-
-_cleaners: dict[str, psycopg.Connection] = {}
-"""A connection to each database that is used again."""
-_EMPTY = """
-DO $body$
-DECLARE each record;
-BEGIN
-    PERFORM pg_terminate_backend(pid, 5000) FROM pg_stat_activity
-    WHERE datname = current_database() AND pid <> pg_backend_pid();
-    SET LOCAL session_replication_role = replica;
-    FOR each IN SELECT oid::regclass AS name, relkind AS kind FROM pg_class
-        WHERE relkind IN ('r', 'S') AND relname <> 'migrations'
-        AND relnamespace IN ('main'::regnamespace, 'history'::regnamespace, 'pictures'::regnamespace)
-    LOOP
-        IF each.kind = 'r' THEN EXECUTE format('DELETE FROM %s', each.name);
-        ELSE PERFORM setval(each.name, 1, false); END IF;
-    END LOOP;
-END $body$
-"""
-
-
-@contextmanager
-def fresh_store(schema: str = "main") -> Iterator[Database]:
-    """An empty store of a site."""
-    from app.database.postgresql.database import PostgresqlDatabase
-
-    with fresh_database() as store, closing(PostgresqlDatabase(store, schema, SCHEMAS[schema])) as database:
-        yield database
+        server.execute(f'CREATE DATABASE "{name}" TEMPLATE template0 STRATEGY file_copy'.encode())
+    yield url_of(name)
 
 
 def serve(folder: Path) -> None:
@@ -211,7 +138,7 @@ def serve(folder: Path) -> None:
     options = [word for name, value in OPTIONS.items() for word in ("-c", f"{name}={value}")]
     server = subprocess.Popen([programs / "postgres", "-D", data, "-k", folder, *options], user=user, cwd="/")
     try:
-        _make_template(folder)
+        _make_guarded_user(folder)
         (folder / "ready").touch()
         with (folder / "users").open("a") as users:
             fcntl.flock(users, fcntl.LOCK_EX)
@@ -221,26 +148,20 @@ def serve(folder: Path) -> None:
         shutil.rmtree(folder)
 
 
-def _make_template(folder: Path) -> None:
+def _make_guarded_user(folder: Path) -> None:
+    """Make `GUARDED`, once PostgreSQL takes connections."""
     import psycopg
 
-    from app.database.postgresql.database import PostgresqlDatabase
-
-    host = f"postgresql://{USER}@/{{}}?host={folder}"
     end = time.monotonic() + START_S
     while True:
         try:
-            with psycopg.connect(host.format("postgres"), autocommit=True) as server:
-                server.execute(f"CREATE DATABASE {TEMPLATE} TEMPLATE template0".encode())
-            break
+            with psycopg.connect(f"postgresql://{USER}@/postgres?host={folder}", autocommit=True) as server:
+                server.execute(f"CREATE ROLE {GUARDED} LOGIN SUPERUSER PASSWORD '{PASSWORD}'".encode())
+            return
         except psycopg.OperationalError:
             if time.monotonic() > end:
                 raise
             time.sleep(0.02)
-    with psycopg.connect(host.format("postgres"), autocommit=True) as server:
-        server.execute(f"CREATE ROLE {GUARDED} LOGIN SUPERUSER PASSWORD '{PASSWORD}'".encode())
-    for schema, steps in SCHEMAS.items():
-        PostgresqlDatabase(StoreSettings(url=host.format(TEMPLATE)), schema, steps).close()
 
 
 if __name__ == "__main__":

@@ -21,15 +21,12 @@ from app.alarms.own import pages as own_pages
 from app.alarms.own.book import OwnAlarmBook
 from app.alarms.simulation.simulator import Simulator
 from app.audit.archive.archiving import EventArchive
-from app.audit.local_log.notice import away_notice
 from app.audit.log import EventLog
 from app.audit.proof.anchoring import Anchoring
 from app.auth.accounts import Accounts
-from app.auth.sign_in.break_glass import BreakGlass
 from app.backup.service import Backups
 from app.commands.safeguards.service import Safeguards
 from app.database import Database
-from app.database.availability import Availability
 from app.feature import Feature, Services
 from app.find.finders import Finders
 from app.history.service import History
@@ -96,8 +93,6 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
         lambda: anchoring.status,
         services.add(FailingEndpoints()),
         expiry,
-        lambda: services[Availability].is_away,
-        (lambda: services[BreakGlass].signed_in) if services[Database].availability else tuple,
         lambda: services[Backups].newest,
         lambda: services[EventArchive].failing,
     )
@@ -117,13 +112,9 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
     def alarms_in(language: Language) -> Fields:
         return banner.banner(Translator(language, templates.formats(language.tag)), unix_now())
 
-    def away_in(language: Language) -> str:
-        notice = away_notice(services[Availability], templates.formats(language.tag), unix_now())
-        return "" if notice is None else language.t(notice)
-
     services.add(banner)
     services[Homes].subscribe(lambda _bus: banner.refresh())
-    services.add(PageHead(alarms_in, away_in))
+    services.add(PageHead(alarms_in))
 
 
 FEATURE = Feature(

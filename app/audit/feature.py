@@ -27,7 +27,7 @@ from bus.messages import Message
 
 def make(services: Services) -> None:
     settings, database, lifespan = services.settings, services[Database], services.lifespan
-    keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
+    keys = open_keys(settings.key_files, database.path, database.read_now(heads_of))
     services.add(ActLimit())
     events = services.add(EventLog(database, keys=keys))
     services[Finders].add("find_events", EventFinder(events, settings))

@@ -15,7 +15,6 @@ from app.auth.sign_in import strength
 from app.auth.sign_in.passwords import hash_secret
 from app.auth.store import CompanyAccount, Token, User
 from app.database import Database, StoreConnection
-from app.database.engine import lock
 from app.errors import ConstraintError, Problem
 from app.web.admission.access import AccountSubscriber, Person, Role, account_of, name_of
 from bus.errors import CallerError
@@ -90,7 +89,6 @@ class Accounts:
         that no other user has. A disabled user is left as is. Raises CallerError."""
 
         def follow(connection: StoreConnection) -> tuple[User, Message | None]:
-            lock(connection, ACCOUNTS)
             there = store.user_of(connection, account)
             if there is None:
                 return self._add_of_provider(connection, account, name, role)
@@ -222,7 +220,6 @@ class Accounts:
 
     async def _write_new(self, add: Callable[[StoreConnection], None], exists: Message) -> None:
         def alone(connection: StoreConnection) -> None:
-            lock(connection, ACCOUNTS)
             add(connection)
 
         try:
@@ -245,7 +242,6 @@ class Accounts:
         self, name: str, change: Callable[[StoreConnection], bool], kind: Kind = "changed"
     ) -> None:
         def guarded(connection: StoreConnection) -> None:
-            lock(connection, ACCOUNTS)
             before = store.admins_left(connection)
             if not change(connection):
                 raise CallerError(Message.of("no_such_user", name=name[:80]))

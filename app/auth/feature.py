@@ -12,10 +12,8 @@ from app.auth.oidc import pages as oidc_pages
 from app.auth.oidc.single_sign_on import SingleSignOn
 from app.auth.rights import notices
 from app.auth.rights.identity import Identity
-from app.auth.rights.known import KnownCredentials
 from app.auth.rights.lasting import Rechecks
 from app.auth.rights.rights import Rights
-from app.auth.sign_in.break_glass import BreakGlass, path_in
 from app.auth.sign_in.first_admin import FirstAdmin
 from app.auth.sign_in.signin import SignIn
 from app.database import Database
@@ -31,12 +29,6 @@ def make(services: Services) -> None:
     rights = services.add(Rights(database, accounts.on_changed, rechecks))
     services.lifespan.add("rights", rights.watch)
     sessions = settings.server.sessions
-    known = break_glass = None
-    if database.availability is not None:
-        known = services.add(KnownCredentials(database))
-        services.lifespan.add("known credentials", known.watch)
-        break_glass = BreakGlass(path_in(settings.server.data), database.availability)
-        services.add(break_glass)
     sign_in = services.add(
         SignIn(
             database,
@@ -44,8 +36,6 @@ def make(services: Services) -> None:
             sessions,
             site=site,
             rechecks=rechecks,
-            known=known,
-            break_glass=break_glass,
         )
     )
     single_sign_on = services.add(SingleSignOn(settings.oidc, accounts, sign_in, events))
@@ -58,7 +48,7 @@ def make(services: Services) -> None:
         services.lifespan.add("first admin", start=first_admin.start)
     services.lifespan.add("notices of rights", start=partial(_listen, database, rights, sign_in))
     services.add(RefusalLog())
-    services.add(Identity(database, sign_in, services.worker_tokens, known=known, break_glass=break_glass))
+    services.add(Identity(database, sign_in, services.worker_tokens))
 
 
 async def _listen(database: Database, rights: Rights, sign_in: SignIn) -> None:

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import NamedTuple
 
 from app.database import StoreConnection, StoreRow
-from app.database.engine import upsert
+from app.database.connection import upsert
 from app.web.admission.access import Role
 from bus.instants import UnixTime
 

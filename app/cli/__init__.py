@@ -41,7 +41,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "diff": ("api.diff", "Show the differences of a unit and a file, or of two files."),
     "restore": ("api.restore", "Write the rows of a file that differ to a unit."),
     "backup-store": ("stores.backup_store", "Copy the stores of a running dashboard into one file."),
-    "migrate-store": ("stores.migrate_store", "Copy the stores into a PostgreSQL database, or into files."),
     "restore-store": ("stores.restore_store", "Replace the current stores with a backup."),
 }
 """Name → module in this package, and its line in the help. The module has a function of that name, or a
@@ -69,6 +68,10 @@ class Lazy(click.Group):
 
     def get_command(self, ctx: click.Context | None, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         """Import the module of a command; None for an unknown name."""
+        if cmd_name == "migrate-store":
+            from bus.messages import Message
+
+            raise click.UsageError(str(Message("migrate_store_of_former_version")))
         if cmd_name not in COMMANDS:
             return None
         from app.cli.options import command_of

@@ -42,23 +42,9 @@ def backup_is_overdue(newest: UnixTime | None, now: UnixTime) -> bool:
 HISTORY_DEGRADED: Condition[StatePredicate] = Condition(
     "history_degraded",
     ("major", "half_hour"),
-    holds=lambda state: state in ("paused", "failed", "spooling"),
-    means="readings are not stored, or wait on the disk of the server",
+    holds=lambda state: state in ("paused", "failed"),
+    means="readings are not stored",
     tuning=Tuning(on_delay_s=5),
-)
-STORE_UNAVAILABLE: Condition[Callable[[object], bool]] = Condition(
-    "store_unavailable",
-    ("severe", "half_hour"),
-    holds=bool,
-    means="the database of `[store] url` does not respond, or cannot be written",
-    tuning=Tuning(on_delay_s=2),
-)
-BREAK_GLASS_USED: Condition[Callable[[object], bool]] = Condition(
-    "break_glass_used",
-    ("severe", "shift"),
-    holds=bool,
-    means="a user is signed in by a break-glass account",
-    latching=True,
 )
 DISK_LOW: Condition[StatePredicate] = Condition(
     "disk_low",
@@ -117,8 +103,6 @@ EVENTS_NOT_ARCHIVED: Condition[Callable[[object], bool]] = Condition(
 
 OF_SERVER = (
     HISTORY_DEGRADED,
-    STORE_UNAVAILABLE,
-    BREAK_GLASS_USED,
     AUDIT_DEGRADED,
     DISK_LOW,
     NOTIFICATION_FAILED,

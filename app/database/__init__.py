@@ -1,9 +1,8 @@
-"""A store: one thread writes, others read, numbered steps bring it up to date."""
+"""A store: SQLite, where one thread writes, others read, and numbered steps bring it up to date."""
 
 from __future__ import annotations
 
+from app.database.connection import StoreConnection, StoreRow
 from app.database.database import Database
-from app.database.sqlite.connection import SqliteDatabase
-from app.database.store_connection import StoreConnection, StoreRow
 
-__all__ = ["Database", "SqliteDatabase", "StoreConnection", "StoreRow"]
+__all__ = ["Database", "StoreConnection", "StoreRow"]

@@ -1,48 +1,66 @@
-"""One store, of whatever engine: one thread writes, others read."""
+"""One store: one thread writes, others read."""
 
 from __future__ import annotations
 
 import asyncio
-from abc import ABC, abstractmethod
-from collections.abc import Callable
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
+from functools import wraps
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from app.database.availability import Availability, in_time
-from app.database.migration import Migration
-from app.database.store_connection import StoreConnection
+from app.database.connection import STEPS, Synchronous, open_for_reading, open_for_writing, transact
+from app.database.migration import MIGRATIONS, alone, bring_up_to_date, refuse_unfinished
+from app.database.reserve import Reserve
+from app.database.words import in_words
 from app.errors import StoreError
 from bus.messages import Message
 
+P = ParamSpec("P")
 T = TypeVar("T")
-Work = Callable[[StoreConnection], T]
+Work = Callable[[sqlite3.Connection], T]
 Listener = Callable[[str], None]
 READERS = 4
 COSTLY_READERS = 2
 COSTLY_S = 3.0
-"""What one costly read may take: on SQLite CPU time of its thread, on PostgreSQL time of each statement."""
+"""CPU time of its thread that one costly read may take."""
 
 
-class Database(ABC):
-    """One store. Opening brings it up to date and raises StoreError in words when it cannot be used."""
+class Database:
+    """A store in a file of this machine. Opening brings it up to date and raises StoreError in words when it
+    cannot be used.
 
-    name: str
-    """Names the store in messages: its path, or its URL without what is secret, and its schema."""
-    file: Path | None
-    """Where the store is a file of this machine."""
-    migrated: list[Migration]
-    """The steps that opening took."""
-    availability: Availability | None = None
-    """Where another machine has the store: whether it responds."""
+    ``checkpoints`` False: another process may have the store open and does that (SQLite 3.40 can lose
+    writes when two connections reset the WAL). ``reserve``: the disk space that its transactions may use up.
+    ``migrated``: the steps that opening took.
+    """
 
-    def __init__(self, name: str, label: str) -> None:
-        self.name = name
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix=f"{label}-writer")
-        self._readers = ThreadPoolExecutor(READERS, thread_name_prefix=f"{label}-reader")
-        self._costly = ThreadPoolExecutor(COSTLY_READERS, thread_name_prefix=f"{label}-costly")
-        self._brief = self._writer
-        """Where an engine lets more than one transaction write, a thread apart from the writer's."""
+    def __init__(
+        self,
+        path: Path,
+        migrations: Path = MIGRATIONS,
+        synchronous: Synchronous = "FULL",
+        *,
+        checkpoints: bool = True,
+        reserve: Reserve | None = None,
+    ) -> None:
+        self.path = path
+        self._reserve = reserve
+        with in_words(path), alone(path):
+            self._connection = open_for_writing(path, synchronous)
+            if not checkpoints:
+                self._connection.execute("PRAGMA wal_autocheckpoint = 0")
+            refuse_unfinished(self._connection, path)
+            self.migrated = bring_up_to_date(self._connection, path, migrations)
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix=f"{path.stem}-writer")
+        self._readers = ThreadPoolExecutor(READERS, thread_name_prefix=f"{path.stem}-reader")
+        self._costly = ThreadPoolExecutor(COSTLY_READERS, thread_name_prefix=f"{path.stem}-costly")
+        self._local = threading.local()
+        self._opened: list[sqlite3.Connection] = []
+        self._listeners: list[tuple[str, asyncio.AbstractEventLoop, Listener]] = []
 
     async def write(self, work: Work[T]) -> T:
         """Run ``work`` in one transaction on the writer's thread; it is on disk when this returns."""
@@ -56,76 +74,99 @@ class Database(ABC):
         """Run a read that may take long, apart from all others. Raises TooCostlyError after `COSTLY_S`."""
         return await self._run(self._costly, self._read_within, work)
 
-    async def attempt(self, work: Work[T]) -> T:
-        """Run ``work`` in one transaction also while the database is known to be away. Raises
-        StoreUnavailableError where it takes too long; it may still be stored."""
-        return await in_time(self._begin(self._writer, self.write_now, work))
-
-    async def write_briefly(self, work: Work[T]) -> T:
-        """Run ``work``, a few trivial statements, in one transaction that keeps no other waiting for longer
-        than a second, also while the database is known to be away. Raises StoreUnavailableError where it
-        takes too long; it may still be stored."""
-        return await in_time(self._begin(self._brief, self.write_briefly_now, work))
-
-    def write_briefly_now(self, work: Work[T]) -> T:
-        """The same on this thread: the command line's."""
-        return self.write_now(work)
-
-    def probe(self) -> asyncio.Future[object]:
-        """Begin a trivial read, also while the database is known to be away."""
-        return self._begin(self._readers, self.read_now, _look)
-
-    @abstractmethod
-    def interrupt(self) -> None:
-        """End every wait for a database that does not respond, of all stores. For the end of the server."""
-
-    @abstractmethod
     def write_now(self, work: Work[T]) -> T:
         """Run ``work`` in one transaction on this thread: the command line's, or the writer's own."""
+        if self._reserve is not None:
+            self._reserve.keep()
+        connection = self._connection
+        try:
+            with in_words(self.path):
+                result = transact(connection, work)
+            if connection.notices:
+                self._deliver(connection.notices)
+        finally:
+            connection.notices.clear()
+        return result
 
-    @abstractmethod
     def read_now(self, work: Work[T]) -> T:
         """Run ``work`` on a read-only connection of this thread."""
+        with in_words(self.path):
+            return work(self._reader())
 
-    @abstractmethod
     def listen(self, channel: str, callback: Listener) -> None:
-        """Call ``callback`` on the running event loop with each text that a committed transaction of any
-        server notified. An empty text: the connection was lost and is back; what was notified meanwhile is
-        not known."""
+        """Call ``callback`` on the running event loop with each text that is notified by a transaction."""
+        self._listeners.append((channel, asyncio.get_running_loop(), callback))
 
-    @abstractmethod
     def give_back(self, pages: int) -> None:
         """Return so many pages of deleted rows to the disk. For the writer's own thread."""
+        vacuum = f"PRAGMA incremental_vacuum({pages})"
+        self.write_now(lambda connection: connection.execute(vacuum).fetchall())
 
     def close(self) -> None:
         """Finish pending calls, then close; waits for the threads."""
-        self._readers.shutdown()
-        self._costly.shutdown()
-        self._writer.shutdown()
-        self._brief.shutdown()
-        self._disconnect()
+        for pool in (self._readers, self._costly, self._writer):
+            pool.shutdown()
+        for connection in (*self._opened, self._connection):
+            connection.close()
 
-    @abstractmethod
-    def _disconnect(self) -> None:
-        """Close every connection; no thread uses one any more."""
+    def _deliver(self, notices: list[tuple[str, str]]) -> None:
+        for noticed, text in notices:
+            for channel, loop, callback in self._listeners:
+                if channel == noticed and not loop.is_closed():
+                    loop.call_soon_threadsafe(callback, text)
 
-    @abstractmethod
-    def _read_within(self, work: Work[T]) -> T: ...
+    def _read_within(self, work: Work[T]) -> T:
+        connection, end = self._reader(), time.thread_time() + COSTLY_S
+        connection.set_progress_handler(lambda: time.thread_time() > end, STEPS)
+        try:
+            with in_words(self.path):
+                return work(connection)
+        finally:
+            connection.set_progress_handler(None, 0)
+
+    def _reader(self) -> sqlite3.Connection:
+        connection: sqlite3.Connection | None = getattr(self._local, "connection", None)
+        if connection is None:
+            connection = open_for_reading(self.path)
+            self._local.connection = connection
+            self._opened.append(connection)
+        return connection
 
     async def _run(self, pool: ThreadPoolExecutor, run: Callable[[Work[T]], T], work: Work[T]) -> T:
-        if self.availability is None:
-            return await self._begin(pool, run, work)
-        self.availability.refuse_while_away()
-        return await self.availability.within(self._begin(pool, run, work))
-
-    def _begin(
-        self, pool: ThreadPoolExecutor, run: Callable[[Work[T]], T], work: Work[T]
-    ) -> asyncio.Future[T]:
         try:
-            return asyncio.get_running_loop().run_in_executor(pool, run, work)
+            pending = asyncio.get_running_loop().run_in_executor(pool, run, work)
         except RuntimeError as error:
-            raise StoreError(Message.of("store_closed", path=self.name)) from error
+            raise StoreError(Message.of("store_closed", path=str(self.path))) from error
+        return await pending
 
 
-def _look(connection: StoreConnection) -> object:
-    return connection.execute("SELECT 1").fetchone()
+class Tables:
+    """Some tables of a database. The queries of a subclass are its methods."""
+
+    def __init__(self, database: Database) -> None:
+        self.database = database
+
+
+TablesT = TypeVar("TablesT", bound=Tables)
+Query = Callable[Concatenate[TablesT, sqlite3.Connection, P], T]
+QueryCall = Callable[Concatenate[TablesT, P], Coroutine[Any, Any, T]]
+
+
+def reading(query: Query[TablesT, P, T]) -> QueryCall[TablesT, P, T]:
+    """Run the query in a thread, on a connection that cannot write."""
+
+    @wraps(query)
+    async def call(tables: TablesT, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        return await tables.database.read(lambda connection: query(tables, connection, *args, **kwargs))
+
+    return call
+
+
+def writing(query: Query[TablesT, P, T]) -> QueryCall[TablesT, P, T]:
+    """Run the query as one transaction on the writer's thread; it is on disk when the call returns."""
+
+    @wraps(query)
+    async def call(tables: TablesT, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        return await tables.database.write(lambda connection: query(tables, connection, *args, **kwargs))
+
+    return call

@@ -6,10 +6,8 @@ import asyncio
 from functools import partial
 
 from app.database import Database
-from app.database.availability import Availability
-from app.database.opening import open_database
 from app.database.private import make_private
-from app.database.sqlite.reserve import Reserve
+from app.database.reserve import Reserve
 from app.feature import Feature, Services
 
 
@@ -19,9 +17,7 @@ def make(services: Services) -> None:
     make_private(server.data)
     reserve = services.add(Reserve(server.data))
     lifespan.add("disk reserve", end=partial(asyncio.to_thread, reserve.close))
-    store, availability = services.settings.store, services.add(Availability())
-    opened = open_database(store, server.store, reserve=reserve, availability=availability)
-    database = services.add(opened, Database)
+    database = services.add(Database(server.store, reserve=reserve))
     lifespan.add("store", end=partial(asyncio.to_thread, database.close))
 
 

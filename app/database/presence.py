@@ -2,34 +2,30 @@
 
 from __future__ import annotations
 
-import sqlite3
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from app.database.engine import is_intact
-from app.database.sqlite.connection import STEPS, open_unchanged
-from app.database.sqlite.words import in_words
+from app.database.connection import STEPS, examining, is_intact
+from app.database.words import in_words
 from app.errors import DamagedStoreError
 from bus.messages import Message
 
-Presence = Literal["sound", "missing", "empty", "damaged", "vacant"]
-"""``vacant``: a database in which no site lives."""
+Presence = Literal["sound", "missing", "empty", "damaged"]
 
 
-def refusal_to_start(store: str, presence: Presence, key: Path | None, *, new: bool) -> Message | None:
+def refusal_to_start(store: Path, presence: Presence, key: Path | None, *, new: bool) -> Message | None:
     """Why a server does not start on a store; None where it may. ``key``: the key file of its audit log where
     there is one, which is made together with the store. ``new``: a new site is what is wanted. Pure."""
     match presence:
         case "sound":
-            return Message.of("store_not_new", path=store) if new else None
+            return Message.of("store_not_new", path=str(store)) if new else None
         case "damaged":
-            return None if new else Message.of("store_damaged_at_start", path=store)
-        case "missing" | "empty" | "vacant":
+            return None if new else Message.of("store_damaged_at_start", path=str(store))
+        case "missing" | "empty":
             if new or key is None:
                 return None
-            return Message.of(f"store_{presence}_at_start", path=store, key=str(key))
+            return Message.of(f"store_{presence}_at_start", path=str(store), key=str(key))
 
 
 def presence_of(store: Path) -> Presence:
@@ -44,13 +40,6 @@ def presence_of(store: Path) -> Presence:
                 return "sound" if connection.execute("SELECT 1 FROM sqlite_master").fetchone() else "empty"
     except DamagedStoreError:
         return "damaged"
-
-
-@contextmanager
-def examining(store: Path) -> Iterator[sqlite3.Connection]:
-    """Read a store and leave no file beside it. Raises StoreError in words."""
-    with in_words(store), closing(open_unchanged(store)) as connection:
-        yield connection
 
 
 def proves_intact(store: Path, stop: Callable[[], bool]) -> bool:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import structlog
 
-from app.database.sqlite.words import in_words
+from app.database.words import in_words
 from app.errors import StoreError
 from bus.messages import Message
 

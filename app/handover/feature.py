@@ -23,7 +23,7 @@ from app.web.rendering.templating import Templates
 
 def make(services: Services) -> None:
     settings, database, events = services.settings, services[Database], services[EventLog]
-    pictures = services.add(PictureStore(settings.server.data, settings.shift.pictures_mb, settings.store))
+    pictures = services.add(PictureStore(settings.server.data, settings.shift.pictures_mb))
     services.lifespan.add("pictures", end=partial(asyncio.to_thread, pictures.close))
     handover = services.add(Handover(settings, database, events, pictures))
     templates, assets = services[Templates], services[Assets]

@@ -16,7 +16,7 @@ from pydantic import Field
 from app.alarms.journal.store import JournalEntry
 from app.audit.log import EventLog
 from app.database import Database, StoreConnection
-from app.database.engine import snapshot
+from app.database.connection import snapshot
 from app.errors import Problem
 from app.handover.acts import CORRECT_NOTE, WRITE_NOTE
 from app.handover.notes import notes

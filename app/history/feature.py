@@ -12,25 +12,17 @@ from app.history.acts import ACTS
 from app.history.api import routes
 from app.history.service import History
 from app.history.views import TrendViews
-from app.home.homes import Homes
 from app.web.rendering.assets import Assets
 from app.web.rendering.templating import Templates
 
 
 def make(services: Services) -> None:
     lifespan, language = services.lifespan, services.settings.site.language
-    homes = services[Homes]
     services.add(TrendViews(services[Database]))
-    history = services.add(History(services.settings, homes.is_here))
-
-    def adopt(bus: str) -> None:
-        if bus and homes.is_here(bus):
-            history.adopt(bus)
+    history = services.add(History(services.settings))
 
     async def start() -> None:
         history.start()
-        if homes.is_shared:
-            homes.subscribe(adopt)
 
     lifespan.add("history", history.inspect_daily, start=start, end=partial(asyncio.to_thread, history.close))
     warm = partial(pages.warm, history, services[Templates], services[Assets], language)

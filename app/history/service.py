@@ -5,15 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import structlog
 
 from app.audit.events.kinds import EventKind
-from app.database.engine import is_intact
-from app.database.sqlite.reserve import MIN_FREE_OF_OTHERS
+from app.database.connection import is_intact
 from app.errors import DamagedStoreError, StoreError
-from app.history.intake.share import COMPLETE, StoreShare
 from app.history.intake.tail import Tail
 from app.history.intake.writer import Writer
 from app.history.query.query import QueryResult, SeriesQuery, run_query
@@ -22,18 +20,13 @@ from app.history.series.runs import SECOND, micros
 from app.history.status import HistoryStatus
 from app.history.store import tables
 from app.history.store.damage import BlockKey
-from app.history.store.inspection import TABLES, FoundDamage, damaged_blocks
+from app.history.store.inspection import TABLES, damaged_blocks
 from app.settings import Settings
 from bus.contract import Update
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
-if TYPE_CHECKING:
-    from app.history.spool.outage import Outage
-
 FILE = "history.db"
-SPOOL = "spool"
-"""The folder in which readings wait for a database that is away."""
 FIRST_INSPECTION_S = 600.0
 DAY_S = 86_400.0
 T = TypeVar("T")
@@ -48,21 +41,12 @@ class History:
     """Stores readings and runs queries on them. Opening never fails: :attr:`status` shows when a store
     cannot be used. Subscribers are called on the event loop that called :meth:`start`."""
 
-    def __init__(self, settings: Settings, is_home: Callable[[str], bool] = lambda _: True) -> None:
+    def __init__(self, settings: Settings) -> None:
         self.path = settings.server.data / FILE
         self.buses = {bus.name: bus for bus in settings.bus}
         self.time_zone = settings.site.zone
         self._fault_subscribers: list[FaultSubscriber] = []
-        self._outage = _outage(settings, partial(self._publish_fault, "server"))
-        share = StoreShare(settings.server.id, tuple(self.buses), is_home) if settings.store.url else COMPLETE
-        self._writer = Writer(
-            self.path,
-            settings.history,
-            self._publish_fault,
-            store=settings.store,
-            share=share,
-            outage=self._outage,
-        )
+        self._writer = Writer(self.path, settings.history, self._publish_fault)
 
     def on_fault(self, subscriber: FaultSubscriber) -> None:
         """Call ``subscriber`` when this machine's clock was stepped or something stored cannot be read."""
@@ -81,10 +65,6 @@ class History:
     def close(self) -> None:
         """Write what was taken in to the disk, then close the store."""
         self._writer.close()
-
-    def adopt(self, bus: str) -> None:
-        """The home of a bus is here now: store what another server left unfinished."""
-        self._writer.adopt(bus)
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
         """Take in what a worker reported; never waits, and costs the event loop a microsecond."""
@@ -111,14 +91,12 @@ class History:
             waiting = [run[1] for unit, run in tail.everything() if unit in keys]
             return max((at for at in (*stored, *waiting) if at is not None), default=None)
 
-        spooled = await asyncio.to_thread(self._outage.newest, bus) if self._outage is not None else None
         try:
             at = await self.read(read)
         except StoreError as error:
             log.warning("the end of the history cannot be read", bus=bus, why=str(error))
-            at = None
-        stored = None if at is None else seconds(at)
-        return max((each for each in (spooled, stored) if each is not None), default=None)
+            return None
+        return None if at is None else seconds(at)
 
     def report(self, damaged: Iterable[BlockKey]) -> None:
         """Blocks that could not be read: the writer sets them aside and reports them."""
@@ -158,17 +136,6 @@ class History:
             raise
         except ValueError as error:
             raise StoreError(Message.of("store_damaged", path=str(self.path), error=str(error))) from error
-
-
-def _outage(settings: Settings, on_event: FoundDamage) -> Outage | None:
-    """Where history is in files, nothing is spooled and none of it is imported."""
-    if not settings.store.url:
-        return None
-    from app.history.spool.outage import Outage
-    from app.history.spool.spool import Spool
-
-    most = settings.history.spool_mb * 1_000_000
-    return Outage(Spool(settings.server.data / SPOOL, most, MIN_FREE_OF_OTHERS), on_event)
 
 
 def seconds(at: int) -> UnixTime:

@@ -16,5 +16,3 @@ class HistorySettings(StrictModel):
     """Every reading itself; after that one-minute and one-hour least, greatest and average."""
     years: Annotated[int, Field(strict=True, ge=1, le=100)] = 10
     """How long minutes and hours are kept, and the bits as intervals."""
-    spool_mb: Annotated[int, Field(strict=True, ge=1, le=1_000_000)] = 128
-    """How much waits on this server's disk while the database is away, MB: of one bus two days."""

@@ -13,23 +13,18 @@ from app.web.rendering.formats import Formats
 from bus.instants import UnixTime
 from bus.messages import Message
 
-StoreState = Literal["ok", "low", "scarce", "paused", "failed", "spooling", "following"]
+StoreState = Literal["ok", "low", "scarce", "paused", "failed"]
 
 
 @dataclass(frozen=True, slots=True)
 class HistoryStatus:
-    """State of the history. ``low``: the disk is nearly full; ``scarce``: the oldest readings go;
-    ``spooling``: the database is away, readings wait on this server's disk; ``following``: they are being
-    stored."""
+    """State of the history. ``low``: the disk is nearly full; ``scarce``: the oldest readings go."""
 
     __pydantic_config__ = ConfigDict(json_schema_serialization_defaults_required=True)
 
     state: Annotated[
         StoreState,
-        Field(
-            description="low, scarce: little disk space; paused, failed: nothing is stored; spooling: the"
-            " database is away, readings wait on this server's disk; following: these are being stored."
-        ),
+        Field(description="low, scarce: little disk space; paused, failed: nothing is stored."),
     ] = "ok"
     message: Annotated[MessageObject | None, Field(description="What to do; null: nothing.")] = None
     cause: Annotated[
@@ -48,20 +43,6 @@ class HistoryStatus:
     begun: Annotated[
         InstantObject | None, Field(description="When history began again; null: none was damaged.")
     ] = None
-    away_since: Annotated[
-        InstantObject | None, Field(description="Since when the database is away; null: it is not.")
-    ] = None
-    spooled_readings: Annotated[int, Field(description="Readings that wait on this server's disk.")] = 0
-    spooled_bytes: Annotated[int, Field(description="What they take there.")] = 0
-    spooled_from: Annotated[
-        InstantObject | None, Field(description="The oldest reading that waits; null: none does.")
-    ] = None
-    spooled_to: Annotated[
-        InstantObject | None, Field(description="The newest reading that waits; null: none does.")
-    ] = None
-    spool_lost: Annotated[
-        int, Field(description="Readings of this absence that were deleted, since the spool was full.")
-    ] = 0
 
 
 NOTICES: dict[StoreState, Message] = {
@@ -69,8 +50,6 @@ NOTICES: dict[StoreState, Message] = {
     "scarce": Message("history_disk_scarce"),
     "paused": Message("history_disk_full"),
     "failed": Message("history_failed"),
-    "spooling": Message("history_spooling"),
-    "following": Message("history_following"),
 }
 DAMAGED = Message("history_damaged")
 
@@ -97,28 +76,7 @@ def store_notice(status: HistoryStatus, formats: Formats, now: UnixTime) -> Mess
             return damage_message(status, lambda at: formats.since(at, now))
         case "failed":
             return Message.of("history_failed_since", time=since, reason=status.cause or NOTICES["failed"])
-        case "spooling" | "following":
-            return _spool_notice(status, formats, now)
         case "paused":
             return Message.of("history_paused_since", time=since)
         case _:
             return Message.of("history_notice", notice=NOTICES[status.state])
-
-
-def _spool_notice(status: HistoryStatus, formats: Formats, now: UnixTime) -> Message:
-    """What waits on this server's disk, and what was lost of it."""
-    if status.spooled_from is None or status.spooled_to is None:
-        held = Message("history_spool_empty")
-    else:
-        held = Message.of(
-            "history_spooled",
-            count=status.spooled_readings,
-            since=formats.since(status.spooled_from, now),
-            until=formats.since(status.spooled_to, now),
-            size=formats.number(status.spooled_bytes / 1e6, 1),
-        )
-    if status.spool_lost:
-        held = Message.of("history_spool_lost", held=held, lost=status.spool_lost)
-    if status.state == "following" or status.away_since is None:
-        return Message.of("history_following_now", held=held)
-    return Message.of("history_spooling_since", time=formats.since(status.away_since, now), held=held)

@@ -7,7 +7,7 @@ from urllib.parse import parse_qsl, urlencode
 
 from app.audit.log import EventLog
 from app.database import Database, StoreConnection
-from app.database.engine import lock, upsert
+from app.database.connection import upsert
 from app.errors import Problem
 from app.history.acts import DELETE_SHARED, SHARE
 from app.web.admission.access import Person
@@ -61,7 +61,6 @@ class TrendViews:
             raise Problem(422, "invalid", Message.of("view_name_length", most=MAX_NAME))
 
         def write(connection: StoreConnection) -> None:
-            lock(connection, "trend_view")
             _refuse_full(connection, person.sender, name, shared=shared)
             put = upsert("trend_view", ("sender", "name"), ("owner", "query", "shared", "saved_at"))
             values = (person.sender, name, person.name, address, int(shared), unix_now())

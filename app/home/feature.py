@@ -9,7 +9,7 @@ from app.home.homes import Homes
 def make(services: Services) -> None:
     """None is here yet where servers share the store."""
     server = services.settings.server
-    services.add(Homes(server.id, server.own_url, is_shared=services.is_shared))
+    services.add(Homes(server.id, server.own_url, is_shared=False))
 
 
 FEATURE = Feature(make)

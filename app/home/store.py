@@ -12,19 +12,20 @@ from contextlib import suppress
 from itertools import chain
 from typing import NamedTuple
 
-from app.database import Database, StoreConnection, engine
+from app.database import Database, StoreConnection
+from app.database.connection import notify, upsert
 from app.errors import StoreError
 from app.home.lease import LEASE_S, MAX_REQUEST_S, Claimant, HomeRow, Sighting, Verdict, verdict
 from bus.contract import MAX_EPOCH
-from bus.instants import MonotonicClock, UnixTime
+from bus.instants import MonotonicClock, UnixTime, unix_now
 
 LOCK = "home"
 CHANNEL = "home"
 """Notified of a bus that was released or requested, and is to be looked at at once."""
 NO_TIME = UnixTime(0.0)
 _COLUMNS = ", ".join(HomeRow._fields)
-_UPSERT_EPOCH = engine.upsert("home_epoch", ("bus",), ("epoch",))
-_UPSERT = engine.upsert("home", HomeRow._fields[:1], HomeRow._fields[1:])
+_UPSERT_EPOCH = upsert("home_epoch", ("bus",), ("epoch",))
+_UPSERT = upsert("home", HomeRow._fields[:1], HomeRow._fields[1:])
 
 
 class Beat(NamedTuple):
@@ -51,14 +52,13 @@ class HomeStore:
     @property
     def is_away(self) -> bool:
         """Whether nothing but leases can be read and written now."""
-        availability = self._database.availability
-        return availability is not None and availability.is_away
+        return False
 
     async def beat(self, server: str, instance: str, url: str, epochs: Mapping[str, int]) -> Beat:
         """Renew what this process holds, by bus and epoch, where the row agrees; then read all rows."""
 
         def renew(connection: StoreConnection) -> Beat:
-            now = engine.clock(connection)
+            now = unix_now()
             if epochs:
                 held = ", ".join(["(?, ?)"] * len(epochs))
                 connection.execute(
@@ -69,13 +69,13 @@ class HomeStore:
                 )
             return Beat(now, _rows(connection), _highest(connection))
 
-        return await self._database.write_briefly(renew)
+        return await self._database.write(renew)
 
     async def take_all(self, server: str, instance: str, url: str, buses: Iterable[str]) -> Beat:
         """Make the only server of this store the home of each bus, with the next epoch."""
 
         def take(connection: StoreConnection) -> Beat:
-            now, rows, highest = engine.clock(connection), _rows(connection), _highest(connection)
+            now, rows, highest = unix_now(), _rows(connection), _highest(connection)
             taken = {
                 bus: HomeRow(
                     bus,
@@ -115,10 +115,9 @@ class HomeStore:
         be as it was seen last. Raises TimeoutError after ``within_s``; what is taken later is released."""
 
         def take(connection: StoreConnection) -> HomeRow | Verdict:
-            engine.lock(connection, LOCK)
             # From here on its holder renews it only if this ends without a change.
             connection.execute("UPDATE home SET bus = bus WHERE bus = ?", (bus,))
-            now, row = engine.clock(connection), _rows(connection).get(bus)
+            now, row = unix_now(), _rows(connection).get(bus)
             highest = _highest(connection).get(bus, 0)
             # A row that was changed since the last look is of this moment.
             seen = sighting.again(row, self._monotonic(), highest)
@@ -144,7 +143,7 @@ class HomeStore:
             connection.execute(_UPSERT_EPOCH, (bus, taken.epoch))
             return taken
 
-        taking = asyncio.create_task(self._database.write_briefly(take))
+        taking = asyncio.create_task(self._database.write(take))
         await asyncio.wait({taking}, timeout=within_s)
         if not taking.done():
             # Else no server would have the bus until this lease has run out.
@@ -173,7 +172,7 @@ class HomeStore:
             connection.execute(_UPSERT_EPOCH, (bus, above + 1))
             return above + 1
 
-        return await self._database.write_briefly(renumber)
+        return await self._database.write(renumber)
 
     async def release(self, bus: str, instance: str, epoch: int) -> None:
         """Give a lease up: its port is closed, and another server may take it at once."""
@@ -183,30 +182,30 @@ class HomeStore:
                 "UPDATE home SET released = instance WHERE bus = ? AND instance = ? AND epoch = ?",
                 (bus, instance, epoch),
             )
-            engine.notify(connection, CHANNEL, bus or "site")
+            notify(connection, CHANNEL, bus or "site")
 
-        await self._database.write_briefly(release)
+        await self._database.write(release)
 
 
 def request_home(database: Database, bus: str, server: str, *, who: str, reason: str) -> bool:
     """Note on this thread that a person wants ``bus`` at ``server``; False where no server has had it."""
 
     def request(connection: StoreConnection) -> bool:
-        ends = engine.clock(connection) + MAX_REQUEST_S
+        ends = unix_now() + MAX_REQUEST_S
         changed = connection.execute(
             "UPDATE home SET requested_by = ?, requested_for = ?, request_ends = ?, reason = ? WHERE bus = ?",
             (who, server, ends, reason, bus),
         )
         if changed.rowcount:
-            engine.notify(connection, CHANNEL, bus)
+            notify(connection, CHANNEL, bus)
         return changed.rowcount > 0
 
-    return database.write_briefly_now(request)
+    return database.write_now(request)
 
 
 def read_homes(connection: StoreConnection) -> Beat:
     """All rows, and the time of the store."""
-    return Beat(engine.clock(connection), _rows(connection), _highest(connection))
+    return Beat(unix_now(), _rows(connection), _highest(connection))
 
 
 def holders_now(connection: StoreConnection) -> list[str]:

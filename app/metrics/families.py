@@ -15,7 +15,7 @@ from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.rules.states import PRESENT_STATES
 from app.conditions.draw import percent_of
 from app.conditions.priority import PRIORITIES
-from app.database.sqlite.reserve import free_bytes
+from app.database.reserve import free_bytes
 from app.history.status import HistoryStatus
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, speed_decimals
@@ -108,9 +108,8 @@ def _of_history(status: HistoryStatus) -> Iterator[Metric]:
     yield GaugeMetricFamily("lineside_history_stored", "0 while no reading is stored", value=stored)
     size = "What the history takes on the disk of the server"
     yield GaugeMetricFamily("lineside_history_bytes", size, value=status.size_bytes)
-    waiting = "Updates that are not in the store yet, those on the disk of the server included"
-    in_line = status.waiting + status.spooled_readings
-    yield GaugeMetricFamily("lineside_history_waiting", waiting, value=in_line)
+    waiting = "Updates that are not in the store yet"
+    yield GaugeMetricFamily("lineside_history_waiting", waiting, value=status.waiting)
     yield CounterMetricFamily("lineside_history_lost", "Updates that could not be stored", value=status.lost)
 
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from app.database import StoreConnection
-from app.database.engine import lock, upsert
-from app.database.queries import Tables, reading, writing
+from app.database.connection import upsert
+from app.database.database import Tables, reading, writing
 from app.recipes.rules import Recipe, RecipeSetpoint
 from bus.instants import UnixTime
 
@@ -27,7 +27,6 @@ class RecipeStore(Tables):
     @writing
     def save(self, connection: StoreConnection, recipe: Recipe) -> Recipe:
         """Store a new version (one above the highest of that name); returns it with id and version."""
-        lock(connection, "recipe")
         (version,) = connection.execute(
             "SELECT coalesce(max(version), 0) + 1 FROM recipe WHERE bus = ? AND name = ?",
             (recipe.bus, recipe.name),

@@ -7,7 +7,7 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from app.database import Database, StoreConnection
-from app.database.engine import snapshot
+from app.database.connection import snapshot
 from app.errors import Problem
 from app.handover.rules.scope import EVERYTHING, Scope
 from app.handover.rules.shift_times import Shift

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from app.database import StoreConnection
-from app.database.engine import upsert
-from app.database.queries import Tables, reading, writing
+from app.database.connection import upsert
+from app.database.database import Tables, reading, writing
 from app.sets.model import ParameterRow, ParameterSet, ParameterSetSummary, SetOrigin, UnitRows
 from bus.instants import UnixTime
 

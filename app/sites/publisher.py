@@ -7,7 +7,8 @@ from collections.abc import Awaitable, Callable, Sequence
 
 import structlog
 
-from app.database import Database, StoreConnection, engine
+from app.database import Database, StoreConnection
+from app.database.connection import notify
 from app.errors import StoreError
 from app.sites.own_lines import OwnLines
 from app.sites.summary import end_notice, notices
@@ -51,8 +52,8 @@ class SummaryPublisher:
 async def notify_lines(database: Database, texts: Sequence[str]) -> None:
     """Pass texts to every server of a store. Raises StoreError."""
 
-    def notify(connection: StoreConnection) -> None:
+    def pass_on(connection: StoreConnection) -> None:
         for text in texts:
-            engine.notify(connection, CHANNEL, text)
+            notify(connection, CHANNEL, text)
 
-    await database.write(notify)
+    await database.write(pass_on)

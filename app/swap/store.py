@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 
 from app.database import StoreConnection
-from app.database.engine import upsert
+from app.database.connection import upsert
+from app.database.database import Tables, writing
 from app.database.messages import messages_of, stored_messages
-from app.database.queries import Tables, writing
 from app.sets.restore.record import Restore
 from app.swap.record import Swap, SwapSource
 

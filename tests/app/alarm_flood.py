@@ -9,13 +9,13 @@ from pathlib import Path
 
 from app.alarms.rules import changes
 from app.alarms.rules.changes import NoTransitionError
+from app.database import Database
 from tests.app.alarm_bus import BUS, HEALTHY, RUN, AlarmBus
-from tests.stores import open_store
 
 
 async def flood(store: Path) -> None:
     """Print a line after each pass that is on disk."""
-    bus = AlarmBus(open_store(store), units=40)
+    bus = AlarmBus(Database(store), units=40)
     bus.alarms.load(await bus.store.load())
     bus.connect()
     dice = random.Random()

@@ -10,7 +10,6 @@ from app.alarms.journal.store import AlarmStore
 from app.alarms.rules.observed import ObservedSpan
 from app.database import Database
 from bus.instants import UnixTime
-from tests.stores import open_store
 
 T = 1_790_000_400.0
 """The start of a window of ten minutes."""
@@ -58,5 +57,5 @@ class Journal:
 @contextmanager
 def alarm_journal(folder: Path) -> Iterator[Journal]:
     """An empty one, in a new store."""
-    with closing(open_store(folder / "store.db")) as database:
+    with closing(Database(folder / "store.db")) as database:
         yield Journal(database)

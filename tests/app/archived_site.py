@@ -9,9 +9,9 @@ from app.audit.archive.archiving import EventArchive
 from app.audit.events.store import heads_of
 from app.audit.log import EventLog
 from app.audit.proof.keys import open_keys
+from app.database import Database
 from app.settings import Settings, load
 from bus.instants import UnixTime
-from tests.stores import open_store, store_table
 
 MONTH_S = 31 * 86_400.0
 
@@ -21,11 +21,11 @@ async def archived_site(tmp_path: Path) -> Settings:
     file = tmp_path / "lineside.toml"
     data = tmp_path / "data"
     audit = '[audit]\narchive = "archive"\nkeep_months = 2\n'
-    file.write_text(f'[server]\ndata = "data"\n{store_table(data)}{audit}')
+    file.write_text(f'[server]\ndata = "data"\n{audit}')
     for folder in (tmp_path / "archive", data):
         folder.mkdir()
     settings, now = load(file), UnixTime(1_768_000_000.0)
-    database = open_store(data / "lineside.db")
+    database = Database(data / "lineside.db")
     keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
     events = EventLog(database, lambda: now, keys)
     for _ in range(5):

@@ -22,7 +22,6 @@ from app.settings import ServerSettings, Settings, Site, load
 from app.web.admission.access import PEOPLE_ROLES, Role
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.administrator import BY
-from tests.stores import store_settings
 
 PASSWORD = "correct horse battery"
 HOST = "plant.example"
@@ -36,7 +35,6 @@ def settings_in(folder: Path, **site: Any) -> Settings:
     return Settings(
         site=Site(**{"name": "Mill 7", **site}),
         server=ServerSettings(data=folder / "data"),
-        store=store_settings(folder / "data"),
         bus=(bus,),
     )
 

@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from app.database import Database
 from app.history.intake.folding import compact
-from app.history.intake.opening import MIGRATIONS
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.upkeep import DiskReserve
-from app.history.intake.writer import Writer
+from app.history.intake.writer import MIGRATIONS, Writer
 from app.history.query.query import QueryResult, SeriesQuery, run_query
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
@@ -20,7 +20,6 @@ from app.history.store import tables
 from bus.contract import ParameterValue, Reading, Update
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
-from tests.stores import open_store
 
 BUS = BusSettings(name="dry-end", port="/dev/null", unit=(UnitSettings(id=1, name="Unwind"),))
 NOON = 1_795_262_400.0
@@ -49,7 +48,7 @@ class Shelf:
     """A store and its tail, written by the test itself."""
 
     def __init__(self, path: Path) -> None:
-        self.database = open_store(path, MIGRATIONS)
+        self.database = Database(path, MIGRATIONS)
         self.tail = Tail()
         self.start_again()
 

@@ -13,6 +13,7 @@ from app.commands import catalogue
 from app.commands.rules.objection import RuleContext
 from app.commands.safeguards.limits import NO_LIMITS
 from app.commands.service.command_service import WriteSubscriber
+from app.database import Database
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
 from app.sets.comparison.drift import BusDrift
@@ -36,7 +37,6 @@ from bus.contract import (
 from bus.messages import Message, term
 from bus.settings import BusSettings
 from tests.app.played_rights import PlayedRights
-from tests.stores import open_store
 
 ANNA = Person("anna", Role.ENGINEER, "session")
 REMOTE, HEALTHY, RUN = 0b0100_0000, 0b0000_0010, 0b0000_0001
@@ -183,7 +183,7 @@ class SetScene:
         self.live = a_bus()
         self.commands = PlayedCommands(self.live, {1: factory(), 2: factory()})
         self.events = Noted()
-        self.database = open_store(folder / "store.db")
+        self.database = Database(folder / "store.db")
         self.store = SetStore(self.database)
         self.rights = PlayedRights()
         bus = self.live.buses["dry-end"]

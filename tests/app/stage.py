@@ -77,7 +77,6 @@ from tests.app.played_rights import PlayedRights
 from tests.app.played_site import PlayedHomes
 from tests.app.played_sources import NoAlarms, NoGoldenSets, NoLines, NoRecipes
 from tests.app.screens import translator
-from tests.stores import open_store
 
 REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
 PARAMETERS = {1: 1750, 2: 20000, 3: 1, 8: 0, 22: 0, 23: 500, 28: 2, 29: 100, 30: 2000, 12: 20}
@@ -226,7 +225,7 @@ class Stage:
         control: bool = False,
         missed_ticks: int = 1000,
     ) -> None:
-        self.database: Database = open_store(folder / "lineside.db")
+        self.database: Database = Database(folder / "lineside.db")
         self.events = EventLog(self.database)
         self.live = LiveState([settings], time.time())
         self.history = History()

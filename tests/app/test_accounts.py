@@ -30,14 +30,12 @@ from app.auth.acts import (
     SET_ROLE,
 )
 from app.auth.store import CompanyAccount, User
+from app.database import Database
 from app.errors import Problem
 from app.web.admission.access import Person, Role
 from bus.errors import CallerError
 from bus.messages import Message
 from tests.administrator import BY
-from tests.stores import both_engines, open_store
-
-pytestmark = both_engines
 
 PASSWORD = "correct horse"
 PIN = "471193"
@@ -46,7 +44,7 @@ ANN = Person("ann", Role.OPERATOR, "session")
 
 @pytest.fixture
 async def accounts(tmp_path: Path) -> AsyncIterator[Accounts]:
-    database = open_store(tmp_path / "lineside.db")
+    database = Database(tmp_path / "lineside.db")
     yield Accounts(database, EventLog(database))
     database.close()
 

@@ -26,7 +26,6 @@ from app.web.admission.access import Person, Role
 from bus.instants import UnixTime
 from tests.app.alarm_bus import BUS, RUN, AlarmBus
 from tests.app.complete_app import EVERY_ROLE
-from tests.stores import both_engines
 
 ESTOP = f"{BUS}.1.estop_active"
 
@@ -81,7 +80,6 @@ async def test_silencing_all_that_sounds_needs_the_role_too(database: Database, 
     assert await active.recorded() == []
 
 
-@both_engines
 async def test_each_act_follows_from_its_row(database: Database) -> None:
     active, anna = ActiveAlarm(database), Person("anna", Role.ENGINEER, "session")
     expected = [

@@ -16,12 +16,12 @@ from app.alarms.journal.occurrences import occurrences
 from app.alarms.journal.performance import measure
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.performance import CHATTERS_S, FLEETING_S
+from app.database import Database
 from bus.instants import UnixTime
 from tests.app.alarm_bus import AlarmBus
 from tests.app.alarm_journal import Journal, T, alarm_journal
 from tests.app.history_line import NOON, Shelf
 from tests.app.test_alarm_simulation import keep, simulated, steadily
-from tests.stores import open_store
 
 STEP = st.sampled_from((-7200.0, -3600.0, -20.0, -1.0, 0.0, 1.0, 5.0, 20.0, 400.0))
 
@@ -120,7 +120,7 @@ async def test_an_alarm_from_before_the_clock_was_set_back_is_not_fleeting(
 def test_a_simulation_has_nothing_from_outside_of_its_time(shelf: Shelf, start: int, length: int) -> None:
     """Tenths of a second; complete minutes are read, and both ends are within one."""
     begin, end = NOON + start / 10, NOON + (start + length) / 10
-    with closing(open_store(shelf.database.path.with_name("alarms.db"))) as database:
+    with closing(Database(shelf.database.path.with_name("alarms.db"))) as database:
         bus = AlarmBus(database, units=1)
         replay = simulated(shelf, bus, {"value": "actual", "above": 105, "on_delay_s": 3}, 20, begin, end)
     replay.end(UnixTime(end))

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from app.alarms.journal.store import AlarmStore, JournalEntry
+from app.database import Database
 from tests.sizes import sizes
-from tests.stores import open_store
 
 
 def flood_and_kill(store: Path, passes: int) -> None:
@@ -40,7 +40,7 @@ async def test_a_kill_in_a_flood_loses_and_repeats_no_transition(tmp_path: Path,
     dice = random.Random(14)
     for _ in range(kills):
         flood_and_kill(path, dice.randint(3, 12))
-    database = open_store(path)
+    database = Database(path)
     store = AlarmStore(database)
     journal = await store.journal(1_000_000, None)
     stored = await store.load()

@@ -13,7 +13,6 @@ from app.alarms.journal.occurrences import MAX_OCCURRENCES, occurrences
 from app.alarms.journal.store import AlarmStore
 from bus.instants import UnixTime
 from tests.app.alarm_journal import Journal, T, alarm_journal
-from tests.stores import both_engines
 
 RISE = ("rise", "normal", "unack_active")
 SEEN = ("acknowledge", "unack_active", "ack_active")
@@ -34,7 +33,6 @@ async def spans(
     return [(each.alarm, each.start - T, None if each.end is None else each.end - T) for each in found]
 
 
-@both_engines
 async def test_an_alarm_is_marked_from_its_rise_to_its_end(journal: Journal) -> None:
     journal.write("a", (10, *RISE), (20, *SEEN), (30, *CLEAR))
     journal.write("b", (12, *RISE))
@@ -42,7 +40,6 @@ async def test_an_alarm_is_marked_from_its_rise_to_its_end(journal: Journal) -> 
     assert await spans(journal, 0, 60, "b") == [("b", 12, None)]
 
 
-@both_engines
 async def test_one_that_began_before_a_span_or_ended_after_it_has_its_own_times(journal: Journal) -> None:
     journal.write("a", (10, *RISE), (15, *SEEN), (40, *CLEAR), (50, *RISE))
     assert await spans(journal, 20, 30) == [("a", 10, 40)]
@@ -51,7 +48,6 @@ async def test_one_that_began_before_a_span_or_ended_after_it_has_its_own_times(
     assert await spans(journal, 45, 60) == [("a", 50, None)]
 
 
-@both_engines
 async def test_what_was_hidden_is_not_marked_until_it_is_annunciated(journal: Journal) -> None:
     journal.write("a", (10, "rise", "suppressed", "suppressed"), (20, "unsuppress", "suppressed", RISE[2]))
     journal.write("b", (10, *RISE), (15, "shelve", "unack_active", "shelved"))

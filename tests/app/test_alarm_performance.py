@@ -12,9 +12,6 @@ from app.alarms.rules.observed import MAX_GAP_S, ObservedSpan, observed_until
 from app.alarms.rules.performance import MIN_FOR_TOP_TEN, AlarmCounts, figures, flooded
 from bus.instants import UnixTime
 from tests.app.alarm_journal import Journal, T, alarm_journal
-from tests.stores import both_engines
-
-pytestmark = both_engines
 
 
 def values(performance: AlarmPerformance) -> dict[str, float | None]:

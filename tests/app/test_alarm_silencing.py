@@ -13,7 +13,6 @@ from app.errors import StoreError
 from app.web.admission.access import Person, Role
 from bus.instants import UnixTime
 from tests.app.alarm_bus import BUS, RUN, AlarmBus
-from tests.stores import both_engines
 
 ANNA = Person("anna", Role.OPERATOR, "session")
 UNITS = 255
@@ -74,7 +73,6 @@ async def test_where_it_cannot_be_recorded_all_go_on_sounding(database: Database
     assert entries(database, "SELECT count(*) FROM events WHERE kind = 'alarm'") == [(0,)]
 
 
-@both_engines
 async def test_a_press_with_nothing_to_silence_is_no_event(database: Database) -> None:
     standing = StandingAlarms(database)
     await standing.alarms.silence_sounding(ANNA, UnixTime(standing.bus.now - 10))

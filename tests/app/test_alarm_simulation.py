@@ -23,7 +23,6 @@ from bus.contract import Reading
 from bus.instants import UnixTime
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus
 from tests.app.history_line import NOON, Shelf, parameter
-from tests.stores import open_store
 
 Values = dict[str, int]
 Rule = dict[str, Any]
@@ -138,7 +137,7 @@ def test_a_simulation_finds_what_the_engine_annunciated(tmp_path: Path, shelf: S
     minutes = 60
     readings = list(history_of(3, minutes))
     keep(shelf, readings)
-    database = open_store(tmp_path / "store.db")
+    database = Database(tmp_path / "store.db")
     expected = engine(database, RULES, readings)
     bus = AlarmBus(database, units=1)
     recent = [simulated(shelf, bus, rule, minutes) for rule in RULES]
@@ -174,7 +173,7 @@ def test_a_rate_is_found_within_a_minute_and_over_its_end(tmp_path: Path, shelf:
     readings = steadily({(720, 900): {"actual": 1100}, (1230, 1231): {"actual": 900}}, 30)
     keep(shelf, readings)
     shelf.fold()
-    database = open_store(tmp_path / "store.db")
+    database = Database(tmp_path / "store.db")
     rule = {"value": "actual", "change_per_s": 5}
     replay = simulated(shelf, AlarmBus(database, units=1), rule, 30)
     expected = engine(database, [rule], readings)["Own 0"]
@@ -189,7 +188,7 @@ def test_a_line_at_rest_needs_every_unit(tmp_path: Path, shelf: Shelf) -> None:
     other = steadily({(900, 2000): stopped}, 40)
     shelf.keep(Reading(2, UnixTime(at), **fields) for at, fields in other)
     shelf.fold()
-    database = open_store(tmp_path / "store.db")
+    database = Database(tmp_path / "store.db")
     rule = {"value": "actual", "below": 80, "on_delay_s": 5}
     replay = simulated(shelf, AlarmBus(database, units=2), rule, 40)
     assert [at - NOON for at in replay.found.at] == [605]

@@ -30,7 +30,8 @@ from app.audit.proof.chain import SITE, Head
 from app.audit.proof.keyring import KeyRing
 from app.audit.settings import Audit
 from app.auth.accounts import Accounts
-from app.database.sqlite.connection import open_for_reading
+from app.database import Database
+from app.database.connection import open_for_reading
 from app.main import create_app
 from app.messages import Languages
 from app.web.admission.access import Role
@@ -38,7 +39,6 @@ from app.web.rendering.formats import Formats
 from bus.messages import Message
 from tests.administrator import BY
 from tests.app.complete_app import settings_in
-from tests.stores import open_store
 
 RING = KeyRing((b"k" * 32,))
 
@@ -47,7 +47,7 @@ class Scene:
     """A log and its anchor."""
 
     def __init__(self, folder: Path) -> None:
-        self.database = open_store(folder / "lineside.db")
+        self.database = Database(folder / "lineside.db")
         self.events = EventLog(self.database)
         self.path = folder / "anchor"
         self.anchoring = self.started()

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import shutil
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +19,10 @@ from app.audit.proof.anchoring import Anchoring
 from app.audit.proof.chain import SITE, Head, entry_hash, origin_of, sealed_entry, sealed_head
 from app.audit.proof.keyring import BEGINNING, KeyOrigin, KeyRing
 from app.audit.proof.keys import Keys, open_keys, passing_keys
-from app.database import Database, SqliteDatabase, StoreConnection
+from app.database import Database, StoreConnection
 from app.database.migration import MIGRATIONS
-from app.database.opening import open_database
 from tests.app.intents import intend
-from tests.postgresql import fresh_database, fresh_store, needs_postgresql
+from tests.postgresql import fresh_store, needs_postgresql
 
 DRY, WET = "dry-end", "wet-end"
 RING = KeyRing((b"k" * 32,))
@@ -33,7 +31,7 @@ RING = KeyRing((b"k" * 32,))
 @pytest.fixture(params=["SQLite", pytest.param("PostgreSQL", marks=needs_postgresql)])
 def store(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Database]:
     if request.param == "SQLite":
-        with closing(SqliteDatabase(tmp_path / "lineside.db")) as database:
+        with closing(Database(tmp_path / "lineside.db")) as database:
             yield database
     else:
         with fresh_store() as database:
@@ -92,25 +90,6 @@ async def test_two_servers_append_to_one_store_by_turns(store: Database) -> None
     assert store.read_now(lambda c: prove(c, newer.ring, {})).broken is None
 
 
-@needs_postgresql
-async def test_two_servers_append_to_one_store_at_once() -> None:
-    with fresh_database() as settings, ExitStack() as opened:
-        stores = [
-            opened.enter_context(closing(open_database(settings, Path("lineside.db")))) for _ in range(2)
-        ]
-        logs = [EventLog(store, keys=Keys(RING)) for store in stores]
-        await asyncio.gather(
-            *(
-                logs[number % 2].record(
-                    kind="estop", what=f"e-stop {number}", bus=(DRY, WET, None)[number % 3]
-                )
-                for number in range(30)
-            )
-        )
-        assert [number for number, _ in chains(stores[0])] == list(range(1, 31))
-        assert (await logs[1].proof.verify({})).broken is None
-
-
 async def test_entries_of_one_transaction_are_noted_once(store: Database) -> None:
     entries = [new_entry(kind="estop", time=float(number), what="x", bus=DRY) for number in range(1, 4)]
     keys = passing_keys()
@@ -149,13 +128,13 @@ def old_log(connection: StoreConnection, ring: KeyRing | None) -> Head:
 @pytest.mark.parametrize("is_sealed", [True, False])
 async def test_the_chain_of_an_old_store_goes_on_as_that_of_the_site(tmp_path: Path, is_sealed: bool) -> None:
     path = tmp_path / "lineside.db"
-    with closing(SqliteDatabase(path, before_chains(tmp_path / "steps"))) as old:
+    with closing(Database(path, before_chains(tmp_path / "steps"))) as old:
         head = old.write_now(lambda c: old_log(c, RING if is_sealed else None))
         assert old.read_now(heads_of) == {SITE: head}
         ring = KeyRing(RING.keys, KeyOrigin() if is_sealed else KeyOrigin(head.id, head.hash))
         verdict = old.read_now(lambda c: prove(c, ring, {3: head}))
         assert (verdict.broken, verdict.entries) == (None, 3), "the command reads it as it is"
-    with closing(SqliteDatabase(path)) as database:
+    with closing(Database(path)) as database:
         assert database.read_now(heads_of) == {SITE: head}
         log = EventLog(database, keys=Keys(ring))
         await log.record(kind="estop", what="new", bus=DRY)
@@ -171,14 +150,14 @@ async def test_the_chain_of_an_old_store_goes_on_as_that_of_the_site(tmp_path: P
 
 async def test_the_anchor_of_an_old_store_is_continued(tmp_path: Path) -> None:
     path, steps = tmp_path / "lineside.db", before_chains(tmp_path / "steps")
-    with closing(SqliteDatabase(path, steps)) as old:
+    with closing(Database(path, steps)) as old:
         head = old.write_now(lambda c: old_log(c, RING))
     time = "2026-11-21T02:01:33Z"
     seal = RING.seal("anchor", "3", head.hash, time)
     line = f'{{"id":3,"hash":"{head.hash}","time":"{time}","key":"{RING.newest}","seal":"{seal}"}}\n'
     anchor = tmp_path / "anchor"
     anchor.write_text(line)
-    with closing(SqliteDatabase(path)) as database:
+    with closing(Database(path)) as database:
         log = EventLog(database, keys=Keys(RING))
         await log.record(kind="estop", what="new", bus=DRY)
         anchoring = Anchoring(log, anchor)
@@ -191,7 +170,7 @@ async def test_the_anchor_of_an_old_store_is_continued(tmp_path: Path) -> None:
 
 async def test_a_line_names_the_chains_that_changed_and_at_first_all(tmp_path: Path) -> None:
     anchor = tmp_path / "anchor"
-    with closing(SqliteDatabase(tmp_path / "lineside.db")) as database:
+    with closing(Database(tmp_path / "lineside.db")) as database:
         log = EventLog(database, keys=Keys(RING))
         anchoring = Anchoring(log, anchor)
         for bus in (DRY, WET, DRY):
@@ -219,7 +198,7 @@ async def test_from_time_to_time_a_line_names_all_chains(
     """The start reads the end of a long file alone."""
     anchor = tmp_path / "anchor"
     monkeypatch.setattr("app.audit.proof.anchoring.FULL_EVERY_BYTES", 500)
-    with closing(SqliteDatabase(tmp_path / "lineside.db")) as database:
+    with closing(Database(tmp_path / "lineside.db")) as database:
         log = EventLog(database, keys=Keys(RING))
         await log.record(kind="estop", what="e-stop", bus=WET)
         anchoring = Anchoring(log, anchor)

@@ -18,9 +18,6 @@ from app.errors import ConstraintError
 from bus.contract import Frame
 from bus.messages import Message, term
 from tests.app.intents import intend
-from tests.stores import both_engines, only_sqlite, open_store, without_trigger
-
-pytestmark = both_engines
 
 
 class Clock:
@@ -35,7 +32,7 @@ class Clock:
 
 @pytest.fixture
 async def database(tmp_path: Path) -> AsyncIterator[Database]:
-    opened = open_store(tmp_path / "lineside.db")
+    opened = Database(tmp_path / "lineside.db")
     yield opened
     opened.close()
 
@@ -54,7 +51,6 @@ async def newest(log: EventLog, **wanted: Any) -> list[Event]:
     return (await log.page(Filter(**wanted), 100))[0]
 
 
-@only_sqlite
 async def test_an_intent_is_on_disk_when_it_returns(log: EventLog, database: Database) -> None:
     await intent(log)
     with closing(sqlite3.connect(f"file:{database.path}?mode=ro", uri=True)) as other:
@@ -149,7 +145,7 @@ async def test_who_takes_the_guard_away_is_found_out(log: EventLog, database: Da
         await intent(log)
 
     def tamper(connection: sqlite3.Connection) -> None:
-        connection.execute(without_trigger("events_stay_as_written", "events"))
+        connection.execute("DROP TRIGGER events_stay_as_written")
         connection.execute("UPDATE events SET new_raw = 1 WHERE id = 3")
 
     assert (await log.proof.verify()).entries == 5

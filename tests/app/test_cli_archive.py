@@ -12,9 +12,7 @@ from app.errors import StoreError
 from app.settings import Settings, load
 from bus.messages import Message
 from tests.app.archived_site import archived_site
-from tests.stores import both_engines
 
-pytestmark = both_engines
 MONTH_S = 31 * 86_400.0
 
 

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from app.cli import cli
 from app.cli.stores.backup_store import write_backup
 from app.cli.stores.restore_store import read_backup
-from app.database import SqliteDatabase
+from app.database import Database
 from app.errors import StoreError
 from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
 
@@ -32,7 +32,7 @@ def seen(data: Path) -> int:
 def test_a_copy_taken_while_it_is_written_holds_what_was_there(tmp_path: Path) -> None:
     data = tmp_path / "data"
     data.mkdir()
-    SqliteDatabase(data / "lineside.db").close()
+    Database(data / "lineside.db").close()
     writer = opened(data)
     writer.take((BUS.name, polls(NOON, NOON + 30)))
     until(lambda: writer.status.waiting == 0)
@@ -88,7 +88,7 @@ def test_a_damaged_backup_changes_nothing(tmp_path: Path, damage: str) -> None:
 
 
 def test_nothing_is_written_over(tmp_path: Path) -> None:
-    SqliteDatabase(tmp_path / "lineside.db").close()
+    Database(tmp_path / "lineside.db").close()
     (tmp_path / "one.tar").write_text("mine")
     with pytest.raises(StoreError, match="exists"):
         write_backup(tmp_path, tmp_path / "one.tar")
@@ -100,7 +100,7 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
 def test_the_commands_print_one_line(tmp_path: Path) -> None:
     config = tmp_path / "lineside.toml"
     config.write_text('[site]\nname = "Test"\n[server]\ndata = "data"\n')
-    SqliteDatabase(tmp_path / "data" / "lineside.db").close()
+    Database(tmp_path / "data" / "lineside.db").close()
     run = CliRunner().invoke
     backup = str(tmp_path / "one.tar")
     assert run(cli, ["backup-store", backup, "--config", str(config)]).exit_code == 0

@@ -18,9 +18,9 @@ from app.audit.proof.keys import make_key_file
 from app.cli.findings import check
 from app.cli.findings import machine as findings
 from app.cli.options import command_of
-from app.database import SqliteDatabase
-from app.database.unfinished import LEDGER
-from app.history.intake.opening import MIGRATIONS
+from app.database import Database
+from app.database.migration import LEDGER
+from app.history.intake.writer import MIGRATIONS
 from tests.mounted import mounted
 
 cli = command_of(check.check)
@@ -170,8 +170,8 @@ def test_a_dashboard_port_in_use_is_no_fault(config: Path) -> None:
 def data(config: Path) -> Path:
     """The data folder of a site that was started once."""
     folder = config.parent / "data"
-    SqliteDatabase(folder / "lineside.db").close()
-    SqliteDatabase(folder / "history.db", MIGRATIONS).close()
+    Database(folder / "lineside.db").close()
+    Database(folder / "history.db", MIGRATIONS).close()
     make_key_file(config.parent / "lineside.audit.key", KeyOrigin(0, "0" * 64))
     return folder
 

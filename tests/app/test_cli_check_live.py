@@ -21,8 +21,8 @@ from app.cli.findings import check
 from app.cli.findings import live as live_findings
 from app.cli.options import command_of
 from app.conditions import of_server
-from app.database import SqliteDatabase, StoreConnection
-from app.database.engine import tables_without_rights
+from app.database import Database, StoreConnection
+from app.database.connection import tables_without_rights
 from tests.app.live_check import bus, check_live, everything_in, pseudo_terminal, run
 from tests.certificates import certificates
 from tests.free_port import free_port
@@ -94,7 +94,7 @@ def test_an_address_of_another_program_is_a_fault(
 def data(config: Path) -> Path:
     """The data folder of a site that was started once."""
     folder = config.parent / "data"
-    SqliteDatabase(folder / "lineside.db").close()
+    Database(folder / "lineside.db").close()
     make_key_file(config.parent / "lineside.audit.key", KeyOrigin(0, "0" * 64))
     return folder
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from app.database import Database, SqliteDatabase
-from app.database.sqlite import connection
-from app.database.sqlite.connection import open_for_reading
+from app.database import Database
+from app.database import database as database_module
+from app.database.connection import open_for_reading
 from app.errors import ConstraintError, StoreError
 from bus.errors import CallerError
 
@@ -31,7 +31,7 @@ def steps(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def database(tmp_path: Path, steps: Path) -> Iterator[Database]:
-    opened = SqliteDatabase(tmp_path / "data" / "x.db", steps)
+    opened = Database(tmp_path / "data" / "x.db", steps)
     yield opened
     opened.close()
 
@@ -79,16 +79,16 @@ async def test_a_reader_cannot_write(database: Database) -> None:
 def test_it_is_durable_and_lets_readers_read_on(
     tmp_path: Path, steps: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    as_served: Any = connection.open_for_writing
-    monkeypatch.setattr(connection, "open_for_writing", as_served.__wrapped__)
-    with closing(SqliteDatabase(tmp_path / "x.db", steps)) as database:
+    as_served: Any = database_module.open_for_writing
+    monkeypatch.setattr(database_module, "open_for_writing", as_served.__wrapped__)
+    with closing(Database(tmp_path / "x.db", steps)) as database:
         with open_for_reading(database.path) as reading:
             assert reading.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
         assert database._connection.execute("PRAGMA synchronous").fetchone()[0] == 2
 
 
 async def test_a_closed_database_reports_it(tmp_path: Path, steps: Path) -> None:
-    database = SqliteDatabase(tmp_path / "x.db", steps)
+    database = Database(tmp_path / "x.db", steps)
     database.close()
     with pytest.raises(StoreError, match="is closed; the server is stopping"):
         await database.read(names)
@@ -100,13 +100,13 @@ def test_a_damaged_store_is_reported(tmp_path: Path, steps: Path) -> None:
     with pytest.raises(
         StoreError, match=r"x\.db: it is not a Lineside store, or it is damaged; restore a backup"
     ):
-        SqliteDatabase(path, steps)
+        Database(path, steps)
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path, steps: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="check its folder"):
-        SqliteDatabase(tmp_path / "file" / "x.db", steps)
+        Database(tmp_path / "file" / "x.db", steps)
 
 
 async def test_a_full_disk_is_reported_and_survived(database: Database) -> None:
@@ -125,7 +125,7 @@ async def test_a_full_disk_is_reported_and_survived(database: Database) -> None:
 
 def test_many_that_open_a_new_store_at_once_take_its_first_step_once(tmp_path: Path) -> None:
     def opened(_: int) -> int:
-        database = SqliteDatabase(tmp_path / "new" / "store.db")
+        database = Database(tmp_path / "new" / "store.db")
         steps = len(database.migrated)
         database.close()
         return steps

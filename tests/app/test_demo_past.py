@@ -16,8 +16,8 @@ from app.audit.proof.keys import open_keys
 from app.cli.simulated.demo import configuration
 from app.cli.simulated.past import write_past
 from app.cli.simulated.past.story import PHASES, past_of
-from app.database.opening import open_database
-from app.history.intake.opening import MIGRATIONS
+from app.database import Database
+from app.history.intake.writer import MIGRATIONS
 from app.history.series.runs import HOUR
 from app.history.service import FILE
 from app.history.store import tables
@@ -43,7 +43,7 @@ def settings(tmp_path: Path, line: DemoLine) -> Settings:
 
 
 def test_the_log_of_the_past_is_intact_and_in_order_of_time(settings: Settings) -> None:
-    with closing(open_database(settings.store, settings.server.store)) as database:
+    with closing(Database(settings.server.store)) as database:
         keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
         events = EventLog(database, keys=keys)
         assert asyncio.run(events.proof.verify()).broken is None
@@ -68,7 +68,7 @@ def _journal(connection: tables.StoreConnection) -> list[tuple[str, int, str, st
 
 
 def test_one_unit_departs_from_its_golden_set_in_one_value(settings: Settings, line: DemoLine) -> None:
-    with closing(open_database(settings.store, settings.server.store)) as database:
+    with closing(Database(settings.server.store)) as database:
         golden = asyncio.run(SetStore(database).golden("demo"))
     assert sorted(golden) == list(range(1, 9))
     memory = {unit.address: unit.memory for unit in line.plant.units}
@@ -82,7 +82,7 @@ def test_one_unit_departs_from_its_golden_set_in_one_value(settings: Settings, l
 
 
 def test_a_day_of_readings_with_the_bits_of_each_incident(settings: Settings) -> None:
-    with closing(open_database(settings.store, settings.server.data / FILE, MIGRATIONS)) as database:
+    with closing(Database(settings.server.data / FILE, MIGRATIONS)) as database:
 
         def read(connection: tables.StoreConnection) -> tuple[list[int], list[tuple[int, int]]]:
             key = tables.find_unit(connection, "demo", 3)

@@ -28,16 +28,14 @@ from app.audit.proof.chain import Head
 from app.audit.proof.keyring import KeyRing
 from app.audit.proof.keys import Keys
 from app.audit.proof.walk import AuditVerification
-from app.database import StoreConnection
+from app.database import Database, StoreConnection
 from app.database.migration import MIGRATIONS
 from app.errors import ConstraintError
 from app.history.query.forecast import growth_of_events
 from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.intents import intend
-from tests.stores import both_engines, open_store, without_trigger
 
-pytestmark = both_engines
 BERLIN = ZoneInfo("Europe/Berlin")
 RING = KeyRing((b"k" * 32,))
 ENTRIES = 3
@@ -53,7 +51,7 @@ class Log:
 
     def __init__(self, folder: Path) -> None:
         self.now = moment("2026-01-10T08:00")
-        self.database = open_store(folder / "lineside.db")
+        self.database = Database(folder / "lineside.db")
         self.keys = Keys(RING)
         self.events = EventLog(self.database, self.clock, self.keys)
         self.folder = folder / "archive"
@@ -378,7 +376,7 @@ async def test_the_entry_of_a_signature_stays_and_is_verified(log: Log) -> None:
     await log.archive.archive_due()
     assert (await log.numbers())[:2] == [1, 14]
     assert (await log.verify()).broken is None
-    await log.database.write(lambda c: c.execute(without_trigger("events_stay_as_written", "events")))
+    await log.database.write(lambda c: c.execute("DROP TRIGGER events_stay_as_written"))
     await log.database.write(lambda c: c.execute("UPDATE events SET who = 'bob' WHERE id = 1"))
     assert (await log.verify()).broken == 1
 
@@ -391,12 +389,12 @@ async def test_a_store_of_before_the_archive_gets_one(tmp_path: Path) -> None:
     for step in MIGRATIONS.glob("*.sql"):
         if step.name < "0190":
             (steps / step.name).write_text(step.read_text())
-    former = open_store(file, steps)
+    former = Database(file, steps)
     events = EventLog(former, keys=Keys(RING))
     await intend(events, bus="dry-end", unit=1, who="ann", origin="api", what="set speed")
     former.close()
     shutil.copy(MIGRATIONS / "0190_events_archive.sql", steps)
-    database = open_store(file, steps)
+    database = Database(file, steps)
     with pytest.raises(ConstraintError):
         await database.write(lambda c: c.execute("DELETE FROM events"))
     cut = Cut(1, 1, "f", "", "", "{}", UnixTime(1.0)).sealed(RING)

@@ -16,14 +16,12 @@ from app.audit.events import groups
 from app.audit.events.groups import MAX_PARTS, EventRow, link_parts
 from app.audit.events.store import Filter
 from app.audit.log import EventLog
-from app.database.migration import MIGRATIONS
-from app.database.sqlite.migrating import bring_up_to_date
+from app.database.migration import MIGRATIONS, bring_up_to_date
 from app.web.admission.access import Role
 from bus.messages import number as decimal
 from tests.app.complete_app import House, complete_app
 from tests.app.intents import intend
 from tests.app.stage import PlayedWorker, Stage, responding
-from tests.stores import both_engines
 
 
 @pytest.fixture
@@ -60,7 +58,6 @@ async def rows(house: House, limit: int = 100, **wanted: Any) -> tuple[list[Even
     return await groups.page(house.services[EventLog], Filter(kind="command", **wanted), limit)
 
 
-@both_engines
 async def test_a_change_is_one_row_with_its_units_in_order(house: House) -> None:
     single = await intend(house.services[EventLog], **intent(2))
     group = await change(house, 3, failed=2)
@@ -93,7 +90,6 @@ async def test_a_part_found_without_its_change_is_a_separate_row(house: House) -
     assert [row.event["unit"] for row in found] == [3, 2, 1]
 
 
-@both_engines
 async def test_pages_have_complete_changes_and_nothing_twice(house: House) -> None:
     numbers = [await change(house, 3) for _ in range(5)]
     seen: list[int] = []

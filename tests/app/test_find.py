@@ -19,7 +19,6 @@ from bus.contract import ParameterValue
 from bus.messages import Message
 from tests.app.complete_app import complete_app
 from tests.app.played_commands import ANNA
-from tests.stores import both_engines
 
 PLACE = re.compile(
     r'<a class="find__place" href="([^"]+)"><span class="find__label" dir="auto">([^<]+)</span>'
@@ -50,7 +49,6 @@ def test_a_name_finds_itself_and_only_missing_words_hinder(typed: str, names: li
     assert (rank(words, names) is None) == bool(missing(words, names))
 
 
-@both_engines
 async def test_units_parameters_recipes_events_and_pages_are_found(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         live = house.services[LiveState].buses["dry-end"]
@@ -92,7 +90,6 @@ async def test_typed_text_is_bounded(tmp_path: Path, query: dict[str, str]) -> N
         assert (await client.get("/find", params=query)).status_code == 422
 
 
-@both_engines
 async def test_a_key_press_searches_the_newest_entries_of_a_long_log(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         events = house.services[EventLog]

@@ -28,7 +28,6 @@ from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.intents import intend
 from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
-from tests.stores import both_engines
 
 API = "/api/v1/shifts"
 SET_SPEED = Message("event_set_speed")
@@ -62,7 +61,6 @@ async def write(client: httpx.AsyncClient, text: str, key: str = "", **more: Any
     return await client.post(f"{API}/{await present(client)}/notes", json=body, headers=headers)
 
 
-@both_engines
 async def test_the_sheet_is_made_from_the_store(house: House) -> None:
     viewer, guards = await house.program(Role.VIEWER), house.services.buses[BUS][Safeguards]
     house.services[LiveState].buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
@@ -177,7 +175,6 @@ async def test_the_form_stores_a_note_once_however_often_it_is_sent(house: House
     assert len(await house.events("shift")) == 1
 
 
-@both_engines
 async def test_a_correction_is_a_new_note_and_a_note_has_one(house: House) -> None:
     operator = await house.signed_in(Role.OPERATOR)
     first = (await write(operator, "Felt changed")).json()
@@ -197,7 +194,6 @@ async def test_a_correction_is_a_new_note_and_a_note_has_one(house: House) -> No
     assert (await write(operator, "x", corrects=99)).json()["code"] == "unknown_note"
 
 
-@both_engines
 async def test_a_note_is_about_an_occurrence_that_was(house: House) -> None:
     operator = await house.program(Role.OPERATOR)
     house.services[LiveState].buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
@@ -327,7 +323,6 @@ async def test_what_happened_before_and_after_a_shift_is_not_on_its_sheet(house:
     assert "shift_omits_before_record" in {each["code"] for each in found["omissions"]}
 
 
-@both_engines
 async def test_a_time_without_the_server_is_on_the_sheet(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         yesterday = time.time() - 86_400

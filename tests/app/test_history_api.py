@@ -20,6 +20,7 @@ from pyarrow import parquet
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.audit.log import EventLog
+from app.database import Database
 from app.history.api.routes import router
 from app.history.export import rows as export_rows
 from app.history.intake.recorder import Recorder
@@ -40,10 +41,6 @@ from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import UnitSettings
 from tests.app.history_line import BUS, NOON, parameter, polls, reading, until
-from tests.stores import both_engines, open_store
-
-pytestmark = both_engines
-
 
 TWO_UNITS = BUS.model_copy(update={"unit": (*BUS.unit, UnitSettings(id=2, name="Nip"))})
 
@@ -73,7 +70,7 @@ async def history(tmp_path: Path) -> AsyncIterator[History]:
 
 @pytest.fixture
 async def client(history: History, tmp_path: Path) -> AsyncIterator[httpx.AsyncClient]:
-    database = open_store(tmp_path / "lineside.db")
+    database = Database(tmp_path / "lineside.db")
     events = EventLog(database, clock=lambda: NOON + 5)
     await events.record(kind="mode", what="mode", bus="dry-end", unit=1, old="LOCAL", new="REMOTE")
     await events.record(kind="mode", what="mode", bus="dry-end", unit=2, old="LOCAL", new="REMOTE")
@@ -233,7 +230,7 @@ async def test_readings_that_came_late_are_a_mark_of_their_span(
     client: httpx.AsyncClient, tmp_path: Path
 ) -> None:
     """Whenever they came, and however much of the span is shown."""
-    with closing(open_store(tmp_path / "lineside.db")) as database:
+    with closing(Database(tmp_path / "lineside.db")) as database:
         for code, span in (("event_history_follows", (30, 60)), ("event_readings_late", (80, 90))):
             begin, end = (iso(NOON + each) for each in span)
             what = Message.of(code, count=100, since=begin, until=end)

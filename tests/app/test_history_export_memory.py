@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from pyarrow import parquet
 
-from app.database import SqliteDatabase
-from app.history.intake.opening import MIGRATIONS
+from app.database import Database
+from app.history.intake.writer import MIGRATIONS
 from app.history.series.rollup import Rollup, combine, pack_rollups
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.service import FILE
@@ -47,7 +47,7 @@ def months(tmp_path_factory: pytest.TempPathFactory, days: int) -> tuple[Path, i
         connection.executemany(insert.format("hours"), [(unit, day, hours) for day in midnights])
         tables.write_raw_from(connection, end)
 
-    database = SqliteDatabase(folder / FILE, MIGRATIONS)
+    database = Database(folder / FILE, MIGRATIONS)
     database.write_now(write)
     database.close()
     return folder, end

@@ -20,9 +20,7 @@ from app.history.settings import HistorySettings
 from app.history.store import tables
 from bus.contract import BusLink, UnitLink
 from tests.app.history_line import BUS, NOON, Shelf, parameter, polls, reading
-from tests.stores import both_engines, only_sqlite
 
-pytestmark = both_engines
 YEAR = 365 * 86_400.0
 
 
@@ -292,7 +290,6 @@ def test_readings_are_stored_after_a_clock_was_ahead_for_long(
     assert len(shelf.query("actual", NOON + 60, NOON + 120).series.at) == 300
 
 
-@only_sqlite
 def test_a_long_span_is_read_from_minutes_and_hours(shelf: Shelf) -> None:
     readings = [reading(NOON + i * 20.0, 1000 + i % 3) for i in range(3 * 1440)]
     shelf.keep([parameter(3, 0), *readings])

@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from app.home import homes, lease, store
+from app.home import homes, lease
 from app.home.keeping import keeper
 from app.home.lease import (
     LEASE_S,
@@ -273,7 +273,7 @@ def test_no_history_has_two_homes_at_one_moment() -> None:
     assert taken > 3 * HISTORIES, "homes are taken, lost and taken again"
 
 
-@pytest.mark.parametrize("module", [lease, store, homes, keeper])
+@pytest.mark.parametrize("module", [lease, homes, keeper])
 def test_clocks_of_servers_that_differ_by_an_hour_have_no_effect(module: ModuleType) -> None:
     """None is read: the store's clock comes with each look, and all else is monotonic."""
     names = set(vars(module))

@@ -19,9 +19,6 @@ from app.web.admission.access import Person, Role
 from bus.contract import Action, Command, Result, SetLine, SetSpeed, UnitOutcome, WriteParameter
 from bus.messages import Message, term
 from tests.app.stage import PlayedWorker, Stage, responding, result_of
-from tests.stores import both_engines
-
-pytestmark = both_engines
 
 ANNA = Person("anna", Role.ENGINEER, "token")
 COMMAND = SetSpeed(unit=1, raw=5)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from app.commands.service import idempotency
-from app.database import SqliteDatabase
+from app.database import Database
 from app.database.messages import UNREADABLE, messages_of, stored_messages
 from app.database.migration import MIGRATIONS, migrations_in
 from app.errors import StoreError
@@ -33,7 +33,7 @@ def steps(folder: Path, **sql: str) -> Path:
 
 
 def open_and_close(path: Path, folder: Path) -> list[int]:
-    database = SqliteDatabase(path, folder)
+    database = Database(path, folder)
     database.close()
     return [step.number for step in database.migrated]
 
@@ -65,7 +65,7 @@ def test_a_step_that_fails_leaves_the_store_as_it_was(tmp_path: Path) -> None:
     open_and_close(path, folder)
     steps(folder, s0002_bad="INSERT INTO a VALUES (2); INSERT INTO nowhere VALUES (1);\n")
     with pytest.raises(StoreError, match="step 0002 bad failed: no such table: nowhere"):
-        SqliteDatabase(path, folder)
+        Database(path, folder)
     assert rows(path) == [(1,)]
     steps(folder, s0002_bad=SECOND)
     assert open_and_close(path, folder) == [2]
@@ -76,7 +76,7 @@ def test_a_newer_store_is_refused_in_words(tmp_path: Path) -> None:
     open_and_close(path, folder)
     (folder / "0002_second.sql").unlink()
     with pytest.raises(StoreError, match=r"written by a newer version of Lineside \(its step 0002 second"):
-        SqliteDatabase(path, folder)
+        Database(path, folder)
     assert rows(path) == [(1, 7)]
 
 
@@ -93,7 +93,7 @@ async def test_what_was_kept_of_a_secret_is_overwritten(tmp_path: Path) -> None:
     for step in MIGRATIONS.glob("00[0-2]*.sql"):
         shutil.copy(step, before)
     path, kept = tmp_path / "lineside.db", b'{"is":"result","units":[{"unit":1,"read_back":73195}]}'
-    with closing(SqliteDatabase(path, before)) as old:
+    with closing(Database(path, before)) as old:
         old.write_now(lambda c: c.execute("INSERT INTO asked VALUES ('mine', 1.0, 'x', ?)", (kept,)))
         for row in (
             "restore VALUES ('r', 'b', 1, 'u', 'w', 1.0, 0, 'equal', '')",
@@ -102,7 +102,7 @@ async def test_what_was_kept_of_a_secret_is_overwritten(tmp_path: Path) -> None:
             "restore_value VALUES ('r', 'wanted', 21, 73196, 1, NULL)",
         ):
             old.write_now(lambda c, row=row: c.execute(f"INSERT INTO {row}"))  # type: ignore[misc]
-    with closing(SqliteDatabase(path)) as new:
+    with closing(Database(path)) as new:
         restore = await RestoreStore(new).load("r")
         known = new.read_now(lambda c: idempotency.find(c, "anna 0.0", "mine"))
     assert restore is not None
@@ -122,7 +122,7 @@ async def test_the_texts_of_an_earlier_version_stay_as_they_were(tmp_path: Path)
     for step in MIGRATIONS.glob("00[0-5]*.sql"):
         shutil.copy(step, before)
     path, texts = tmp_path / "lineside.db", ['it said "no"', "nothing answers\na unit answers", ""]
-    with closing(SqliteDatabase(path, before)) as old:
+    with closing(Database(path, before)) as old:
         for row in (
             "restore VALUES ('r', 'b', 1, 'u', 'w', 1.0, 0, 'stopped', :0, NULL)",
             "restore_row VALUES ('r', 0, 6, 50, 51, 'refused', :0, 51)",
@@ -139,7 +139,7 @@ async def test_the_texts_of_an_earlier_version_stay_as_they_were(tmp_path: Path)
         found = new.read_now(lambda c: [row[0] for row in c.execute(query)])
         return [[str(message) for message in messages_of(text)] for text in found]
 
-    with closing(SqliteDatabase(path)) as new:
+    with closing(Database(path)) as new:
         assert stored("swap", "seen") == [texts[1].split("\n"), []]
         restore = await RestoreStore(new).load("r")
     assert restore is not None
@@ -166,11 +166,11 @@ async def test_a_restore_of_an_earlier_version_stays_as_it_was(tmp_path: Path) -
         ("restore_value", ("r", "before", 30, None, 0, None)),
         ("restore", ("s", "b", 2, "Nip", "anna", 1001.0, 40, "running", "[]", None)),
     )
-    with closing(SqliteDatabase(path, before)) as old:
+    with closing(Database(path, before)) as old:
         for table, row in rows:
             insert = f"INSERT INTO {table} VALUES ({', '.join('?' * len(row))})"
             old.write_now(lambda c, insert=insert, row=row: c.execute(insert, row))  # type: ignore[misc]
-    with closing(SqliteDatabase(path)) as new:
+    with closing(Database(path)) as new:
         later, restore = await RestoreStore(new).of_unit("b", 2)
         assert [one.id for one in await RestoreStore(new).under_way("b")] == ["s"]
     address, remote = LeftOut(17, "address", Message("row_address")), LeftOut(12, "not_in_remote", UNREADABLE)

@@ -33,7 +33,6 @@ from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.notification_servers import PlayedMailServer, PlayedReceiver, mail_server, receiver
 from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
-from tests.stores import both_engines
 
 LIMIT_S = 60.0
 
@@ -111,7 +110,6 @@ async def path(tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver])
         yield path
 
 
-@both_engines
 async def test_an_alarm_reaches_people_and_programs_and_so_does_its_end(path: Path_) -> None:
     await path.estop(active=True)
     mail, hook = await path.mail.mail(), await path.hooks.body()
@@ -212,7 +210,6 @@ async def test_a_refused_message_is_tried_again_and_fails_as_an_alarm(
     assert len(await path.events("delivered")) == 2
 
 
-@both_engines
 async def test_an_attempt_that_a_crash_interrupted_is_repeated_with_its_id(
     tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
 ) -> None:
@@ -317,7 +314,6 @@ async def test_each_address_gets_one_heartbeat_a_day(
         assert [each.id for each in heartbeats] == [each.id for each in delivered]
 
 
-@both_engines
 async def test_an_address_that_was_removed_gets_nothing_more(
     tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
 ) -> None:
@@ -385,7 +381,6 @@ async def started(
         yield house
 
 
-@both_engines
 async def test_what_stood_before_notification_was_configured_is_one_message(
     tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
 ) -> None:

@@ -27,7 +27,6 @@ from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import UnitLabels
 from tests.app.complete_app import House, complete_app
-from tests.stores import both_engines
 
 BUS = "dry-end"
 PATH = "/api/v1/alarms/own"
@@ -168,7 +167,6 @@ async def test_what_the_configuration_would_refuse_is_refused(
     assert (await engineer.get(PATH)).json()["alarms"] == []
 
 
-@both_engines
 async def test_a_name_is_given_once_and_a_request_adds_once(house: House) -> None:
     engineer = await house.program(Role.ENGINEER)
     headers = {"Idempotency-Key": "first"}
@@ -222,7 +220,6 @@ async def test_an_act_that_cannot_be_recorded_did_not_happen(
     assert (await engineer.get(PATH)).json()["alarms"] == [own]
 
 
-@both_engines
 async def test_a_restart_keeps_them_and_leaves_aside_what_no_longer_fits(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         connect(house)

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from app.database import SqliteDatabase
-from app.database.presence import Presence, examining, presence_of, refusal_to_start
+from app.database import Database
+from app.database.connection import examining
+from app.database.presence import Presence, presence_of, refusal_to_start
 from app.errors import StoreError
 
 STORE, KEY = Path("/data/lineside.db"), Path("/etc/lineside.audit.key")
@@ -50,7 +51,7 @@ def test_a_new_site_is_begun_where_none_can_be_used(
 @pytest.fixture
 def store(tmp_path: Path) -> Path:
     path = tmp_path / "data" / "lineside.db"
-    SqliteDatabase(path).close()
+    Database(path).close()
     return path
 
 
@@ -67,7 +68,7 @@ def test_a_store_is_read_and_no_file_is_made(store: Path) -> None:
 
 
 def test_a_store_that_a_server_has_open_is_read_with_its_log(store: Path) -> None:
-    database = SqliteDatabase(store)
+    database = Database(store)
     database.write_now(lambda connection: connection.execute("CREATE TABLE newest (a)"))
     try:
         with examining(store) as connection:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from app.database import Database
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
@@ -16,9 +17,6 @@ from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message, in_english
 from tests.app.played_commands import ANNA, HEALTHY, REMOTE, Noted, PlayedCommands, a_bus, fresh, responding
-from tests.stores import both_engines, open_store
-
-pytestmark = both_engines
 
 
 class Scene:
@@ -26,7 +24,7 @@ class Scene:
         self.live = a_bus()
         self.commands = PlayedCommands(self.live, {})
         self.events = Noted()
-        self.database = open_store(folder / "store.db")
+        self.database = Database(folder / "store.db")
         store = RecipeStore(self.database)
         self.book = RecipeBook(self.live, {"dry-end": self.commands}, store, self.events)  # type: ignore[arg-type]
 

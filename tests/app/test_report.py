@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from app.alarms.journal.store import JournalEntry, alarm_writer
 from app.cli import cli
-from app.database import SqliteDatabase
+from app.database import Database
 from app.handover.notes.notes import Note
 from app.handover.notes.notes import add as add_note
 from app.handover.rules.shift_times import Shift
@@ -294,7 +294,7 @@ def test_it_has_the_alarms_that_came_changes_and_notes(config: Path) -> None:
     later = replace(came, at=UnixTime(NOON + 9000), occurrence=2)
     shift = Shift(UnixTime(NOON - 21_600), UnixTime(NOON + 7200))
     note = Note(UnixTime(NOON), UnixTime(NOON), "anna", "Belt is new", "dry-end", 1, None, None, "anna", None)
-    with closing(SqliteDatabase(config.parent / "data" / "lineside.db")) as database:
+    with closing(Database(config.parent / "data" / "lineside.db")) as database:
         database.write_now(alarm_writer([came, later], []))
         database.write_now(lambda store: add_note(store, note, shift))
     found = report_of(config, "--shift", SHIFT)

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from app.database import SqliteDatabase
-from app.database.sqlite import reserve
-from app.database.sqlite.reserve import FILE, MIN_FREE, MIN_FREE_OF_OTHERS, Reserve
+from app.database import Database, reserve
+from app.database.reserve import FILE, MIN_FREE, MIN_FREE_OF_OTHERS, Reserve
 
 SIZE = 8_000_000
 
@@ -79,7 +78,7 @@ def test_it_is_made_again_where_history_has_room_too(tmp_path: Path, disk: dict[
 
 def test_a_store_keeps_it_with_each_transaction(tmp_path: Path, disk: dict[str, int]) -> None:
     made = Reserve(tmp_path, SIZE)
-    with closing(SqliteDatabase(tmp_path / "store.db", reserve=made)) as database:
+    with closing(Database(tmp_path / "store.db", reserve=made)) as database:
         disk["bytes"] = 0
         database.write_now(lambda connection: connection.execute("CREATE TABLE one (number)"))
     assert made.left == 0.75

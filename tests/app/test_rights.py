@@ -25,7 +25,6 @@ from app.database import Database
 from app.errors import Problem, StoreError
 from app.web.admission.access import Person, Role
 from bus.messages import Message
-from tests.stores import open_store
 
 ANN = Person("ann", Role.ENGINEER, "session", credential="a")
 PROGRAM = Person("ann", Role.ENGINEER, "token", credential="a")
@@ -93,7 +92,7 @@ class Scene:
 
 @pytest.fixture
 async def scene(tmp_path: Path) -> AsyncIterator[Scene]:
-    database = open_store(tmp_path / "lineside.db")
+    database = Database(tmp_path / "lineside.db")
     yield Scene(database)
     database.close()
 

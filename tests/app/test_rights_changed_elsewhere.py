@@ -11,11 +11,9 @@ from app.audit.log import EventLog
 from app.auth import rules
 from app.auth.accounts import Accounts
 from app.auth.rights.rights import Rights
+from app.database import Database
 from app.web.admission.access import Person, Role
 from tests.administrator import BY
-from tests.stores import both_engines, open_store
-
-pytestmark = both_engines
 
 PASSWORD = "correct horse"
 
@@ -25,7 +23,7 @@ class House:
 
     def __init__(self, path: Path) -> None:
         self.now = 1_000_000.0
-        self.stores = [open_store(path), open_store(path, checkpoints=False)]
+        self.stores = [Database(path), Database(path, checkpoints=False)]
         self.here, self.elsewhere = (
             Accounts(each, EventLog(each), lambda: self.now, buses=("dry-end",)) for each in self.stores
         )

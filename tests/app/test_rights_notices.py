@@ -19,7 +19,6 @@ from app.auth.rights.rights import Rights
 from app.auth.settings import Sessions
 from app.auth.sign_in.signin import SignIn
 from app.database import Database
-from app.database.sqlite.connection import SqliteDatabase
 from app.web.admission.access import Person, Role
 from tests.administrator import BY
 from tests.app.stage import until
@@ -64,7 +63,7 @@ class Elsewhere:
 @pytest.fixture
 async def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Elsewhere]:
     monkeypatch.setattr(rights, "WATCH_EVERY_S", 3600.0)
-    async with _served(SqliteDatabase(tmp_path / "lineside.db")) as elsewhere:
+    async with _served(Database(tmp_path / "lineside.db")) as elsewhere:
         yield elsewhere
 
 

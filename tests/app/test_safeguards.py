@@ -17,12 +17,12 @@ from app.commands.safeguards.control import LAPSES_AFTER_S
 from app.commands.safeguards.limits import NO_LIMITS, BlockStore, CommandBlock, Limits, LimitsStore
 from app.commands.safeguards.read_only import ReadOnly, ReadOnlyStore
 from app.commands.service import command_service
+from app.database import Database
 from app.errors import Problem
 from app.web.admission.access import Person, Role
 from bus.contract import Command, Update
 from bus.instants import Monotonic, UnixTime
 from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged, until
-from tests.stores import both_engines, open_store
 
 
 @pytest.fixture
@@ -137,7 +137,6 @@ async def test_limits_that_make_no_sense_are_refused(stage: Stage, body: dict[st
     assert stage.guards.limits.of(1) == NO_LIMITS
 
 
-@both_engines
 async def test_a_block_is_refused_shown_recorded_and_lifted(stage: Stage) -> None:
     worker = await obeying(stage)
     notified: list[int] = []
@@ -262,9 +261,8 @@ async def test_read_only_ends_after_its_minutes_whatever_the_wall_clock_does(
     assert await speed(stage, 5) == (200, "verified")
 
 
-@both_engines
 async def test_read_only_survives_a_restart_and_not_its_end(tmp_path: Path) -> None:
-    database = open_store(tmp_path / "lineside.db")
+    database = Database(tmp_path / "lineside.db")
     now, monotonic = UnixTime(1000.0), Monotonic(10.0)
     mode = ReadOnly("why", "anna", now, UnixTime(1060.0))
     await ReadOnlyStore(database, "b").put(mode, monotonic)
@@ -282,9 +280,8 @@ async def test_read_only_survives_a_restart_and_not_its_end(tmp_path: Path) -> N
     database.close()
 
 
-@both_engines
 async def test_limits_and_blocks_survive_a_restart(tmp_path: Path) -> None:
-    database = open_store(tmp_path / "lineside.db")
+    database = Database(tmp_path / "lineside.db")
     limits, block = (
         Limits(lowest=1, highest=2, largest_step=3, per_minute=4),
         CommandBlock("why", "anna", 5.0),

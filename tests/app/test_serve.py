@@ -27,7 +27,7 @@ from app.cli.serving import hosting
 from app.cli.serving.hosting import HostingError, only_one
 from app.cli.serving.listening import NEXT_PORTS, ListenError, listen, listen_from
 from app.cli.simulated.demo import CHOOSE
-from app.database import SqliteDatabase
+from app.database import Database
 from app.server.service_manager import ServiceManager
 from app.settings import load
 from tests import fork_server
@@ -321,7 +321,7 @@ def test_two_servers_never_share_their_data(config: Path) -> None:
 
 def test_a_service_that_cannot_start_is_named_in_one_line(config: Path) -> None:
     store = load(config).server.store
-    SqliteDatabase(store).close()
+    Database(store).close()
     with closing(sqlite3.connect(store)) as connection:
         connection.execute("ALTER TABLE swap RENAME TO lost")
     done = fork_server.run("serve", "--config", config)

@@ -12,7 +12,7 @@ import pytest
 
 from app.cli.serving.liveness import MAX_STILL_S, Liveness
 from app.database import Database
-from app.errors import StoreError, StoreUnavailableError
+from app.errors import StoreError
 from app.server.service_manager import PartsProgress, ServiceManager
 from bus.instants import Monotonic
 from bus.messages import Message
@@ -89,15 +89,14 @@ def test_a_part_stands_still_once_its_time_is_over() -> None:
 
 
 class Store:
-    """A database that responds as a test wants. ``availability``: not None for that of another machine."""
+    """A database that responds as a test wants."""
 
-    def __init__(self, availability: object = None) -> None:
-        self.availability = availability
+    def __init__(self) -> None:
         self.looks = 0
         self.error: Exception | None = None
         self.hangs = asyncio.Event()
 
-    async def write_briefly(self, _work: object) -> None:
+    async def write(self, _work: object) -> None:
         self.looks += 1
         if self.error is not None:
             raise self.error
@@ -144,18 +143,10 @@ async def test_a_store_that_refuses_has_responded(address: str, listened: Listen
     world = World(address, listened, Store())
     world.store.error = StoreError(Message("store_closed"))
     assert [await world.fed_after(50.0) for _ in range(4)] == [True] * 4
-    world.store.error = StoreUnavailableError(Message("store_closed"))
-    assert [await world.fed_after(50.0) for _ in range(3)] == [True, False, False]
-
-
-async def test_a_database_elsewhere_is_no_part_of_the_server(address: str, listened: Listened) -> None:
-    world = World(address, listened, Store(availability=object()))
-    assert [await world.fed_after(100.0) for _ in range(3)] == [True] * 3
-    assert world.store.looks == 0
 
 
 async def test_buses_without_their_workers_are_a_standstill(address: str, listened: Listened) -> None:
-    world = World(address, listened, Store(availability=object()))
+    world = World(address, listened, Store())
     world.has_workers = False
     assert await world.fed_after(MAX_STILL_S["bus workers"])
     assert not await world.fed_after(1.0)

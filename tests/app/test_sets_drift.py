@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from app.audit.log import EventLog
+from app.database import Database
 from app.live.screen.sources import Drifted
 from app.sets.comparison.drift import BusDrift
 from app.sets.model import ParameterRow, ParameterSet, UnitRows
@@ -17,7 +18,6 @@ from bus.contract import ParameterValue
 from bus.messages import Message
 from tests.app.played_commands import a_bus
 from tests.app.screens import translator
-from tests.stores import both_engines, open_store
 
 GOLDEN_READ, NOW = 1000.0, 51_600.0
 """1970-01-01 14:20 UTC is ``NOW``."""
@@ -26,7 +26,7 @@ GOLDEN_READ, NOW = 1000.0, 51_600.0
 class Scene:
     def __init__(self, folder: Path) -> None:
         self.live = a_bus()
-        self.database = open_store(folder / "store.db")
+        self.database = Database(folder / "store.db")
         self.now = NOW
         self.events = EventLog(self.database, lambda: self.now)
         self.store = SetStore(self.database)
@@ -64,7 +64,6 @@ async def scene(tmp_path: Path) -> Scene:
     return made
 
 
-@both_engines
 async def test_a_command_is_named_with_its_hour_and_a_hand_at_the_panel_too(scene: Scene) -> None:
     assert await scene.text() == ""
     await scene.sent("anna", 12, 21)

@@ -22,7 +22,6 @@ from app.web.admission.access import Person, Role
 from bus.contract import WriteParameter
 from bus.messages import Message
 from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, factory, responding
-from tests.stores import both_engines, open_store
 
 BEN = Person("ben", Role.ENGINEER, "session")
 WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}
@@ -67,7 +66,7 @@ SetsScene = Callable[..., Scene]
 
 @pytest.fixture
 def a_scene(tmp_path: Path) -> Iterator[SetsScene]:
-    database = open_store(tmp_path / "lineside.db")
+    database = Database(tmp_path / "lineside.db")
     yield partial(Scene, database)
     database.close()
 
@@ -172,7 +171,6 @@ async def test_a_unit_that_does_not_respond_has_no_plan(a_scene: SetsScene) -> N
     assert scene.commands.written == []
 
 
-@both_engines
 async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: SetsScene) -> None:
     scene = a_scene(hangs_after=2)
     killed = await scene.plan()
@@ -198,7 +196,6 @@ async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: Set
     assert (await scene.server().find(again.id)) is not None
 
 
-@both_engines
 async def test_what_a_restore_found_is_the_same_after_the_next_start(a_scene: SetsScene) -> None:
     scene = a_scene(refuses={7: 0x83})
     restore = await scene.run(WANTED | {18: 48})
@@ -209,7 +206,6 @@ async def test_what_a_restore_found_is_the_same_after_the_next_start(a_scene: Se
     assert [row.number for row in kept.remaining] == [7]
 
 
-@both_engines
 async def test_a_stored_restore_holds_nothing_of_the_operator_password(a_scene: SetsScene) -> None:
     scene = a_scene()
     restore = await scene.run({6: 50, 21: 4711})
@@ -225,7 +221,6 @@ async def test_a_stored_restore_holds_nothing_of_the_operator_password(a_scene: 
     assert "4711" not in content
 
 
-@both_engines
 async def test_a_stored_restore_that_cannot_be_read_is_left_out(a_scene: SetsScene) -> None:
     scene = a_scene()
     kept, broken = await scene.run(), await scene.run({6: 51})

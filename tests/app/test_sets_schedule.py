@@ -15,9 +15,6 @@ from app.web.admission.access import Person, Role
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import UnitLink, UnitLinkState
 from tests.app.played_commands import ANNA, SetScene
-from tests.stores import both_engines
-
-pytestmark = both_engines
 
 NOON = datetime(2026, 3, 4, 12, tzinfo=UTC)
 MIDNIGHT = NOON - timedelta(hours=12)

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from app.cli.stores import backup_store
 from app.cli.stores.backup_store import write_backup
 from app.cli.stores.restore_store import read_backup
+from app.database import Database
 from app.errors import ConstraintError, StoreError
 from app.handover.notes.pictures import FILE, MIGRATIONS
 from app.handover.rules.orientation import TURNED, exif_of, orientation_of, plain_exif
@@ -27,7 +28,6 @@ from app.handover.rules.pictures import plain_picture
 from app.web.admission.access import Role
 from bus.errors import CallerError
 from tests.app.complete_app import House, complete_app
-from tests.stores import both_engines, open_store
 
 API = "/api/v1/shifts"
 PLACE = b"GPS 52.5, 13.4"
@@ -268,7 +268,6 @@ async def test_the_form_takes_files_by_their_content_and_not_by_their_name(house
     assert [len(note["pictures"]) for note in found] == [1]
 
 
-@both_engines
 async def test_a_refused_note_stores_no_picture(house: House, tmp_path: Path) -> None:
     operator = await house.program(Role.OPERATOR)
     for wrong in ({"corrects": 99}, {"alarm": "none.1"}, {"bus": "none"}, {"text": " "}):
@@ -343,10 +342,10 @@ def test_the_pictures_of_an_earlier_version_are_there_and_stay(tmp_path: Path) -
     first = MIGRATIONS / "0001_pictures.sql"
     (folder / first.name).write_text(first.read_text("utf-8"), "utf-8")
     row = ("0" * 64, "image/png", png())
-    earlier = open_store(tmp_path / FILE, folder)
+    earlier = Database(tmp_path / FILE, folder)
     earlier.write_now(lambda store: store.execute("INSERT INTO picture VALUES (?, ?, ?)", row))
     earlier.close()
-    present = open_store(tmp_path / FILE, MIGRATIONS)
+    present = Database(tmp_path / FILE, MIGRATIONS)
     found = present.read_now(lambda store: store.execute("SELECT * FROM picture").fetchall())
     assert [tuple(each) for each in found] == [row]
     for change in ("DELETE FROM picture", "UPDATE picture SET content = x''"):
@@ -383,7 +382,6 @@ async def test_a_damaged_store_of_pictures_is_reported_and_costs_its_pictures_on
         assert not (tmp_path / "one.tar").exists()
 
 
-@both_engines
 async def test_the_pictures_of_a_shift_are_bounded(house: House) -> None:
     operator = await house.program(Role.OPERATOR)
     for number in range(6):

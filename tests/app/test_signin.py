@@ -23,9 +23,6 @@ from app.errors import Problem
 from app.web.admission.access import Person, Role
 from bus.errors import CallerError
 from tests.administrator import BY
-from tests.stores import both_engines, only_sqlite, open_store
-
-pytestmark = both_engines
 
 PASSWORD = "correct horse"
 PIN = "471193"
@@ -71,7 +68,7 @@ class House:
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    database = open_store(tmp_path / "lineside.db")
+    database = Database(tmp_path / "lineside.db")
     house = House(database)
     yield house
     database.close()
@@ -85,7 +82,6 @@ async def test_the_right_password_opens_a_session(house: House) -> None:
     assert await house.log_of("login") == [("ann", "a")]
 
 
-@only_sqlite
 async def test_neither_password_nor_cookie_nor_token_is_stored(house: House) -> None:
     await house.add()
     cookie = await house.enter()

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from app.cli import cli
 from app.cli.site.facts import backup_facts, certificate_facts, disk_facts
-from app.database import SqliteDatabase
-from app.database.sqlite.connection import open_unchanged
-from app.database.sqlite.reserve import MIN_FREE_OF_OTHERS
+from app.database import Database
+from app.database.connection import open_unchanged
+from app.database.reserve import MIN_FREE_OF_OTHERS
 from app.history.query.forecast import MAX_DAYS, days_left, growth_of_history
 from app.history.series.runs import DAY, HOUR, micros
 from app.settings import load
@@ -80,7 +80,7 @@ def config(tmp_path: Path) -> Path:
     path.write_text(
         '[site]\nname = "Mill 7"\ntime_zone = "Europe/Berlin"\n[server]\nport = 1\ndata = "data"\n'
     )
-    SqliteDatabase(tmp_path / "data" / "lineside.db").close()
+    Database(tmp_path / "data" / "lineside.db").close()
     return path
 
 
@@ -89,12 +89,6 @@ def test_stores_have_their_sizes_and_the_disk_its_space(config: Path) -> None:
     assert facts.stores == {"lineside.db": (config.parent / "data" / "lineside.db").stat().st_size}
     assert facts.free > 0
     assert facts.days is None
-
-
-def test_with_a_database_the_disk_of_this_server_has_its_space_only(config: Path) -> None:
-    config.write_text(config.read_text() + '[store]\nurl = "postgresql://lineside@127.0.0.1:1/lineside"\n')
-    shown = CliRunner().invoke(cli, ["status", "--config", str(config)]).stdout
-    assert "  disk of this server: " in shown
 
 
 def test_with_history_the_disk_has_a_forecast(config: Path) -> None:

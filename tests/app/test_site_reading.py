@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli import cli
-from app.database.sqlite.connection import open_unchanged
+from app.database.connection import open_unchanged
 from tests.e2e.site import add_people
 from tests.mounted import mounted
 

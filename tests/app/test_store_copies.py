@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from app.database import SqliteDatabase
-from app.database.sqlite import copies
-from app.database.sqlite.copies import copy_of, put_aside, remove_older_copies
+from app.database import Database
+from app.database import migration as copies
+from app.database.migration import copy_of, put_aside, remove_older_copies
 
 
 def names_in(folder: Path) -> list[str]:
@@ -50,7 +50,7 @@ def test_each_step_leaves_the_newest_two(tmp_path: Path) -> None:
     steps.mkdir()
     for number in range(1, 6):
         (steps / f"{number:04d}_step.sql").write_text(f"CREATE TABLE t{number} (x INTEGER);\n")
-        SqliteDatabase(tmp_path / "x.db", steps).close()
+        Database(tmp_path / "x.db", steps).close()
     assert [path.name for path in sorted(tmp_path.glob("x.db.*-*"))] == [
         "x.db.before-0004",
         "x.db.before-0005",

@@ -76,14 +76,6 @@ def test_it_has_no_secret_of_any_place(config: Path) -> None:
     assert json.loads(found["about.json"])["packages"]["fastapi"]
 
 
-def test_a_database_url_has_no_password(config: Path) -> None:
-    text = '[store]\nurl = "postgresql://lineside:db-secret-4@db/lineside"\n'
-    config.write_text(config.read_text() + text)
-    found = contents(bundle(parts(config)))
-    assert "db-secret-4" not in "\n".join(found.values())
-    assert json.loads(found["events.json"]) == "no store in files"
-
-
 def test_a_wrong_configuration_is_its_fault_and_nothing_of_its_text(config: Path) -> None:
     config.write_text("[server]\npasword = 'mail-secret-1'\n")
     found = contents(bundle(parts(config)))

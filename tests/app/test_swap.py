@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import pytest
 
+from app.database import Database
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
 from app.sets.comparison.sides import offers
@@ -30,7 +31,6 @@ from bus.messages import Message, term
 from bus.settings import BusSettings
 from tests.app.played_commands import ANNA, Noted
 from tests.app.screens import line
-from tests.stores import both_engines, open_store
 
 
 def state(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: object) -> SwapState:
@@ -77,7 +77,7 @@ class Scene:
 
     def __init__(self, folder: Path) -> None:
         self.events = Noted()
-        self.database = open_store(folder / "store.db")
+        self.database = Database(folder / "store.db")
         self.store = SwapStore(self.database)
         self.restores: dict[str, Restore] = {}
         self.swaps = self.another()
@@ -107,7 +107,6 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
     made.database.close()
 
 
-@both_engines
 async def test_a_swap_ends_with_one_complete_event(scene: Scene) -> None:
     swap, events = await scene.begin(), scene.events
     for seen in (
@@ -215,7 +214,6 @@ async def test_a_closed_swap_stays_closed_while_its_unit_is_read(scene: Scene) -
     assert [event["what"] for event in scene.events.events][-1] == "unit replacement canceled"
 
 
-@both_engines
 async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     swap, restore = await scene.begin(), a_restore(state="different")
     await scene.swaps.look(swap, lambda: shown(state("silent")))

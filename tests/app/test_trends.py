@@ -21,7 +21,6 @@ from app.web.admission.access import Person, Role
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, played_line
-from tests.stores import both_engines
 
 ANN = Person("ann", Role.OPERATOR, "session")
 VIC = Person("vic", Role.VIEWER, "session")
@@ -44,7 +43,6 @@ async def names_seen(house: House, person: Person) -> list[tuple[str, bool]]:
     return [(view.name, view.shared) for view in await house.services[TrendViews].seen_by(person)]
 
 
-@both_engines
 async def test_a_view_is_of_its_person_until_it_is_shared(house: House) -> None:
     saved, events = house.services[TrendViews], house.services[EventLog]
     await saved.save(VIC, events, "mine", QUERY, shared=False)
@@ -121,7 +119,6 @@ async def notes_of(client: httpx.AsyncClient, start: float, end: float, *units: 
     return found
 
 
-@both_engines
 async def test_a_note_on_the_chart_is_one_of_the_shift_of_its_time(house: House) -> None:
     operator, now = await house.program(Role.OPERATOR), time.time()
     for text, moment, place in (
@@ -150,7 +147,6 @@ async def test_a_note_of_the_future_of_long_ago_or_of_a_viewer_is_refused(house:
         assert (await client.post("/api/v1/shifts/notes", json=body)).status_code == status
 
 
-@both_engines
 async def test_the_run_of_a_recipe_before_is_found_by_the_events(house: House) -> None:
     viewer, events, now = await house.program(Role.VIEWER), house.services[EventLog], time.time()
     path = f"/api/v1/buses/{BUS}/recipe/runs"

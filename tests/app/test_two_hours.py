@@ -17,7 +17,7 @@ from statistics import median
 import httpx
 import pytest
 
-from app.database.presence import examining
+from app.database.connection import examining
 from app.history.query.forecast import growth_of_history
 from app.history.series.runs import micros
 from benchmarks.processes import cpu_seconds, memory_mib

@@ -25,7 +25,7 @@ from typing import Any
 import httpx
 
 from app.audit.log import EventLog
-from app.database import SqliteDatabase
+from app.database import Database
 from tests.attacks.attackers import ATTACKS
 from tests.e2e.site import Site, site
 
@@ -215,7 +215,7 @@ def links_lost(target: Site) -> int:
 def fill_the_log(target: Site, events: int) -> None:
     """Add the events of years while the server is stopped."""
     target.stop()
-    database = SqliteDatabase(target.folder / "data" / "lineside.db", synchronous="NORMAL")
+    database = Database(target.folder / "data" / "lineside.db", synchronous="NORMAL")
     # With an outcome: the server closes each open one on the disk, one by one, when it starts.
     fields = {"who": "operator", "origin": "page", "bus": "line", "what": "set speed", "outcome": "verified"}
     intents = [{**fields, "unit": number % 4 + 1, "new": f"{number}.0"} for number in range(CHUNK)]

@@ -22,7 +22,7 @@ from app.audit.proof.keyring import KeyRing
 from app.audit.proof.keys import open_keys
 from app.audit.proof.walk import MAX_CHAINS
 from app.cli import cli
-from app.database import SqliteDatabase
+from app.database import Database
 from tests.attacks.test_audit_log import WITHOUT_ANCHOR, Plant
 
 Row = dict[str, Any]
@@ -37,7 +37,7 @@ class Site(Plant):
         asyncio.run(self._record(entries, list(buses)))
 
     async def _record(self, entries: int, buses: list[str | None]) -> None:
-        database = SqliteDatabase(self.store)
+        database = Database(self.store)
         try:
             keys = open_keys([self.key], self.store, await database.read(heads_of))
             log = EventLog(database, keys=keys)
@@ -289,7 +289,7 @@ def test_with_the_key_a_chain_is_rewritten_up_to_what_an_anchor_names(plant: Sit
 
 def test_the_start_compares_every_chain_with_its_anchors(plant: Site) -> None:
     async def altered() -> str:
-        database = SqliteDatabase(plant.store)
+        database = Database(plant.store)
         try:
             log = EventLog(database, keys=open_keys([plant.key], plant.store, {}))
             anchoring = Anchoring(log, plant.anchor)

@@ -23,7 +23,7 @@ from app.audit.proof.chain import END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, SITE
 from app.audit.proof.keyring import BEGINNING
 from app.audit.proof.keys import open_keys
 from app.cli import cli
-from app.database import SqliteDatabase
+from app.database import Database
 from app.database.migration import MIGRATIONS
 
 Row = dict[str, Any]
@@ -49,7 +49,7 @@ class Plant:
         asyncio.run(self._work(entries))
 
     async def _work(self, entries: int) -> None:
-        database = SqliteDatabase(self.store)
+        database = Database(self.store)
         try:
             keys = open_keys([self.key], self.store, await database.read(heads_of))
             log = EventLog(database, keys=keys)

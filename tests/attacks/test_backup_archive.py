@@ -19,7 +19,7 @@ from click.testing import CliRunner, Result
 from app.cli import cli
 from app.cli.stores import backup_archive
 from app.cli.stores.backup_archive import MAX_ARCHIVE_BYTES
-from app.database import SqliteDatabase
+from app.database import Database
 
 MAIN = "lineside.db"
 
@@ -32,7 +32,7 @@ class Site:
         self.config = folder / "lineside.toml"
         self.config.write_text('[server]\ndata = "data"\n')
         self.data = folder / "data"
-        SqliteDatabase(self.data / MAIN).close()
+        Database(self.data / MAIN).close()
         self.foreign = folder / "foreign.db"
         with closing(sqlite3.connect(self.foreign)) as connection:
             connection.execute("CREATE TABLE theirs (x)")
@@ -53,7 +53,7 @@ class Site:
     def store(self) -> bytes:
         """A sound store."""
         fresh = self.folder / "fresh" / MAIN
-        SqliteDatabase(fresh).close()
+        Database(fresh).close()
         content = fresh.read_bytes()
         for path in fresh.parent.iterdir():
             path.unlink()

@@ -18,7 +18,7 @@ from app.audit.log import EventLog
 from app.audit.proof.anchoring import Anchoring, AnchorStatus
 from app.audit.proof.keys import open_keys
 from app.cli import cli
-from app.database import SqliteDatabase
+from app.database import Database
 from app.main import create_app
 from app.settings import load
 from tests.app.complete_app import settings_in
@@ -40,7 +40,7 @@ class QuietPlant(Plant):
         """What a server finds that starts, writes so many entries, and ends."""
 
         async def run() -> AnchorStatus:
-            database = SqliteDatabase(self.store)
+            database = Database(self.store)
             try:
                 keys = open_keys(load(self.config).key_files, self.store, await database.read(heads_of))
                 log = EventLog(database, keys=keys)
@@ -172,7 +172,7 @@ def test_a_lost_key_begins_both_anchors_again_and_keeps_the_old_ones(plant: Quie
 
 def test_a_default_place_that_cannot_be_written_is_reported_once(plant: QuietPlant) -> None:
     async def run() -> tuple[AnchorStatus, list[str]]:
-        database = SqliteDatabase(plant.store)
+        database = Database(plant.store)
         log = EventLog(database)
         anchoring = Anchoring(log, plant.store / "no folder" / "anchor", is_configured=False)
         for _ in range(3):

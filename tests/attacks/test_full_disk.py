@@ -12,7 +12,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.database.sqlite.reserve import SIZE, Reserve
+from app.database.reserve import SIZE, Reserve
 from app.web.admission.access import Role
 from tests.app.complete_app import PASSWORD as HOUSE_PASSWORD
 from tests.app.complete_app import complete_app

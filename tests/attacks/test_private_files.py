@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from app import cli
-from app.database import SqliteDatabase
+from app.database import Database
 from app.database.private import make_file, make_private, write_file
 from app.errors import StoreError
 from bus import __main__ as worker
@@ -124,7 +124,7 @@ def test_links_lead_to_nothing_of_others(data: Path, tmp_path: Path) -> None:
 def test_a_store_that_is_a_link_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(StoreError, match="is a link, which is not followed"):
-        SqliteDatabase(tmp_path / "lineside.db")
+        Database(tmp_path / "lineside.db")
     assert not (tmp_path / "elsewhere").exists()
 
 
@@ -143,7 +143,7 @@ def test_files_of_another_user_are_refused(tmp_path: Path, name: str) -> None:
 def test_a_store_is_private_whatever_the_umask(tmp_path: Path) -> None:
     before = os.umask(0)
     try:
-        database = SqliteDatabase(tmp_path / "deep" / "lineside.db")
+        database = Database(tmp_path / "deep" / "lineside.db")
         database.write_now(lambda connection: connection.execute("CREATE TABLE t (x)"))
         make_file(tmp_path / "deep" / "other")
     finally:

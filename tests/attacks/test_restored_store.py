@@ -20,7 +20,7 @@ from app.auth.accounts import Accounts
 from app.auth.store import CompanyAccount
 from app.cli import cli
 from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
-from app.database import Database, SqliteDatabase
+from app.database import Database
 from app.settings import load
 from app.web.admission.access import Role
 from tests.administrator import BY
@@ -39,7 +39,7 @@ class Plant:
         self.backup = folder / "monday.tar"
 
     def change(self, work: Callable[[Accounts, Database], Awaitable[None]]) -> None:
-        database = SqliteDatabase(self.store)
+        database = Database(self.store)
 
         async def run() -> None:
             keys = open_keys(load(self.config).key_files, self.store, await database.read(heads_of))
@@ -151,7 +151,7 @@ def test_with_unknown_revocations_every_token_is_revoked(plant: Plant, present: 
     if present == "damaged":
         plant.store.write_bytes(b"SQLite format 3\0" + b"rubbish" * 1000)
     if present == "without users":
-        SqliteDatabase(plant.store).close()
+        Database(plant.store).close()
     output = plant.restore()
     assert plant.rows("SELECT count(*) FROM tokens") == [0]
     assert plant.rows("SELECT count(*) FROM sessions") == [0]

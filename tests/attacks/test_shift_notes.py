@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.database.sqlite.reserve import MIN_FREE_OF_OTHERS
+from app.database.reserve import MIN_FREE_OF_OTHERS
 from app.handover.notes import notes, quota
 from app.handover.notes.quota import MAX_AGE_DAYS, MAX_PER_HOUR
 from app.handover.rules.shift_times import Shift

@@ -23,7 +23,7 @@ from app.auth.sign_in import passwords
 from app.auth.sign_in.signin import SignIn
 from app.auth.sign_in.throttle import FREE, OF_ADDRESS, OF_NAME
 from app.commands.safeguards.service import Safeguards
-from app.database import SqliteDatabase
+from app.database import Database
 from app.main import create_app
 from app.web.admission.access import Role
 from bus.contract import CONTRACT_VERSION, Hello, encode
@@ -305,7 +305,7 @@ async def test_a_response_in_pieces_ends_with_the_rights_of_its_person(house: Ho
 
 def elsewhere(folder: Path, change: Callable[[Accounts], object]) -> None:
     """Do what ``lineside token …`` or ``lineside user …`` does in a separate process."""
-    database = SqliteDatabase(folder / "data" / "lineside.db", checkpoints=False)
+    database = Database(folder / "data" / "lineside.db", checkpoints=False)
     try:
         asyncio.run(change(Accounts(database, EventLog(database))))  # type: ignore[arg-type]
     finally:

@@ -36,7 +36,7 @@ class Fault:
 
 
 SERVERS = frozenset(("app-1", "app-2"))
-DEVICE, FIRST, STANDBY = (frozenset((name,)) for name in ("device", "db-1", "db-2"))
+DEVICE = frozenset(("device",))
 LONG, SHORT = (TAKE_OVER_S, 20.0), (0.5, 8.0)
 _CHOICES: tuple[tuple[int, Kind, frozenset[str], tuple[float, float]], ...] = (
     (4, "kill", SERVERS, LONG),
@@ -49,15 +49,9 @@ _CHOICES: tuple[tuple[int, Kind, frozenset[str], tuple[float, float]], ...] = (
     (1, "clock", SERVERS, SHORT),
     (1, "kill", DEVICE, SHORT),
     (1, "stop", DEVICE, SHORT),
-    (1, "kill", FIRST, SHORT),
-    (1, "stop", FIRST, SHORT),
-    (1, "fail_over", FIRST, SHORT),
-    (1, "cut", FIRST, SHORT),
-    (1, "kill", STANDBY, SHORT),
-    (1, "cut", STANDBY, SHORT),
 )
 """How often relative to the others, what, to one of these, for how long."""
-_SEPARATED_FROM = frozenset(("db-1", "device", "app-1", "app-2"))
+_SEPARATED_FROM = frozenset(("device", "app-1", "app-2"))
 
 
 def schedule(seed: int, count: int, machines: frozenset[str]) -> Iterator[Fault]:

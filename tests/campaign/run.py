@@ -1,6 +1,6 @@
 """A campaign from its seed: start everything, let faults happen, stop, and leave the records to the checker.
 
-``python -m tests.campaign.run FOLDER SEED FAULTS [one]``: ``one`` for a single server with SQLite.
+``python -m tests.campaign.run FOLDER SEED FAULTS``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from tests.campaign.checker.records import CLIENTS, CONNECTIONS, FAULTS, lines
-from tests.campaign.cluster import Cluster
 from tests.campaign.faults import SERVERS, Fault, schedule
 from tests.campaign.network import Machine, Network
 from tests.campaign.site import BUS, ROOT, UNITS, AppServer, Device, signal_all, started
@@ -32,36 +31,25 @@ RESUME_S = 0.5
 
 @dataclass
 class Campaign:
-    """``servers``: 1 with SQLite, 2 with PostgreSQL."""
+    """One server, the device server of its units, and people."""
 
     folder: Path
     seed: int
-    servers: int = 2
     network: Network = field(init=False)
     device: Device = field(init=False)
     apps: dict[str, AppServer] = field(default_factory=dict)
-    cluster: Cluster | None = None
 
     def __post_init__(self) -> None:
-        names = [
-            *sorted(SERVERS)[: self.servers],
-            "device",
-            "people",
-            *(("db-1", "db-2") * (self.servers > 1)),
-        ]
-        self.network = Network(names)
+        self.network = Network([*sorted(SERVERS)[:1], "device", "people"])
 
     @property
     def store(self) -> str:
         """What the checker reads in the end."""
-        if self.cluster is not None:
-            return self.cluster.url
         return str(self.apps["app-1"].folder / "data" / "lineside.db")
 
     def run(self, count: int) -> int:
         """Run ``count`` faults; return the exit code of the checker."""
         with ExitStack() as opened:
-            opened.callback(lambda: self.cluster and self.cluster.close())
             opened.enter_context(self.network)
             self._start()
             for fault in schedule(self.seed, count, frozenset(self.network.machines)):
@@ -77,19 +65,13 @@ class Campaign:
     def _start(self) -> None:
         self.device = Device(self.folder, self.machine("device"))
         self.device.start(self.seed)
-        if self.servers > 1:
-            self.cluster = Cluster(self.machine("db-1"), self.machine("db-2"))
-            self.cluster.start()
-        store = self.cluster.url if self.cluster else ""
-        for name in sorted(SERVERS)[: self.servers]:
-            server = self.apps[name] = AppServer(self.folder / name, self.machine(name), store)
+        for name in sorted(SERVERS)[:1]:
+            server = self.apps[name] = AppServer(self.folder / name, self.machine(name))
             server.configure(self.machine("device"))
         first = self.apps["app-1"]
         first.command("user", "add", "admin", "--role", "admin", "--password-stdin", text=PASSWORD)
         token = first.command("token", "create", "people", "--role", "operator").split()[-1]
         for server in self.apps.values():
-            if server is not first:
-                server.take_key_of(first)
             server.start()
             server.wait_until_it_serves()
         urls = [server.url for server in self.apps.values()]
@@ -112,9 +94,6 @@ class Campaign:
     def _inject(self, fault: Fault) -> None:
         row = {"kind": "fault", "now": time.time(), "fault": asdict(fault), "holder": self.holder()}
         self._record(**row)
-        if fault.takes_a_holder and row["holder"] == fault.target and self.servers > 1:
-            url = self.apps[fault.target].url
-            self._record(kind="holder_death", bus=BUS, at=time.time(), server=url)
         begin, end = self._acts(fault)
         begun = time.time()
         begin()
@@ -147,8 +126,6 @@ class Campaign:
                     lambda: signal_all(stopped, signal.SIGSTOP),
                     lambda: signal_all(stopped, signal.SIGCONT),
                 )
-            case "fail_over" if self.cluster:
-                return self.cluster.fail_over, self.cluster.add_standby
             case "kill":
                 return lambda: self._signal(machine, signal.SIGKILL), lambda: self._begin_again(machine)
             case _:
@@ -170,8 +147,6 @@ class Campaign:
         elif machine.name in self.apps:
             self.apps[machine.name].start()
             self.apps[machine.name].wait_until_it_serves()
-        elif self.cluster is not None:
-            self.cluster.begin(machine)
 
     def _judge(self) -> int:
         checker = (sys.executable, "-m", "tests.campaign.checker", self.folder, self.store, BUS)
@@ -180,12 +155,12 @@ class Campaign:
         return subprocess.run([*inside, *map(str, checker)], env=environment).returncode
 
 
-def main(folder: str, seed: str, count: str, *options: str) -> int:
+def main(folder: str, seed: str, count: str) -> int:
     """Exit with the code of the checker."""
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
     with suppress(KeyboardInterrupt):
-        return Campaign(place.resolve(), int(seed), 1 if "one" in options else 2).run(int(count))
+        return Campaign(place.resolve(), int(seed)).run(int(count))
     return 1
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -83,7 +82,6 @@ class AppServer:
 
     folder: Path
     machine: Machine
-    store: str
     environment: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -98,11 +96,9 @@ class AppServer:
         """Write its lineside.toml."""
         self.folder.mkdir()
         units = "".join(f'[[bus.unit]]\nid = {unit}\nname = "Unit {unit}"\n' for unit in range(1, UNITS + 1))
-        name, host = self.machine.name, self.machine.address
-        identity = f'id = "{name}"\n' if self.store else ""
-        store = f'[store]\nurl = "{self.store}"\n' if self.store else ""
+        host = self.machine.address
         self.config.write_text(
-            f'[site]\nname = "Campaign"\n{store}[server]\n{identity}host = "{host}"\nport = {SERVER_PORT}\n'
+            f'[site]\nname = "Campaign"\n[server]\nhost = "{host}"\nport = {SERVER_PORT}\n'
             f'data = "data"\n[[bus]]\nname = "{BUS}"\nport = "socket://{device.address}:{DEVICE_PORT}"\n'
             f"turnaround_ms = {TURNAROUND_MS}\n{units}"
         )
@@ -152,11 +148,6 @@ class AppServer:
             for process in self.machine.processes()
             if b"\0bus\0" in Path(f"/proc/{process}/cmdline").read_bytes()
         ]
-
-    def take_key_of(self, other: AppServer) -> None:
-        """The servers of a site seal one log with one key."""
-        for path in other.folder.glob("*.key"):
-            shutil.copy(path, self.folder / path.name)
 
 
 def signal_all(processes: list[int], number: signal.Signals) -> None:

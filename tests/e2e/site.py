@@ -29,7 +29,6 @@ import httpx
 
 from app.auth.accounts import Accounts
 from app.cli.setup.accounts import with_accounts
-from app.database.settings import IN_FILES, StoreSettings
 from app.settings import Site as SiteSettings
 from app.web.admission.access import Role
 from app.web.rendering.assets import Assets, static_dir, templates_dir
@@ -239,11 +238,8 @@ class Site:
         """Run ``lineside …`` on this configuration; its output."""
         return command(self.config, *arguments, text=text)
 
-    def add_people(self, store: StoreSettings = IN_FILES) -> None:
+    def add_people(self) -> None:
         """One user and one token for each role, under the role's name; before the first start."""
-        if store.url:
-            self.tokens = add_people(self.config)
-            return
         files, tokens = people()
         shutil.copytree(files, self.folder / "data", dirs_exist_ok=True)
         self.tokens = dict(tokens)
@@ -301,19 +297,15 @@ def site(
     environment: dict[str, str] | None = None,
     installed: bool = False,
     certificate: Path | None = None,
-    store: StoreSettings = IN_FILES,
 ) -> Iterator[Site]:
     """Run a site of ``units`` on the bus ``line``; ``toml`` is added to its file. ``more``: further buses,
     each by name with its number of units. ``turnaround_ms``: how long to wait for a response; the simulated
     units are a process, which a busy machine may delay. ``environment``: more variables of the server's
     environment. ``certificate``: serve HTTPS with ``server.pem`` of this folder, which has its authority.
-    ``store``: an empty database for it.
     """
     scheme = "http" if certificate is None else "https"
     url = f"{scheme}://127.0.0.1:{free_port()}"
     made = Site(folder, start_line(folder, units, *line_options), url, units)
-    if store.url:
-        toml += f"[store]\nurl = '{store.url}'\n"
     if certificate is not None:
         made.certificate = ssl.create_default_context(cafile=certificate / "ca.pem")
         files = {"certificate": certificate / "server.pem", "key": certificate / "server.key"}
@@ -324,7 +316,7 @@ def site(
         made.configure(toml, turnaround_ms)
         made.environment = environment or {}
         made.installed = installed
-        made.add_people(store)
+        made.add_people()
         made.start()
         made.wait_for_units()
         yield made

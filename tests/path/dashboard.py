@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,10 +12,9 @@ from typing import Any
 
 import httpx
 
-from app.database.settings import IN_FILES, StoreSettings
 from tests import fork_server
 from tests.e2e.limits import CALL_S
-from tests.e2e.site import add_people, end, eventually, people, run_in_time, wait_until_it_serves
+from tests.e2e.site import end, eventually, people, run_in_time, wait_until_it_serves
 from tests.free_port import free_port
 from tests.path.independent_unit import Cable, Unit, plugged
 
@@ -83,11 +82,8 @@ def dashboard(
     site_toml: str = "",
     bus_toml: str = "",
     cable_of: type[Cable] = Cable,
-    store: StoreSettings = IN_FILES,
-    tokens: Mapping[str, str] | None = None,
 ) -> Iterator[Dashboard]:
-    """Serve these units; every one has been read, with its parameters, when this begins. ``tokens``: those of
-    the site that is in the database of ``store`` already."""
+    """Serve these units; every one has been read, with its parameters, when this begins."""
     url = f"http://127.0.0.1:{free_port()}"
     with (
         plugged(folder / "tty", units, cable_of) as cable,
@@ -96,14 +92,9 @@ def dashboard(
         made = Dashboard(folder, url, cable, client)
         config = folder / "lineside.toml"
         config.write_text(_configuration(made, site_toml, bus_toml), encoding="utf-8")
-        if store.url:
-            with config.open("a", encoding="utf-8") as file:
-                file.write(f"[store]\nurl = '{store.url}'\n")
-            made.tokens.update(tokens or add_people(config))
-        else:
-            data, new = people()
-            shutil.copytree(data, folder / "data")
-            made.tokens.update(new)
+        data, new = people()
+        shutil.copytree(data, folder / "data")
+        made.tokens.update(new)
         with (folder / "serve.log").open("ab") as log:
             server = fork_server.start("serve", "--config", config, stdout=log, stderr=log)
             try:

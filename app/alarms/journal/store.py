@@ -15,7 +15,7 @@ from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.conditions.priority import AlarmPriority
 from app.database import Database, StoreConnection, StoreRow
-from app.database.engine import upsert
+from app.database.connection import upsert
 from bus.instants import UnixTime
 from bus.messages import Message
 

@@ -17,7 +17,7 @@ from app.conditions.catalogue import SERVER_ALARMS
 from app.history.intake.clock_watch import ClockWatch
 from app.history.status import HistoryStatus
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
-from bus.messages import Message, listed, number
+from bus.messages import Message, number
 
 SiteCondition = Callable[[], Message | bool | None]
 """Whether it holds, or what it is about where it names one thing; None: not known."""
@@ -32,8 +32,6 @@ def site_conditions(
     anchor: Callable[[], AnchorStatus],
     failing_endpoints: FailingEndpoints,
     expiry: ExpiryWatch,
-    store_is_away: Callable[[], bool] = lambda: False,
-    break_glass: Callable[[], Sequence[str]] = tuple,
     newest_backup: Callable[[], UnixTime | None] = lambda: None,
     archive_fault: Callable[[], Message | None] = lambda: None,
 ) -> dict[str, SiteCondition]:
@@ -45,18 +43,11 @@ def site_conditions(
             anchor() != AnchorStatus(since=anchor().since)
         ),
         "notification_failed": lambda: of_server.NOTIFICATION_FAILED.holds(failing_endpoints),
-        "store_unavailable": lambda: of_server.STORE_UNAVAILABLE.holds(store_is_away()),
-        "break_glass_used": lambda: _listed(break_glass()),
         "certificate_expiring": lambda: expiry.certificate,
         "token_expiring": lambda: expiry.token,
         "backup_overdue": lambda: of_server.BACKUP_OVERDUE.holds(newest_backup(), unix_now()),
         "events_not_archived": lambda: of_server.EVENTS_NOT_ARCHIVED.holds(archive_fault()),
     }
-
-
-def _listed(names: Sequence[str]) -> Message | bool:
-    """Names as one thing that an alarm is about."""
-    return listed([*names]) if of_server.BREAK_GLASS_USED.holds(names) else False
 
 
 class SiteAlarms:

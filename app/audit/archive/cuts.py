@@ -8,7 +8,7 @@ from typing import Any
 from app.audit.archive.cut import Cut
 from app.audit.proof.keyring import KeyRing
 from app.database import StoreConnection
-from app.database.engine import has_column
+from app.database.connection import has_column
 from bus.instants import UnixTime
 
 MAX_REMOVED = 200

@@ -22,7 +22,7 @@ from app.audit.proof.chain import (
 )
 from app.audit.proof.keys import Keys
 from app.database import StoreConnection
-from app.database.engine import lock, upsert
+from app.database.connection import upsert
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -45,7 +45,6 @@ _NO_ENTRY = (0, "", "", SITE, *[None] * 5)
 def append(connection: StoreConnection, entries: Sequence[Mapping[str, Any]], keys: Keys) -> list[int]:
     """Add entries without their ids; return the ids. Where a chain before them cannot be vouched for, an
     entry about that comes first."""
-    lock(connection, "events")
     end = _LogEnd(connection, keys)
     chains = [_chain_of(connection, entry) for entry in entries]
     if entries and end.is_first_use_of_key:

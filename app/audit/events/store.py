@@ -12,7 +12,7 @@ from app.audit.proof.chain import SITE, Head
 from app.audit.proof.keyring import KeyRing
 from app.audit.proof.walk import AuditVerification, Walk
 from app.database import StoreConnection
-from app.database.engine import json_member
+from app.database.connection import json_member
 from bus.instants import UnixTime
 
 LOWEST_ID = -(2**63)

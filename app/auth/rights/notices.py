@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from app.database import StoreConnection, engine
+from app.database import StoreConnection
+from app.database.connection import notify
 
 CHANNEL = "lineside_rights"
 Kind = Literal["changed", "kept", "signed-out"]
@@ -24,7 +25,7 @@ class RightsNotice(NamedTuple):
 
 def announce(connection: StoreConnection, notice: RightsNotice) -> None:
     """Pass a notice to every server, once this transaction is committed."""
-    engine.notify(connection, CHANNEL, f"{notice.kind} {notice.account}")
+    notify(connection, CHANNEL, f"{notice.kind} {notice.account}")
 
 
 def read(text: str) -> RightsNotice:

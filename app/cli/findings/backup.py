@@ -8,7 +8,7 @@ from app.cli.findings.machine import Finding, fault, is_read_only, may_make_file
 from app.cli.stores.backup_cipher import read_key
 from app.cli.stores.backup_store import space_needed
 from app.cli.stores.kept_events import FOLDER
-from app.database.sqlite.reserve import free_bytes
+from app.database.reserve import free_bytes
 from app.errors import StoreError
 from app.settings import Settings
 from bus.messages import Message

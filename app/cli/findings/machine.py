@@ -77,10 +77,12 @@ def existing_part(folder: Path) -> Path:
 
 def findings(settings: Settings) -> Iterator[Finding]:
     """Everything worth knowing of a configuration on this machine, in the order of the file."""
+    if keys := settings.ignored_keys:
+        yield Finding(Message.of("ignored_keys", keys=", ".join(keys)))
     yield _address(settings.server)
     yield from _encryption(settings.server)
     yield _data(settings.server.data)
-    yield _key(settings.key_files, None if settings.store.url else settings.server.store)
+    yield _key(settings.key_files, settings.server.store)
     yield _anchor(settings.anchor_file, is_configured=settings.audit.anchor is not None)
     yield from _archive(settings.audit.archive)
     if not settings.bus:

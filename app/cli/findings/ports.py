@@ -13,9 +13,6 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from app.cli.findings.machine import Finding, bus_refusal, fault
-from app.cli.site.home import is_held, known_homes
-from app.errors import StoreError
-from app.home.store import Beat
 from app.settings import Settings
 from bus.line.port.open_error import used_by, users_of
 from bus.messages import Message
@@ -38,7 +35,7 @@ def port_findings(settings: Settings, users: PortUsers, *, server_runs: bool) ->
     """Each port that the server uses. One that `lineside check` has refused already is not tried."""
     for bus in settings.bus:
         if bus.worker == "server" and bus_refusal(bus) is None:
-            yield _server(bus, settings, runs=server_runs) if "://" in bus.port else _device(bus, users)
+            yield _server(bus, runs=server_runs) if "://" in bus.port else _device(bus, users)
 
 
 def _device(bus: BusSettings, users: PortUsers) -> Finding:
@@ -51,26 +48,13 @@ def _device(bus: BusSettings, users: PortUsers) -> Finding:
     return _opened(bus, "live_port_opens")
 
 
-def _server(bus: BusSettings, settings: Settings, *, runs: bool) -> Finding:
+def _server(bus: BusSettings, *, runs: bool) -> Finding:
     place = {"bus": bus.name, "port": bus.port}
     if runs:
         return Finding(Message.of("live_port_of_server", **place))
     if is_connected_to(bus.port):
         return Finding(Message.of("live_port_connected", **place))
-    if settings.store.url:
-        try:
-            homes = known_homes(settings)
-        except StoreError:
-            return Finding(Message.of("live_port_of_unknown", **place))
-        if holder := _holder(bus.name, homes):
-            return Finding(Message.of("live_port_of_home", **place, server=holder))
     return _opened(bus, "live_port_connects")
-
-
-def _holder(bus: str, homes: Beat) -> str:
-    """The server that has the lease; empty where none has."""
-    row = homes.rows.get(bus)
-    return row.holder if row is not None and is_held(row, homes) else ""
 
 
 def _opened(bus: BusSettings, code: str) -> Finding:

@@ -9,10 +9,9 @@ from pathlib import Path
 from app.audit.proof.keys import find_key_file
 from app.cli.findings.machine import Finding, existing_part, fault, is_read_only, is_visible
 from app.cli.site.facts import size_of
-from app.database.opening import main_presence, refuse_newer, require_finished_database
-from app.database.presence import examining, presence_of, refusal_to_start
-from app.database.sqlite.migrating import is_store, is_unfinished
-from app.database.unfinished import refuse_unfinished
+from app.database.connection import examining
+from app.database.migration import is_store, refuse_newer, refuse_unfinished
+from app.database.presence import presence_of, refusal_to_start
 from app.errors import StoreError, TooCostlyError
 from app.history.intake.upkeep import DiskReserve, space
 from app.settings import STORE_FILE, Settings
@@ -31,13 +30,10 @@ def store_findings(settings: Settings) -> Iterator[Finding]:
     folder, main = settings.server.data, settings.server.store
     existing = existing_part(folder)
     yield from _disk(existing)
-    if settings.store.url:
-        yield _database(settings)
-        return
     try:
         stores = sorted({main, *folder.glob("*.db")}) if existing == folder else [main]
         key = find_key_file(settings.key_files)
-        refusal = refusal_to_start(str(main), presence_of(main), key, new=False)
+        refusal = refusal_to_start(main, presence_of(main), key, new=False)
     except (StoreError, OSError) as error:
         yield fault("check_store_refused", reason=_reason(error))
         return
@@ -46,19 +42,6 @@ def store_findings(settings: Settings) -> Iterator[Finding]:
     for store in stores:
         if is_visible(store) and not (refusal is not None and store == main):
             yield _store(store)
-
-
-def _database(settings: Settings) -> Finding:
-    try:
-        presence = main_presence(settings.store, settings.server.store)
-        require_finished_database(settings.store)
-    except StoreError as error:
-        return fault("check_store_refused", reason=error.message)
-    key = find_key_file(settings.key_files)
-    refusal = refusal_to_start(settings.store_name, presence, key, new=False)
-    if refusal is not None:
-        return fault("check_store_refused", reason=refusal)
-    return Finding(Message.of("check_database", path=settings.store_name))
 
 
 def _disk(folder: Path) -> Iterator[Finding]:
@@ -80,9 +63,9 @@ def _store(store: Path) -> Finding:
         with examining(store) as connection:
             end = monotonic_now() + MAX_EXAMINED_S
             connection.set_progress_handler(lambda: monotonic_now() > end, STEPS)
-            refuse_unfinished(str(store), has_ledger=is_unfinished(connection))
+            refuse_unfinished(connection, store)
             if store.name == STORE_FILE and is_store(connection):
-                refuse_newer(connection, str(store))
+                refuse_newer(connection, store)
             (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     except TooCostlyError:
         verdict = "ok"

@@ -108,22 +108,20 @@ async def _host(
     feed_url = url_of(*(feed or listening).getsockname()[:2])
     # Not by app.auth, which imports FastAPI: the workers begin before that takes its quarter of a second.
     tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus if bus.worker == "server"}
-    leased = bool(settings.store.url)
-    workers = WorkerProcesses(config, tokens, feed_url, leased=leased)
+    workers = WorkerProcesses(config, tokens, feed_url, leased=False)
     stopping, restart = _stop_requested(), asyncio.Event()
-    if not leased:
-        workers.start_all()
+    workers.start_all()
     try:
         with loading():
             if (module := await _server_module(stopping)) is None:
                 return False
             server = module.Server(
-                with_port(settings, port) if leased else settings,
+                settings,
                 demo,
                 tokens,
                 partial(_report_serving, url, manager),
                 feed,
-                workers if leased else None,
+                None,
             )
         workers.watch(server.worker_responds)
         server.each_second(module.Liveness(manager, server.services[module.Database], workers.are_kept).tick)

@@ -9,9 +9,10 @@ from app.audit.proof.keys import find_key_file
 from app.cli.serving.serve import check_store
 from app.cli.setup.rights import become_owner_of
 from app.cli.site.log import open_log, record
-from app.database.opening import main_presence, open_database
-from app.database.sqlite.copies import put_aside
-from app.database.sqlite.words import in_words
+from app.database import Database
+from app.database.migration import put_aside
+from app.database.presence import presence_of
+from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import Settings
 from bus.messages import Message
@@ -27,7 +28,7 @@ def begin_new_site(settings: Settings) -> None:
         raise StoreError(Message.of("anchor_of_former_site", path=str(settings.audit.anchor)))
     become_owner_of(settings.server.data)
     store, key = settings.server.store, find_key_file(settings.key_files)
-    presence = main_presence(settings.store, store)
+    presence = presence_of(store)
     with in_words(store):
         if presence == "damaged":
             put_aside(store)
@@ -35,6 +36,6 @@ def begin_new_site(settings: Settings) -> None:
             # Two stores cannot share a key file: it states how far the log of its store was.
             stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
             key.rename(key.with_name(f"{key.name}.before-{stamp}"))
-    with closing(open_database(settings.store, store)) as database:
+    with closing(Database(store)) as database:
         what = Message.of("event_site_begun", store=Message(f"store_was_{presence}"))
         record(open_log(database, settings.key_files), "server", what)

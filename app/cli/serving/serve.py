@@ -12,12 +12,11 @@ import click
 
 from app.audit.proof.keys import find_key_file
 from app.cli.config_option import LINESIDE_TOML, Config
-from app.cli.ending import complain
+from app.cli.ending import complain, report
 from app.cli.options import Option
 from app.cli.serving.listening import listen
 from app.cli.setup.service_unit import WRONG_CONFIGURATION
-from app.database.opening import main_presence
-from app.database.presence import refusal_to_start
+from app.database.presence import presence_of, refusal_to_start
 from app.errors import StoreError
 from app.server.service_manager import ServiceManager
 from app.settings import Settings, load
@@ -37,12 +36,10 @@ def serve(
     manager = ServiceManager()
     with configuration_refused(manager):
         settings = load(config)
+    if keys := settings.ignored_keys:
+        report(Message.of("ignored_keys", keys=", ".join(keys)), err=True)
     choose = Message.of("choose_port_configured", file=str(config))
     with listen(settings.server.host, settings.server.port, choose) as port:
-        if settings.store.url:
-            from app.cli.serving.awaiting import await_database
-
-            await_database(settings, port, manager)
         check_store(settings, new=new)
         from app.cli.serving.hosting import host
 
@@ -73,7 +70,7 @@ def configuration_refused(manager: ServiceManager) -> Iterator[None]:
 def check_store(settings: Settings, *, new: bool = False) -> None:
     """Raises StoreError where the main store is missing, empty or damaged and no first start explains that;
     with ``new`` where one is there."""
-    presence = main_presence(settings.store, settings.server.store)
-    refusal = refusal_to_start(settings.store_name, presence, find_key_file(settings.key_files), new=new)
+    store = settings.server.store
+    refusal = refusal_to_start(store, presence_of(store), find_key_file(settings.key_files), new=new)
     if refusal is not None:
         raise StoreError(refusal)

@@ -23,8 +23,8 @@ from app.cli.options import AsJson, CommandGroup, Option
 from app.cli.serving.serve import check_store
 from app.cli.site.log import record, site_log
 from app.cli.site.reading import has_store
-from app.database.opening import examining_main
-from app.database.sqlite.words import in_words
+from app.database.connection import examining
+from app.database.words import in_words
 from app.errors import StoreError
 from app.handover.signing.signatures import missing_signatures
 from app.settings import Settings, load
@@ -82,10 +82,10 @@ def _verdict(
 ) -> tuple[AuditVerification, Anchors, ArchiveProof]:
     """Verify the files as they are: nothing is migrated, nothing is written."""
     check_store(settings)
-    file = None if settings.store.url else settings.server.store
+    file = settings.server.store
     if not has_store(settings):
-        raise StoreError(Message.of("store_missing", path=settings.store_name))
-    with examining_main(settings.store, settings.server.store) as connection:
+        raise StoreError(Message.of("store_missing", path=str(settings.server.store)))
+    with examining(settings.server.store) as connection:
         ring = _ring(settings.key_files, file, heads_of(connection))
         anchors = _anchors(settings, anchor, ring)
         beside_key = read_key_anchor(find_key_file(settings.key_files), ring)

@@ -13,9 +13,9 @@ from app.backup.schedule import next_due
 from app.backup.service import newest_in
 from app.cli.findings.machine import existing_part
 from app.cli.stores.backup_archive import STORES
-from app.database.presence import examining
-from app.database.sqlite.copies import COMPANIONS
-from app.database.sqlite.reserve import free_bytes
+from app.database.connection import examining
+from app.database.migration import COMPANIONS
+from app.database.reserve import free_bytes
 from app.errors import StoreError
 from app.history.query.forecast import MAX_DAYS, days_left, growth_of_events, growth_of_history
 from app.history.series.runs import micros
@@ -61,7 +61,7 @@ def disk_facts(settings: Settings, now: UnixTime) -> DiskFacts:
     data = settings.server.data
     stores = {name: size for name in STORES if (size := size_of(data / name))}
     free = free_bytes(existing_part(data))
-    days = None if settings.store.url else _forecast(settings, stores, free, now)
+    days = _forecast(settings, stores, free, now)
     return DiskFacts(stores, free, days)
 
 

@@ -17,7 +17,6 @@ from app.cli.options import Argument, AsJson, CommandGroup, Option
 from app.cli.setup.rights import become_owner_of
 from app.cli.site.reading import has_store, reading_site
 from app.database import Database
-from app.database.opening import open_database
 from app.home.lease import HomeRow
 from app.home.store import Beat, read_homes, request_home
 from app.settings import Settings, load
@@ -41,7 +40,7 @@ def show(
     """Show which server is the home of each bus, its epoch, and until when."""
     settings = load(config)
     beat = known_homes(settings)
-    found = [_shown(bus.name, beat, is_shared=bool(settings.store.url)) for bus in settings.bus]
+    found = [_shown(bus.name, beat, is_shared=False) for bus in settings.bus]
     if as_json:
         click.echo(json.dumps({"homes": found}))
         return
@@ -62,11 +61,11 @@ def take(
     first make sure that a holder that does not respond is off or its cable is unplugged."""
     settings = load(config)
     _check(settings, bus, reason)
-    if not settings.store.url:
+    if True:
         report(Message.of("home_is_only_server", bus=bus))
         return
     become_owner_of(settings.server.data)
-    with closing(open_database(settings.store, settings.server.store)) as database:
+    with closing(Database(settings.server.store)) as database:
         epoch = _take(settings, database, bus, reason.strip())
     report(Message.of("home_was_taken", bus=bus, server=settings.server.id, epoch=epoch))
 

@@ -15,7 +15,6 @@ from app.audit.proof.keys import open_keys
 from app.cli.serving.serve import check_store
 from app.cli.setup.rights import become_owner_of
 from app.database import Database
-from app.database.opening import open_database
 from app.database.private import make_private
 from app.settings import Settings
 from app.web.admission.access import Person, Role
@@ -40,7 +39,7 @@ def record(events: EventLog, kind: EventKind, what: Message, message: str | Mess
 
 def open_log(database: Database, key_files: Sequence[Path]) -> EventLog:
     """The event log of a store, with its keys. Raises KeyFileError."""
-    return EventLog(database, keys=open_keys(key_files, database.file, database.read_now(heads_of)))
+    return EventLog(database, keys=open_keys(key_files, database.path, database.read_now(heads_of)))
 
 
 @contextmanager
@@ -49,5 +48,5 @@ def site_log(settings: Settings) -> Iterator[tuple[Database, EventLog]]:
     become_owner_of(settings.server.data)
     check_store(settings)
     make_private(settings.server.data)
-    with closing(open_database(settings.store, settings.server.store, checkpoints=False)) as database:
+    with closing(Database(settings.server.store, checkpoints=False)) as database:
         yield database, open_log(database, settings.key_files)

@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from app.cli.serving.serve import check_store
-from app.database.opening import examining_main, main_presence, require_version
-from app.database.store_connection import StoreConnection
+from app.database import StoreConnection
+from app.database.connection import examining
+from app.database.migration import require_version
+from app.database.presence import presence_of
 from app.errors import StoreError
 from app.settings import Settings
 from bus.messages import Message
@@ -15,7 +17,7 @@ from bus.messages import Message
 
 def has_store(settings: Settings) -> bool:
     """Whether the site has a main store. Raises StoreError."""
-    return main_presence(settings.store, settings.server.store) not in ("missing", "vacant")
+    return presence_of(settings.server.store) != "missing"
 
 
 @contextmanager
@@ -24,7 +26,7 @@ def reading_site(settings: Settings) -> Iterator[StoreConnection]:
     also for one of another version."""
     check_store(settings)
     if not has_store(settings):
-        raise StoreError(Message.of("store_missing", path=settings.store_name))
-    with examining_main(settings.store, settings.server.store) as connection:
-        require_version(connection, settings.store_name)
+        raise StoreError(Message.of("store_missing", path=str(settings.server.store)))
+    with examining(settings.server.store) as connection:
+        require_version(connection, settings.server.store)
         yield connection

@@ -15,8 +15,7 @@ from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.options import AsJson, Option
 from app.cli.site.reading import reading_site
 from app.database import StoreConnection
-from app.database.engine import snapshot
-from app.database.opening import examining_main
+from app.database.connection import examining, snapshot
 from app.handover.rules.scope import EVERYTHING
 from app.handover.rules.shift_times import Shift, shift_at, site_time
 from app.handover.signing.signatures import signed_between
@@ -80,9 +79,9 @@ def report(
 
 def _history(settings: Settings, opened: ExitStack) -> StoreConnection | None:
     file = settings.server.data / HISTORY
-    if not settings.store.url and not file.exists():
+    if not file.exists():
         return None
-    return opened.enter_context(examining_main(settings.store, file, file.stem))
+    return opened.enter_context(examining(file))
 
 
 def _figures(

@@ -52,7 +52,7 @@ def status(
         degraded = [{"code": fault.code, "since": None, "message": str(fault)}]
     facts = site_facts(settings, unix_now())
     if as_json:
-        shown = {"serving": serves, "url": url, "store": settings.store_name, "buses": buses}
+        shown = {"serving": serves, "url": url, "store": str(settings.server.store), "buses": buses}
         click.echo(json.dumps({**shown, "degraded": degraded, **facts_json(settings, facts)}))
     else:
         code = "dashboard_serves" if serves else "dashboard_is_off"

@@ -46,10 +46,10 @@ def site_facts(settings: Settings, now: UnixTime) -> SiteFacts:
 
 def facts_lines(settings: Settings, facts: SiteFacts) -> Iterator[Message]:
     """One line for each fact."""
-    yield Message.of("dashboard_store", path=settings.store_name)
+    yield Message.of("dashboard_store", path=str(settings.server.store))
     for name, size in facts.disk.stores.items():
         yield Message.of("status_store", name=name, size=number(f"{size / MB:.1f}"))
-    yield _disk_line(facts.disk, in_files=not settings.store.url)
+    yield _disk_line(facts.disk)
     for each in facts.certificates:
         if each.ends_at is None:
             yield Message.of("status_certificate_unreadable", file=each.file)
@@ -86,10 +86,8 @@ def facts_json(settings: Settings, facts: SiteFacts) -> dict[str, Any]:
     }
 
 
-def _disk_line(disk: DiskFacts, *, in_files: bool) -> Message:
+def _disk_line(disk: DiskFacts) -> Message:
     free = number(f"{disk.free / GB:.1f}")
-    if not in_files:
-        return Message.of("status_disk_free", free=free)
     if disk.days is None:
         return Message.of("status_disk_unknown", free=free)
     code = "status_disk_long" if disk.days >= MAX_DAYS else "status_disk"

@@ -27,10 +27,10 @@ from app.cli.findings.service import service_findings
 from app.cli.findings.stores import store_findings
 from app.cli.options import Option
 from app.cli.setup.service_unit import UNIT_FILE
-from app.database.presence import examining
+from app.database.connection import examining
 from app.database.private import fresh_file
-from app.database.sqlite.reserve import free_bytes
-from app.database.sqlite.words import in_words
+from app.database.reserve import free_bytes
+from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import Settings, load
 from app.version import VERSION
@@ -143,7 +143,7 @@ def _files(settings: Settings) -> dict[str, Any]:
 
 def _events(settings: Settings) -> list[dict[str, Any]] | str:
     store = settings.server.store
-    if settings.store.url or not store.exists():
+    if not store.exists():
         return "no store in files"
     try:
         with examining(store) as connection:

@@ -1,1 +1,1 @@
-"""Stores as files: copied, restored, moved to another engine."""
+"""Stores as files: copied, restored."""

@@ -26,7 +26,7 @@ from app.audit.archive.file import digest_of
 from app.cli.stores.backup_files import ENCRYPTED, IN_CLEAR, MAX_BYTES
 from app.cli.stores.kept_events import FOLDER, copy_file, is_kept, kept_file
 from app.database.private import FILE_MODE
-from app.database.sqlite.reserve import free_bytes
+from app.database.reserve import free_bytes
 from app.errors import StoreError
 from app.handover.notes.pictures import FILE as PICTURES
 from app.history.service import FILE as HISTORY

@@ -28,12 +28,11 @@ from app.cli.options import Argument, AsJson, Option
 from app.cli.stores.backup_archive import MANIFEST, STORES, open_archive
 from app.cli.stores.backup_files import SiteFiles, files_of
 from app.cli.stores.kept_events import FOLDER, keep, remove_others, shared_folder
-from app.database.opening import require_files
+from app.database.connection import open_for_reading
+from app.database.migration import COMPANIONS
 from app.database.private import make_file, sync_folder, write_file
-from app.database.sqlite.connection import open_for_reading
-from app.database.sqlite.copies import COMPANIONS
-from app.database.sqlite.reserve import free_bytes
-from app.database.sqlite.words import in_words
+from app.database.reserve import free_bytes
+from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import STORE_FILE, load
 from app.version import VERSION
@@ -60,7 +59,6 @@ def backup_store(
     dashboard runs, with the archived events, the configuration and its versions; with [backup] key_file also,
     encrypted, the key of the audit log, certificates and files of passwords."""
     settings = load(config)
-    require_files(settings.store, "pg_dump")
     files = files_of(settings)
     done = write_backup(settings.server.data, file, files, settings.audit.archive, share=share_events)
     if as_json:

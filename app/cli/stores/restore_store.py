@@ -29,14 +29,11 @@ from app.cli.stores.backup_files import place_files
 from app.cli.stores.backup_store import fault_of
 from app.cli.stores.kept_events import FOLDER
 from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
-from app.database import SqliteDatabase, StoreConnection
-from app.database.opening import require_files
-from app.database.presence import examining
+from app.database import Database, StoreConnection
+from app.database.connection import examining, open_for_reading
+from app.database.migration import COMPANIONS, is_store
 from app.database.private import make_private, refuse_link
-from app.database.sqlite.connection import open_for_reading
-from app.database.sqlite.copies import COMPANIONS
-from app.database.sqlite.migrating import is_store
-from app.database.sqlite.words import in_words
+from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import STORE_FILE, load
 from bus.messages import Message, joined
@@ -70,7 +67,6 @@ def restore_store(
             report(Message.of("backup_file_placed", path=str(path)))
         return
     settings = load(config)
-    require_files(settings.store, "pg_restore")
     server = settings.server
     anchor = settings.audit.anchor
 
@@ -256,7 +252,7 @@ def make_ready(
         keep_in_force(connection, standing.protection)
         return withhold(connection, standing.rights, keep_tokens=keep_tokens)
 
-    with closing(SqliteDatabase(fresh)) as database:
+    with closing(Database(fresh)) as database:
         events = open_log(database, key_files)
         withheld = database.write_now(bring_in)
         replaced = [] if standing is None else _replaced(standing.heads)

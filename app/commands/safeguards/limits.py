@@ -11,7 +11,7 @@ from dataclasses import astuple, dataclass
 from typing import Any
 
 from app.database import Database, StoreConnection
-from app.database.engine import upsert
+from app.database.connection import upsert
 from app.web.admission.access import account_shown
 from bus.instants import UnixTime
 from bus.messages import Message, listed, term

@@ -7,7 +7,7 @@ import math
 from dataclasses import astuple, dataclass
 
 from app.database import Database
-from app.database.engine import upsert
+from app.database.connection import upsert
 from app.web.admission.access import account_shown
 from bus.instants import Monotonic, UnixTime
 from bus.messages import Message

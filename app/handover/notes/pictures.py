@@ -10,9 +10,7 @@ from pathlib import Path
 import structlog
 
 from app.database import Database, StoreConnection
-from app.database.engine import size_of
-from app.database.opening import open_database
-from app.database.settings import StoreSettings
+from app.database.connection import size_of
 from app.errors import Problem, StoreError
 from app.handover.rules.pictures import PlainPicture, plain_picture
 from bus.messages import Message
@@ -40,9 +38,8 @@ def judged(contents: Sequence[bytes]) -> dict[str, PlainPicture]:
 class PictureStore:
     """The store is opened with the first picture: most sites have none."""
 
-    def __init__(self, folder: Path, max_mb: int, store: StoreSettings) -> None:
+    def __init__(self, folder: Path, max_mb: int) -> None:
         self._path = folder / FILE
-        self._store = store
         self._max_mb = max_mb
         self._opening = asyncio.Lock()
         self._database: Database | None = None
@@ -65,7 +62,7 @@ class PictureStore:
         damaged."""
         query = "SELECT media_type, content FROM picture WHERE digest = ?"
         row = None
-        if self._store.url or self._path.exists():
+        if self._path.exists():
             database = await self._opened()
             row = await database.read(lambda store: store.execute(query, (digest,)).fetchone())
         if row is None or hashlib.sha256(row["content"]).hexdigest() != digest:
@@ -91,5 +88,5 @@ class PictureStore:
     async def _opened(self) -> Database:
         async with self._opening:
             if self._database is None:
-                self._database = await asyncio.to_thread(open_database, self._store, self._path, MIGRATIONS)
+                self._database = await asyncio.to_thread(Database, self._path, MIGRATIONS)
             return self._database

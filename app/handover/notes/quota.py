@@ -7,7 +7,7 @@ from functools import partial
 from math import ceil
 from pathlib import Path
 
-from app.database.sqlite.reserve import MIN_FREE_OF_OTHERS, free_bytes
+from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
 from app.errors import Problem
 from app.handover.rules.shift_times import Shift
 from app.web.admission.rate_limit import RateLimit

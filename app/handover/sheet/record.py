@@ -16,7 +16,7 @@ from app.audit.events import store
 from app.audit.events.store import Filter
 from app.audit.log import Event
 from app.database import StoreConnection
-from app.database.engine import json_member
+from app.database.connection import json_member
 from app.handover.rules.scope import EVERYTHING, Scope
 from app.handover.rules.shift_times import Shift
 from bus.instants import UnixTime

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from app.audit.events import store
 from app.database import StoreConnection
-from app.database.engine import has_column, json_member
+from app.database.connection import has_column, json_member
 from app.errors import Problem
 from app.handover.rules.shift_times import Shift, site_time
 from app.web.api.shape import InstantObject, iso

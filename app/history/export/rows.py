@@ -13,7 +13,7 @@ from functools import partial
 from itertools import groupby
 from typing import Literal, NamedTuple
 
-from app.database.engine import snapshot
+from app.database.connection import snapshot
 from app.history.intake.tail import Tail
 from app.history.query import unit_history
 from app.history.query.query import Resolution, SeriesQuery, scale_of

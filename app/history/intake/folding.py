@@ -39,7 +39,6 @@ def next_to_fold(folding: Iterable[Minute], tail: Tail) -> list[Minute]:
 def fold_minutes(connection: tables.StoreConnection, tail: Tail, keys: Sequence[Minute]) -> None:
     """These minutes of a tail into their blocks, without what was given up for its age. Raises
     DamagedBlock."""
-    tables.lock_units(connection, (unit for unit, _ in keys))
     given_up = tables.raw_from(connection)
     of_minute: dict[int, dict[int, list[PlainRun]]] = {}
     for unit, minute in keys:
@@ -69,7 +68,6 @@ def fold(connection: tables.StoreConnection, minute: int, by_unit: _Runs) -> Non
 
 def compact(connection: tables.StoreConnection, unit: int, hour: int) -> None:
     """The minutes of one unit and hour as one block, with its rollups: fewer rows, and better packed."""
-    tables.lock_units(connection, [unit])
     table: Sequence[Sequence[int]] = tables.raw_columns(connection, unit, hour, hour + HOUR)
     if table and not are_apart(table):
         table = list(zip(*merge_plain((), zip(*table, strict=True)), strict=True))

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 
 from app.database import Database
 from app.history.intake.folding import Minute, fold_minutes, next_to_fold
-from app.history.intake.share import COMPLETE, StoreShare
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery, Intake, Taken
-from app.history.series.runs import MINUTE, SECOND, Run
+from app.history.series.runs import MINUTE, SECOND
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
 from app.history.store.inspection import FoundDamage, set_aside
@@ -31,12 +30,8 @@ _LOOK_EVERY = 64
 class Recorder:
     """Writes deliveries into the journal and the tail, and completed minutes and hours into blocks."""
 
-    def __init__(
-        self, database: Database, tail: Tail, on_damage: FoundDamage, share: StoreShare = COMPLETE
-    ) -> None:
+    def __init__(self, database: Database, tail: Tail, on_damage: FoundDamage) -> None:
         self._database = database
-        self._share = share
-        self._journal = 0
         self._on_damage = on_damage
         self._tail = tail
         self._intake = Intake()
@@ -47,9 +42,7 @@ class Recorder:
     def replay(self) -> None:
         """Load the journal into the tail; damaged parts are left out and reported."""
         self._tail.clear()
-        if not self._share.is_complete:
-            self._journal = self._database.write_now(lambda c: tables.journal_of(c, self._share.server))
-        read = self._database.read_now(lambda c: list(tables.read_journal(c, self._journal)))
+        read = self._database.read_now(lambda c: list(tables.read_journal(c)))
         journal = [rows for rows in read if rows is not None]
         if len(journal) < len(read):
             self._on_damage(Message("event_history_tail_damaged"))
@@ -60,38 +53,13 @@ class Recorder:
             self._tail.add(rows)
         self._tail.interrupt()
 
-    def adopt(self, bus: str) -> None:
-        """Fold what the journals of other servers hold of a bus whose home is here now. They keep it: to fold
-        it again changes nothing."""
-
-        def read(connection: tables.StoreConnection) -> list[tuple[int, Run]]:
-            units = set(tables.units_of(connection, bus))
-            journals = tables.read_other_journals(connection, self._journal)
-            return [row for rows in journals for row in rows or () if row[0] in units]
-
-        left, rows = Tail(), self._database.read_now(read)
-        if rows:
-            oldest = min(run.at for _, run in rows)
-            left.mark_lost(self._database.read_now(lambda c: tables.marks_since(c, oldest)))
-        left.add(rows)
-        minutes = deque(left.over(current=-1))
-        while minutes:
-            keys = next_to_fold(minutes, left)
-            try:
-                self._database.write_now(lambda c, keys=keys: fold_minutes(c, left, keys))  # type: ignore[misc]
-            except DamagedBlock as found:
-                set_aside(self._database, found.block, self._on_damage)
-                continue
-            for _ in keys:
-                minutes.popleft()
-
     def commit(self, deliveries: Sequence[Delivery]) -> None:
         """Write deliveries to the disk, then to the tail. Raises StoreError; then nothing is stored."""
 
         def write(connection: tables.StoreConnection) -> Taken:
             taken = self._intake.take(connection, deliveries)
             if taken.rows:
-                tables.write_journal(connection, taken.rows, self._journal)
+                tables.write_journal(connection, taken.rows)
             return taken
 
         try:
@@ -130,7 +98,7 @@ class Recorder:
             fold_minutes(connection, self._tail, keys)
             if is_last:
                 # The rest, which is in no block yet, is written again.
-                tables.write_journal_again(connection, self._tail.everything(without=done), self._journal)
+                tables.write_journal_again(connection, self._tail.everything(without=done))
 
         try:
             self._database.write_now(write)

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from app.database import Database
-from app.database.sqlite.reserve import MIN_FREE_OF_OTHERS, free_bytes
+from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
 from app.history.intake.folding import compact
-from app.history.intake.share import COMPLETE, StoreShare
 from app.history.series.runs import DAY, HOUR, MINUTE
 from app.history.settings import HistorySettings
 from app.history.status import StoreState
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
 from app.history.store.inspection import FoundDamage, set_aside
-from app.home.lease import SITE
 from bus.instants import Monotonic, monotonic_now
 
 _MB = 1_000_000
@@ -60,10 +58,8 @@ class Upkeep:
         kept: HistorySettings,
         reserve: DiskReserve,
         on_damage: FoundDamage,
-        share: StoreShare = COMPLETE,
     ) -> None:
         self._database = database
-        self._share = share
         self._kept = kept
         self._reserve = reserve
         self._on_damage = on_damage
@@ -76,10 +72,8 @@ class Upkeep:
         self._database.write_now(lambda c: tables.correct_raw_from(c, now))
 
     def look(self) -> tuple[int, StoreState]:
-        """Free bytes where the store is, and what they mean; 0 bytes on a database server."""
-        if self._database.file is None:
-            return 0, "ok"
-        free = free_bytes(self._database.file.parent)
+        """Free bytes where the store is, and what they mean."""
+        free = free_bytes(self._database.path.parent)
         return free, space(free, self._reserve)
 
     def compact(self, now: int, deadline: Monotonic) -> None:
@@ -87,9 +81,8 @@ class Upkeep:
         before = now - now % HOUR
         if now - before < LATE:
             before -= HOUR
-        buses = None if self._share.is_complete else self._share.here()
         while monotonic_now() < deadline:
-            found = self._database.read_now(lambda c: tables.next_to_compact(c, before, buses))
+            found = self._database.read_now(lambda c: tables.next_to_compact(c, before))
             if found is None:
                 return
             try:
@@ -99,7 +92,7 @@ class Upkeep:
 
     def give_up_old(self, now: int) -> None:
         """Choose the readings past their retention; :meth:`sweep` then deletes them."""
-        if monotonic_now() < self._settled_at or not self._share.is_home(SITE):
+        if monotonic_now() < self._settled_at:
             return
         horizon = now - self._kept.raw_days * DAY
         self._give_up_before(horizon - horizon % HOUR)
@@ -114,9 +107,6 @@ class Upkeep:
 
     def sweep(self, deadline: Monotonic) -> None:
         """Take away what was given up, until ``deadline`` (monotonic seconds)."""
-        if not self._share.is_home(SITE):
-            self._to_sweep = True
-            return
         while self._to_sweep and monotonic_now() < deadline:
             dropped = self._database.write_now(lambda c: tables.drop_raw(c, tables.raw_from(c), MAX_DROPPED))
             self._to_sweep = dropped == MAX_DROPPED

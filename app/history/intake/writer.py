@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import replace
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -15,20 +15,16 @@ import structlog
 
 from app.audit.events.kinds import EventKind
 from app.database import Database
-from app.database.engine import size_of
+from app.database.connection import size_of
+from app.database.migration import put_aside
 from app.database.presence import proves_intact
-from app.database.settings import IN_FILES, StoreSettings
-from app.database.sqlite.copies import put_aside
-from app.database.sqlite.reserve import free_bytes
+from app.database.reserve import free_bytes
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.history.intake.clock_watch import ClockWatch
-from app.history.intake.database_outage import DatabaseOutage
-from app.history.intake.opening import Opening, OpenStore
 from app.history.intake.recorder import Recorder
-from app.history.intake.share import COMPLETE, StoreShare
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
-from app.history.intake.upkeep import DiskReserve, space
+from app.history.intake.upkeep import DiskReserve, Upkeep, space
 from app.history.series.runs import DAY, SECOND, micros
 from app.history.settings import HistorySettings
 from app.history.status import NOTICES, HistoryStatus, StoreState, damage_message, store_message
@@ -45,10 +41,7 @@ BUSY_S = 0.2
 """How long folding, and then upkeep, may take between two commits."""
 END_S = 1.0
 """How long folding may take at the end; the rest stays in the journal."""
-FOLLOW_S = 0.1
-"""How long what was spooled is stored between two commits."""
 RETRY_S = 10.0
-RECONNECT_S = 2.0
 LOOK_EVERY_S = 5.0
 GIVE_UP_EVERY_S = 600.0
 MAX_WAITING = 500_000
@@ -60,9 +53,19 @@ REPLACE_EVERY_S = 86_400.0
 SHOWN_FOR = 7 * DAY
 """How long damage is shown on the pages; in the events it stays."""
 
+MIGRATIONS = Path(__file__).parents[1] / "migrations"
 log = structlog.get_logger()
 OnFault = Callable[[EventKind, Message], None]
 """Called from the writer's thread with the kind of event that it becomes."""
+
+
+@dataclass(slots=True)
+class OpenStore:
+    """The store, and what writes into it."""
+
+    database: Database
+    recorder: Recorder
+    upkeep: Upkeep
 
 
 class Writer:
@@ -74,15 +77,9 @@ class Writer:
         kept: HistorySettings,
         on_fault: OnFault,
         reserve: DiskReserve | None = None,
-        store: StoreSettings = IN_FILES,
-        share: StoreShare = COMPLETE,
-        outage: DatabaseOutage | None = None,
     ) -> None:
-        """``outage``: where the store is a database that can be away."""
         self._path = path
-        self._outage = outage
-        self._is_repeated = False
-        self._to_adopt: deque[str] = deque()
+        self._kept = kept
         self._reserve = reserve or DiskReserve()
         self._on_fault = on_fault
         self._on_damage: FoundDamage = partial(on_fault, "server")
@@ -90,7 +87,6 @@ class Writer:
         self._torn = False
         self._replaced_at = Monotonic(-math.inf)
         self.tail = Tail()
-        self._opening = Opening(path, store, kept, self._reserve, share, outage, self.tail, self._on_damage)
         self._queue: deque[Delivery] = deque()
         self._waiting = 0
         self._taken = 0
@@ -130,19 +126,14 @@ class Writer:
         """Blocks that a reader could not read; any thread calls it."""
         self._reported.extend(damaged)
 
-    def adopt(self, bus: str) -> None:
-        """Store what another server left unfinished of a bus whose home is here now; any thread calls it."""
-        self._to_adopt.append(bus)
-
     def report_torn(self) -> None:
         """A reader met pages that SQLite cannot follow; any thread calls it."""
         self._torn = True
 
     @property
     def status(self) -> HistoryStatus:
-        status = self._status if self._outage is None else self._outage.with_spool(self._status)
-        message = status.message or damage_message(status, iso)
-        return replace(status, message=message, waiting=self._waiting - self._taken, lost=self._lost)
+        message = self._status.message or damage_message(self._status, iso)
+        return replace(self._status, message=message, waiting=self._waiting - self._taken, lost=self._lost)
 
     @property
     def database(self) -> Database:
@@ -179,12 +170,12 @@ class Writer:
 
     def _tick(self) -> None:
         self._watch_clock()
-        if self._torn and self._outage is None and not self._ending.is_set():
+        if self._torn and not self._ending.is_set():
             self._replace_store()
         if not self._writable:
-            self._spool_waiting()
-            if monotonic_now() < self._retry_at or not self._reopen():
+            if monotonic_now() < self._retry_at:
                 return
+            self._open_store()
         self._watch_disk()
         if self._space == "paused":
             # Nothing is written, and what was given up goes back to the disk.
@@ -200,54 +191,27 @@ class Writer:
         with suppress(IndexError):
             set_aside(opened.database, self._reported.popleft(), self._on_damage)
         now = micros(unix_now())
-        with suppress(IndexError):
-            opened.recorder.adopt(self._to_adopt[0])
-            self._to_adopt.popleft()
         opened.recorder.fold(now, monotonic_now() + BUSY_S)
         deadline = monotonic_now() + BUSY_S
         opened.upkeep.sweep(deadline)
-        if self._outage is not None:
-            self._outage.follow(monotonic_now() + FOLLOW_S)
-        if self._outage is None or not self._outage.is_following:
-            if self._status.state == "following":
-                self._look_at = Monotonic(0.0)
-            opened.upkeep.compact(now, deadline)
+        opened.upkeep.compact(now, deadline)
         if monotonic_now() >= self._give_up_at:
             self._give_up_at = monotonic_now() + GIVE_UP_EVERY_S
             opened.upkeep.give_up_old(now)
 
     def _commit(self, recorder: Recorder) -> None:
-        with self._taking() as deliveries:
-            if deliveries:
-                recorder.commit(deliveries)
-
-    @contextmanager
-    def _taking(self) -> Iterator[list[Delivery]]:
-        """What waits is taken where the block ends, and goes on waiting where it raises."""
+        """Write what waits. It goes on waiting where that fails."""
         deliveries: list[Delivery] = []
         with suppress(IndexError):
             for _ in range(len(self._queue)):
                 deliveries.append(self._queue.popleft())
         try:
-            yield deliveries
+            if deliveries:
+                recorder.commit(deliveries)
         except BaseException:
             self._queue.extendleft(reversed(deliveries))
-            self._is_repeated = bool(deliveries)
             raise
-        self._is_repeated = self._is_repeated and not deliveries
         self._taken += sum(len(updates) for _, updates in deliveries)
-
-    def _spool_waiting(self) -> None:
-        if self._outage is None:
-            return
-        self._outage.begin()
-        try:
-            with self._taking() as deliveries:
-                self._outage.keep(deliveries, is_repeated=self._is_repeated)
-        except OSError as error:
-            self._set_state("failed", system_error(error))
-        else:
-            self._set_state("spooling", self._status.cause)
 
     def _end(self) -> None:
         try:
@@ -255,30 +219,24 @@ class Writer:
                 self._commit(self._open.recorder)
                 self._open.recorder.fold_everything(monotonic_now() + END_S)
         finally:
-            if self._queue:
-                self._spool_waiting()
-            if self._opening.pending is not None and self._open is None:
-                with suppress(StoreError):
-                    self._open = self._opening.pending.result()
             if self._open is not None:
                 self._open.database.close()
 
     def _open_store(self) -> None:
-        self._use(self._opening.open(self._open))
-
-    def _reopen(self) -> bool:
-        """Whether the store could be opened. While a database is waited for, readings go to the disk."""
-        opened = self._opening.open_aside(self._open) if self._outage else self._opening.open(self._open)
-        if opened is not None:
-            self._use(opened)
-        return opened is not None
-
-    def _use(self, opened: OpenStore) -> None:
-        before, self._open = self._open, opened
+        """Open the store, with its journal in the tail. Raises StoreError."""
+        database = Database(self._path, MIGRATIONS)
+        recorder = Recorder(database, self.tail, self._on_damage)
+        try:
+            # The first row shows whether the store can be written.
+            database.write_now(lambda c: tables.correct_raw_from(c, micros(unix_now())))
+            recorder.replay()
+        except BaseException:
+            database.close()
+            raise
+        upkeep = Upkeep(database, self._kept, self._reserve, self._on_damage)
+        before, self._open = self._open, OpenStore(database, recorder, upkeep)
         self._writable, self._look_at = True, Monotonic(0.0)
-        if self._outage is not None:
-            self._outage.end()
-        if before is not None and before.database is not opened.database:
+        if before is not None:
             before.database.close()
 
     def _replace_store(self) -> None:
@@ -303,10 +261,7 @@ class Writer:
     def _fail(self, cause: Message) -> None:
         """Stored history can still be read, until the store is opened again."""
         self._writable = False
-        self._retry_at = monotonic_now() + (RETRY_S if self._outage is None else RECONNECT_S)
-        if self._outage is not None:
-            self._set_state("spooling", cause)
-            return
+        self._retry_at = monotonic_now() + RETRY_S
         is_full = False
         with suppress(OSError):
             free = free_bytes(self._path.parent)
@@ -333,8 +288,7 @@ class Writer:
         read, lately = opened.database.read_now, micros(unix_now()) - SHOWN_FOR
         oldest = read(tables.oldest_raw)
         replaced = read(lambda c: tables.replaced_since(c, lately))
-        is_following = self._outage is not None and self._outage.is_following
-        self._set_state("following" if is_following else self._space)
+        self._set_state(self._space)
         self._status = replace(
             self._status,
             free_bytes=free,

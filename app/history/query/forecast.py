@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from app.audit.archive.cuts import cuts_of
 from app.database import StoreConnection
-from app.database.sqlite.reserve import MIN_FREE_OF_OTHERS
+from app.database.reserve import MIN_FREE_OF_OTHERS
 from app.history.series.runs import DAY, HOUR
 
 MAX_DAYS = 3650.0

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from app.database.engine import snapshot
+from app.database.connection import snapshot
 from app.history.intake.tail import Tail
 from app.history.query import unit_history
 from app.history.series import draw

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from itertools import chain
 
 from app.history.intake.tail import Tail
 from app.history.query.query import SeriesQuery, has_raw, scale_of
@@ -58,7 +57,7 @@ class _Speeds:
 def stored_tail(connection: tables.StoreConnection) -> Tail:
     """The readings of minutes that are not over, as a server would load them; nothing is changed."""
     tail = Tail()
-    for rows in chain(tables.read_journal(connection), tables.read_other_journals(connection, 0)):
+    for rows in tables.read_journal(connection):
         tail.add(rows or ())
     return tail
 

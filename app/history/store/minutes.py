@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from app.database.engine import upsert
+from app.database.connection import upsert
 from app.history.series.gaps import Marks
 from app.history.series.intervals import Interval
 from app.history.series.runs import HOUR, PlainRun

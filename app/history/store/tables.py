@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from operator import gt, itemgetter, sub
-from typing import Any, Literal
+from typing import Literal
 
 from app.database import StoreConnection as StoreConnection
-from app.database.engine import is_local, lock, upsert
+from app.database.connection import upsert
 from app.history.series import columns
 from app.history.series.gaps import Marks
 from app.history.series.intervals import Interval
@@ -33,10 +33,7 @@ ROW_SPAN: dict[RollupTier, int] = {"minutes": HOUR, "hours": DAY}
 STEP: dict[RollupTier, int] = {"minutes": MINUTE, "hours": HOUR}
 LOST_STATES = ("stale", "offline", "unknown", "closed")
 _JOURNAL_LEVEL = 1
-JOURNAL_ROWS = 2**40
-"""The journals of several servers are so far apart in one table."""
 INSERT_RAW = "INSERT INTO raw (unit, start, span, points, data) VALUES (?, ?, ?, ?, ?)"
-_OWN = "seq >= ? AND seq < ?"
 
 
 def unit_id(connection: StoreConnection, bus: str, number: int) -> int:
@@ -57,15 +54,6 @@ def _marks(values: Sequence[object]) -> str:
     return ", ".join("?" * len(values)) or "NULL"
 
 
-def lock_units(connection: StoreConnection, units: Iterable[int]) -> None:
-    """Let no other server merge blocks of the buses of these units until this transaction has ended."""
-    keys = sorted(set(units))
-    query = f"SELECT DISTINCT bus FROM unit WHERE id IN ({_marks(keys)}) ORDER BY bus"
-    if not is_local(connection):
-        for (bus,) in connection.execute(query, keys).fetchall():
-            lock(connection, f"history {bus}")
-
-
 def units_of(connection: StoreConnection, bus: str) -> list[int]:
     """The keys of a bus and its units."""
     return [row[0] for row in connection.execute("SELECT id FROM unit WHERE bus = ?", (bus,))]
@@ -77,54 +65,27 @@ def name_of(connection: StoreConnection, unit: int) -> str:
     return "" if row is None else f"{row[0]}/{row[1]}"
 
 
-def journal_of(connection: StoreConnection, server: str) -> int:
-    """Where the rows of a server's journal begin; given to it now when it has none. The first one has those
-    of a store that one server had."""
-    lock(connection, "journals")
-    row = connection.execute("SELECT value FROM fact WHERE name = ?", (f"journal {server}",)).fetchone()
-    if row is None:
-        given = "SELECT count(*) FROM fact WHERE name LIKE 'journal %'"
-        row = (JOURNAL_ROWS * connection.execute(given).fetchone()[0],)
-        connection.execute("INSERT INTO fact VALUES (?, ?)", (f"journal {server}", row[0]))
-    return int(row[0])
-
-
-def write_journal(
-    connection: StoreConnection, rows: Sequence[tuple[int, PlainRun]], journal: int = 0
-) -> None:
-    """Readings or runs of units as one row. ``journal``: where that of this server begins."""
+def write_journal(connection: StoreConnection, rows: Sequence[tuple[int, PlainRun]]) -> None:
+    """Write readings or runs of units as one row."""
     units, runs = zip(*sorted(rows, key=itemgetter(0)), strict=True)
     at, until, *rest = zip(*runs, strict=True)
     lengths = list(map(sub, until, at))
     data = columns.pack([units, at, lengths, *rest], _JOURNAL_LEVEL)
-    newest = f"SELECT coalesce(max(seq), ?) + 1, ? FROM journal WHERE {_OWN}"
-    values = (journal, data, journal, journal + JOURNAL_ROWS)
-    connection.execute(f"INSERT INTO journal (seq, data) {newest}", values)
+    newest = "SELECT coalesce(max(seq), 0) + 1, ? FROM journal"
+    connection.execute(f"INSERT INTO journal (seq, data) {newest}", (data,))
 
 
-def write_journal_again(
-    connection: StoreConnection, rows: Sequence[tuple[int, PlainRun]], journal: int = 0
-) -> None:
-    """All that a journal holds from now on."""
-    connection.execute(f"DELETE FROM journal WHERE {_OWN}", (journal, journal + JOURNAL_ROWS))
+def write_journal_again(connection: StoreConnection, rows: Sequence[tuple[int, PlainRun]]) -> None:
+    """Replace all that the journal holds."""
+    connection.execute("DELETE FROM journal")
     if rows:
-        write_journal(connection, rows, journal)
+        write_journal(connection, rows)
 
 
-def read_journal(connection: StoreConnection, journal: int = 0) -> Iterable[list[tuple[int, Run]] | None]:
-    """The readings of every row of a journal, oldest first; None for a damaged one."""
-    query = f"SELECT data FROM journal WHERE {_OWN} ORDER BY seq"
-    return _journal_rows(connection.execute(query, (journal, journal + JOURNAL_ROWS)))
-
-
-def read_other_journals(connection: StoreConnection, journal: int) -> Iterable[list[tuple[int, Run]] | None]:
-    """The readings of every row of all journals but one, oldest first in each; None for a damaged one."""
-    query = f"SELECT data FROM journal WHERE NOT ({_OWN}) ORDER BY seq"
-    return _journal_rows(connection.execute(query, (journal, journal + JOURNAL_ROWS)))
-
-
-def _journal_rows(stored: Iterable[Any]) -> Iterable[list[tuple[int, Run]] | None]:
-    for (data,) in stored:
+def read_journal(connection: StoreConnection) -> Iterator[list[tuple[int, Run]] | None]:
+    """The readings of every row, oldest first; None for a damaged one. A store that came back from PostgreSQL
+    may have the journals of several servers one after the other."""
+    for (data,) in connection.execute("SELECT data FROM journal ORDER BY seq"):
         try:
             units, at, lengths, *rest = columns.unpack(data)
         except ValueError:
@@ -203,17 +164,10 @@ def block_runs(unit: int, start: int, data: bytes) -> list[Run]:
     return intact(BlockKey("raw", unit, start), lambda: unpack_runs(data, start))
 
 
-def next_to_compact(
-    connection: StoreConnection, before: int, buses: Sequence[str] | None = None
-) -> tuple[int, int] | None:
-    """A unit, of these buses or of any, and an hour that ended before that time and is still stored by
-    minutes."""
-    owned = "" if buses is None else f" AND unit IN (SELECT id FROM unit WHERE bus IN ({_marks(buses)}))"
-    row = connection.execute(
-        f"SELECT unit, start FROM raw WHERE span = 60000000 AND start < ?{owned}"
-        " ORDER BY start, unit LIMIT 1",
-        (before, *(buses or ())),
-    ).fetchone()
+def next_to_compact(connection: StoreConnection, before: int) -> tuple[int, int] | None:
+    """A unit and an hour that ended before that time and is still stored by minutes."""
+    query = "SELECT unit, start FROM raw WHERE span = 60000000 AND start < ? ORDER BY start, unit LIMIT 1"
+    row = connection.execute(query, (before,)).fetchone()
     return None if row is None else (row[0], row[1] - row[1] % HOUR)
 
 
@@ -372,14 +326,3 @@ def correct_raw_from(connection: StoreConnection, now: int) -> None:
     is stored counts again, until it is too old."""
     at = raw_from(connection)
     write_raw_from(connection, 0 if at > now else at)
-
-
-def followed(connection: StoreConnection, spool: str) -> int:
-    """The number of the last record of a spool that is stored; 0 where none is."""
-    row = connection.execute("SELECT value FROM fact WHERE name = ?", (f"spool {spool}",)).fetchone()
-    return 0 if row is None else int(row[0])
-
-
-def write_followed(connection: StoreConnection, spool: str, number: int) -> None:
-    """The records of a spool up to this number are stored."""
-    connection.execute(upsert("fact", ("name",), ("value",)), (f"spool {spool}", number))

@@ -8,11 +8,9 @@ from app.alarms.alarm import Alarm
 from app.alarms.banner import AlarmBanner
 from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.shown import AlarmShown, alarm_json
-from app.audit.local_log.notice import away_notice
 from app.audit.proof.anchoring import Anchoring, anchor_notice
 from app.commands.safeguards.service import Safeguards
-from app.database.availability import Availability
-from app.database.sqlite.reserve import Reserve
+from app.database.reserve import Reserve
 from app.feature import Feature, Services
 from app.feed.bus_feed import BusFeed
 from app.history.service import History, status_words
@@ -67,15 +65,9 @@ def _make_sources(services: Services) -> Sources:
         lines=services[Fleet],
         notices=partial(_notices, servers, services[Homes], history, services[Anchoring], services[Reserve]),
         history_fault=lambda: history.status.message,
-        away=partial(_away, services[Availability]),
         home=lambda bus: holder_of(bus, servers.homes),
         elsewhere=lambda: ", ".join(home.label for home in servers.elsewhere()),
     )
-
-
-def _away(availability: Availability, translator: Translator, now: UnixTime) -> str:
-    notice = away_notice(availability, translator.formats, now)
-    return "" if notice is None else translator.t(notice)
 
 
 def _stream_alarm(stream: LineStream, alarms: LineAlarms, alarm: Alarm) -> None:

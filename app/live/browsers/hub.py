@@ -113,11 +113,10 @@ class Hub:
         return screen
 
     def _faults(self, translator: Translator, now: UnixTime) -> dict[str, str]:
-        """Faults of the records, that the database is away, and lines of other servers and their alarms."""
+        """Faults of the records, and lines of other servers and their alarms."""
         return {
             **self._sources.lines.alarms_elsewhere(translator),
             "memory": self._sources.notices(translator, now),
-            "away": self._sources.away(translator, now),
             "elsewhere": self._sources.elsewhere(),
         }
 

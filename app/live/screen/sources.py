@@ -95,9 +95,8 @@ class FleetLines(Protocol):
 class Sources:
     """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
     language and at a Unix time; empty where there is none; ``history_fault``: why no history
-    is stored, None while it is; ``away``: that the database is away, for the head of every page; empty while
-    it is not; ``home``: the server that has a bus; ``elsewhere``: the buses of other servers, each with its
-    server."""
+    is stored, None while it is; ``home``: the server that has a bus; ``elsewhere``: the buses of other
+    servers, each with its server."""
 
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
@@ -106,6 +105,5 @@ class Sources:
     lines: FleetLines
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]
-    away: Callable[[Translator, UnixTime], str] = lambda _translator, _now: ""
     home: Callable[[str], str] = lambda _bus: ""
     elsewhere: Callable[[], str] = lambda: ""

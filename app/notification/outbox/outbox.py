@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass, fields
 
 import msgspec
 
-from app.database import Database, StoreConnection, engine
+from app.database import Database, StoreConnection
+from app.database.connection import notify
 from app.notification.message.notice import AlarmNotice, OutboxItem, ReportNotice
 from app.notification.rules.delivery import FLOOD_WINDOW_S, DeliveryState, EndpointLoad, Retry
 from bus.instants import UnixTime
@@ -219,7 +220,7 @@ def put(connection: StoreConnection, how: str, items: Iterable[OutboxItem]) -> N
     rows = [_row(item) for item in items]
     connection.executemany(how, rows)
     if rows:
-        engine.notify(connection, CHANNEL, "new")
+        notify(connection, CHANNEL, "new")
 
 
 def _row(item: OutboxItem) -> dict[str, object]:

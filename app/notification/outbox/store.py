@@ -11,7 +11,7 @@ from pydantic import Field
 
 from app.alarms.journal.store import JournalEntry
 from app.database import Database, StoreConnection
-from app.database.engine import upsert
+from app.database.connection import upsert
 from app.notification.message.notice import OutboxItem
 from app.notification.outbox.outbox import ADD, ADD_NEW, ADD_TO_NOTIFIED, MAX_AGE_S, put
 from app.notification.rules.notices import Episode, QuietSpan, opened_by

@@ -8,8 +8,8 @@ from dataclasses import replace
 import msgspec
 
 from app.database import StoreConnection
-from app.database.engine import upsert
-from app.database.queries import Tables, reading
+from app.database.connection import upsert
+from app.database.database import Tables, reading
 from app.sets.model import UnitRows
 from app.sets.restore.order import Write
 from app.sets.restore.record import UNDER_WAY, Restore, RowResult

@@ -30,10 +30,9 @@ from bus.messages import parameter_name
 @dataclass(frozen=True, slots=True)
 class PageHead:
     """What the head of a page shows from its first paint, before a script has run. ``alarms``: the fields of
-    the alarms in the language of a reader; ``away``: that the database is away, empty while it is there."""
+    the alarms in the language of a reader."""
 
     alarms: Callable[[Language], Mapping[str, Any]]
-    away: Callable[[Language], str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +80,7 @@ class Templates:
     ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``, ``navigation()``,
     ``on_phone``, ``help_of``, and the filters ``parameter``, which names one by its number, and ``isolated``,
     for a name beside other text; in a page or fragment of a request also ``person``, ``request``, ``path``,
-    ``head_alarms()``, ``head_away()``, ``controls()``, ``trays()``, ``head_others()``, ``has_lines()``,
+    ``head_alarms()``, ``controls()``, ``trays()``, ``head_others()``, ``has_lines()``,
     ``elsewhere()``, ``home_server()`` and ``may()``, whether the person may send a command or perform an
     act, by its name. ``kept_in``: where they stay compiled between two starts."""
 
@@ -203,7 +202,6 @@ def render(
         head_alarms=lambda: head().alarms(language),
         controls=lambda: service_of(request, HeadControl).of_buses(),
         trays=lambda: service_of(request, HeadTray).of(person) if person else (),
-        head_away=lambda: head().away(language),
         **context,
     )
     return HTMLResponse(html, status, {"Cache-Control": "no-store", **(headers or {})})

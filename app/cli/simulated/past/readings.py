@@ -8,9 +8,8 @@ from contextlib import closing
 from itertools import groupby
 
 from app.cli.simulated.past.story import MAX_UNITS, Past, Stretch, setpoint_of
-from app.database import StoreConnection
-from app.database.opening import open_database
-from app.history.intake.opening import MIGRATIONS
+from app.database import Database, StoreConnection
+from app.history.intake.writer import MIGRATIONS
 from app.history.series.gaps import Marks
 from app.history.series.intervals import intervals
 from app.history.series.rollup import combine, minute_rollups
@@ -32,7 +31,7 @@ def write_readings(settings: Settings, past: Past) -> None:
     """Write the readings of the day into a new history store. Raises StoreError."""
     bus = settings.bus[0].name
     file = settings.server.data / FILE
-    with closing(open_database(settings.store, file, MIGRATIONS, "NORMAL")) as database:
+    with closing(Database(file, MIGRATIONS, "NORMAL")) as database:
         database.write_now(lambda connection: _write(connection, bus, past))
 
 

@@ -22,7 +22,6 @@ from app.audit.proof.keys import open_keys
 from app.cli.simulated.past.story import Incident, Past, setpoint_of
 from app.conditions.catalogue import CONDITIONS
 from app.database import Database, StoreConnection
-from app.database.opening import open_database
 from app.handover.acts import WRITE_NOTE
 from app.handover.notes import notes
 from app.handover.notes.notes import Note
@@ -57,7 +56,7 @@ _Record = tuple[UnixTime, Callable[[], Awaitable[None]]]
 
 def write_records(settings: Settings, past: Past) -> None:
     """Write them in the order of time, as the log has them. Raises StoreError."""
-    with closing(open_database(settings.store, settings.server.store, synchronous="NORMAL")) as database:
+    with closing(Database(settings.server.store, synchronous="NORMAL")) as database:
         asyncio.run(_Records(settings, database, past).write())
 
 
@@ -67,7 +66,7 @@ class _Records:
     def __init__(self, settings: Settings, database: Database, past: Past) -> None:
         self._past, self._database, self._bus = past, database, settings.bus[0].name
         self._now = past.begins
-        keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
+        keys = open_keys(settings.key_files, database.path, database.read_now(heads_of))
         self._events = EventLog(database, lambda: self._now, keys)
         self._alarms = AlarmStore(database)
         self._recipes, self._sets = RecipeStore(database), SetStore(database)

@@ -1,4 +1,4 @@
-"""The SQL that differs by engine, against the engine."""
+"""What connections to a store read and write beside rows."""
 
 from __future__ import annotations
 
@@ -10,27 +10,22 @@ from typing import Any
 import pytest
 
 from app.database import Database, StoreConnection
-from app.database.engine import (
-    clock,
+from app.database.connection import (
     has_column,
     is_intact,
     json_member,
-    lock,
     notify,
+    open_for_reading,
+    open_for_writing,
     size_of,
     snapshot,
     upsert,
 )
-from app.database.sqlite.connection import open_for_reading, open_for_writing
-from bus.instants import unix_now
-from tests.stores import both_engines, only_sqlite, open_store
-
-pytestmark = both_engines
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Database]:
-    opened = open_store(tmp_path / "lineside.db")
+    opened = Database(tmp_path / "lineside.db")
     yield opened
     opened.close()
 
@@ -68,7 +63,6 @@ def test_columns_of_a_store_of_any_version(store: Database) -> None:
     assert not found("nothing", "messages")
 
 
-@only_sqlite
 def test_the_size_is_that_of_the_file(store: Database) -> None:
     store.write_now(lambda connection: connection.execute("CREATE TABLE more (a BLOB)"))
     store.close()
@@ -78,7 +72,6 @@ def test_the_size_is_that_of_the_file(store: Database) -> None:
     assert size == store.path.stat().st_size
 
 
-@only_sqlite
 def test_a_snapshot_sees_one_instant(store: Database) -> None:
     count = "SELECT count(*) FROM migrations"
     reader = open_for_reading(store.path)
@@ -95,16 +88,6 @@ def test_intact_pages_of_a_table_and_of_the_store(store: Database) -> None:
     assert store.read_now(lambda connection: is_intact(connection, "events"))
 
 
-def test_a_clock_a_lock_and_the_size(store: Database) -> None:
-    def work(connection: StoreConnection) -> tuple[float, int]:
-        lock(connection, "chain")
-        return clock(connection), size_of(connection)
-
-    time, size = store.write_now(work)
-    assert abs(time - unix_now()) < 10
-    assert size > 100_000
-
-
 async def test_what_a_transaction_notifies_is_passed_on_once_it_is_committed(store: Database) -> None:
     texts: asyncio.Queue[str] = asyncio.Queue()
 
@@ -118,7 +101,6 @@ async def test_what_a_transaction_notifies_is_passed_on_once_it_is_committed(sto
     with pytest.raises(ValueError, match="midway"):
         await store.write(lambda connection: announce(connection, "never"))
     async with asyncio.timeout(10):
-        # A listener of PostgreSQL begins in a moment.
         while texts.empty():
             await store.write(lambda connection: announce(connection, "anna"))
             await asyncio.sleep(0.05)

@@ -1,0 +1,44 @@
+"""Keys of lineside.toml that version 0.2 had: they are ignored with a warning, so that no line stops at an
+upgrade. Only a database that has the data of the site is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic_core import PydanticCustomError
+
+from bus.messages import Message
+
+FORMER_KEYS = {("store",), ("history", "spool_mb")}
+"""Paths of keys and tables."""
+
+
+def former_keys(data: Mapping[str, Any]) -> list[str]:
+    """The keys of a configuration that are ignored, as TOML writes them."""
+    return sorted(".".join(path) for path in FORMER_KEYS if _has(data, path))
+
+
+def without_former_keys(data: object) -> object:
+    """The configuration without the keys that are ignored. Raises PydanticCustomError where its data is in a
+    database: a server that began beside it would look like one that has lost everything."""
+    if not isinstance(data, dict):
+        return data
+    if isinstance(store := data.get("store"), dict) and store.get("url"):
+        details = {"message": Message("setting_store_url"), "at": ("store", "url")}
+        raise PydanticCustomError("store_url", "data in a database", details)
+    for *tables, key in FORMER_KEYS:
+        if _has(data, (*tables, key)):
+            data = _without(data, tables, key)
+    return data
+
+
+def _has(data: Mapping[str, Any], path: tuple[str, ...]) -> bool:
+    key, *more = path
+    return key in data and (not more or (isinstance(data[key], dict) and _has(data[key], tuple(more))))
+
+
+def _without(data: Mapping[str, Any], tables: list[str], key: str) -> dict[str, Any]:
+    if not tables:
+        return {name: value for name, value in data.items() if name != key}
+    return {**data, tables[0]: _without(data[tables[0]], tables[1:], key)}
