@@ -148,14 +148,3 @@ def test_two_servers_get_the_password_and_a_name_each() -> None:
     for name, server in servers.items():
         assert server["secrets"] == services["db-1"]["secrets"]
         assert server["hostname"] == name, "the one of a container is a number that changes with it"
-
-
-def test_the_documented_servers_believe_each_other(tmp_path: Path) -> None:
-    """They pass requests on only where one verifies the certificate of the other."""
-    tables = re.findall(r"```toml\n(.*?)```", text_of(ROOT / "docs" / "scale.md"), re.S)
-    [toml] = [table for table in tables if "[server.tls]" in table]
-    file = tmp_path / "lineside.toml"
-    file.write_text(toml)
-    tls = load(file).server.tls
-    assert tls is not None
-    assert tls.client_ca is not None

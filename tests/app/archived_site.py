@@ -26,7 +26,7 @@ async def archived_site(tmp_path: Path) -> Settings:
         folder.mkdir()
     settings, now = load(file), UnixTime(1_768_000_000.0)
     database = Database(data / "lineside.db")
-    keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
+    keys = open_keys(settings.key_files, database.path, database.read_now(heads_of))
     events = EventLog(database, lambda: now, keys)
     for _ in range(5):
         await events.record(kind="unit", what="offline", bus="dry-end", unit=1)

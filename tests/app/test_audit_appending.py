@@ -22,20 +22,15 @@ from app.audit.proof.keys import Keys, open_keys, passing_keys
 from app.database import Database, StoreConnection
 from app.database.migration import MIGRATIONS
 from tests.app.intents import intend
-from tests.postgresql import fresh_store, needs_postgresql
 
 DRY, WET = "dry-end", "wet-end"
 RING = KeyRing((b"k" * 32,))
 
 
-@pytest.fixture(params=["SQLite", pytest.param("PostgreSQL", marks=needs_postgresql)])
-def store(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Database]:
-    if request.param == "SQLite":
-        with closing(Database(tmp_path / "lineside.db")) as database:
-            yield database
-    else:
-        with fresh_store() as database:
-            yield database
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Database]:
+    with closing(Database(tmp_path / "lineside.db")) as database:
+        yield database
 
 
 def chains(database: Database) -> list[tuple[int, str | None]]:

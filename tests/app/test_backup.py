@@ -22,7 +22,7 @@ from app.backup.settings import BackupSettings
 from app.cli.stores.backup_store import write_backup
 from app.conditions.of_server import backup_is_overdue
 from app.errors import StoreError
-from app.settings import Settings, load
+from app.settings import load
 from bus.instants import UnixTime
 from bus.messages import Message
 from tests.e2e.site import add_people
@@ -305,9 +305,3 @@ def test_what_was_written_is_read_back(tmp_path: Path, monkeypatch: pytest.Monke
 def test_a_bad_setting_is_refused(text: str) -> None:
     with pytest.raises(ValidationError):
         BackupSettings.model_validate(tomllib.loads(text))
-
-
-def test_a_database_is_not_backed_up_here() -> None:
-    store = {"url": "postgresql://lineside@db/lineside"}
-    with pytest.raises(ValidationError, match="of files"):
-        Settings.model_validate({"store": store, "backup": {"folder": "x"}})

@@ -67,7 +67,7 @@ PRINT_LOADED = "print(*(name for name, module in sys.modules.items() if module i
 
 FACTS = (
     *("scan", "decode", "check", "status", "report", "home", "user list", "token list", "audit verify"),
-    *("backup", "diff", "restore", "backup-store", "migrate-store", "install-service"),
+    *("backup", "diff", "restore", "backup-store", "install-service"),
 )
 """Commands that print facts."""
 

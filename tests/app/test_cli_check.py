@@ -19,7 +19,7 @@ from app.cli.findings import check
 from app.cli.findings import machine as findings
 from app.cli.options import command_of
 from app.database import Database
-from app.database.migration import LEDGER
+from app.database.migration import COPYING
 from app.history.intake.writer import MIGRATIONS
 from tests.mounted import mounted
 
@@ -209,10 +209,13 @@ def test_a_store_that_was_cut_short_is_a_fault(config: Path, data: Path, name: s
 
 def test_a_copy_that_is_not_finished_is_a_fault(config: Path, data: Path) -> None:
     with closing(sqlite3.connect(data / "history.db")) as connection:
-        connection.execute(f"CREATE TABLE {LEDGER} (name)")
+        connection.execute(f"CREATE TABLE {COPYING} (name)")
     result = run(config, bus("/dev/ttyUSB99"))
     assert result.exit_code == 1
-    assert "is a copy that is not finished; run the same 'lineside migrate-store' again" in result.stderr
+    assert (
+        "is a copy that is not finished; finish it with 'lineside migrate-store' of version 0.2"
+        in result.stderr
+    )
 
 
 def test_a_damaged_page_is_a_fault(config: Path, data: Path) -> None:

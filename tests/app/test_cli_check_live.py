@@ -21,12 +21,10 @@ from app.cli.findings import check
 from app.cli.findings import live as live_findings
 from app.cli.options import command_of
 from app.conditions import of_server
-from app.database import Database, StoreConnection
-from app.database.connection import tables_without_rights
+from app.database import Database
 from tests.app.live_check import bus, check_live, everything_in, pseudo_terminal, run
 from tests.certificates import certificates
 from tests.free_port import free_port
-from tests.postgresql import fresh_database, fresh_store, needs_postgresql
 
 SERVICE = 4321
 """A user without a name."""
@@ -208,24 +206,3 @@ def test_each_certificate_has_its_days(
     assert f"certificate: {config.parent / 'empty.pem'} holds no certificate" in result.stderr
     monkeypatch.setattr(of_server, "CERTIFICATE_S", 1e12)
     assert "more days only, until" in run(config, text).stdout
-
-
-@needs_postgresql
-def test_tables_of_a_database_that_may_not_be_changed_are_named(
-    config: Path, terminal: tuple[int, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def as_reader(connection: StoreConnection) -> list[str]:
-        connection.execute("SET ROLE pg_read_all_data")
-        try:
-            return tables_without_rights(connection)
-        finally:
-            connection.execute("RESET ROLE")
-
-    with fresh_store() as database:
-        assert database.read_now(tables_without_rights) == []
-        assert "events" in database.read_now(as_reader)
-    with fresh_database() as store:
-        text = f"[server]\nport = {free_port()}\n[store]\nurl = '{store.url}'\n{bus(terminal[1])}"
-        assert f"store {store.url}: its tables are of this version" in run(config, text).stdout
-        monkeypatch.setattr(live_findings, "tables_without_rights", as_reader)
-        assert "its user may not read and change alarm_" in run(config, text).stderr

@@ -153,15 +153,13 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
         NEVER,
     ),
     "history_degraded": (
-        [("paused",), ("failed",), ("spooling",)],
+        [("paused",), ("failed",)],
         [("ok",), ("low",), ("following",)],
         NEVER,
     ),
     "audit_degraded": ([(True,)], [(False,)], NEVER),
     "disk_low": ([("low",), ("scarce",), ("paused",)], [("ok",), ("failed",)], NEVER),
     "notification_failed": ([(True,)], [(False,)], NEVER),
-    "store_unavailable": ([(True,)], [(False,)], NEVER),
-    "break_glass_used": ([(["spare"],)], [([],)], NEVER),
     "clock_stepped": ([(-1.0,)], [(0.0,)], NEVER),
     "certificate_expiring": ([(NOW + 29 * DAY, NOW), (NOW - DAY, NOW)], [(NOW + 31 * DAY, NOW)], NEVER),
     "backup_overdue": (

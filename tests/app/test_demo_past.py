@@ -44,7 +44,7 @@ def settings(tmp_path: Path, line: DemoLine) -> Settings:
 
 def test_the_log_of_the_past_is_intact_and_in_order_of_time(settings: Settings) -> None:
     with closing(Database(settings.server.store)) as database:
-        keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
+        keys = open_keys(settings.key_files, database.path, database.read_now(heads_of))
         events = EventLog(database, keys=keys)
         assert asyncio.run(events.proof.verify()).broken is None
         found, _ = asyncio.run(events.page(Filter(), 200))

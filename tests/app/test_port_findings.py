@@ -16,13 +16,10 @@ import pytest
 
 from app.cli.findings import ports as port_findings
 from app.cli.findings.ports import is_connected_to, is_worker_of
-from app.errors import StoreError
 from app.home.lease import HomeRow
-from app.home.store import Beat
-from app.settings import LOCK_FILE, load
+from app.settings import LOCK_FILE
 from bus.instants import UnixTime
 from bus.line.port.trial import port_fault
-from bus.messages import Message
 from tests.app.live_check import bus, check_live, everything_in, pseudo_terminal, run
 from tests.free_port import free_port
 
@@ -186,30 +183,3 @@ def test_a_device_server_of_a_running_server_is_left_alone(
 HOME = HomeRow(
     "dry-end", "app-2", "i", 3, UnixTime(20.0), 0, "", UnixTime(0.0), "", "", "", "", UnixTime(0.0)
 )
-
-
-@pytest.mark.parametrize(
-    ("now", "words"),
-    [
-        (UnixTime(10.0), "not tried: server app-2 is the home of this bus"),
-        (UnixTime(30.0), "accepts a connection"),
-        (None, "not tried: the store does not show whether another server uses it"),
-    ],
-)
-def test_a_device_server_of_another_home_is_left_alone(
-    config: Path,
-    device_server: socket.socket,
-    monkeypatch: pytest.MonkeyPatch,
-    now: UnixTime | None,
-    words: str,
-) -> None:
-    def known(_: object) -> Beat:
-        if now is None:
-            raise StoreError(Message("store_lacks_driver"))
-        return Beat(now, {"dry-end": HOME}, {})
-
-    monkeypatch.setattr(port_findings, "known_homes", known)
-    config.write_text(f"[store]\nurl = 'postgresql:///none'\n{bus(url(device_server))}")
-    found = port_findings.port_findings(load(config), {}, server_runs=False)
-    assert [words in str(each.message) for each in found] == [True]
-    assert has_no_caller(device_server) is ("not tried" in words)

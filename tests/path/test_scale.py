@@ -18,7 +18,6 @@ import pytest
 import yaml
 
 from app.cli import COMMANDS
-from app.settings import load
 from bus.settings import Dialect
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from tests import unpacked
@@ -36,18 +35,6 @@ READ = bytes.fromhex("10 02 01 81 10 03 7E")
 def example(kind: str, holds: str) -> str:
     (found,) = (each for each in re.findall(rf"```{kind}\n(.*?)```", TEXT, re.S) if holds in each)
     return str(found)
-
-
-def test_the_configuration_of_a_server_is_valid(tmp_path: Path) -> None:
-    config = tmp_path / "lineside.toml"
-    config.write_text(example("toml", "[store]"))
-    settings = load(config)
-    assert settings.store.url.startswith("postgresql://")
-    assert [bus.port.partition(":")[0] for bus in settings.bus] == ["socket", "socket"]
-    balancer = str(settings.server.trusted_proxies[0])
-    assert balancer.startswith("10.0.0.10")
-    homes = text_of(DEPLOY / "homes.map").splitlines()[1:]
-    assert [line.split()[0] for line in homes] == [bus.name for bus in settings.bus]
 
 
 def faults(folder: Path, unit: str, name: str, text: str) -> list[str]:
