@@ -10,41 +10,24 @@ from zoneinfo import ZoneInfo
 from fastapi import APIRouter
 
 from app.audit.act import Act
-from app.home.keeping.life import NO_PORTS, Ports
-from app.home.lease import SITE
 from app.lifespan import Lifespan
 from app.settings import Settings
 from app.web.services import Registry
 
 
 class Services(Registry):
-    """The services of a site, with a registry for each bus, and the lifespans that they run in: ``lifespan``
-    for what every server does, :meth:`at_home` for what one server does for a bus.
+    """The services of a site, with a registry for each bus, and the lifespan that they run in.
 
     ``demo``: requests from this machine are signed in. ``worker_tokens``: by bus, the token with which the
-    server's own worker opens /feed. ``ports``: what runs the workers of buses whose home is here.
+    server's own worker opens /feed.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        *,
-        demo: bool,
-        worker_tokens: Mapping[str, str],
-        ports: Ports = NO_PORTS,
-    ) -> None:
+    def __init__(self, settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> None:
         super().__init__((settings,), {bus.name: () for bus in settings.bus})
         self.settings = settings
         self.demo = demo
         self.worker_tokens = worker_tokens
-        self.ports = ports
         self.lifespan = Lifespan()
-        self.lifespans_at_home = {bus: Lifespan() for bus in (SITE, *self.buses)}
-
-    def at_home(self, bus: str = SITE) -> Lifespan:
-        """What runs for a bus, or for the site, while its home is this server: loaded each time, since
-        another server may have had it meanwhile."""
-        return self.lifespans_at_home[bus]
 
     def local_time(self) -> datetime:
         """The present time in the zone of the site."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from functools import partial
 from typing import Any
 
@@ -19,7 +19,6 @@ MAX_FINISH_S = 1.0
 """How long the end waits for backlogs to be written, all of them together."""
 Step = Callable[[], Awaitable[object]]
 Running = Callable[[], Coroutine[Any, Any, None]]
-Enclosed = Callable[[], AbstractAsyncContextManager[None]]
 log = structlog.get_logger()
 
 
@@ -34,7 +33,6 @@ class Lifespan:
         self._parts: list[tuple[str, Step | None, Step | None]] = []
         self._works: list[Running] = []
         self._finishing: list[Running] = []
-        self._enclosed: list[Enclosed] = []
 
     def add(
         self,
@@ -58,14 +56,10 @@ class Lifespan:
         if finish is not None:
             self._finishing.append(partial(_ended, name, partial(_within, finish)))
 
-    def enclose(self, enclosed: Enclosed) -> None:
-        """Add what begins once all else runs, and ends before any of that does."""
-        self._enclosed.append(enclosed)
-
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """From the first start to the last end; may be called again then. Raises StartError; the parts that
-        have started are ended."""
+        """Run from the first start to the last end. Raises StartError; the parts that have started are
+        ended."""
         async with AsyncExitStack() as stack:
             for name, start, end in self._parts:
                 if start is not None:
@@ -74,8 +68,6 @@ class Lifespan:
                     stack.push_async_callback(_ended, name, end)
             stack.push_async_callback(_cancel, [asyncio.create_task(work()) for work in self._works])
             stack.push_async_callback(self._finish)
-            for enclosed in self._enclosed:
-                await stack.enter_async_context(enclosed())
             yield
 
     async def _finish(self) -> None:

@@ -27,20 +27,12 @@ from app.find import feature as find
 from app.handover import feature as handover
 from app.help import feature as handbook
 from app.history import feature as history
-from app.home import feature as home
-from app.home.keeping import feature as keeping
-from app.home.keeping.life import NO_PORTS, Ports
 from app.live import feature as live
 from app.live.browsers import feature as browsers
 from app.metrics import feature as metrics
 from app.notification import feature as notification
 from app.recipes import feature as recipes
 from app.reports import feature as reports
-from app.routing import feature as routing
-from app.routing.forwarding.home_router import HomeRouter
-from app.routing.forwarding.hop_admission import HopAdmission
-from app.routing.peers import Peers
-from app.routing.site_servers import SiteServers
 from app.server import feature as server
 from app.server.admission.forwarded import Forwarded
 from app.server.admission.refusal_log import RefusalLog
@@ -65,14 +57,12 @@ FEATURES = (
     web.FEATURE,
     find.FEATURE,
     handbook.FEATURE,
-    home.FEATURE,
     history.FEATURE,
     audit.FEATURE,
     server.FEATURE,
     auth.FEATURE,
     backup.FEATURE,
     configuration.FEATURE,
-    routing.FEATURE,
     live.FEATURE,
     feed.FEATURE,
     commands.FEATURE,
@@ -87,7 +77,6 @@ FEATURES = (
     sites.FEATURE,
     browsers.FEATURE,
     metrics.FEATURE,
-    keeping.FEATURE,
 )
 
 
@@ -96,17 +85,15 @@ def create_app(
     *,
     demo: bool = False,
     worker_tokens: Mapping[str, str] | None = None,
-    ports: Ports = NO_PORTS,
 ) -> FastAPI:
     """The complete app over ``settings``. ``demo``: requests from this machine are signed in.
-    ``worker_tokens``: by bus, the token with which the server's own worker opens /feed; ``ports``: what runs
-    the worker of a bus whose home is here. Its services run
+    ``worker_tokens``: by bus, the token with which the server's own worker opens /feed. Its services run
     within its lifespan, or within that of ``app.state.services`` where the server does not call it.
 
     Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role and for
     two services of one type.
     """
-    services = Services(settings, demo=demo, worker_tokens=worker_tokens or {}, ports=ports)
+    services = Services(settings, demo=demo, worker_tokens=worker_tokens or {})
     app = FastAPI(
         title="Lineside",
         summary="Monitor and command a line of DIGIMAX IV drives",
@@ -124,7 +111,6 @@ def create_app(
         services[Templates].permit({act.name: act.role for act in feature.acts})
     problems.install(app)
     app.add_middleware(HeadAsGet)
-    app.add_middleware(HomeRouter, servers=services[SiteServers], peers=services[Peers])
     # What waits for the provider of company accounts takes no turn from the login page.
     app.add_middleware(AnonymousLimiter, exempt=(HEALTH, CALLBACK))
     app.add_middleware(Identify, identity=services[Identity], rechecks=services[Rechecks], demo=demo)
@@ -132,7 +118,6 @@ def create_app(
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
-    app.add_middleware(HopAdmission, servers=services[SiteServers])
     app.add_middleware(RequestAdmission)
     app.add_middleware(RecordRefusals, events=services[EventLog], log=services[RefusalLog])
     refuse_undeclared(app)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Query
-from pydantic import Field
-from starlette.requests import HTTPConnection
 from typing_extensions import TypedDict
 
 from app.alarms.acts import ALARM_ACTS, AlarmAct
@@ -17,13 +15,10 @@ from app.alarms.shown import (
     AlarmShown,
     AlarmTransition,
     alarm_json,
-    rank_shown,
     transition_json,
 )
 from app.conditions.condition import AlarmGroup
 from app.conditions.priority import AlarmPriority
-from app.home.lease import SITE
-from app.routing.other_lines import OtherLines
 from app.web.admission.access import Person, Viewer
 from app.web.api.route import ApiRoute
 from app.web.services import service
@@ -39,10 +34,6 @@ class AlarmsShown(TypedDict):
     priority, the newest first; hidden ones last."""
 
     alarms: list[AlarmShown]
-    elsewhere: Annotated[
-        list[str | None],
-        Field(description="Buses whose home, another server, did not respond; null: the site."),
-    ]
 
 
 class AlarmDetail(TypedDict):
@@ -62,44 +53,25 @@ class AlarmJournal(TypedDict):
 
 @router.get("")
 async def get_alarms(
-    connection: HTTPConnection,
     _: Viewer,
     alarms: Alarms,
-    others: Annotated[OtherLines, service(OtherLines)],
     state: AlarmState | None = None,
     priority: AlarmPriority | None = None,
     bus: str | None = None,
     unit: Annotated[int | None, Query(ge=1, le=255)] = None,
     group: AlarmGroup | None = None,
 ) -> AlarmsShown:
-    """All alarms that are not normal, or those in one state; ``normal`` is one of them. Of all servers, and
-    ``elsewhere`` states which are not contained; with ``bus``, those of this bus alone."""
-    responses = [] if bus is not None else await others.responses(connection)
+    """All alarms that are not normal, or those in one state; ``normal`` is one of them."""
     found = [
         alarm
-        for alarm in (filter(alarms.is_here, alarms.every()) if state == "normal" else alarms.present())
+        for alarm in (alarms.every() if state == "normal" else alarms.present())
         if state in (None, alarm.facts.state)
         and priority in (None, alarm.definition.priority)
         and bus in (None, alarm.definition.bus)
         and unit in (None, alarm.definition.unit)
         and group in (None, alarm.definition.about)
     ]
-    there: list[AlarmShown] = [
-        alarm
-        for response in responses
-        for alarm in response.body.get("alarms", ())
-        if (alarm["bus"] or SITE) in response.places
-    ]
-    shown = [alarm_json(alarms, alarm) for alarm in found]
-    contained = {*alarms.places_here()}.union(*(response.places for response in responses))
-    return {
-        "alarms": sorted((*shown, *there), key=rank_shown) if there else shown,
-        "elsewhere": [
-            place or None
-            for place in (SITE, *alarms.buses)
-            if place not in contained and bus in (None, place)
-        ],
-    }
+    return {"alarms": [alarm_json(alarms, alarm) for alarm in found]}
 
 
 @router.get("/journal")

@@ -24,10 +24,6 @@ class AlarmBanner:
         for subscriber in self._subscribers:
             subscriber(bus, unit)
 
-    def refresh(self) -> None:
-        """The alarms of other buses are known here now, or of fewer."""
-        self._note(None, None)
-
     def on_change(self, subscriber: AlarmChangeSubscriber) -> None:
         """Call ``subscriber`` with the place of each alarm that has changed."""
         self._subscribers.append(subscriber)

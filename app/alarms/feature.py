@@ -30,13 +30,10 @@ from app.database import Database
 from app.feature import Feature, Services
 from app.find.finders import Finders
 from app.history.service import History
-from app.home.homes import Homes
-from app.home.lease import SITE
 from app.live.browsers.hub import Hub
 from app.live.screen.fields import Fields, Translator
 from app.live.state.bus_live import BusLive
 from app.messages import Language
-from app.routing.site_servers import SiteServers
 from app.sets.comparison.drift import BusDrift
 from app.web.rendering.templating import PageHead, Templates
 from app.web.services import Registry
@@ -51,16 +48,12 @@ def make(services: Services) -> None:
         _make_of_bus(services, name, bus, store)
     of_site = services.add(_alarms_of_site(services, store))
     of_buses = services.of_buses(BusAlarms)
-    alarms = services.add(
-        LineAlarms(of_buses, of_site, store, events, is_elsewhere=services[SiteServers].is_elsewhere)
-    )
+    alarms = services.add(LineAlarms(of_buses, of_site, store, events))
+    # The site's own alarms first: the state of each is loaded after its definition.
     own_alarms = services.add(OwnAlarmBook(settings, alarms, database, events))
-    for name, follow in {SITE: of_site.follow, **{bus: of.follow for bus, of in of_buses.items()}}.items():
-        at_home, place = services.at_home(name), f"of {name}" if name else "of the site"
-        # The site's own alarms first: the state of each is loaded after its definition.
-        at_home.add(f"own alarms {place}", start=partial(own_alarms.load, name))
-        load, write = partial(alarms.load, name), partial(alarms.write, name)
-        at_home.add(f"alarms {place}", follow, start=load, end=write)
+    services.lifespan.add("own alarms", start=own_alarms.load)
+    follow = [of_site.follow, *(of.follow for of in of_buses.values())]
+    services.lifespan.add("alarms", *follow, start=alarms.load, end=alarms.write)
     services[Finders].add("find_alarms", AlarmFinder(alarms))
     services.add(Simulator(services[History]))
     _add_banner(services, AlarmBanner(alarms))
@@ -87,7 +80,7 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
     expiry = ExpiryWatch(
         services[Accounts].tokens, authorities, certificates=(tls.certificate,) if tls else ()
     )
-    services.at_home().add("expiry", expiry.follow)
+    services.lifespan.add("expiry", expiry.follow)
     conditions = site_conditions(
         lambda: history.status,
         lambda: anchoring.status,
@@ -113,7 +106,6 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
         return banner.banner(Translator(language, templates.formats(language.tag)), unix_now())
 
     services.add(banner)
-    services[Homes].subscribe(lambda _bus: banner.refresh())
     services.add(PageHead(alarms_in))
 
 

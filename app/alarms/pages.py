@@ -21,10 +21,8 @@ from app.alarms.rules.states import PRESENT_STATES
 from app.alarms.summary import MAX_ROWS, listed, places_of, query_of, row_of
 from app.conditions.condition import GROUPS
 from app.errors import Problem
-from app.home.lease import SITE
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
-from app.routing.site_servers import SiteServers
 from app.web.admission.access import Person, Viewer
 from app.web.rendering.formats import UNKNOWN, Formats
 from app.web.rendering.templating import render, templates_of
@@ -61,7 +59,6 @@ async def alarms_page(
     left_out: Annotated[int, Query(ge=0, le=MAX_ROWS)] = 0,
 ) -> Response:
     """The present alarms, filtered; the list draws itself again when one changes."""
-    homes = service_of(request, SiteServers).homes
     screen = service_of(request, Hub).screen(templates_of(request).language_of(request).tag)
     return render(
         request,
@@ -73,7 +70,6 @@ async def alarms_page(
         groups=GROUPS,
         changed=screen.shown[ALARM_GROUP]["changed"],
         left_out=left_out,
-        site_server="" if SITE in alarms.places_here() else homes.of(SITE).server,
     )
 
 

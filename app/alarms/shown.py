@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import Annotated
 
 from pydantic import Field
@@ -13,7 +12,7 @@ from app.alarms.journal.store import JournalEntry
 from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.conditions.condition import AlarmGroup
-from app.conditions.priority import PRIORITIES, AlarmPriority
+from app.conditions.priority import AlarmPriority
 from app.web.api.shape import (
     Instant,
     MaybeInstant,
@@ -134,14 +133,6 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
         "hidden_by": hidden_by or None,
         "reason": reason or None,
     }
-
-
-def rank_shown(alarm: AlarmShown) -> tuple[bool, bool, bool, int, int, str]:
-    """The order of :func:`app.alarms.monitor.line_alarms.rank`, for alarms of several servers."""
-    priority, came = PRIORITIES.index(alarm["priority"]), alarm["came"]
-    newest_first = -round(datetime.fromisoformat(came).timestamp() * 1000) if came is not None else 0
-    is_hidden = alarm["state"] in ("shelved", "suppressed", "out_of_service")
-    return is_hidden, not alarm["active"], alarm["acknowledged"], priority, newest_first, alarm["id"]
 
 
 def transition_json(entry: JournalEntry) -> AlarmTransition:

@@ -32,7 +32,7 @@ def listed(
     """What the list of alarms shows. ``shown``: the keys of the rows that a person sees. These stay in their
     places, also where they match no longer, and new alarms come after them."""
     known = (alarms.known(key) for key in shown)
-    kept = dict.fromkeys(alarm for alarm in known if alarm is not None and alarms.is_here(alarm))
+    kept = dict.fromkeys(alarm for alarm in known if alarm is not None)
     new = [alarm for alarm in alarms.present() if alarm not in kept and _matches(alarm, chosen)]
     found = [*kept, *new]
     rows = [row_of(alarms, alarm, now) for alarm in found[:MAX_ROWS]]
@@ -65,10 +65,9 @@ def _matches(alarm: Alarm, chosen: dict[str, str]) -> bool:
 
 
 def places_of(alarms: LineAlarms) -> list[tuple[str, str]]:
-    """Each bus whose home is here, and each of its units."""
+    """Return each bus and each of its units, as filters with their names."""
     places: list[tuple[str, str]] = []
-    for name in filter(None, alarms.places_here()):
-        bus = alarms.buses[name]
+    for name, bus in alarms.buses.items():
         places.append((name, name))
         places += [(f"{name}/{unit}", f"{name} · {text}") for unit, text in bus.unit_names().items()]
     return places

@@ -20,7 +20,6 @@ from app.database import Database
 from app.database.migration import FIRST, Migration
 from app.feature import Feature, Services
 from app.find.finders import Finders
-from app.home.lease import SITE
 from app.settings import Settings
 from bus.messages import Message
 
@@ -38,12 +37,12 @@ def make(services: Services) -> None:
         database, events, settings.audit.archive, settings.audit.keep_months, ZoneInfo(settings.site.zone)
     )
     services.add(archive)
-    services.at_home().add("event archive", archive.follow)
+    services.lifespan.add("event archive", archive.follow)
     begin = partial(_record_start, settings, database, events)
     lifespan.add("event log", start=begin, end=partial(_record_end, events))
-    for bus in (SITE, *services.buses):
+    for bus in ("", *services.buses):
         close = partial(events.close_open_intents, bus or None)
-        services.at_home(bus).add(f"open commands of {bus or 'the site'}", start=close)
+        services.lifespan.add(f"open commands of {bus or 'the site'}", start=close)
     record_all = partial(events.repeated.record_due, everything=True)
     lifespan.add("repeated events", events.repeated.follow, end=record_all)
 

@@ -22,7 +22,7 @@ from app.audit.proof.keyring import KeyRing
 from app.audit.proof.keys import Keys, passing_keys
 from app.audit.proof.walk import AuditVerification, Walk
 from app.database import Database, StoreConnection
-from app.errors import ConstraintError, StoreUnavailableError
+from app.errors import StoreUnavailableError
 from bus.contract import Frame, Outcome
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
@@ -116,23 +116,14 @@ class EventLog:
         return (await self._append_all([entry], also))[0]
 
     async def close_open_intents(self, bus: str | None) -> int:
-        """When the home of a bus, or of the site (None), is taken: what was open when that ended is
-        unverified. Returns how many there were."""
-        former: set[int] = set()
-        while True:
-            left = await self._database.read(lambda connection: store.open_intents(connection, bus))
-            numbers = [intent["id"] for intent in left]
-            try:
-                for first in range(0, len(left), CHUNK):
-                    chunk = numbers[first : first + CHUNK]
-                    await self.conclude_together(dict.fromkeys(chunk, ("unverified", ENDED_BEFORE)))
-            except ConstraintError:
-                # The former home, which may live, has concluded one of them meanwhile.
-                if former == set(numbers):
-                    raise
-                former = set(numbers)
-            else:
-                return len(left)
+        """Record what of a bus, or of the site (None), was open when the last run ended as unverified. Return
+        how many there were."""
+        left = await self._database.read(lambda connection: store.open_intents(connection, bus))
+        numbers = [intent["id"] for intent in left]
+        for first in range(0, len(left), CHUNK):
+            chunk = numbers[first : first + CHUNK]
+            await self.conclude_together(dict.fromkeys(chunk, ("unverified", ENDED_BEFORE)))
+        return len(left)
 
     async def page(self, wanted: Filter, limit: int) -> tuple[list[Event], int | None]:
         """Events newest first, and the number to continue from (None at the end)."""

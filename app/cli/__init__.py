@@ -34,7 +34,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "user": ("setup.accounts", "Manage users: add, list, password, remove."),
     "token": ("setup.accounts", "Manage tokens of programs: create, list, revoke."),
-    "home": ("site.home", "Show which server is the home of each bus: take."),
     "certificate": ("setup.certificate", "Create and renew certificates of server and workers: create."),
     "audit": ("site.audit", "Verify the event log: verify, rotate-key."),
     "backup": ("api.backup", "Write the parameters of a unit or a bus to a file."),
@@ -45,6 +44,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 """Name → module in this package, and its line in the help. The module has a function of that name, or a
 ``CommandGroup`` for a command with subcommands."""
+
+WITHDRAWN = {"home": "home_withdrawn", "migrate-store": "migrate_store_of_former_version"}
+"""Name of a former command → the code of the message that names what takes its place."""
 
 
 @contextmanager
@@ -67,11 +69,12 @@ class Lazy(click.Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context | None, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        """Import the module of a command; None for an unknown name."""
-        if cmd_name == "migrate-store":
+        """Import the module of a command; None for an unknown name. Raises click.UsageError for a former
+        one."""
+        if cmd_name in WITHDRAWN:
             from bus.messages import Message
 
-            raise click.UsageError(str(Message("migrate_store_of_former_version")))
+            raise click.UsageError(str(Message(WITHDRAWN[cmd_name])))
         if cmd_name not in COMMANDS:
             return None
         from app.cli.options import command_of

@@ -52,12 +52,11 @@ def make(services: Services) -> None:
             rights=rights,
             sessions=services[SignIn],
         )
-        services.at_home(name).add(f"safeguards of {name}", start=of_bus.add(guards).load)
+        services.lifespan.add(f"safeguards of {name}", start=of_bus.add(guards).load)
         live, channel = of_bus[BusLive], of_bus[Channel]
-        service = of_bus.add(CommandService(live, channel, record, idempotency, guards, rights))
-        services.at_home(name).add(f"undo of {name}", start=service.undo.forget)
-    here, guards_of = services[LiveState], services.of_buses(Safeguards)
-    services.add(HeadControl(lambda: [guards_of[name].bus_control() for name in here.here]))
+        of_bus.add(CommandService(live, channel, record, idempotency, guards, rights))
+    all_guards = services.of_buses(Safeguards).values()
+    services.add(HeadControl(lambda: [guards.bus_control() for guards in all_guards]))
 
 
 FEATURE = Feature(

@@ -28,7 +28,7 @@ class ParameterFinder:
         """Of "coater ramp", the ramp of Coater; of "9" alone, that of the unit of the page, or the first."""
         pages = [
             _Page(unit_key(name, number), unit)
-            for name, bus in self._live.here.items()
+            for name, bus in self._live.buses.items()
             for number, unit in bus.units.items()
         ]
         near = [page for page in pages if search.near.startswith(f"/units/{page.key}")]

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import math
-from collections.abc import AsyncIterator, Awaitable
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -16,7 +14,6 @@ from app.feed.holders import Credential, Ending, Holder
 from app.feed.ingest import Ingest, IngestPosition
 from app.feed.late import Coverage
 from app.feed.rates import FeedQuota
-from app.home.homes import BusHome
 from app.live.state.bus_live import NO_WORKER
 from app.pipeline import Pipeline
 from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome
@@ -28,7 +25,6 @@ _log = structlog.get_logger()
 HELD = Message("worker_bus_held")
 TIMED_OUT = Message("worker_silent")
 MALFORMED = Message("worker_malformed")
-NOT_AT_HOME = Message("worker_not_at_home")
 REPLACED = "another worker connected for this bus"
 TICK_S = 1.0
 TIMEOUT_TICKS = 5
@@ -64,7 +60,6 @@ class BusFeed:
 
     _channel: Channel
     _pipeline: Pipeline
-    home: BusHome | None = None
     monotonic: MonotonicClock = monotonic_now
     timeout_ticks: int = TIMEOUT_TICKS
     coverage: Coverage = field(default_factory=Coverage)
@@ -78,22 +73,8 @@ class BusFeed:
         self._began = self.monotonic()
 
     async def load(self, newest: Awaitable[UnixTime | None]) -> None:
-        """When the home of the bus is taken: up to the newest stored reading, the bus was followed."""
+        """Note up to when the last run of the server followed the bus: its newest stored reading."""
         self.coverage.until = await newest
-        # A worker that was at another home meanwhile numbers its batches by that.
-        self._received, self._holder = IngestPosition(""), None
-
-    @asynccontextmanager
-    async def at_home(self) -> AsyncIterator[None]:
-        """Serve the worker while the home of the bus is here; it is sent away before anything else ends."""
-        try:
-            yield
-        finally:
-            connection = self._connection
-            self._channel.end()
-            if connection is not None:
-                self._release(connection, NO_WORKER, Ending.LOST)
-                await connection.close(str(NOT_AT_HOME))
 
     @property
     def has_own_worker(self) -> bool:
@@ -113,12 +94,8 @@ class BusFeed:
         credential: Credential,
         refused: Message | None = None,
     ) -> None:
-        """Serve a worker to its end, or send it away where it is ``refused`` or the bus is another's. Raises
+        """Serve a worker to its end, or send it away where it is ``refused`` or another has the bus. Raises
         ConnectionError when it is gone before it was admitted."""
-        if refused is None and (elsewhere := await self._not_at_home(hello)) is not None:
-            home_url = self.home.url if self.home is not None and not self.home.is_here else ""
-            await send_away(connection, elsewhere, unix_now(), home_url)
-            return
         holder = self._holder
         if refused is None and holder is not None:
             is_free = holder.yields_to(hello.worker, credential, self.monotonic())
@@ -134,16 +111,6 @@ class BusFeed:
             await self._serve_holder(hello, connection, former)
         finally:
             self._release(connection, NO_WORKER, Ending.LOST)
-
-    async def _not_at_home(self, hello: Hello) -> Message | None:
-        """Why this server is not the home that a worker looks for."""
-        if self.home is None:
-            return None
-        if not self.home.is_here:
-            return NOT_AT_HOME
-        if hello.epoch > self.home.epoch and not await self.home.outnumber(hello.epoch):
-            return Message.of("worker_saw_higher_epoch", seen=hello.epoch, epoch=self.home.epoch)
-        return None
 
     def _take(
         self, hello: Hello, connection: WorkerConnection, credential: Credential
@@ -168,8 +135,7 @@ class BusFeed:
             await former.close(REPLACED)
         connection.admit()
         try:
-            epoch = self.home.epoch if self.home is not None else 0
-            await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, unix_now(), epoch=epoch))
+            await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, unix_now()))
             await self._follow(hello, connection)
         except MalformedMessageError as error:
             _log.warning("bus worker sent a malformed message", bus=hello.bus, why=str(error))
@@ -192,7 +158,6 @@ class BusFeed:
             quota,
             self.coverage,
             unix_now,
-            lease_left_s=self._lease_left_s,
         )
         works = (self._receive(ingest, connection), self._tick(ingest))
         tasks = {asyncio.create_task(work) for work in works}
@@ -204,9 +169,6 @@ class BusFeed:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-
-    def _lease_left_s(self) -> float:
-        return self.home.left_s if self.home is not None else math.inf
 
     async def _receive(self, ingest: Ingest, connection: WorkerConnection) -> None:
         while self._connection is connection:
@@ -229,8 +191,7 @@ class BusFeed:
             self._pipeline.worker_disconnected(unix_now(), cause)
 
 
-async def send_away(connection: WorkerConnection, reason: Message, now: UnixTime, home_url: str = "") -> None:
-    """Refuse a worker in English words, which one of another version can read too. ``home_url``: where the
-    home of its bus is, if that is another server."""
-    await connection.send(Welcome(CONTRACT_VERSION, 0, now, str(reason), home=home_url))
+async def send_away(connection: WorkerConnection, reason: Message, now: UnixTime) -> None:
+    """Refuse a worker in English words, which one of another version can read too."""
+    await connection.send(Welcome(CONTRACT_VERSION, 0, now, str(reason)))
     await connection.close(str(reason))

@@ -13,15 +13,12 @@ import asyncio
 from dataclasses import dataclass
 from typing import Protocol
 
-from msgspec.structs import replace
-
 from app.feed.plausibility import result_for
 from app.live.state.bus_live import NO_WORKER
 from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, ReserveTurn, Result, Watch
 from bus.instants import Monotonic, monotonic_now, unix_now
 from bus.messages import Message
 
-NOT_HOME = Message("home_elsewhere")
 REASK_WITHIN_S = 10.0
 """How long a command under way waits for its worker to come back."""
 PATIENCE_S = 15.0
@@ -41,18 +38,6 @@ class MessageSink(Protocol):
         """Raises ConnectionError when the worker is gone."""
 
 
-class ChannelHome(Protocol):
-    """What the channel needs of the home of its bus."""
-
-    @property
-    def is_here(self) -> bool:
-        """Whether this server is the home at this moment."""
-
-    @property
-    def epoch(self) -> int:
-        """Its epoch."""
-
-
 @dataclass(slots=True)
 class _OpenCommand:
     command: Command
@@ -68,14 +53,7 @@ class _OpenCommand:
 class Channel:
     """Sends commands to one bus over the current connection of its worker."""
 
-    def __init__(
-        self,
-        home: ChannelHome | None = None,
-        *,
-        patience_s: float = PATIENCE_S,
-        reask_s: float = REASK_WITHIN_S,
-    ) -> None:
-        self._home = home
+    def __init__(self, *, patience_s: float = PATIENCE_S, reask_s: float = REASK_WITHIN_S) -> None:
         self._patience_s = patience_s
         self._reask_s = reask_s
         self._connection: MessageSink | None = None
@@ -108,22 +86,12 @@ class Channel:
         for open_command in self._open.values():
             open_command.give_up_at = min(open_command.give_up_at, monotonic_now() + self._reask_s)
 
-    def end(self) -> None:
-        """The home of the bus is lost: another server will read what the open commands came to."""
-        self._connection = None
-        for open_command in self._open.values():
-            _end(open_command, "unverified", Message("home_moved"))
-
     def on_message(self) -> None:
         """Any message shows that the worker lives."""
         self._words += 1
 
     async def send(self, command: Command) -> Result:
         """Send ``command`` and wait for its result. Never raises for a failure on the way."""
-        if self._home is not None:
-            if not self._home.is_here:
-                return Result(command.id, unix_now(), "not_sent", NOT_HOME)
-            command = replace(command, epoch=self._home.epoch)
         if self._connection is None:
             return Result(id=command.id, at=unix_now(), outcome="bus_closed", message=NO_WORKER)
         result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()

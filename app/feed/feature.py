@@ -8,7 +8,6 @@ from app.feed.bus_feed import BusFeed
 from app.feed.channel import Channel
 from app.feed.workers import Workers
 from app.history.service import History
-from app.home.homes import BusHome, Homes
 from app.live.change_recorder import ChangeRecorder
 from app.live.state.bus_live import BusLive
 from app.pipeline import Pipeline
@@ -24,11 +23,8 @@ def make(services: Services) -> None:
 def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
     history = services[History]
     pipeline = bus.add(Pipeline(bus[BusLive], history, bus[ChangeRecorder]))
-    home = BusHome(services[Homes], name)
-    feed = bus.add(BusFeed(bus.add(Channel(home)), pipeline, home))
-    at_home = services.at_home(name)
-    at_home.add(f"feed of {name}", start=lambda: feed.load(history.newest(name)))
-    at_home.enclose(feed.at_home)
+    feed = bus.add(BusFeed(bus.add(Channel()), pipeline))
+    services.lifespan.add(f"feed of {name}", start=lambda: feed.load(history.newest(name)))
 
 
 FEATURE = Feature(make, (socket.router,))

@@ -11,19 +11,17 @@ from app.live.change_recorder import ChangeRecorder
 from app.live.changes import LineEvent
 from app.live.finding import UnitFinder
 from app.live.state.bus_live import LiveState
-from app.routing.site_servers import SiteServers
 from app.web.services import Registry
 from bus.instants import unix_now
 
 
 def make(services: Services) -> None:
-    is_elsewhere = services[SiteServers].is_elsewhere
-    live = services.add(LiveState(services.settings.bus, unix_now(), is_elsewhere))
+    live = services.add(LiveState(services.settings.bus, unix_now()))
     services[Finders].add("find_units", UnitFinder(live))
     recorder = _make_recorder(services, services, None)
     services[History].on_fault(lambda kind, what, at: recorder.note(LineEvent(kind, None, at, what, "", "")))
     for name, bus in services.buses.items():
-        services.at_home(name).add(f"live state of {name}", start=bus.add(live.buses[name]).forget)
+        bus.add(live.buses[name])
         _make_recorder(services, bus, name)
 
 
@@ -31,8 +29,7 @@ def _make_recorder(services: Services, owner: Registry, bus: str | None) -> Chan
     """``owner``: the site, or one bus."""
     recorder = owner.add(ChangeRecorder(services[EventLog], bus))
     name = f"changes of {bus or 'the site'}"
-    lifespan = services.lifespan if bus is None else services.at_home(bus)
-    lifespan.add(name, recorder.follow, finish=recorder.recorded)
+    services.lifespan.add(name, recorder.follow, finish=recorder.recorded)
     return recorder
 
 

@@ -24,7 +24,7 @@ class UnitFinder:
         """Each unit of a bus that is here."""
         return [
             place
-            for bus in self._live.here.values()
+            for bus in self._live.buses.values()
             for unit in bus.units.values()
             for place in _of_unit(search, bus, unit)
         ]

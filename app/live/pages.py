@@ -79,14 +79,14 @@ async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Res
     hub = service_of(request, Hub)
     screen = hub.screen(templates_of(request).language_of(request).tag)
     chosen = view or _remembered(request)
-    buses = [_bus_on_line(name, bus) for name, bus in hub.live.here.items()]
+    buses = [_bus_on_line(name, bus) for name, bus in hub.live.buses.items()]
     count = sum(len(group.units) for bus in buses for group in bus.groups)
     response = render(
         request,
         "line/page.html",
         fields=screen.flat(),
         entries=strip_of(screen.entries),
-        first_steps=[guide for bus in hub.live.here.values() if (guide := _first_steps(bus))["step"]],
+        first_steps=[guide for bus in hub.live.buses.values() if (guide := _first_steps(bus))["step"]],
         buses=buses,
         unit_count=count,
         view=view_for(count) if chosen == "auto" else chosen,

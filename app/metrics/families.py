@@ -49,7 +49,7 @@ class LineCollector(Collector):
 
     def collect(self) -> Iterator[Metric]:
         measured = self._measured
-        buses = measured.live.here.items()
+        buses = measured.live.buses.items()
         build = "The release that runs"
         yield InfoMetricFamily("lineside_build", build, value={"version": VERSION})
         yield from _readings(buses, unix_now())
@@ -87,7 +87,7 @@ def _alarm_states(alarms: LineAlarms) -> Metric:
 
 def _of_alarms(alarms: LineAlarms) -> Iterator[Metric]:
     labels = ["bus", "priority"]
-    places = list(product(alarms.places_here(), PRIORITIES))
+    places = list(product(("", *alarms.buses), PRIORITIES))
     annunciated = CounterMetricFamily(
         "lineside_alarm_annunciated", "Alarms annunciated since the server started", labels=labels
     )

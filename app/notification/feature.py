@@ -30,14 +30,13 @@ def make(services: Services) -> None:
         )
     )
     services.lifespan.add("outbox", start=notification.listen)
-    services.lifespan.add("notification", start=notification.load)
-    services.at_home().add("deliveries", notification.dispatcher.follow, start=notification.load)
+    services.lifespan.add("notification", notification.dispatcher.follow, start=notification.load)
     for name, bus in services.buses.items():
         alarms = bus[BusAlarms]
         notifier = bus.add(AlarmNotifier(notification, name, alarms.list, alarms.place))
-        services.at_home(name).add(f"notification of {name}", notifier.follow, start=notifier.load)
+        services.lifespan.add(f"notification of {name}", notifier.follow, start=notifier.load)
     of_site = AlarmNotifier(notification, None, services[SiteAlarms].list, lambda _: "")
-    services.at_home().add("notification of the site", of_site.follow, start=of_site.load)
+    services.lifespan.add("notification of the site", of_site.follow, start=of_site.load)
 
 
 FEATURE = Feature(make, (api.router, pages.router), ACTS)

@@ -6,7 +6,6 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Request, Response
 from pydantic import Field
-from starlette.requests import HTTPConnection
 from typing_extensions import TypedDict
 
 from app.audit.api import Events
@@ -25,7 +24,6 @@ from app.recipes.acts import DELETE, LOAD, SAVE
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, setpoints_now
 from app.recipes.runs import MAX_LOADS, RecipeRuns, runs_of
-from app.routing.forwarding.at_home import at_home_of
 from app.web.admission.access import Person, Viewer
 from app.web.admission.arrival import made_at
 from app.web.admission.turns import SEARCH
@@ -94,23 +92,19 @@ class LoadedRecipe(TypedDict):
 Book = Annotated[RecipeBook, service(RecipeBook)]
 
 
-async def recipe_at_home(connection: HTTPConnection, book: Book, recipe_id: int) -> Recipe:
-    """Raises Problem 404, or 307 where the home of its bus is elsewhere: what it would do depends on the
-    units."""
+async def recipe_or_404(book: Book, recipe_id: int) -> Recipe:
     missing = Message.of("no_recipe_with_id", recipe=recipe_id)
-    found = or_404(await book.store.load(recipe_id), "unknown_recipe", missing)
-    at_home_of(connection, found.bus)
-    return found
+    return or_404(await book.store.load(recipe_id), "unknown_recipe", missing)
 
 
-KnownRecipe = Annotated[Recipe, Depends(recipe_at_home)]
-"""The version of a recipe of ``{recipe_id}`` in the path, at the home of its bus."""
+KnownRecipe = Annotated[Recipe, Depends(recipe_or_404)]
+"""The version of a recipe of ``{recipe_id}`` in the path."""
 
 
 @router.get("/recipes")
 async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None) -> list[RecipeShown]:
     """The newest version of every recipe in use, at most 1000 of a bus, by name."""
-    return [recipe_json(recipe, live.here.get(recipe.bus)) for recipe in await book.store.newest(bus)]
+    return [recipe_json(recipe, live.buses.get(recipe.bus)) for recipe in await book.store.newest(bus)]
 
 
 @router.post("/buses/{bus}/recipes", status_code=201)

@@ -42,7 +42,7 @@ class RecipeBook:
         """The loads that are being sent, each by its sender and id."""
 
     async def load_mark(self, bus: str) -> None:
-        """Read which recipe was loaded last; when the home of a bus is taken."""
+        """Read which recipe was loaded last."""
         loaded = await self.store.loaded()
         self._loaded.pop(bus, None)
         if bus in loaded:

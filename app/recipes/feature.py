@@ -22,7 +22,7 @@ def make(services: Services) -> None:
     recipes = services.add(RecipeBook(services[LiveState], commands, store, services[EventLog]))
     services[Finders].add("find_recipes", RecipeFinder(store))
     for name in services.buses:
-        services.at_home(name).add(f"recipes of {name}", start=partial(recipes.load_mark, name))
+        services.lifespan.add(f"recipes of {name}", start=partial(recipes.load_mark, name))
 
 
 FEATURE = Feature(make, (api.router, pages.router), ACTS)

@@ -27,7 +27,7 @@ def make(services: Services) -> None:
     services[Finders].add_links("find_actions", [FixedPlace(Message("find_report"), "/reports")])
     if settings.report:
         schedule = ReportSchedule(settings, NotificationOutbox(database))
-        services.at_home().add("reports", schedule.follow)
+        services.lifespan.add("reports", schedule.follow)
 
 
 FEATURE = Feature(make, (api.router, pages.router))

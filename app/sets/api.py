@@ -18,7 +18,7 @@ from app.sets.acts import EXPORT_SECRET, MARK_GOLDEN, SAVE, SCHEDULE
 from app.sets.comparison.compare import ParameterDifference, compare, with_unit
 from app.sets.comparison.drift import BusDrift, DriftedParameter
 from app.sets.document import write_document
-from app.sets.lookup import SetAtHome, Sets, StoredSet, set_or_404, unit_rows_or_404
+from app.sets.lookup import Sets, StoredSet, set_or_404, unit_rows_or_404
 from app.sets.model import Number, ParameterSet, ParameterSetSummary, SetHead, StoredRaw, UnitRows
 from app.sets.saving.keeper import SetKeeper
 from app.sets.saving.schedule import SetSchedule
@@ -193,7 +193,7 @@ async def export_parameter_set(
 async def mark_golden_set(
     request: Request,
     person: Annotated[Person, MARK_GOLDEN.permitted],
-    stored: SetAtHome,
+    stored: StoredSet,
     mark: GoldenSetRequest,
 ) -> GoldenSet:
     """Make this set the golden set of the unit."""

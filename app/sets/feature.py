@@ -37,19 +37,19 @@ def make(services: Services) -> None:
     restores = services.add(RestoreService(readers, commands, services[EventLog], store))
     for name in services.buses:
         load, end = partial(restores.load, name), partial(restores.background.close, name)
-        services.at_home(name).add(f"restores of {name}", start=load, end=end)
+        services.lifespan.add(f"restores of {name}", start=load, end=end)
 
 
 def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
     live, commands, events, store = bus[BusLive], bus[CommandService], services[EventLog], services[SetStore]
     reader = bus.add(ParameterReader(live, commands))
     drift = bus.add(BusDrift(live, store, events))
-    services.at_home(name).add(f"golden sets of {name}", start=drift.load, end=drift.background.close)
+    services.lifespan.add(f"golden sets of {name}", start=drift.load, end=drift.background.close)
     keeper = bus.add(SetKeeper(live, reader, drift, store, events, services[Rights]))
     schedule = bus.add(SetSchedule(live, keeper, events, services.local_time))
     first_writes = bus.add(FirstWrites(live, commands, keeper, services.local_time))
     works = (partial(schedule.follow, SERVER), partial(keeper.learn_marked, SERVER))
-    services.at_home(name).add(f"sets of {name}", *works, end=first_writes.background.close)
+    services.lifespan.add(f"sets of {name}", *works, end=first_writes.background.close)
 
 
 FEATURE = Feature(

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from fastapi import Depends, Form, UploadFile
-from starlette.requests import HTTPConnection
 
 from app.errors import Problem, or_404
-from app.routing.forwarding.at_home import at_home_of
 from app.sets.document import MAX_DOCUMENT, THE_FILE, read_document
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore.record import Restore
@@ -55,16 +53,6 @@ async def set_or_404(sets: Sets, set_id: int) -> ParameterSet:
 
 StoredSet = Annotated[ParameterSet, Depends(set_or_404)]
 """The set of ``{set_id}`` in the path."""
-
-
-async def set_at_home(connection: HTTPConnection, stored: StoredSet) -> ParameterSet:
-    """The same, where its bus is: what is done with it is done there. Raises Problem 307."""
-    at_home_of(connection, stored.bus)
-    return stored
-
-
-SetAtHome = Annotated[ParameterSet, Depends(set_at_home)]
-"""The set of ``{set_id}`` in the path, at the home of its bus."""
 
 
 def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:

@@ -13,12 +13,11 @@ from app.errors import or_404
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state.bus_live import LiveState
-from app.routing.forwarding.at_home import at_home_of
 from app.sets.acts import MARK_GOLDEN, SAVE, SCHEDULE
 from app.sets.api import Drift
 from app.sets.comparison.compare import compare, row_message
 from app.sets.comparison.sides import choices, side
-from app.sets.lookup import SetAtHome, Sets, StoredSet
+from app.sets.lookup import Sets, StoredSet
 from app.sets.saving.keeper import SetKeeper
 from app.sets.saving.schedule import SetSchedule
 from app.sets.saving.taking import Takings
@@ -55,12 +54,12 @@ async def list_page(
     return render(
         request,
         "sets/page.html",
-        buses=live.here,
+        buses=live.buses,
         sets=found[:MAX_LISTED],
         ranges=partial(_ranges, live),
         older=found[MAX_LISTED - 1].id if len(found) > MAX_LISTED else None,
         schedule=await sets.schedule(),
-        overdue={name: bus_service_of(request, name, SetSchedule).overdue() for name in live.here},
+        overdue={name: bus_service_of(request, name, SetSchedule).overdue() for name in live.buses},
         bus=bus,
         unit=unit,
     )
@@ -68,7 +67,7 @@ async def list_page(
 
 def _ranges(live: LiveState, bus: str, units: Iterable[int]) -> str:
     """The units of a set with the names that they have now."""
-    known = live.here[bus].settings.unit if bus in live.here else []
+    known = live.buses[bus].settings.unit if bus in live.buses else []
     return ", ".join(unit_ranges(units, {unit.id: unit.name for unit in known}))
 
 
@@ -85,7 +84,6 @@ async def take(
     golden: Annotated[bool, Form()] = False,
 ) -> Response:
     """Begin to read the units, all of the bus when none is named."""
-    at_home_of(request, bus)
     units = unit or list(bus_or_404(live, bus).units)
     for number in units:
         unit_or_404(live, bus, number)
@@ -118,7 +116,6 @@ async def set_schedule(
     at: Annotated[str, Form(pattern=r"^([01]\d|2[0-3]):[0-5]\d$|^$")] = "",
 ) -> Response:
     """Read a bus daily at a time of the day, or no longer (empty)."""
-    at_home_of(request, bus)
     hour, _, minute = at.partition(":")
     schedule = bus_service_of(request, bus, SetSchedule)
     await schedule.set(person, int(hour) * 60 + int(minute) if at else None)
@@ -175,7 +172,7 @@ async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, stored: 
 async def golden(
     request: Request,
     person: Annotated[Person, MARK_GOLDEN.permitted],
-    stored: SetAtHome,
+    stored: StoredSet,
     unit: Annotated[int, Form()],
 ) -> Response:
     """Mark it as what the unit ought to be."""

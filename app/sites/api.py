@@ -1,4 +1,4 @@
-"""``GET /sites``: every line of every server."""
+"""``GET /sites``: every line in short."""
 
 from __future__ import annotations
 
@@ -36,15 +36,13 @@ class LineAlarmsShown(TypedDict):
 
 
 class LineOfSite(TypedDict):
-    """One line. All but ``bus``, ``stale``, ``age_s`` and ``verdict`` is as its home reported it last, null
-    where none has."""
+    """One line. All but ``bus``, ``stale``, ``age_s`` and ``verdict`` is as it was reported last, null where
+    it never was."""
 
     bus: str
     site: str | None
-    stale: Annotated[bool, Field(description="Its home no longer reports it: its state is not known.")]
+    stale: Annotated[bool, Field(description="It is no longer reported: its state is not known.")]
     age_s: Annotated[float | None, Field(description="Seconds since the report; null: there is none.")]
-    home: Annotated[str | None, Field(description="The id of the server that owns the bus.")]
-    epoch: Annotated[int | None, Field(description="Of the home; it grows with each that takes the bus.")]
     level: Annotated[
         AlarmPriorityShown | None, Field(description="Of the verdict; null: nothing is abnormal.")
     ]
@@ -63,7 +61,7 @@ class LineOfSite(TypedDict):
 
 
 class LinesOfSites(TypedDict):
-    """Every line of every server, the worst first."""
+    """Every line, the worst first."""
 
     time: Instant
     lines: list[LineOfSite]
@@ -73,7 +71,7 @@ class LinesOfSites(TypedDict):
 async def get_sites(
     _: Viewer, fleet: FleetLookup, templates: TemplatesService, site: str | None = None
 ) -> LinesOfSites:
-    """Every line of every server, the worst first. ``site``: only those of the site of this name."""
+    """Every line, the worst first. ``site``: only those of the site of this name."""
     english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
     now = unix_now()
     found = fleet.board.lines()
@@ -92,15 +90,13 @@ def line_json(line: LineOnBoard, english: Translator, now: UnixTime) -> LineOfSi
         "verdict": message_shown(no_report(line)),
     }
     if summary is None:
-        names = ("site", "home", "epoch", "units", "states", "alarms", "scan_hz", "speeds")
+        names = ("site", "units", "states", "alarms", "scan_hz", "speeds")
         return {**dict.fromkeys(names), **head}  # type: ignore[typeddict-item]
     if not line.is_stale:
         head["verdict"] = _verdict(line, english, now)
     return {
         **head,  # type: ignore[typeddict-item]
         "site": summary.site,
-        "home": summary.server,
-        "epoch": summary.epoch,
         "units": summary.units,
         "states": summary.states,
         "alarms": {

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from typing import Annotated, NamedTuple
 
-from app.live.diagnosis.cause import Level
 from app.live.screen.diff import Groups, put_fields
 from app.live.screen.fields import Fields, Translator
 from app.sites.board import LineBoard, LineOnBoard
@@ -13,11 +11,8 @@ from app.sites.summary import LineSummary
 from app.sites.tile import line_key, tile_fields
 from app.web.services import service
 from bus.instants import Clock, UnixTime
-from bus.messages import Message
 
 MINUTE_S = 60.0
-HEAD_PRIORITIES: tuple[Level, ...] = ("urgent", "high")
-"""An alarm of these, at a line of another server, is in the head of every page."""
 
 
 class _Worded(NamedTuple):
@@ -30,13 +25,10 @@ class _Worded(NamedTuple):
 
 class Fleet:
     """Most lines are from one second to the next as they were: only the others are put into words again.
-    ``clock``: Unix time in seconds; ``elsewhere``: the buses that other servers show."""
+    ``clock``: Unix time in seconds."""
 
-    def __init__(
-        self, board: LineBoard, clock: Clock, elsewhere: Callable[[], Iterable[str]] = lambda: ()
-    ) -> None:
+    def __init__(self, board: LineBoard, clock: Clock) -> None:
         self.board = board
-        self._elsewhere = elsewhere
         self._clock = clock
         self._worded: dict[tuple[str, str], _Worded] = {}
         self._shown: dict[str, Groups] = {}
@@ -67,20 +59,6 @@ class Fleet:
                 sent[line.bus] = rank, fields
                 changed |= put_fields(shown, line_key(line.bus), fields | {"rank": str(rank)})
         return changed
-
-    def alarms_elsewhere(self, translator: Translator) -> Fields:
-        """How many lines of other servers have an urgent or high alarm, and the ``mark`` of the worst; both
-        empty where none has."""
-        elsewhere = set(self._elsewhere())
-        marks = [
-            line.summary.alarm_priority
-            for line in (self.board.lines() if elsewhere else ())
-            if line.bus in elsewhere and line.summary and line.summary.alarm_priority in HEAD_PRIORITIES
-        ]
-        if not marks:
-            return {"others": "", "others_mark": ""}
-        words = translator.t(Message.of("lines_with_alarms", n=len(marks)))
-        return {"others": words, "others_mark": min(marks, key=HEAD_PRIORITIES.index)}
 
     def forget(self, tag: str) -> None:
         """No page in this language follows them."""

@@ -1,9 +1,8 @@
-"""The last event of each line whose home is this server, as the event log has it."""
+"""The last event of each line, as the event log has it."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -29,11 +28,10 @@ DONE = ("verified", "acknowledged")
 
 @dataclass(eq=False, repr=False)
 class LastEvents:
-    """``is_here``: whether this server is the home of a bus."""
+    """Reads the event log where a line has a new event."""
 
     live: LiveState
     events: EventLog
-    is_here: Callable[[str], bool]
     _last: dict[str, EventSummary] = field(default_factory=dict)
     _changed: set[str] = field(default_factory=set)
 
@@ -58,9 +56,6 @@ class LastEvents:
     async def read(self) -> None:
         """Read the last event of each line that has a new one. A change of several units is one."""
         for bus in sorted(self._changed):
-            if not self.is_here(bus):
-                self._last.pop(bus, None)
-                continue
             with suppress(StoreError):
                 found, _ = await self.events.page(Filter(bus=bus, folded=True), MAX_READ)
                 self._changed.discard(bus)

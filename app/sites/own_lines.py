@@ -1,4 +1,4 @@
-"""The summaries of the lines whose home is this server."""
+"""The summaries of the lines of this server."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from app.alarms.monitor.line_alarms import LineAlarms
 from app.live.screen.fields import Translator
 from app.live.screen.sources import GoldenDrift, LoadedRecipes, UnitGuards
 from app.live.state.bus_live import LiveState
-from app.routing.homes import BusHomes
 from app.sites.last_events import LastEvents
-from app.sites.summarize import LineOrigin, SpeedTrace, summary_of, view_of
+from app.sites.summarize import SpeedTrace, summary_of, view_of
 from app.sites.summary import LineSummary
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
@@ -34,7 +33,6 @@ class OwnLines:
     alarms: LineAlarms
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
-    homes: BusHomes
     recipes: LoadedRecipes
     events: LastEvents
     english: Translator
@@ -45,10 +43,10 @@ class OwnLines:
     _made_at: Monotonic = Monotonic(float("-inf"))
 
     def summaries(self) -> list[LineSummary]:
-        """Each line whose home is here now, less than a second old."""
+        """Return the summary of each line, less than a second old."""
         now = self.monotonic()
         if now - self._made_at > FRESH_S:
-            self._made = [self._summary(bus) for bus in self.live.buses if self.homes.is_here(bus)]
+            self._made = [self._summary(bus) for bus in self.live.buses]
             self._made_at = now
         return self._made
 
@@ -59,13 +57,10 @@ class OwnLines:
             await asyncio.sleep(TRACE_S)
 
     def note_speeds(self) -> None:
-        """One look at each line; of one whose home is elsewhere nothing is kept."""
+        """Take a point of each line where one is due."""
         now = self.clock()
         for name, bus in self.live.buses.items():
-            if self.homes.is_here(name):
-                self._traces.setdefault(name, SpeedTrace()).note(bus, now)
-            else:
-                self._traces.pop(name, None)
+            self._traces.setdefault(name, SpeedTrace()).note(bus, now)
 
     def _summary(self, name: str) -> LineSummary:
         bus, now = self.live.buses[name], self.clock()
@@ -80,10 +75,9 @@ class OwnLines:
             )
             for number in bus.units
         ]
-        origin = LineOrigin(self.site, self.homes.server, self.homes.epoch(name))
         trace = self._traces.setdefault(name, SpeedTrace())
         trace.note(bus, now)
-        found = summary_of(bus, views, self._alarms_of(name), trace.points, origin, now)
+        found = summary_of(bus, views, self._alarms_of(name), trace.points, self.site, now)
         return replace(found, recipe=self._recipe(name), event=self.events.of(name))
 
     def _recipe(self, bus: str) -> Message | None:

@@ -19,7 +19,7 @@ router = APIRouter(include_in_schema=False)
 
 @router.get("/lines")
 async def lines_page(request: Request, _: Viewer, fleet: FleetLookup, site: str = "") -> Response:
-    """Every line of every server, the worst first; ``site``: only of this one, where there is one of its
+    """Every line, the worst first; ``site``: only of this one, where there is one of its
     name."""
     templates = templates_of(request)
     language = templates.language_of(request).on_screen
@@ -39,5 +39,4 @@ async def lines_page(request: Request, _: Viewer, fleet: FleetLookup, site: str 
         tiles=fleet.fields_of(lines, translator),
         sites=sites,
         chosen=chosen,
-        live_home="here",
     )

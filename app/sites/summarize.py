@@ -48,25 +48,16 @@ def _line_speed(bus: BusLive, now: UnixTime) -> float | None:
     return float(Decimal(first.reading.actual).scaleb(-(speed_decimals(bus, first) or 0)))
 
 
-@dataclass(frozen=True, slots=True)
-class LineOrigin:
-    """Where a line is summarized: the name of its site, its server, and the epoch of its home."""
-
-    site: str
-    server: str
-    epoch: int
-
-
 def summary_of(
     bus: BusLive,
     views: list[UnitView],
     alarms: Iterable[tuple[Alarm, Message]],
     speeds: Iterable[float | None],
-    origin: LineOrigin,
+    site: str,
     now: UnixTime,
 ) -> LineSummary:
     """``views``: how each unit looks; ``alarms``: those of the line that a person is to know of, each with
-    its text."""
+    its text; ``site``: its name."""
     place, cause = _worst(bus, views, now)
     counts = state_counts(views)
     known = sorted(alarms, key=lambda entry: rank(entry[0]))
@@ -74,9 +65,7 @@ def summary_of(
     first = known[0] if known else None
     return LineSummary(
         bus.settings.name,
-        origin.site,
-        origin.server,
-        origin.epoch,
+        site,
         cause.level if cause else "",
         all_well(len(views), counts),
         len(views),

@@ -1,9 +1,7 @@
-"""What every server knows of a line: its state, its alarms and its speed in short, never its readings.
-Pure."""
+"""A line in short: its state, its alarms and its speed, never its readings. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from typing import Annotated
 
 import msgspec
@@ -15,9 +13,6 @@ from app.live.state.onset import Onset
 from bus.instants import UnixTime
 from bus.messages import Message
 
-MAX_NOTICE_BYTES = 7_900
-"""Of one notification: PostgreSQL takes 8,000 bytes."""
-MAX_LINE_BYTES = 3_500
 MAX_POINTS = 60
 POINT_S = 10.0
 """From one point of the speed to the next: ten minutes in all."""
@@ -28,7 +23,7 @@ LineSpeed = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
 
 class CauseSummary(msgspec.Struct, frozen=True):
-    """A cause that another server words for its readers; see :class:`app.live.diagnosis.cause.Cause`."""
+    """A cause that is put into words for each reader; see :class:`app.live.diagnosis.cause.Cause`."""
 
     code: Annotated[str, Meta(max_length=60)]
     since: float | None = None
@@ -73,8 +68,6 @@ class LineSummary(msgspec.Struct, frozen=True):
 
     bus: _Name
     site: _Name
-    server: _Name
-    epoch: int
     level: Level
     verdict: Message
     units: _Count
@@ -89,63 +82,3 @@ class LineSummary(msgspec.Struct, frozen=True):
     speeds: Annotated[list[LineSpeed | None], Meta(max_length=MAX_POINTS)] = []
     recipe: Message | None = None
     event: EventSummary | None = None
-
-
-class Notice(msgspec.Struct, frozen=True):
-    """Some lines of one server, each as it was sent: most are from one second to the next the same bytes,
-    which are not read again. ``ends``: it stops, and will send no more."""
-
-    server: _Name
-    lines: Annotated[list[msgspec.Raw], Meta(max_length=500)]
-    ends: bool = False
-
-
-_encode = msgspec.json.Encoder().encode
-_decoder = msgspec.json.Decoder(Notice)
-_line_decoder = msgspec.json.Decoder(LineSummary)
-
-
-def notices(server: str, lines: Iterable[LineSummary]) -> Iterator[str]:
-    """The lines as texts of at most `MAX_NOTICE_BYTES` bytes."""
-    head, tail = _encode(Notice(server, [])).split(b"[]")
-    waiting: list[bytes] = []
-    size = 0
-    for line in lines:
-        part = _within_bounds(line)
-        if waiting and size + len(part) + len(head) + len(tail) + 2 > MAX_NOTICE_BYTES:
-            yield (head + b"[" + b",".join(waiting) + b"]" + tail).decode()
-            waiting, size = [], 0
-        waiting.append(part)
-        size += len(part) + 1
-    if waiting:
-        yield (head + b"[" + b",".join(waiting) + b"]" + tail).decode()
-
-
-def end_notice(server: str) -> str:
-    """That a server stops."""
-    return _encode(Notice(server, [], ends=True)).decode()
-
-
-def read_notice(text: str) -> Notice:
-    """Raises ValueError for what no server of this version has sent."""
-    try:
-        return _decoder.decode(text)
-    except msgspec.MsgspecError as error:
-        raise ValueError(str(error)) from error
-
-
-def read_line(text: bytes) -> LineSummary:
-    """One line of a notice. Raises ValueError as :func:`read_notice` does."""
-    try:
-        return _line_decoder.decode(text)
-    except msgspec.MsgspecError as error:
-        raise ValueError(str(error)) from error
-
-
-def _within_bounds(line: LineSummary) -> bytes:
-    """A reason that a person typed may be long: it is on the page of the line."""
-    part = _encode(line)
-    if len(part) > MAX_LINE_BYTES:
-        cause = line.cause and msgspec.structs.replace(line.cause, why=None)
-        part = _encode(msgspec.structs.replace(line, cause=cause, alarm=None, event=None))
-    return part

@@ -26,12 +26,12 @@ STATES = {
     "off_speed": "line_n_off_speed",
 }
 """The text for how many units are in a state."""
-_NO_REPORT: tuple[tuple[float, str, str, int], ...] = (
-    (LONG_S, "line_overdue_seconds", "line_ended_seconds", 1),
-    (LONG_MINUTES_S, "line_overdue_minutes", "line_ended_minutes", MINUTE_S),
-    (inf, "line_overdue_hours", "line_ended_hours", HOUR_S),
+_NO_REPORT: tuple[tuple[float, str, int], ...] = (
+    (LONG_S, "line_overdue_seconds", 1),
+    (LONG_MINUTES_S, "line_overdue_minutes", MINUTE_S),
+    (inf, "line_overdue_hours", HOUR_S),
 )
-"""Up to which age, the text for it while nothing is known and where its server has stopped, and in what."""
+"""Up to which age, the text that nothing was reported for so long, and in what."""
 _NEVER: Fields = {
     **dict.fromkeys(
         (
@@ -41,7 +41,6 @@ _NEVER: Fields = {
             "alarm",
             "alarm_mark",
             "alarms",
-            "home",
             "spark",
             "recipe",
             "event",
@@ -82,7 +81,6 @@ def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fie
         "alarm": translator.t(summary.alarm) if summary.alarm is not None else "",
         "alarm_mark": summary.alarm_priority,
         "alarms": _alarms(summary, translator),
-        "home": summary.server,
         "scan": translator.formats.number(summary.scan_hz, 1) if summary.scan_hz is not None else UNKNOWN,
         "speed": _speed(summary, translator),
         "spark": outline(summary.speeds),
@@ -122,12 +120,10 @@ def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTi
 
 def no_report(line: LineOnBoard) -> Message:
     """That the server of a line does not report it, and since when."""
-    summary = line.summary
-    if summary is None:
+    if line.summary is None:
         return Message("line_never_reported")
-    _, overdue, ended, unit_s = next(row for row in _NO_REPORT if line.age_s < row[0] or row[0] == inf)
-    code = ended if line.has_ended else overdue
-    return Message.of(code, server=summary.server, n=int(line.age_s // unit_s))
+    _, code, unit_s = next(row for row in _NO_REPORT if line.age_s < row[0] or row[0] == inf)
+    return Message.of(code, server=line.server, n=int(line.age_s // unit_s))
 
 
 def outline(speeds: list[float | None]) -> str:

@@ -27,8 +27,7 @@ three rows; in more."""
 
 @dataclass(frozen=True, slots=True)
 class LineOnWall:
-    """What of a line does not change while the page is open. ``units``: its sections in floor order; empty
-    where its home is another server."""
+    """What of a line does not change while the page is open. ``units``: its sections in floor order."""
 
     bus: str
     key: str
@@ -43,13 +42,11 @@ class LineOnWall:
 
 @router.get("/wallboard")
 async def wallboard_page(request: Request, _: Viewer, fleet: FleetLookup, bus: str = "") -> Response:
-    """Every line of every server in turn, or only that of ``bus``. Raises Problem 404."""
+    """Every line in turn, or only that of ``bus``. Raises Problem 404."""
     templates, hub = templates_of(request), service_of(request, Hub)
     language = templates.language_of(request).on_screen
     reported = fleet.board.lines()
-    configured = list(hub.live.buses)
-    others = sorted({line.bus for line in reported} - set(configured))
-    names = [*configured, *others]
+    names = list(hub.live.buses)
     if bus and bus not in names:
         raise unknown_bus(bus, names)
     return render(
@@ -60,11 +57,9 @@ async def wallboard_page(request: Request, _: Viewer, fleet: FleetLookup, bus: s
         chosen=bus,
         tiles=fleet.fields_of(reported, Translator(language, templates.formats(language.tag))),
         fields=hub.screen(language.tag).flat(),
-        live_home="here",
     )
 
 
 def _on_wall(hub: Hub, name: str) -> LineOnWall:
-    bus = hub.live.here.get(name)
-    units = [] if bus is None else [unit_on_line(name, unit) for unit in bus.units.values()]
+    units = [unit_on_line(name, unit) for unit in hub.live.buses[name].units.values()]
     return LineOnWall(name, line_key(name), units, units[0].unit if units else "")

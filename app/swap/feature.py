@@ -19,7 +19,7 @@ def make(services: Services) -> None:
     store, restores = SwapStore(services[Database]), services[RestoreService]
     swaps = services.add(SwapService(services[EventLog], store, restores, unix_now))
     for name in services.buses:
-        services.at_home(name).add(f"swaps of {name}", start=partial(swaps.load, name))
+        services.lifespan.add(f"swaps of {name}", start=partial(swaps.load, name))
 
 
 FEATURE = Feature(make, (pages.router,), ACTS)

@@ -48,7 +48,7 @@ class SwapService:
         restores.on_end(self.on_restore_end)
 
     async def load(self, bus: str) -> None:
-        """When the home of a bus is taken, after the restores: what was under way when that ended."""
+        """Take up, after the restores, what was under way when the last run ended."""
         self._swaps = {place: swap for place, swap in self._swaps.items() if swap.bus != bus}
         for swap in await self._store.load(bus, self._restores.find):
             self._swaps[swap.bus, swap.unit] = swap

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from app.feature import Feature, Services
 from app.find.finders import Finders, FixedPlace
-from app.live.state.bus_live import LiveState
 from app.tray import adding, pages
 from app.tray.contents import Trays
 from app.web.admission.access import Person
@@ -16,11 +15,11 @@ from bus.messages import Message
 def make(services: Services) -> None:
     for bus in services.buses.values():
         bus.add(Trays())
-    here, trays_of = services[LiveState], services.of_buses(Trays)
+    trays_of = services.of_buses(Trays)
 
     def counted(person: Person) -> list[TrayCount]:
         now = monotonic_now()
-        held = {name: trays_of[name].of(person.sender, now) for name in here.here}
+        held = {name: trays.of(person.sender, now) for name, trays in trays_of.items()}
         return [
             TrayCount(name, len(changes), len({place.unit for place in changes}))
             for name, changes in held.items()

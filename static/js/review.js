@@ -259,8 +259,6 @@ export function start() {
   document.addEventListener("htmx:config:request", (event) => {
     const { ctx } = event.detail;
     ctx.request.headers["Lineside-Clicked-At"] = clock.now().toFixed(3);
-    // Another tab may look at another home, and the cookie is of both.
-    if (document.body.dataset.home) ctx.request.headers["Lineside-Home"] = document.body.dataset.home;
     if (ctx.sourceElement.matches("[data-once]")) ctx.request.body.set("id", newId());
   });
   document.addEventListener("htmx:before:request", (event) => {

@@ -45,12 +45,8 @@ function turn() {
 
 /** @param {HTMLElement} line */
 function follow(line) {
-  let home = "";
   let level = "";
   listen(line.dataset.line ?? "", (fields, changed) => {
-    // Another server has the line now: what can be shown of it is different.
-    if (home && fields.home !== home) location.reload();
-    home = String(fields.home ?? "");
     const isUrgent = fields.level === "urgent" && level !== "urgent";
     level = String(fields.level ?? "");
     if (isAll && isUrgent) show(line);

@@ -26,7 +26,7 @@ class Journal:
     def observed(self) -> list[ObservedSpan]:
         return self.spans
 
-    async def present_facts(self) -> list[object]:
+    def present_facts(self) -> list[object]:
         return []
 
     def write(self, alarm: str, *rows: tuple[float, str, str, str], priority: str = "low") -> None:

@@ -42,9 +42,6 @@ from app.live.change_recorder import ChangeRecorder
 from app.live.screen.sources import Sources
 from app.live.state.bus_live import LiveState
 from app.pipeline import Pipeline
-from app.routing.other_lines import OtherLines
-from app.routing.peers import Peers
-from app.routing.site_servers import SiteServers
 from app.settings import Settings, Site
 from app.web.admission.access import Person, Role, Via
 from app.web.admission.turns import Turns
@@ -74,7 +71,6 @@ from bus.contract import (
 from bus.messages import term
 from bus.settings import BusSettings, UnitSettings
 from tests.app.played_rights import PlayedRights
-from tests.app.played_site import PlayedHomes
 from tests.app.played_sources import NoAlarms, NoGoldenSets, NoLines, NoRecipes
 from tests.app.screens import translator
 
@@ -268,11 +264,10 @@ class Stage:
         )
         configuration = Settings(site=Site(name="Test line"), bus=(settings,))
         view = LineView(configuration.site.name, self.live, sources, translator())
-        alone = SiteServers(PlayedHomes(is_shared=False), ())
         self.app.state.services = Registry(
             (
                 *(configuration, _templates(), view),
-                *(self.live, self.workers, self.events, Turns(), ActLimit(), OtherLines(alone, Peers())),
+                *(self.live, self.workers, self.events, Turns(), ActLimit()),
             ),
             {settings.name: (bus, self.commands, self.guards)},
         )

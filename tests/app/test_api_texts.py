@@ -66,7 +66,7 @@ CODES = {
 TYPED_BY_PEOPLE = {
     *("analog", "analog_unit", "bus", "comment", "group", "id", "input", "measure", "name", "output", "port"),
     *("CommandBlock.reason", "site", "unit", "who", "by", "changed_by", "holder"),
-    *("Alarm.hidden_by", "Alarm.reason", "AlarmTransition.reason", "LineOfSite.home", "elsewhere"),
+    *("Alarm.hidden_by", "Alarm.reason", "AlarmTransition.reason"),
     *(f"OwnAlarm.{name}" for name in ("cause", "consequence", "response")),
     *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
     *("ConfigurationVersion.reason", "ReportedUnit.length_unit", "ReportedUnit.speed_unit"),

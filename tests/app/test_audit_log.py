@@ -102,26 +102,6 @@ async def test_what_a_dead_server_left_open_is_unverified(log: EventLog) -> None
     assert (events[left]["outcome"], events[left]["message"]) == ("unverified", str(ENDED_BEFORE))
 
 
-async def test_what_the_former_home_concludes_meanwhile_keeps_its_outcome(
-    log: EventLog, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    done, left = await intent(log), await intent(log)
-    conclude_together = log.conclude_together
-
-    async def late(outcomes: Any) -> None:
-        if done in outcomes:
-            await log.conclude(done, "acknowledged")
-        await conclude_together(outcomes)
-
-    monkeypatch.setattr(log, "conclude_together", late)
-    assert await log.close_open_intents("dry-end") == 1
-    events = {event["id"]: event for event in await newest(log, kind="command")}
-    assert {number: events[number]["outcome"] for number in (done, left)} == {
-        done: "acknowledged",
-        left: "unverified",
-    }
-
-
 @pytest.mark.parametrize("change", ["UPDATE events SET what = 'x' WHERE id = 1", "DELETE FROM events"])
 async def test_nothing_is_changed_or_removed(log: EventLog, database: Database, change: str) -> None:
     await intent(log)

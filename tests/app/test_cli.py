@@ -62,11 +62,20 @@ def test_every_command_is_there_and_explains_itself() -> None:
         assert "Usage:" in result.stdout
 
 
+@pytest.mark.parametrize("words", [("home",), ("home", "take", "--bus", "dry-end"), ("home", "--json")])
+def test_a_withdrawn_command_names_what_takes_its_place(words: tuple[str, ...]) -> None:
+    result = CliRunner().invoke(cli, words)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "lineside home is withdrawn" in result.stderr
+    assert "lineside restore-store" in result.stderr
+    assert "[[peer]]" in result.stderr
+
+
 PRINT_LOADED = "print(*(name for name, module in sys.modules.items() if module is not None))"
 
 
 FACTS = (
-    *("scan", "decode", "check", "status", "report", "home", "user list", "token list", "audit verify"),
+    *("scan", "decode", "check", "status", "report", "user list", "token list", "audit verify"),
     *("backup", "diff", "restore", "backup-store", "install-service"),
 )
 """Commands that print facts."""

@@ -235,8 +235,6 @@ async def test_a_restart_keeps_them_and_leaves_aside_what_no_longer_fits(tmp_pat
         engineer = await house.signed_in(Role.ENGINEER)
         found = (await engineer.get(PATH)).json()
         assert found["alarms"] == [own]
-        # Each home loads what is its own, in whatever order they are taken.
-        await house.services[OwnAlarmBook].load("")
         (aside,) = (await engineer.get(PATH)).json()["left_aside"]
         assert (aside["name"], "has no unit 9" in aside["reason"]["detail"]) == ("Of a unit that goes", True)
         assert (await removed(engineer, aside)).status_code == 204

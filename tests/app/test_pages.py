@@ -10,12 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from app.home.homes import Homes
 from app.live.pages import digits_of, view_for
 from app.live.state.bus_live import LiveState
 from app.web.admission.access import Role
 from bus.contract import ParameterValue
-from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.screens import line
 
@@ -42,25 +40,6 @@ def test_a_number_has_room_for_the_highest_speed(decimals: int, span: int, digit
     values = [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((2, span), (3, decimals))]
     live.buses["dry"].apply(list(values))
     assert digits_of(live.buses["dry"].units[1]) == digits
-
-
-@pytest.mark.parametrize(
-    ("language", "words"),
-    [("en", "Another server has the id a too"), ("de", "Ein anderer Server hat ebenfalls die id a")],
-)
-async def test_faults_of_the_homes_are_on_the_page_of_the_line(
-    house: House, language: str, words: str
-) -> None:
-    reader = await house.program(Role.VIEWER)
-    accepted = {"Accept-Language": language}
-    assert words not in (await reader.get("/", headers=accepted)).text
-    twin = Message.of("home_namesake", server="a", buses="dry-end", url="http://a.plant.example:8000")
-    house.services[Homes].faults = (twin, Message.of("home_row_unusable", bus="dry-end", epoch=-1))
-    page = (await reader.get("/", headers=accepted)).text
-    notice = re.search(r'data-live="line_summary.memory"[^>]*>([^<]*)<', page)
-    assert notice
-    assert words in notice[1]
-    assert re.search(r"[^.]*-1[^.]*\. ", notice[1].partition(". ")[2])
 
 
 @pytest.mark.parametrize("path", PAGES)

@@ -26,7 +26,6 @@ COMMANDS = (
     ("status", "--json"),
     ("install-service", "--dry-run"),
     ("backup-store", "copy.tar"),
-    ("home",),
 )
 
 

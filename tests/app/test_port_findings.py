@@ -16,9 +16,7 @@ import pytest
 
 from app.cli.findings import ports as port_findings
 from app.cli.findings.ports import is_connected_to, is_worker_of
-from app.home.lease import HomeRow
 from app.settings import LOCK_FILE
-from bus.instants import UnixTime
 from bus.line.port.trial import port_fault
 from tests.app.live_check import bus, check_live, everything_in, pseudo_terminal, run
 from tests.free_port import free_port
@@ -178,8 +176,3 @@ def test_a_device_server_of_a_running_server_is_left_alone(
     assert (result.exit_code, result.stderr) == (0, "")
     assert "was not tried: the server runs" in result.stdout
     assert has_no_caller(device_server)
-
-
-HOME = HomeRow(
-    "dry-end", "app-2", "i", 3, UnixTime(20.0), 0, "", UnixTime(0.0), "", "", "", "", UnixTime(0.0)
-)

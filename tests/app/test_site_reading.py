@@ -21,7 +21,6 @@ READING = (
     ("user", "list"),
     ("token", "list"),
     ("audit", "verify"),
-    ("home",),
     ("check",),
     ("status",),
     ("report",),

@@ -16,7 +16,7 @@ from app.web.admission.access import Role
 from bus.instants import unix_now
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House
-from tests.app.played_line import BUS, PlayedLine, played_line
+from tests.app.played_line import BUS, PlayedLine
 
 NUMBER, BEFORE, SET = 12, 20, 30
 PARAMETER = f"/units/{BUS}/1/parameters/{NUMBER}"
@@ -136,20 +136,6 @@ async def test_after_a_minute_only_a_review_that_began_in_time(
     ahead = 60.0
     assert (await client.post(PARAMETER, data={**form, "id": "in-time-1"})).status_code == 200
     assert line.memory[1][NUMBER] == BEFORE
-
-
-async def test_after_a_time_at_another_home_nothing_is_undone(
-    house: House, client: httpx.AsyncClient
-) -> None:
-    """What was sent there is not known here, also where the value is the same again."""
-    form = await review(client)
-    async with house.services.lifespans_at_home[BUS].running():
-        again = await played_line(house.services)
-        again.memory[1][NUMBER] = SET
-        await client.post(f"/units/{BUS}/1/parameters/read")
-        for refused in (await client.get(f"/bus/{BUS}/undo/first"), await client.post(PARAMETER, data=form)):
-            assert (refused.status_code, OVER in refused.text) == (409, True)
-        assert again.written == []
 
 
 async def test_a_forged_undo_leaves_no_trace_of_its_sender(house: House, client: httpx.AsyncClient) -> None:

@@ -95,7 +95,7 @@ class AlarmPerformance:
 
 async def measure(alarms: LineAlarms, start: UnixTime, end: UnixTime) -> AlarmPerformance:
     """The figures of a span. Memory is bounded by its windows of ten minutes, time as any costly read is."""
-    now, observed = _present(await alarms.present_facts(), end), alarms.observed()
+    now, observed = _present(alarms.present_facts(), end), alarms.observed()
     return await alarms.store.read_costly(lambda connection: _measured(connection, start, end, observed, now))
 
 

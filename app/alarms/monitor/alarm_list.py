@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import structlog
 
-from app.alarms.alarm import NORMAL, SITE, Alarm, AlarmDefinition
+from app.alarms.alarm import SITE, Alarm, AlarmDefinition
 from app.alarms.journal.store import AlarmStore, JournalEntry, StoredAlarm, entry_of
 from app.alarms.rules import changes
 from app.alarms.rules.changes import Changed
@@ -64,15 +64,6 @@ class AlarmList:
     def subscribe(self, subscriber: AlarmSubscriber) -> None:
         """Call ``subscriber`` with each alarm that has changed."""
         self._subscribers.append(subscriber)
-
-    def forget(self) -> None:
-        """Begin as after the start of the server: another one may have had these alarms meanwhile."""
-        self._entries, self._changed, self._due = [], {}, {}
-        self._withdrawn.clear()
-        self.observed = self._recorded = None
-        for alarm in self.alarms.values():
-            alarm.facts, alarm.holds, alarm.first_out = NORMAL, None, False
-            alarm.hidden_by = alarm.reason = ""
 
     def load(self, stored: Mapping[str, StoredAlarm], now: UnixTime) -> None:
         """Go on where the last run ended. Of what was active nothing is known until it is observed."""

@@ -87,14 +87,8 @@ class BusAlarms:
         alarm.holds = None
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:
-        """Take up the states that the last run left, or another server."""
+        """Take up the states that the last run left."""
         now = self._clock()
-        self.list.forget()
-        self._unrequested = CountWindow()
-        self._estops.clear()
-        self._lost_alone.clear()
-        for monitor in self._monitors.values():
-            monitor.forget()
         self.list.load(stored, now)
         estop_alarms = {unit: key_of(self.bus, unit, ESTOP_ACTIVE.code) for unit in self._monitors}
         self._estops |= {unit for unit, key in estop_alarms.items() if self.list.alarms[key].facts.active}

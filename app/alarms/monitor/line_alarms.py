@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import AsyncExitStack, suppress
 from typing import NamedTuple
 
 from app.alarms.acts import SILENCE, SILENCE_SOUNDING, ActBody, AlarmAct
-from app.alarms.alarm import SITE, Alarm
+from app.alarms.alarm import Alarm
 from app.alarms.journal.store import AlarmStore
 from app.alarms.monitor.alarm_list import AlarmList, AlarmSubscriber
 from app.alarms.monitor.bus_alarms import BusAlarms
@@ -38,14 +38,8 @@ class FoundAlarm(NamedTuple):
     list: AlarmList
 
 
-def _nowhere(_bus: str) -> bool:
-    return False
-
-
 class LineAlarms:
-    """What a person does is in the audit log, the journal and the alarm together, or nowhere.
-    ``is_elsewhere``: whether another server is the home of a bus, or of the site (``""``). What is known here
-    of its alarms is of the past, and nothing gives it but :meth:`every` and :meth:`known`."""
+    """What a person does is in the audit log, the journal and the alarm together, or nowhere."""
 
     def __init__(
         self,
@@ -54,9 +48,7 @@ class LineAlarms:
         store: AlarmStore,
         events: EventLog,
         clock: Clock = unix_now,
-        is_elsewhere: Callable[[str], bool] = _nowhere,
     ) -> None:
-        self._is_elsewhere = is_elsewhere
         self.buses = buses
         self.site = site
         self.store = store
@@ -70,13 +62,13 @@ class LineAlarms:
         """When each alarm was annunciated last."""
         self.subscribe(self._note)
 
-    async def load(self, bus: str) -> None:
-        """Take up the states that the last run left; when the home of a bus, or of the site (``""``), is
-        taken."""
+    async def load(self) -> None:
+        """Take up the states that the last run left."""
         stored = await self.store.load()
-        of_bus = self.buses[bus] if bus else self.site
-        of_bus.load(stored)
-        for alarm in of_bus.list.alarms.values():
+        self.site.load(stored)
+        for bus in self.buses.values():
+            bus.load(stored)
+        for alarm in self.every():
             self._note(alarm)
 
     def _note(self, alarm: Alarm) -> None:
@@ -94,10 +86,9 @@ class LineAlarms:
             else:
                 index.pop(definition.key, None)
 
-    async def write(self, bus: str | None = None) -> None:
-        """Bring to disk what is not there yet, as far as it can be: of a bus, of the site (``""``), or of
-        all."""
-        for each in self._lists if bus is None else (self.list_of(bus),):
+    async def write(self) -> None:
+        """Bring to disk what is not there yet, as far as it can be."""
+        for each in self._lists:
             for work in (each.write, each.record_observed):
                 with suppress(StoreError):
                     await work()
@@ -125,45 +116,26 @@ class LineAlarms:
         """Since when each list is observed; the store has it a minute late."""
         return [each.observed for each in self._lists if each.observed is not None]
 
-    def is_here(self, alarm: Alarm) -> bool:
-        """Whether its state is that of the present."""
-        return not self._is_elsewhere(alarm.definition.bus or "")
-
-    def places_here(self) -> list[str]:
-        """The site (``""``) and the buses whose home is no other server."""
-        return [place for place in ("", *self.buses) if not self._is_elsewhere(place)]
-
-    def _present_here(self) -> Iterator[Alarm]:
-        elsewhere = {place for place in ("", *self.buses) if self._is_elsewhere(place)}
-        present = self._present.values()
-        return (alarm for alarm in present if (alarm.definition.bus or "") not in elsewhere)
-
     def present(self) -> list[Alarm]:
         """The alarms that are not normal, by :func:`rank`."""
-        return sorted(self._present_here(), key=rank)
+        return sorted(self._present.values(), key=rank)
 
-    async def present_facts(self) -> list[AlarmFacts]:
-        """Of every alarm that is not normal; of one that another server observes, as stored last."""
-        here = [alarm.facts for alarm in self._present_here()]
-        elsewhere = {place or SITE for place in ("", *self.buses) if self._is_elsewhere(place)}
-        stored = await self.store.load() if elsewhere else {}
-        there = (kept.facts for key, kept in stored.items() if key.partition(".")[0] in elsewhere)
-        return [*here, *(facts for facts in there if facts.state != "normal")]
+    def present_facts(self) -> list[AlarmFacts]:
+        """Return the facts of every alarm that is not normal."""
+        return [alarm.facts for alarm in self._present.values()]
 
     def annunciated(self) -> list[Alarm]:
         """The alarms that are active or wait for an acknowledgement and that nothing hides, in no order."""
-        return [alarm for alarm in self._present_here() if alarm.is_annunciated]
+        return [alarm for alarm in self._present.values() if alarm.is_annunciated]
 
     def sounding(self) -> list[Alarm]:
         """The alarms that are audible, the most important first."""
-        sounding = (alarm for alarm in self._present_here() if alarm.facts.sounds)
+        sounding = (alarm for alarm in self._present.values() if alarm.facts.sounds)
         return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
 
     def of_unit(self, bus: str, unit: int) -> list[Alarm]:
         """Those of a unit that are annunciated, by :func:`rank`."""
-        of_unit = self._of_unit.get((bus, unit))
-        if not of_unit or self._is_elsewhere(bus):
-            return []
+        of_unit = self._of_unit.get((bus, unit), {})
         return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
 
     def place(self, bus: str | None, unit: int | None) -> str:

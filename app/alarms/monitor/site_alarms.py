@@ -69,8 +69,7 @@ class SiteAlarms:
         self.list = AlarmList((built_in(code, None, None, tuned) for code in SERVER_ALARMS), store)
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:
-        """Take up the states that the last run left, or another server."""
-        self.list.forget()
+        """Take up the states that the last run left."""
         self.list.load(stored, self._clock())
 
     async def follow(self) -> None:

@@ -63,12 +63,6 @@ class UnitMonitor:
         """Status bytes and motion of the last reading; None while its values are not known."""
         self._window = CountWindow()
 
-    def forget(self) -> None:
-        """Observe everything from the next report on, as if for the first time."""
-        self._read_at, self._status = _NEVER, None
-        self._window = CountWindow()
-        self._own_are_new = True
-
     def add_own(self, alarm: Alarm, condition: OwnCondition) -> None:
         """Observe an alarm of the site from the next reading on."""
         self._own[alarm.definition.key] = (alarm, condition)

@@ -6,7 +6,6 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query
 from pydantic import ConfigDict, Field
-from starlette.requests import HTTPConnection
 from typing_extensions import TypedDict
 
 from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN, ActReason, Comment
@@ -20,7 +19,6 @@ from app.alarms.simulation.proposal import proposed
 from app.alarms.simulation.simulator import Simulator
 from app.conditions.priority import AlarmPriority
 from app.history.api.spans import HistoryOf
-from app.routing.forwarding.at_home import at_home_of
 from app.web.admission.access import Engineer, Person
 from app.web.api.route import ApiRoute, RequestKey
 from app.web.api.shape import InstantObject, StrictBody, ZonedTime
@@ -116,14 +114,12 @@ async def get_own_alarms(_: Engineer, own: OwnBook) -> OwnAlarmsShown:
 
 @router.post("/own", status_code=201)
 async def add_own_alarm(
-    connection: HTTPConnection,
     person: Annotated[Person, ADD_OWN.permitted],
     own: OwnBook,
     body: OwnAlarmRequest,
     key: RequestKey = None,
 ) -> OwnAlarmShown:
     """Add an alarm. It is detected from the next reading on."""
-    at_home_of(connection, body.bus)
     added = await own.add(person, body.written(), key)
     return own_alarm_shown(added.settings, added)
 

@@ -84,14 +84,10 @@ class OwnAlarmBook:
         self._acting = asyncio.Lock()
         """One act at a time: names and their number are checked before what is stored."""
 
-    async def load(self, bus: str) -> None:
-        """Observe what is stored for a bus and fits; when its home is taken. For the site (``""``): note what
-        fits no bus."""
-        self._forget(bus)
+    async def load(self) -> None:
+        """Observe what is stored and fits the configuration, and note what does not."""
         for row in await self._database.read(_stored):
             name = row["alarm"]
-            if self._bus_of(name) != bus:
-                continue
             try:
                 written = json.loads(row["settings"])
                 name = str(written.get("name", name))
@@ -105,32 +101,14 @@ class OwnAlarmBook:
                 own = OwnAlarm(settings, row["who"], row["changed_at"], row["request"], row["version"])
                 self.added[own.key] = own
 
-    def _bus_of(self, key: str) -> str:
-        """The bus in the key of an alarm where it is configured, else the site."""
-        bus = key.split(".")[0]
-        return bus if bus in self._alarms.buses else ""
-
-    def _forget(self, bus: str) -> None:
-        """Another server may have changed them meanwhile."""
-        for key, own in tuple(self.added.items()):
-            if own.settings.bus == bus:
-                alarms = self._bus(own.settings)
-                alarms.end_own(alarms.list.alarms[key])
-                alarms.list.take_out(key)
-                del self.added[key]
-        for key in [key for key in self.left_aside if self._bus_of(key) == bus]:
-            del self.left_aside[key]
-
     def _leave_aside(self, row: StoreRow, name: str, why: Message) -> None:
         log.warning("alarm of the site does not fit the configuration", alarm=name, why=str(why))
         self.left_aside[row["alarm"]] = OwnAlarmLeftAside(row["alarm"], name, row["version"], why)
 
     def every(self) -> list[tuple[AlarmSettings, OwnAlarm | None]]:
-        """All that are observed; those of the configuration without what was added. What was added for a bus
-        whose home is another server is known there."""
-        here = self._alarms.places_here()
+        """Return all that are observed; those of the configuration without what was added."""
         configured = [(settings, None) for settings in self.configured.values()]
-        added = [(own.settings, own) for own in self.added.values() if own.settings.bus in here]
+        added = [(own.settings, own) for own in self.added.values()]
         return [*configured, *added]
 
     def _fitting(self, written: Mapping[str, Any]) -> AlarmSettings:

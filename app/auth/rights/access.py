@@ -24,7 +24,7 @@ from app.server.admission.refusal_log import REFUSED, RefusalLog
 from app.server.connection.client_connection import client_connection
 from app.web.admission.access import Person, Role, account_shown, address_of, not_signed_in
 from app.web.admission.cookies import session_name
-from app.web.admission.security import LOOPBACK, REFUSED_AT_HOME, refuse
+from app.web.admission.security import LOOPBACK, refuse
 from app.web.problems import is_fragment, problem_json, wants_json
 from bus.instants import monotonic_now
 from bus.messages import Message
@@ -185,7 +185,7 @@ class RecordRefusals:
         if status not in REFUSED or (status == 401 and not Headers(scope=scope).get("authorization")):
             return
         self._log.note(address, str(status), scope["path"])
-        if status in (401, 403) and REFUSED_AT_HOME not in scope:
+        if status in (401, 403):
             what, who, requested = _event_of(status, scope)
             await count_refusal(self._events, "access_refused", what, who, address, requested)
 

@@ -100,15 +100,15 @@ async def _host(
     demo: bool,
     restarts: bool,
 ) -> bool:
-    """The workers begin while the dashboard is still being read, and end before it does; where servers share
-    the store, each with the home of its bus. ``feed``: where they find it; None: where browsers do;
-    ``restarts``: whether a person may restart it, as one has where this is True."""
+    """The workers begin while the dashboard is still being read, and end before it does. ``feed``: where they
+    find it; None: where browsers do; ``restarts``: whether a person may restart it. Return
+    whether one has."""
     address, port = listening.getsockname()[:2]
     url = url_of(address, port, "http" if feed is None else "https")
     feed_url = url_of(*(feed or listening).getsockname()[:2])
     # Not by app.auth, which imports FastAPI: the workers begin before that takes its quarter of a second.
     tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus if bus.worker == "server"}
-    workers = WorkerProcesses(config, tokens, feed_url, leased=False)
+    workers = WorkerProcesses(config, tokens, feed_url)
     stopping, restart = _stop_requested(), asyncio.Event()
     workers.start_all()
     try:
@@ -151,13 +151,6 @@ def _report_serving(url: str, manager: ServiceManager, code: str) -> None:
     report(Message.of("dashboard_at", url=url))
     if code:
         report(Message.of("first_admin_code", url=url, code=code))
-
-
-def with_port(settings: Settings, port: int) -> Settings:
-    """With the port that was taken, where any free one may be."""
-    taken = settings.model_copy(update={"server": settings.server.model_copy(update={"port": port})})
-    taken._file = settings._file
-    return taken
 
 
 async def _server_module(stopping: asyncio.Task[Any]) -> Any:

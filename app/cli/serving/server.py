@@ -19,7 +19,6 @@ from app.configuration.restart import Restart as Restart
 from app.database import Database as Database
 from app.feature import Services
 from app.feed.workers import Workers
-from app.home.keeping.life import NO_PORTS, Ports
 from app.live.api.line_stream import LineStream
 from app.main import create_app
 from app.server.admission.refusal_log import ErrorLines, RefusalLog
@@ -50,14 +49,12 @@ class Server(uvicorn.server.Server):
         worker_tokens: Mapping[str, str],
         serving: Callable[[str], None],
         feed: socket.socket | None = None,
-        ports: Ports | None = None,
     ) -> None:
-        """``feed``: where its own workers connect in clear, beside HTTPS; ``ports``: what runs them, where
-        each begins and ends with the home of its bus; ``serving``: called with the code for the first admin,
-        empty where there is a user."""
+        """``feed``: where its own workers connect in clear, beside HTTPS; ``serving``: called with the code
+        for the first admin, empty where there is a user."""
         self._watch = LoopWatch()
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
-        app = create_app(settings, demo=demo, worker_tokens=worker_tokens, ports=ports or NO_PORTS)
+        app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
         self.services: Services = app.state.services
         self.worker_responds: Callable[[str], bool] = self.services[Workers].responds
         refusals, errors = self.services[RefusalLog], ErrorLines()

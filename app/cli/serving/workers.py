@@ -28,30 +28,21 @@ GRACE_S = 2.3
 
 class WorkerProcesses:
     """One child for each bus, over the same WebSocket as a worker far away. ``tokens``: by bus, what its
-    child opens the feed with; ``leased``: it uses its port only while this server is the home of the bus."""
+    child opens the feed with."""
 
-    def __init__(
-        self, config: Path, tokens: Mapping[str, str], app_url: str, *, leased: bool = False
-    ) -> None:
-        self._leased = leased
+    def __init__(self, config: Path, tokens: Mapping[str, str], app_url: str) -> None:
         self._config = config
         self._tokens = tokens
         self._app_url = app_url
         self._environment = tied_environment()
         self._processes: dict[str, Process] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
-        self._is_ended = False
         self._responds: Callable[[str], bool] | None = None
         self._looked_at: dict[str, Monotonic] = {}
 
     def start_all(self) -> None:
         """Start them all, and keep them."""
         for bus in self._tokens:
-            self.start(bus)
-
-    def start(self, bus: str) -> None:
-        """Start the worker of a bus, and keep it; nothing for the site, which has none."""
-        if bus in self._tokens and bus not in self._tasks and not self._is_ended:
             task = asyncio.create_task(self._keep(bus), name=f"keep worker of {bus}")
             task.add_done_callback(_log_failure)
             self._tasks[bus] = task
@@ -68,11 +59,9 @@ class WorkerProcesses:
 
     async def stop_all(self) -> None:
         """End them all: by SIGTERM, and by SIGKILL after the grace."""
-        self._is_ended = True
-        await asyncio.gather(*map(self.stop, tuple(self._tasks)))
+        await asyncio.gather(*map(self._stop, tuple(self._tasks)))
 
-    async def stop(self, bus: str) -> None:
-        """End one, in the same way; its port is closed when this returns."""
+    async def _stop(self, bus: str) -> None:
         task = self._tasks.pop(bus, None)
         if task is None:
             return
@@ -94,8 +83,6 @@ class WorkerProcesses:
     async def _run(self, bus: str) -> int:
         """Start one, watch it and wait for its end; return its exit code."""
         called = ["-P", "-m", "bus", "--config", str(self._config), "--bus", bus, "--app", self._app_url]
-        if self._leased:
-            called.append("--leased")
         # In its own process group: Ctrl-C reaches it through the parent.
         process = await asyncio.create_subprocess_exec(
             sys.executable, *called, "--child", stdin=PIPE, env=self._environment, preexec_fn=os.setpgrp

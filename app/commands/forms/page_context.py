@@ -92,8 +92,8 @@ class PageContext:
         return BusPage(self.request, bus)
 
     def buses(self) -> list[BusPage]:
-        """This request, for each bus whose home is here."""
-        return [self.of_bus(name) for name in self.live.here]
+        """This request, for each bus."""
+        return [self.of_bus(name) for name in self.live.buses]
 
     def fields(self) -> FlatFields:
         """All texts of the screen as they are now."""

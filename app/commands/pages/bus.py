@@ -30,11 +30,11 @@ DEFAULT_MINUTES = 60
 
 @router.get("")
 async def first_bus(_: Viewer, page: Page) -> Response:
-    """The first of them, of this server where it has one; the page leads to the others."""
-    names = [*page.live.here, *page.live.buses]
-    if not names:
+    """Lead to the first bus, whose page leads to the others."""
+    first = next(iter(page.live.buses), None)
+    if first is None:
         raise Problem(404, "unknown_bus", Message("no_bus_configured"))
-    return RedirectResponse(f"/bus/{names[0]}", SEE_OTHER)
+    return RedirectResponse(f"/bus/{first}", SEE_OTHER)
 
 
 @router.get("/{bus}")

@@ -75,7 +75,7 @@ class Safeguards:
         sessions.on_signed_out(self.revoke_control)
 
     async def load(self) -> None:
-        """Read limits and blocks, and free control; when the home of the bus is taken."""
+        """Read limits and blocks, and free control."""
         self.control = Control(required=self.control.required)
         await self.limits.load()
         await self.blocks.load()

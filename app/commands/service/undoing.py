@@ -88,11 +88,6 @@ class Undoing:
         if sent is None or not is_undo(request.action, sent.before):
             raise Problem(409, "moved", Message("undo_over"))
 
-    async def forget(self) -> None:
-        """The home of the bus was taken: what others did meanwhile is not known here."""
-        self._stack.forget()
-        self._analog.clear()
-
     def offer(self, person: Person, id: str) -> UndoOffer | None:
         """The undo of this person's command; None where it cannot be undone now."""
         return self._offered(self._stack.find(person.sender, id, self._clock()))

@@ -49,10 +49,6 @@ class UndoStack:
         while len(self._sent) > MAX_SENDERS:
             self._sent.popitem(last=False)
 
-    def forget(self) -> None:
-        """Nothing that anyone has sent is undone any more."""
-        self._sent.clear()
-
     def clear(self, sender: str) -> None:
         """Nothing that this sender has sent is undone any more."""
         self._sent.pop(sender, None)

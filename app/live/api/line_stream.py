@@ -57,7 +57,6 @@ class LineStream:
         self._shown: dict[tuple[str, int | None], Json] = {}
         """By bus and unit (None: the bus itself), as last compared; empty while no one reads."""
         self._is_noting = False
-        self._here: tuple[str, ...] = ()
         self._keys: list[tuple[str, int | None]] = []
         self._turns: Iterator[tuple[str, int | None]] = iter(())
         self._snapshots: dict[str | None, tuple[Monotonic, int, bytes]] = {}
@@ -135,11 +134,6 @@ class LineStream:
         if self._is_noting and not self._readers and self.monotonic() - self._left_at > AWAY_S:
             self._is_noting, self._shown, self._snapshots = False, {}, {}
             self._recent.interrupt()
-        if self._is_noting and tuple(self._view.live.here) != self._here:
-            # Homes have changed: every program gets a snapshot of the buses that are here now.
-            self._take_up()
-            self._recent.interrupt()
-            self._wake()
         if self._is_noting:
             for bus, unit in islice(self._turns, ceil(len(self._keys) / TICKS_OF_ALL)):
                 self._compare(bus, unit)
@@ -153,10 +147,10 @@ class LineStream:
             self._wake()
 
     def _take_up(self) -> None:
-        """Begin to compare what is shown of the buses whose home is here."""
-        here = self._view.live.here
-        self._is_noting, self._here = True, tuple(here)
-        self._keys = [(name, unit) for name, bus in here.items() for unit in (None, *bus.units)]
+        """Begin to compare what is shown of the buses."""
+        self._is_noting = True
+        buses = self._view.live.buses
+        self._keys = [(name, unit) for name, bus in buses.items() for unit in (None, *bus.units)]
         self._turns = cycle(self._keys)
         self._shown = {key: self._fields(*key) for key in self._keys}
         self._snapshots = {}
@@ -166,7 +160,7 @@ class LineStream:
         self._has_more = asyncio.Event()
 
     def _on_updates(self, bus_name: str, updates: Sequence[Update]) -> None:
-        if self._is_noting and bus_name in self._here:
+        if self._is_noting:
             units, is_bus = changed_by(self._view.live.buses[bus_name], updates)
             for unit in (None, *units) if is_bus else units:
                 self._compare(bus_name, unit)

@@ -147,16 +147,12 @@ class BusShown(WireShown):
 
 
 class Line(TypedDict):
-    """Every bus with its units in floor order, at whichever server its home is."""
+    """Every bus with its units in floor order."""
 
     site: str
     time: Time
     history: Annotated[MessageShown | None, Field(description="Why no history is stored; null while it is.")]
     buses: list[BusShown]
-    elsewhere: Annotated[
-        list[str],
-        Field(description="Buses whose state is not known here: their home is another server."),
-    ]
 
 
 class ParameterShown(TypedDict):

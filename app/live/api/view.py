@@ -7,7 +7,6 @@ may be responding in place of this one; null without a sign of it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,7 +50,6 @@ from bus.instants import UnixTime
 from bus.messages import Message
 
 Json = dict[str, Any]
-NOTHING: Mapping[str, Json] = {}
 
 _NEVER_READ = dict.fromkeys(
     (
@@ -75,20 +73,13 @@ class LineView:
     sources: Sources
     english: Translator
 
-    def line(self, now: UnixTime, only: str | None = None, others: Mapping[str, Json] = NOTHING) -> Json:
-        """Every bus, or ``only`` one, with its units in floor order. ``others``: those of other homes, by
-        name, as these show them."""
-        here, wanted = self.live.here, [name for name in self.live.buses if only in (None, name)]
+    def line(self, now: UnixTime, only: str | None = None) -> Json:
+        """Every bus, or ``only`` one, with its units in floor order."""
         return {
             "site": self.site,
             "time": iso(now),
             "history": maybe_shown(self.sources.history_fault()),
-            "buses": [
-                self.bus(name, now) if name in here else others[name]
-                for name in wanted
-                if name in here or name in others
-            ],
-            "elsewhere": [name for name in wanted if name not in here and name not in others],
+            "buses": [self.bus(name, now) for name in self.live.buses if only in (None, name)],
         }
 
     def bus(self, name: str, now: UnixTime) -> Json:

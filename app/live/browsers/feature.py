@@ -15,7 +15,6 @@ from app.feature import Feature, Services
 from app.feed.bus_feed import BusFeed
 from app.history.service import History, status_words
 from app.history.status import store_notice
-from app.home.homes import Homes
 from app.live import pages
 from app.live.api import stream_document, stream_route
 from app.live.api.line_stream import LineStream
@@ -29,8 +28,6 @@ from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
 from app.messages import DEFAULT
 from app.recipes.book import RecipeBook
-from app.routing.forwarding.target import holder_of
-from app.routing.site_servers import SiteServers
 from app.sets.comparison.drift import BusDrift
 from app.sites.fleet import Fleet
 from app.web.rendering.templating import Templates
@@ -56,17 +53,15 @@ def make(services: Services) -> None:
 
 
 def _make_sources(services: Services) -> Sources:
-    history, servers = services[History], services[SiteServers]
+    history = services[History]
     return Sources(
         guards=services.of_buses(Safeguards),
         drift=services.of_buses(BusDrift),
         recipes=services[RecipeBook],
         alarms=services[AlarmBanner],
         lines=services[Fleet],
-        notices=partial(_notices, servers, services[Homes], history, services[Anchoring], services[Reserve]),
+        notices=partial(_notices, history, services[Anchoring], services[Reserve]),
         history_fault=lambda: history.status.message,
-        home=lambda bus: holder_of(bus, servers.homes),
-        elsewhere=lambda: ", ".join(home.label for home in servers.elsewhere()),
     )
 
 
@@ -75,18 +70,14 @@ def _stream_alarm(stream: LineStream, alarms: LineAlarms, alarm: Alarm) -> None:
 
 
 def _notices(
-    servers: SiteServers,
-    homes: Homes,
     history: History,
     anchoring: Anchoring,
     reserve: Reserve,
     translator: Translator,
     now: UnixTime,
 ) -> str:
-    """Faults of the clocks, the homes and the records, in the reader's language; mostly none."""
+    """Faults of the records, in the reader's language; mostly none."""
     found = (
-        servers.clock_notice,
-        *homes.faults,
         store_notice(history.status, translator.formats, now),
         anchor_notice(anchoring.status, translator.formats, now),
         reserve.notice,

@@ -115,9 +115,7 @@ class Hub:
     def _faults(self, translator: Translator, now: UnixTime) -> dict[str, str]:
         """Faults of the records, and lines of other servers and their alarms."""
         return {
-            **self._sources.lines.alarms_elsewhere(translator),
             "memory": self._sources.notices(translator, now),
-            "elsewhere": self._sources.elsewhere(),
         }
 
     def _new_screen(self, language: str) -> Screen:
@@ -191,7 +189,7 @@ class Hub:
     def _control(self, screen: Screen) -> Groups:
         """Who controls each bus, until when, and who requests it: ``control`` is another text whenever the
         head of a page is."""
-        controls = [self._sources.guards[bus].bus_control() for bus in self.live.here]
+        controls = [self._sources.guards[bus].bus_control() for bus in self.live.buses]
         held_by = {each.bus: each.holder for each in controls}
         keys = "\n\n".join(each.key for each in controls)
         groups = screen.put(LINE_GROUP, {"holder": holders(held_by, screen.translator), "control": keys})

@@ -51,8 +51,8 @@ class Screen:
         for number in units:
             changed |= self.put(unit_key(bus_name, number), self._unit(bus_name, bus, bus.units[number], now))
         if include_bus:
-            others = {"recipe": self._recipe(bus_name), "home": self.sources.home(bus_name)}
-            changed |= self.put(bus_name, bus_fields(bus, self.translator, now) | others)
+            recipe = {"recipe": self._recipe(bus_name)}
+            changed |= self.put(bus_name, bus_fields(bus, self.translator, now) | recipe)
         if include_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
             changed |= self.put(LINE_GROUP, self._line(now))
         return changed
@@ -118,7 +118,7 @@ class Screen:
         return self.translator.t(message)
 
     def _line(self, now: UnixTime) -> Fields:
-        buses, views = self.live.here, self._views
+        buses, views = self.live.buses, self._views
         if len(buses) < len(self.live.buses):
             views = {key: view for key, view in views.items() if key.partition("/")[0] in buses}
         found = abnormal_of(buses, views, now)

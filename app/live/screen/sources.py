@@ -76,16 +76,13 @@ class LoadedRecipes(Protocol):
 
 
 class FleetLines(Protocol):
-    """All lines of all servers, as fields in the reader's language."""
+    """All lines as fields in the reader's language."""
 
     def shown(self, translator: Translator) -> dict[str, Fields]:
         """Those of each line now, by its group."""
 
     def changes(self, translator: Translator) -> dict[str, Fields]:
         """Those that differ from the last call for this language."""
-
-    def alarms_elsewhere(self, translator: Translator) -> Fields:
-        """How many lines of other servers have an urgent or high alarm, for the head of every page."""
 
     def forget(self, tag: str) -> None:
         """No page in this language follows them."""
@@ -95,8 +92,7 @@ class FleetLines(Protocol):
 class Sources:
     """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
     language and at a Unix time; empty where there is none; ``history_fault``: why no history
-    is stored, None while it is; ``home``: the server that has a bus; ``elsewhere``: the buses of other
-    servers, each with its server."""
+    is stored, None while it is."""
 
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
@@ -105,5 +101,3 @@ class Sources:
     lines: FleetLines
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]
-    home: Callable[[str], str] = lambda _bus: ""
-    elsewhere: Callable[[], str] = lambda: ""

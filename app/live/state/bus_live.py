@@ -35,7 +35,7 @@ from bus.contract import (
     UnitLink,
     Update,
 )
-from bus.instants import UnixTime, unix_now
+from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import BusSettings, Seam, UnitSettings
 
@@ -150,16 +150,6 @@ class BusLive:
         self.apply(updates)
         return updates
 
-    async def forget(self) -> None:
-        """Begin with nothing known: another server may have had the bus meanwhile."""
-        fresh = never_seen(self.settings, unix_now())
-        self.link, self.link_onset, self.worker_lost = fresh.link, fresh.link_onset, fresh.worker_lost
-        self.figures = self.read_at = self.silence = None
-        for number, unit in self.units.items():
-            new = fresh.units[number]
-            unit.link, unit.reading, unit.parameters, unit.staged = new.link, None, {}, None
-            unit.motion, unit.onsets, unit.last_response = new.motion, new.onsets, None
-
     def lose_worker(self, at: UnixTime, cause: Message = NO_WORKER) -> None:
         """The worker's connection ended: the port counts as closed, nothing counts as fresh."""
         self.worker_lost = Onset(at)
@@ -245,18 +235,7 @@ def updates_of(snapshot: Snapshot) -> list[Update]:
 
 
 class LiveState:
-    """Every configured bus, by its name. ``is_elsewhere``: whether another server is the home of a bus."""
+    """Every configured bus, by its name."""
 
-    def __init__(
-        self,
-        buses: Iterable[BusSettings],
-        started_at: UnixTime,
-        is_elsewhere: Callable[[str], bool] = lambda _bus: False,
-    ) -> None:
+    def __init__(self, buses: Iterable[BusSettings], started_at: UnixTime) -> None:
         self.buses = {settings.name: never_seen(settings, started_at) for settings in buses}
-        self._is_elsewhere = is_elsewhere
-
-    @property
-    def here(self) -> dict[str, BusLive]:
-        """The buses whose present state this server knows: all but those whose home is another one."""
-        return {name: bus for name, bus in self.buses.items() if not self._is_elsewhere(name)}

@@ -48,15 +48,13 @@ class SideOption:
 
 
 def choices(live: LiveState, sets: Sequence[ParameterSetSummary]) -> list[SideOption]:
-    """Every unit of this server as last read, then every unit of every stored set, newest first."""
+    """Every unit as last read, then every unit of every stored set, newest first."""
     units = {
         (bus, unit): one.settings for bus, line in live.buses.items() for unit, one in line.units.items()
     }
-    here = live.here
     found = [
         SideOption(f"live:{bus}:{unit}", bus, unit, settings.name, settings.group)
         for (bus, unit), settings in units.items()
-        if bus in here
     ]
     for one in sets:
         for unit in one.units:
@@ -85,10 +83,7 @@ async def _rows(kind: str, of: str, unit: int, store: SetStore, live: LiveState)
             raise Problem(422, "invalid", Message.of("not_a_set_number", text=of))
         return unit_rows_or_404(await set_or_404(store, number), unit)
     if kind == "live":
-        found = unit_or_404(live, of, unit)
-        if of not in live.here:
-            raise Problem(409, "bus_elsewhere", Message.of("side_elsewhere", bus=of))
-        return known_rows(found)
+        return known_rows(unit_or_404(live, of, unit))
     golden = (await store.golden(of)).get(unit)
     return or_404(golden, "unknown_set", Message.of("no_golden_set", unit=unit, bus=of))
 

@@ -66,7 +66,7 @@ class RestoreService:
         return [self._restores.get(begun.id, begun) for begun in await self._store.of_unit(bus, unit)]
 
     async def load(self, bus: str) -> None:
-        """When the home of a bus is taken: mark its restores that were running when that ended as stopped."""
+        """Mark the restores of a bus that were running when the last run ended as stopped."""
         self._restores = {key: restore for key, restore in self._restores.items() if restore.bus != bus}
         for restore in await self._store.under_way(bus):
             restore.stop("server_ended", Message("restore_under_way_at_end"))

@@ -38,7 +38,7 @@ class RestoreStore(Tables):
 
     @reading
     def under_way(self, connection: StoreConnection, bus: str) -> list[Restore]:
-        """Those of a bus that had not ended when its home did."""
+        """Those of a bus that had not ended when the server did."""
         marks = ", ".join("?" * len(UNDER_WAY))
         return list(_select(connection, f"bus = ? AND state IN ({marks})", bus, *UNDER_WAY))
 

@@ -107,12 +107,6 @@ def _unknown_coding(name: str, status: int) -> Problem:
     return Problem(status, "unsupported_type", Message.of("coding_unknown", name=name))
 
 
-PASSED_ON = "lineside.passed_on"
-"""Key in the scope of a request that another server of the site has passed on: the id of that server, which
-has checked the name under which it was reached."""
-REFUSED_AT_HOME = "lineside.refused_at_home"
-"""Key in the scope of a request whose response is that of another server of the site, which records what it
-refuses."""
 LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
 OPEN_PATH = "/healthz"
 """Probes request by address, and learn only that the server is up."""
@@ -120,7 +114,7 @@ OPEN_PATH = "/healthz"
 
 def host_problem(scope: Scope, allowed: Collection[str]) -> Problem | None:
     """The refusal, 421, under any name but these; an empty list allows all."""
-    if not allowed or scope["path"] == OPEN_PATH or PASSED_ON in scope:
+    if not allowed or scope["path"] == OPEN_PATH:
         return None
     host = host_name(Headers(scope=scope).get("host", ""))
     if host in allowed or _is_local(scope, host):

@@ -48,6 +48,6 @@ class BusControl:
 
 @dataclass(frozen=True, slots=True)
 class HeadControl:
-    """Gives control of each bus whose home is this server, in the order of the configuration."""
+    """Gives control of each bus, in the order of the configuration."""
 
     of_buses: Callable[[], Sequence[BusControl]]

@@ -19,6 +19,6 @@ class TrayCount:
 
 @dataclass(frozen=True, slots=True)
 class HeadTray:
-    """Gives the trays of a person that are not empty, of each bus whose home is this server."""
+    """Gives the trays of a person that are not empty, of each bus."""
 
     of: Callable[[Person], Sequence[TrayCount]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
@@ -37,15 +37,9 @@ class PageHead:
 
 @dataclass(frozen=True, slots=True)
 class PageFleet:
-    """What a page has beside its own line. ``has_lines``: whether there are others to choose from;
-    ``server``: the id of this server where there are others, else empty; ``elsewhere``: the lines that it
-    does not show, each with its ``bus`` and ``server``; ``alarms``: how many of these have an urgent or high
-    alarm, in words, with the ``mark`` of the worst."""
+    """What a page has beside its own line. ``has_lines``: whether there are several to choose from."""
 
-    has_lines: Callable[[], bool]
-    server: str
-    elsewhere: Callable[[], Sequence[Any]]
-    alarms: Callable[[Language], Mapping[str, Any]]
+    has_lines: bool
 
 
 class Compiled(FileSystemBytecodeCache):
@@ -80,8 +74,8 @@ class Templates:
     ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``, ``navigation()``,
     ``on_phone``, ``help_of``, and the filters ``parameter``, which names one by its number, and ``isolated``,
     for a name beside other text; in a page or fragment of a request also ``person``, ``request``, ``path``,
-    ``head_alarms()``, ``controls()``, ``trays()``, ``head_others()``, ``has_lines()``,
-    ``elsewhere()``, ``home_server()`` and ``may()``, whether the person may send a command or perform an
+    ``head_alarms()``, ``controls()``, ``trays()``, ``has_lines()``
+    and ``may()``, whether the person may send a command or perform an
     act, by its name. ``kept_in``: where they stay compiled between two starts."""
 
     def __init__(
@@ -183,7 +177,6 @@ def render(
     templates = templates_of(request)
     person: Person | None = person_of(request)
     language = templates.language_of(request).on_screen
-    fleet = partial(service_of, request, PageFleet)
     head = partial(service_of, request, PageHead)
     # The context is given beside these and not merged, so that it cannot replace one of them. The services
     # are used by a page with a head, and by no fragment.
@@ -195,10 +188,7 @@ def render(
         request=request,
         path=request.url.path,
         now=time(),
-        has_lines=lambda: fleet().has_lines(),
-        elsewhere=lambda: fleet().elsewhere(),
-        head_others=lambda: fleet().alarms(language),
-        home_server=lambda: fleet().server,
+        has_lines=lambda: service_of(request, PageFleet).has_lines,
         head_alarms=lambda: head().alarms(language),
         controls=lambda: service_of(request, HeadControl).of_buses(),
         trays=lambda: service_of(request, HeadTray).of(person) if person else (),
