@@ -12,6 +12,7 @@ ProblemCode = Literal[
     "acknowledged",
     "already_signed",
     "already_started",
+    "below_a_path",
     "blocked",
     "bus_closed",
     "busy",

@@ -151,6 +151,15 @@ def _methods(request: HTTPConnection) -> list[str]:
     return sorted(methods | ({"HEAD"} if "GET" in methods else set()))
 
 
+def is_below_a_path(connection: HTTPConnection) -> bool:
+    """Whether the path is none of ours, and is one without its first part: a proxy serves us below a path."""
+    scope, routes = connection.scope, connection.scope["app"].routes
+    tail = scope["path"][1:].partition("/")
+    candidates = ({**scope, "path": f"/{tail[2]}"}, scope)
+    below, here = (any(route.matches(each)[0] is Match.FULL for route in routes) for each in candidates)
+    return bool(tail[1]) and below and not here
+
+
 def _of_http(request: HTTPConnection, error: HTTPException) -> Problem:
     """What Starlette and FastAPI refuse."""
     path = request.url.path
@@ -160,7 +169,8 @@ def _of_http(request: HTTPConnection, error: HTTPException) -> Problem:
         case 400:
             return Problem(422, "invalid", Message("body_not_readable"))
         case 404:
-            message = Message.of("nothing_at_path", path=path)
+            code = "served_below_a_path" if is_below_a_path(request) else "nothing_at_path"
+            message = Message.of(code, path=path)
         case 405:
             message = Message.of("method_not_for_path", method=request.scope["method"], path=path)
         case _:

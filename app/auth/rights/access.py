@@ -25,7 +25,7 @@ from app.server.connection.client_connection import client_connection
 from app.web.admission.access import Person, Role, account_shown, address_of, not_signed_in
 from app.web.admission.cookies import session_name
 from app.web.admission.security import LOOPBACK, refuse
-from app.web.problems import is_fragment, problem_json, wants_json
+from app.web.problems import is_below_a_path, is_fragment, problem_json, respond, wants_json
 from bus.instants import monotonic_now
 from bus.messages import Message
 
@@ -117,6 +117,9 @@ class Identify:
 async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -> None:
     if connection.scope["type"] == "websocket" or wants_json(connection):
         await refuse(connection.scope, receive, send, not_signed_in())
+    elif is_below_a_path(connection):
+        message = Message.of("served_below_a_path", path=connection.url.path)
+        await respond(connection, Problem(404, "not_found", message))(connection.scope, receive, send)
     else:
         await to_login(connection)(connection.scope, receive, send)
 
@@ -130,7 +133,10 @@ def to_login(connection: HTTPConnection) -> Response:
     is_page = connection.scope["method"] in ("GET", "HEAD")
     query = connection.url.query
     where = connection.url.path + (f"?{query}" if query else "")
-    return RedirectResponse(_login_url(where if is_page else _page_of(connection), refused=not is_page), 303)
+    url = _login_url(where if is_page else _page_of(connection), refused=not is_page)
+    # Relative, so that a proxy that serves us below a path shows the page that says so.
+    is_proxied = any(name.startswith("x-forwarded-") for name in connection.headers)
+    return RedirectResponse(url[1:] if is_proxied and connection.url.path == "/" else url, 303)
 
 
 def _page_of(connection: HTTPConnection) -> str:

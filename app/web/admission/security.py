@@ -77,24 +77,29 @@ async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -
     """Refuse a request or a WebSocket handshake with a problem before anything else sees it."""
     if scope["type"] == "websocket":
         await refuse_socket(WebSocket(scope, receive, send), problem)
-    elif problem.code == "foreign_origin" and "text/html" in Headers(scope=scope).get("accept", ""):
-        await respond(Request(scope), problem)(scope, receive, send)  # a person sees it, behind a proxy
+    elif problem.code in FOR_PEOPLE and "text/html" in Headers(scope=scope).get("accept", ""):
+        await respond(Request(scope), problem)(scope, receive, send)
     else:
         await problem_json(problem)(scope, receive, send)
 
 
+FOR_PEOPLE = ("below_a_path", "foreign_origin")
+"""Codes of what a person meets behind a proxy; other refusals show nothing of the site."""
 ONCE = ("host", "authorization", "content-type", "content-encoding", "transfer-encoding", "idempotency-key")
 """Headers that may be there once: of two, a proxy may have believed one and we the other (RFC 9110, 5.3)."""
 
 
 def header_problem(scope: Scope) -> Problem | None:
-    """The refusal of a header given twice, a missing Host, or a coding of the body that is not decoded."""
+    """The refusal of a header given twice, a missing Host, a path below which a proxy serves us, or a coding
+    of the body that is not decoded."""
     headers = Headers(scope=scope)
     for name in ONCE:
         if len(headers.getlist(name)) > 1:
             return Problem(400, "malformed", Message.of("header_twice", name=name.title()))
     if "host" not in headers and scope.get("http_version") == "1.1":
         return Problem(400, "malformed", Message("host_missing"))
+    if (prefix := headers.get("x-forwarded-prefix", "").strip("/ ")) != "":
+        return Problem(421, "below_a_path", Message.of("served_below_a_path", path=f"/{prefix}"))
     if headers.get("transfer-encoding", "chunked").strip().lower() != "chunked":
         return _unknown_coding("Transfer-Encoding", 501)
     if headers.get("content-encoding", "identity").strip().lower() != "identity":
