@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any, Literal
 
 import pytest
 
@@ -19,7 +20,8 @@ from app.sets.restore.restores import RestoreService
 from app.sets.restore.store import RestoreStore
 from app.sets.saving.reading import ParameterReader
 from app.web.admission.access import Person, Role
-from bus.contract import WriteParameter
+from bus.contract import Result, WriteParameter
+from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, factory, responding
 
@@ -169,6 +171,21 @@ async def test_a_unit_that_does_not_respond_has_no_plan(a_scene: SetsScene) -> N
         await scene.plan()
     assert refused.value.status == 504
     assert scene.commands.written == []
+
+
+@pytest.mark.parametrize("outcome", ["bus_closed", "not_sent"])
+async def test_a_request_that_did_not_reach_the_unit_says_so(
+    a_scene: SetsScene, monkeypatch: pytest.MonkeyPatch, outcome: Literal["bus_closed", "not_sent"]
+) -> None:
+    scene = a_scene()
+
+    async def send(*_: Any, **__: Any) -> Result:
+        return Result("id", UnixTime(1.0), outcome)
+
+    monkeypatch.setattr(scene.commands, "send", send)
+    with pytest.raises(Problem) as refused:
+        await scene.plan()
+    assert (refused.value.status, refused.value.code) == (503, outcome)
 
 
 async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: SetsScene) -> None:

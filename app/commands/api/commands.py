@@ -36,6 +36,7 @@ from app.commands.catalogue import (
     timeout_s_for,
 )
 from app.commands.service.command_service import CommandService
+from app.commands.service.prior_read import check_all_read
 from app.commands.service.value_converter import ValueConverter
 from app.commands.service.writer import Commands, permitted, permitted_writer
 from app.errors import Problem
@@ -240,12 +241,7 @@ async def _read(call: CommandCall, unit: int, numbers: list[int], *, gaps: bool)
     """Read them from the unit. Raises Problem 503 or 504 when not all of them come."""
     action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
     result = await call.commands.send(call.person, action)
-    if len(result.values) == len(numbers):
-        return
-    status = 503 if result.outcome in ("bus_closed", "not_sent") else 504
-    code = result.outcome if status == 503 else "unverified"
-    detail = result.message or Message.of("unit_did_not_answer", unit=unit)
-    raise Problem(status, code, detail, outcome=code, unit=unit)
+    check_all_read(unit, numbers, result)
 
 
 @router.put("/units/{unit:int}/parameters/{number:int}", responses=RESULT_RESPONSES)

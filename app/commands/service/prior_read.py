@@ -24,6 +24,16 @@ class UnreadError(Problem):
         return Result(id, at, outcome, self.message, units=parts)
 
 
+def check_all_read(unit: int, numbers: Sequence[int], result: Result) -> None:
+    """Raises Problem 504 where the unit did not give all the ``numbers`` that were to be read, 503 where the
+    request did not reach it."""
+    if len(result.values) < len(numbers):
+        status = 503 if result.outcome in ("bus_closed", "not_sent") else 504
+        code = result.outcome if status == 503 else "unverified"
+        detail = result.message or Message.of("unit_did_not_answer", unit=unit)
+        raise Problem(status, code, detail, outcome=code, unit=unit, read=len(result.values))
+
+
 def read_values(unit: int, numbers: Sequence[int], result: Result) -> dict[int, int | None]:
     """The raw value of each of the ``numbers`` that a command should read. Raises UnreadError where one is
     missing."""

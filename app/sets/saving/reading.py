@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from app.commands.service.command_service import CommandService
-from app.errors import Problem
+from app.commands.service.prior_read import check_all_read
 from app.live.state.bus_live import BusLive, UnitLive
 from app.sets.model import ParameterRow, UnitRows
 from app.web.admission.access import Person
@@ -14,7 +14,6 @@ from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, status_bits
 from bus.contract import ParameterValue, ReadParameters
 from bus.instants import UnixTime
-from bus.messages import Message
 
 READ_TIMEOUT_S = 300.0
 """A full list waits for gaps in the scan; at 300 baud one unit takes half a minute of wire alone."""
@@ -59,11 +58,9 @@ class ParameterReader:
     async def read_unit(self, person: Person, unit: int, *, urgent: bool = False) -> UnitRows:
         """All 40 parameters as the unit reports them now.
 
-        Raises Problem 503 or 504 when the bus is closed or the unit does not respond.
+        Raises Problem 503 when the bus is closed, 504 when the unit does not respond.
         """
         action = ReadParameters(unit=unit, numbers=list(PARAMETERS), urgent=urgent)
         result = await self._commands.send(person, action, timeout_s=READ_TIMEOUT_S)
-        if len(result.values) < len(PARAMETERS):
-            detail = result.message or Message.of("unit_did_not_answer", unit=unit)
-            raise Problem(504, "unverified", detail, unit=unit, read=len(result.values))
+        check_all_read(unit, action.numbers, result)
         return UnitRows(unit, self._live.units[unit].settings.name, rows_of(result.values))
