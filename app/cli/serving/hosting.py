@@ -115,14 +115,7 @@ async def _host(
         with loading():
             if (module := await _server_module(stopping)) is None:
                 return False
-            server = module.Server(
-                settings,
-                demo,
-                tokens,
-                partial(_report_serving, url, manager),
-                feed,
-                None,
-            )
+            server = module.Server(settings, demo, tokens, partial(_report_serving, url, manager), feed)
         workers.watch(server.worker_responds)
         server.each_second(module.Liveness(manager, server.services[module.Database], workers.are_kept).tick)
         if restarts:
