@@ -44,3 +44,5 @@ RATIO_SETPOINT = 37
 MIN_RATIO = 38
 DEBOUNCE = 39
 AT_SPEED_SOURCE = 40
+SETPOINTS = (SPEED_SETPOINT, RATIO_SETPOINT)
+"""In these a unit keeps what a host or a panel commands; every other one changes by its set-up alone."""

@@ -35,6 +35,7 @@ from bus.contract.bounds import Outcome as Outcome
 from bus.contract.bounds import Stage as Stage
 from bus.contract.bounds import TaggedStruct as TaggedStruct
 from bus.contract.bounds import UnitLinkState as UnitLinkState
+from bus.contract.bounds import UnitScale as UnitScale
 from bus.contract.session import AppMessage as AppMessage
 from bus.contract.session import Batch as Batch
 from bus.contract.session import Cancel as Cancel

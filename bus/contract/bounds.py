@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from bus.instants import UnixTime
 
-CONTRACT_VERSION = 5
+CONTRACT_VERSION = 6
 BUFFER_AGE_S = 7 * 86_400.0
 """How old an update may be that a worker kept while the app was away. An older one is refused."""
 
@@ -49,6 +49,8 @@ Speed = Annotated[int, Meta(ge=0, le=99_999)]
 FourBytes = Annotated[int, Meta(ge=0, le=0xFFFF_FFFF)]
 Byte = Annotated[int, Meta(ge=0, le=0xFF)]
 ParameterNumber = Annotated[int, Meta(ge=1, le=40)]
+UnitScale = Annotated[dict[ParameterNumber, FourBytes | None], Meta(max_length=40)]
+"""The parameters that a value was converted and bounded with: number → raw, None where the unit lacks it."""
 OutputNumber = Annotated[int, Meta(ge=1, le=6)]
 BaudRate = Annotated[int, Meta(ge=300, le=9600)]
 Total = Annotated[int, Meta(ge=0, le=2**53)]

@@ -12,17 +12,21 @@ _DOUBLED_BYTES = 4
 """What it grows by when every data byte is 10h."""
 _ACK_BYTES = 7
 _EXECUTE_BYTES = 7
+_READ_BYTES = 8 + 8
+"""85h and a value of one byte."""
+_LONG_VALUE_BYTES = 7
+"""What its response grows by for four bytes of 10h."""
 
 
-def stage_s(baud: int) -> float:
-    """82h to one unit and its acknowledgement at best, seconds."""
-    return wire_seconds(_STAGE_BYTES + _ACK_BYTES, baud)
+def stage_s(baud: int, reads: int = 0) -> float:
+    """82h to one unit and its acknowledgement at best, seconds, after so many ``reads`` of parameters."""
+    return wire_seconds(_STAGE_BYTES + _ACK_BYTES + reads * _READ_BYTES, baud)
 
 
-def longest_stage_s(baud: int, turnaround_s: float) -> float:
-    """82h to one unit and its acknowledgement at worst, without a retry, seconds. ``turnaround_s``: what a
-    unit may take to begin its response."""
-    return wire_seconds(_STAGE_BYTES + _DOUBLED_BYTES + _ACK_BYTES, baud) + turnaround_s
+def longest_stage_s(baud: int, turnaround_s: float, reads: int = 0) -> float:
+    """The same at worst, without a retry. ``turnaround_s``: what a unit may take to begin its response."""
+    stage = wire_seconds(_STAGE_BYTES + _DOUBLED_BYTES + _ACK_BYTES, baud) + turnaround_s
+    return stage + reads * (wire_seconds(_READ_BYTES + _LONG_VALUE_BYTES, baud) + turnaround_s)
 
 
 def change_s(units: int, baud: int) -> float:

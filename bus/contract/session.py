@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, TypeVar
 
 import msgspec
-from msgspec import Meta
+from msgspec import Meta, field
 
 from bus.contract.actions import Action
 from bus.contract.bounds import (
@@ -22,6 +22,7 @@ from bus.contract.bounds import (
     TaggedStruct,
     Total,
     UnitId,
+    UnitScale,
 )
 from bus.contract.updates import BusFigures, BusLink, UnitState, Update
 
@@ -81,12 +82,18 @@ class Command(TaggedStruct, frozen=True, tag="command"):
     frame that writes may leave (the worker knows that clock by ``Clock``). A worker carries out an id once; a
     second request with it returns the same result. ``epoch``: of the home that sends it; a worker obeys the
     highest that it has seen, and no other.
+
+    ``scales``: by unit, what its value was converted and bounded with. It is read again with the read-back
+    and, where a person ``typed`` the value as the unit shows it, also before the write, which is then refused
+    where it differs.
     """
 
     id: Id
     deadline: Stamp
     action: Action
     epoch: Epoch = 0
+    scales: Annotated[dict[UnitId, UnitScale], Meta(max_length=MAX_UNITS)] = field(default_factory=dict)
+    typed: bool = False
 
 
 class ReserveTurn(TaggedStruct, frozen=True, tag="reserve"):

@@ -88,11 +88,15 @@ class BusLink(TaggedStruct, frozen=True, tag="bus_link"):
 
 
 class Staged(TaggedStruct, frozen=True, tag="staged"):
-    """The speed a unit has acknowledged by 82h and not yet executed; None once executed or withdrawn."""
+    """The speed a unit has acknowledged by 82h and not yet executed; None once executed or withdrawn.
+
+    ``unknown``: the unit was away since, and may or may not hold it still; 82h cannot be read back.
+    """
 
     unit: UnitId
     at: Stamp
     raw: FourBytes | None
+    unknown: bool = False
 
 
 class UnitState(TaggedStruct, frozen=True, tag="unit_state"):
@@ -103,6 +107,7 @@ class UnitState(TaggedStruct, frozen=True, tag="unit_state"):
     reading: Reading | None = None
     parameters: Annotated[list[ParameterValue], Meta(max_length=40)] = field(default_factory=list)
     staged: FourBytes | None = None
+    staged_unknown: bool = False
 
 
 class UnitCounts(Struct, omit_defaults=True):

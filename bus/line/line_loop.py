@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from bus.catalogue.numbers import SETPOINTS
 from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Update
 from bus.errors import CallerError, WireError
 from bus.instants import Monotonic
@@ -25,6 +26,7 @@ from bus.line.commands.command_run import CommandRun
 from bus.line.commands.procedure import (
     ExpectBaud,
     LineEffect,
+    NoteStagedScale,
     ProcedureResult,
     ReportProgress,
     Retune,
@@ -44,7 +46,13 @@ from bus.line.statistics.figures import Figures
 from bus.line.statistics.trace import Trace
 from bus.messages import Message
 from bus.settings import BusSettings, wire_seconds
-from bus.wire.commands import Nak, ReadStatusRequest, Request, WriteParameterRequest
+from bus.wire.commands import (
+    Nak,
+    ReadParameterRequest,
+    ReadStatusRequest,
+    Request,
+    WriteParameterRequest,
+)
 from bus.wire.exchange import Exchange
 from bus.wire.lengths import usual_reply_bytes
 
@@ -189,12 +197,17 @@ class LineLoop:
         if self.state.link == "closed":
             self.port_is_back()
         is_probe = result.dialect not in (None, self.dialect)
+        number = request.number if isinstance(request, ReadParameterRequest) else 0
+        record = self.roster[request.unit]
+        former = record.raw(number)
         self._events += self.roster.take_response(
             request, reply, result.responded_at, result.frame, is_probe=is_probe
         )
         if self.roster.is_configured(request.unit):
             self.schedule.responded(request.unit, now)
-            if isinstance(request, WriteParameterRequest) and not isinstance(reply, Nak):
+            is_changed = former not in (None, record.raw(number)) and number not in SETPOINTS
+            if is_changed or (isinstance(request, WriteParameterRequest) and not isinstance(reply, Nak)):
+                # Who has changed one parameter at the keypad may have changed the scale too.
                 self.schedule.parameters.need(request.unit)
 
     async def _rest(self, now: Monotonic) -> None:
@@ -332,6 +345,8 @@ class LineLoop:
                 self._events.append(progress)
             case Unstage():
                 self._events += self.roster.stage(effect.unit, None, at)
+            case NoteStagedScale(unit=unit, scale=scale):
+                self.roster[unit].staged_scale = scale
             case Retune(baud=baud):
                 self._retune(baud)
             case ExpectBaud(baud=baud):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from msgspec.structs import asdict
 
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import ParameterValue, Reading, Staged, UnitLink, UnitLinkState, UnitState
+from bus.contract import ParameterValue, Reading, Staged, UnitLink, UnitLinkState, UnitScale, UnitState
 from bus.errors import UnitErrorCode
 from bus.instants import UnixTime
 from bus.line.statistics.counters import UnitStatistics
@@ -49,6 +49,10 @@ class UnitRecord:
     reading: Reading | None = None
     parameters: dict[int, ParameterValue] = field(default_factory=dict)
     staged: int | None = None
+    staged_unknown: bool = False
+    """The unit was away while it held a staged speed: it may hold it still, or another."""
+    staged_scale: UnitScale = field(default_factory=dict)
+    """What the staged speed was converted with; empty where it was given raw."""
     statistics: UnitStatistics = field(init=False)
 
     def __post_init__(self) -> None:
@@ -105,7 +109,14 @@ class Roster:
     def states(self) -> list[UnitState]:
         records = map(self._records.__getitem__, self.configured)
         return [
-            UnitState(each.unit, each.link, each.reading, list(each.parameters.values()), each.staged)
+            UnitState(
+                each.unit,
+                each.link,
+                each.reading,
+                list(each.parameters.values()),
+                each.staged,
+                each.staged_unknown,
+            )
             for each in records
         ]
 
@@ -154,13 +165,12 @@ class Roster:
         records = [record for record in self._records.values() if record.link.link == was]
         return [update for record in records for update in self._link(record, becomes, at, cause)]
 
-    def stage(self, unit: int, raw: int | None, at: UnixTime) -> list[UnitUpdate]:
-        """Note that ``unit`` has staged ``raw``; None: it holds no staged speed any more."""
+    def stage(self, unit: int, raw: int | None, at: UnixTime, *, unknown: bool = False) -> list[UnitUpdate]:
+        """Note that ``unit`` has staged ``raw``; None: it holds none any more, or an unknown one."""
         record = self[unit]
-        if record.staged == raw:
-            return []
-        record.staged = raw
-        return [Staged(unit, at, raw)]
+        former = record.staged, record.staged_unknown
+        record.staged, record.staged_unknown, record.staged_scale = raw, unknown, {}
+        return [] if former == (raw, unknown) else [Staged(unit, at, raw, unknown)]
 
     def _link(
         self, record: UnitRecord, link: UnitLinkState, at: UnixTime, cause: Message | None
@@ -168,7 +178,11 @@ class Roster:
         if record.link.link == link:
             return []
         record.link = UnitLink(unit=record.unit, at=at, link=link, cause=cause)
-        return [record.link] if self.is_configured(record.unit) else []
+        updates: list[UnitUpdate] = [record.link]
+        if link == "offline" and record.staged is not None:
+            # It may have been switched off, and then it holds another speed when it is on again.
+            updates += self.stage(record.unit, None, at, unknown=True)
+        return updates if self.is_configured(record.unit) else []
 
 
 def _stranger(unit: int, at: UnixTime) -> UnitRecord:

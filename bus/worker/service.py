@@ -153,13 +153,13 @@ class BusWorker:
                 self.outbox.put([known])
             return
         self._remember(command.id, None)
-        self._begin(command.id, command.action, command.deadline)
+        self._begin(command, command.action)
 
     # --- commands ------------------------------------------------------------------------------
 
-    def _begin(self, command_id: str, action: WireAction, app_deadline: UnixTime) -> None:
-        now = self.clock.now()
-        deadline = now + (self.app_clock.here(app_deadline) - self.clock.epoch(now))
+    def _begin(self, command: Command, action: WireAction) -> None:
+        now, command_id = self.clock.now(), command.id
+        deadline = now + (self.app_clock.here(command.deadline) - self.clock.epoch(now))
         refusal = self._refusal(action, deadline - now)
         if refusal is not None:
             self._emit([Result(command_id, self._epoch(), *refusal)])
@@ -167,7 +167,8 @@ class BusWorker:
         kind = type(action).__name__
         _log.info("command", id=command_id, action=kind, time_left_s=round(deadline - now, 3))
         self._emit([Progress(command_id, self._epoch(), "waiting")])
-        self.line.submit(command_run_of(self.line, command_id, action, deadline))
+        run = command_run_of(self.line, command_id, action, deadline, command.scales, typed=command.typed)
+        self.line.submit(run)
 
     def _refusal(self, action: WireAction, time_left_s: float) -> tuple[Outcome, Message] | None:
         """Why nothing is sent for it, where that is plain at once."""

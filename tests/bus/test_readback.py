@@ -15,7 +15,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.line.commands.procedure import Procedure, Wait
+from bus.line.commands.procedure import CommandContext, Procedure, Wait
 from bus.line.commands.writes import write_to_unit
 from bus.line.exchange.send import ExchangeResult, Send, SendAttempts, SendResult, SendStatus
 from bus.line.roster import Roster, UnitRecord
@@ -89,8 +89,11 @@ def _of(record: UnitRecord) -> Roster:
     return roster
 
 
+CONTEXT = CommandContext(PLAIN)
+
+
 def set_speed(record: UnitRecord, dialect: Dialect = PLAIN) -> Procedure:
-    return write_to_unit(record, SetSpeed(1, 640), dialect)
+    return write_to_unit(record, SetSpeed(1, 640), CommandContext(dialect))
 
 
 def brain_of(
@@ -218,36 +221,38 @@ def test_a_mode_changed_at_the_panel_is_noticed(record: UnitRecord) -> None:
 
 
 def test_a_staged_speed_is_acknowledged_at_best(record: UnitRecord) -> None:
-    result, requests = play(write_to_unit(record, SetSpeed(1, 640, execute=False), PLAIN), brain_of(reads=[]))
+    result, requests = play(
+        write_to_unit(record, SetSpeed(1, 640, execute=False), CONTEXT), brain_of(reads=[])
+    )
     assert (result.outcome, len(requests)) == ("acknowledged", 1)
 
 
 def test_execute_is_verified_only_where_it_is_known_what_was_staged(record: UnitRecord) -> None:
-    result, requests = play(write_to_unit(record, ExecuteSpeed(1), PLAIN), brain_of(reads=[status(640)]))
+    result, requests = play(write_to_unit(record, ExecuteSpeed(1), CONTEXT), brain_of(reads=[status(640)]))
     assert (result.outcome, len(requests)) == ("acknowledged", 1)
     record.staged = 640
-    result, _ = play(write_to_unit(record, ExecuteSpeed(1), PLAIN), brain_of(reads=[status(640)]))
+    result, _ = play(write_to_unit(record, ExecuteSpeed(1), CONTEXT), brain_of(reads=[status(640)]))
     assert (result.outcome, result.read_back) == ("verified", 640)
-    result, _ = play(write_to_unit(record, ExecuteSpeed(1), PLAIN), brain_of(reads=[status(630)]))
+    result, _ = play(write_to_unit(record, ExecuteSpeed(1), CONTEXT), brain_of(reads=[status(630)]))
     assert result.outcome == "unverified"
 
 
 @pytest.mark.parametrize(("bits", "outcome"), [(0x44, "verified"), (0x40, "unverified"), (0x04, "verified")])
 def test_an_output_is_verified_by_its_bit(record: UnitRecord, bits: int, outcome: str) -> None:
     brain = brain_of(reads=[status(0, outputs=bits)])
-    assert play(write_to_unit(record, WriteOutput(1, 3, True), PLAIN), brain)[0].outcome == outcome
+    assert play(write_to_unit(record, WriteOutput(1, 3, True), CONTEXT), brain)[0].outcome == outcome
 
 
 def test_a_parameter_is_verified_by_its_value(record: UnitRecord) -> None:
     brain = brain_of(reads=[], ratio=ParameterReply(1, 77))
-    assert play(write_to_unit(record, WriteParameter(1, 6, 77), PLAIN), brain)[0].outcome == "verified"
-    result, requests = play(write_to_unit(record, WriteParameter(1, 6, 78), PLAIN), brain)
+    assert play(write_to_unit(record, WriteParameter(1, 6, 77), CONTEXT), brain)[0].outcome == "verified"
+    result, requests = play(write_to_unit(record, WriteParameter(1, 6, 78), CONTEXT), brain)
     assert (result.outcome, result.read_back) == ("unverified", 77)
     assert len(requests) == 4
 
 
 def test_an_analog_output_is_acknowledged_at_best(record: UnitRecord) -> None:
-    result, _ = play(write_to_unit(record, WriteAnalogOutput(1, 77), PLAIN), brain_of(reads=[]))
+    result, _ = play(write_to_unit(record, WriteAnalogOutput(1, 77), CONTEXT), brain_of(reads=[]))
     assert result.outcome == "acknowledged"
 
 

@@ -19,6 +19,7 @@ from bus.contract import (
     Reading,
     ReadParameters,
     Result,
+    UnitScale,
     Update,
 )
 from bus.errors import WireError
@@ -173,13 +174,15 @@ class VirtualLine:
         script: bool = False,
         configured: int | None = None,
         leased: bool = False,
+        line: SimulatedLine | None = None,
         **bus: Any,
     ) -> None:
-        """``leased``: the port is used only while ``lease`` holds; its clock is ``suspended_s`` ahead."""
+        """``leased``: the port is used only while ``lease`` holds; its clock is ``suspended_s`` ahead.
+        ``line``: what is on the cable instead of simulated units."""
         demo = demo_line(units, seed=seed, script=script)
         self.plant = demo.plant
         self.faults = Faults(seed=seed)
-        self.line = SimulatedLine(demo.plant, self.faults, baud=bus.get("baud", 9600))
+        self.line = line or SimulatedLine(demo.plant, self.faults, baud=bus.get("baud", 9600))
         settings = demo.settings if configured is None else _named(configured)
         self.bus = BusSettings(name="virtual", port="/dev/virtual", unit=tuple(settings), **bus)
         self.loop = loop
@@ -234,11 +237,23 @@ class VirtualLine:
         """The addresses of the configuration."""
         return range(1, len(self.bus.unit) + 1)
 
-    def command(self, action: Action, *, timeout_s: float = 2.0, command_id: str = "", epoch: int = 0) -> str:
-        """Send the worker a command; return its id."""
+    def command(
+        self,
+        action: Action,
+        *,
+        timeout_s: float = 2.0,
+        command_id: str = "",
+        epoch: int = 0,
+        typed_with: dict[int, UnitScale] | None = None,
+    ) -> str:
+        """Send the worker a command; return its id. ``typed_with``: by unit what its value, typed as the unit
+        shows it, was converted with."""
         self._count += 1
         command_id = command_id or f"c{self._count}"
-        self.worker.command(Command(command_id, EPOCH + self.loop.time() + timeout_s, action, epoch))
+        deadline = EPOCH + self.loop.time() + timeout_s
+        self.worker.command(
+            Command(command_id, deadline, action, epoch, typed_with or {}, typed_with is not None)
+        )
         return command_id
 
     def result_of(self, command_id: str) -> Result | None:
@@ -247,9 +262,16 @@ class VirtualLine:
         assert len(results) <= 1, "one command, one result"
         return results[0] if results else None
 
-    async def perform(self, action: Action, *, timeout_s: float = 2.0, within_s: float = 60.0) -> Result:
+    async def perform(
+        self,
+        action: Action,
+        *,
+        timeout_s: float = 2.0,
+        within_s: float = 60.0,
+        typed_with: dict[int, UnitScale] | None = None,
+    ) -> Result:
         """Command the worker and wait for the result."""
-        command_id = self.command(action, timeout_s=timeout_s)
+        command_id = self.command(action, timeout_s=timeout_s, typed_with=typed_with)
         try:
             async with asyncio.timeout(within_s):
                 while (result := self.result_of(command_id)) is None:

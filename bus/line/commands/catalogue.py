@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from bus.contract import (
     ChangeBaud,
     ExecuteAll,
@@ -9,6 +11,7 @@ from bus.contract import (
     ScanBus,
     SetLine,
     UnitAction,
+    UnitScale,
     WireAction,
 )
 from bus.contract.durations import stage_s
@@ -19,12 +22,25 @@ from bus.line.commands.procedure import CommandContext, Procedure
 from bus.line.line_loop import LineLoop
 
 
-def command_run_of(line: LineLoop, command_id: str, action: WireAction, deadline: Monotonic) -> CommandRun:
-    """``action`` with its claim on the wire; its procedure is made in its turn. ``deadline``: line time."""
+def command_run_of(
+    line: LineLoop,
+    command_id: str,
+    action: WireAction,
+    deadline: Monotonic,
+    scales: Mapping[int, UnitScale] | None = None,
+    *,
+    typed: bool = False,
+) -> CommandRun:
+    """``action`` with its claim on the wire; its procedure is made in its turn. ``deadline``: line time.
+    ``scales``, ``typed``: as in ``bus.contract.Command``."""
+    scales = scales or {}
+    reads = max(map(len, scales.values()), default=0) if typed else 0
     command = CommandContext(
         line.dialect,
         time_left_s=deadline - line.clock.now(),
-        exchange_s=stage_s(line.baud),
+        exchange_s=stage_s(line.baud, reads),
+        scales=scales,
+        typed=typed,
     )
     return CommandRun(
         command_id,
@@ -52,7 +68,7 @@ def _procedure(line: LineLoop, action: WireAction, command: CommandContext) -> P
         case ReadParameters():
             return reads.read_parameters(line.roster[action.unit], action.numbers, command)
         case _:
-            return writes.write_to_unit(line.roster[action.unit], action, line.dialect)
+            return writes.write_to_unit(line.roster[action.unit], action, command)
 
 
 def _priority(action: WireAction) -> Priority:

@@ -8,13 +8,13 @@ with made-up responses.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
 import msgspec
 
-from bus.contract import FoundUnit, Outcome, ParameterValue, Stage, UnitOutcome
+from bus.contract import FoundUnit, Outcome, ParameterValue, Stage, UnitOutcome, UnitScale
 from bus.line.exchange.send import Send, SendResult
 from bus.messages import Message
 from bus.settings import Dialect
@@ -57,6 +57,13 @@ class Unstage(msgspec.Struct, frozen=True):
     unit: int
 
 
+class NoteStagedScale(msgspec.Struct, frozen=True):
+    """The staged speed of ``unit`` was converted with ``scale``; with another it is another speed."""
+
+    unit: int
+    scale: UnitScale
+
+
 class Retune(msgspec.Struct, frozen=True):
     """Everything from here on goes at ``baud``."""
 
@@ -69,7 +76,7 @@ class ExpectBaud(msgspec.Struct, frozen=True):
     baud: int
 
 
-LineEffect = ReportProgress | Unstage | Retune | ExpectBaud
+LineEffect = ReportProgress | Unstage | NoteStagedScale | Retune | ExpectBaud
 """What needs no waiting."""
 ProcedureStep = Send | Wait | LineEffect
 Subprocedure = Generator[ProcedureStep, SendResult | None, T]
@@ -90,6 +97,13 @@ class CommandContext:
     """What one write takes on this bus."""
     overdue: Counter[int] = field(default_factory=Counter)
     """How many responses of each unit came after their window since the command began."""
+    scales: Mapping[int, UnitScale] = field(default_factory=dict)
+    """By unit, what its value was converted and bounded with."""
+    typed: bool = False
+    """The value was typed as the unit shows it: a unit with another scale is not written."""
+
+    def scale(self, unit: int) -> UnitScale:
+        return self.scales.get(unit, {})
 
 
 def send(step: Send) -> Subprocedure[SendResult]:

@@ -15,11 +15,13 @@ from dataclasses import dataclass
 from bus.catalogue.numbers import FOLLOWER_MODE, RATIO_SETPOINT, SPEED_SETPOINT
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, output_is_on, status_bits
+from bus.contract import Outcome, UnitScale
+from bus.errors import UnitErrorCode
 from bus.instants import UnixTime
 from bus.line.commands.procedure import Subprocedure, Wait, send
-from bus.line.exchange.send import Send, SendResult
+from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import UnitRecord
-from bus.messages import Message
+from bus.messages import Message, parameter_name
 from bus.settings import Dialect
 from bus.wire.commands import ParameterReply, ReadParameterRequest, ReadStatusRequest, StatusReply
 
@@ -52,6 +54,23 @@ def read_parameter(unit: int, number: int) -> Subprocedure[tuple[int | None, Sen
     """Read a parameter by 85h; None when the unit does not have it, or does not respond."""
     sent = yield from send(Send(ReadParameterRequest(unit, number), fresh=True))
     return (sent.reply.raw if isinstance(sent.reply, ParameterReply) else None), sent
+
+
+def scale_differs(unit: int, scale: UnitScale) -> Subprocedure[tuple[Outcome, Message] | None]:
+    """Read what a value was converted with, all of it so that the next one is converted right. None where the
+    unit has the same, else what that makes of a command of which nothing was sent, and why."""
+    changes: list[str | Message] = []
+    for number, expected in scale.items():
+        raw, sent = yield from read_parameter(unit, number)
+        if sent.status is SendStatus.PORT_CLOSED:
+            return "bus_closed", Message("bus_link_lost")
+        if raw is None and sent.refusal != UnitErrorCode.ILLEGAL_PARAMETER_NUMBER:
+            return "unverified", Message.of("scale_unread", unit=unit, number=parameter_name(number))
+        if raw != expected:
+            old, new = ("none" if value is None else value for value in (expected, raw))
+            change = Message.of("scale_change", number=parameter_name(number), old=old, new=new)
+            changes.append(change)
+    return ("refused", Message.of("scale_changed", unit=unit, changes=changes)) if changes else None
 
 
 def follows(record: UnitRecord, bits: StatusBits) -> Subprocedure[bool]:

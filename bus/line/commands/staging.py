@@ -3,9 +3,11 @@
 ===========  ==========================================================================================
 suspend      a unit outside the change that holds a staged speed would execute it too: it is given its
              present speed first, and its staged speed back at the end
-stage        82h to each; the first that refuses, times out or comes too late ends the change
+stage        82h to each, in whose turn the scale of a typed value is read; the first that refuses, times
+             out, comes too late or has another scale ends the change
 broadcast    one 83h to unit 0, only when every 82h *of this very change* was acknowledged
-verify       81h to each; one that missed the broadcast gets a single 83h, once, within the deadline
+verify       81h to each, and its scale again; one that missed the broadcast gets a single 83h, once, within
+             the deadline
 withdraw     instead of the broadcast: every unit that may hold a staged speed of this change is given its
              present one (82h), so that a stray execute changes nothing
 ===========  ==========================================================================================
@@ -19,10 +21,11 @@ from dataclasses import dataclass
 from msgspec.structs import replace
 
 from bus.catalogue.status import status_bits
-from bus.contract import Outcome, UnitOutcome
+from bus.contract import Outcome, UnitOutcome, UnitScale
 from bus.errors import unit_refused
 from bus.line.commands.procedure import (
     CommandContext,
+    NoteStagedScale,
     Procedure,
     ProcedureResult,
     ReportProgress,
@@ -31,7 +34,14 @@ from bus.line.commands.procedure import (
     send,
 )
 from bus.line.commands.readback import present_setpoint, verify_speed, verify_unchanged
-from bus.line.commands.writes import not_sent, outcome_of, outcome_with_readback, outcome_without_readback
+from bus.line.commands.writes import (
+    not_sent,
+    outcome_of,
+    outcome_with_readback,
+    outcome_without_readback,
+    scale_refused,
+    still_scaled,
+)
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import Roster, UnitRecord
 from bus.messages import Message, joined
@@ -41,32 +51,38 @@ ALL_UNITS = 0
 EXECUTED_SINGLY = Message("executed_singly")
 
 Failure = tuple[Outcome, Message]
+Suspended = dict[int, tuple[int, UnitScale]]
+"""By unit a staged speed, and what that was converted with."""
 
 
 @dataclass(slots=True)
 class Member:
-    """One unit of a change. ``before``: what it was last seen commanded."""
+    """One unit of a change. ``before``: what it was last seen commanded. ``scale``: what its value was
+    converted with, ``guarded`` where a person typed that value."""
 
     record: UnitRecord
     raw: int
     before: int | None
+    scale: UnitScale
+    guarded: bool
     sent: SendResult | None = None
     """Its stage."""
     outcome: UnitOutcome | None = None
+    missed_broadcast: bool = False
+    """It does not show what it had staged."""
 
     @property
     def unit(self) -> int:
         return self.record.unit
 
-    @property
-    def missed_broadcast(self) -> bool:
-        return self.outcome is not None and self.outcome.outcome != "verified"
-
 
 def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandContext) -> Procedure:
     """Carry out the complete change. ``setpoints``: unit → raw."""
     ordered = _likely_refusals_first(roster, setpoints, context)
-    members = [Member(roster[unit], raw, roster[unit].commanded) for unit, raw in ordered]
+    members = [
+        Member(roster[unit], raw, roster[unit].commanded, context.scale(unit), context.typed)
+        for unit, raw in ordered
+    ]
     seconds = context.exchange_s * len(members)
     if seconds > context.time_left_s:
         allowed = round(max(context.time_left_s, 0), 1)
@@ -89,9 +105,24 @@ def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandConte
 
 def execute_all(roster: Roster, context: CommandContext) -> Procedure:
     """83h to every unit, and what each shows afterwards."""
-    records = map(roster.__getitem__, roster.configured)
-    members = [Member(record, record.staged or 0, record.commanded) for record in records]
+    records = list(map(roster.__getitem__, roster.configured))
+    unknown = [record.unit for record in records if record.staged_unknown]
+    if unknown:
+        return ProcedureResult("refused", Message.of("staged_unknown", unit=unknown))
+    members = [
+        Member(
+            record,
+            record.staged or 0,
+            record.commanded,
+            {**context.scale(record.unit), **record.staged_scale},
+            context.typed or bool(record.staged_scale),
+        )
+        for record in records
+    ]
     knew = {member.unit for member in members if member.record.staged is not None}
+    for member in members:
+        if member.unit in knew and (failure := (yield from _rescaled(member))) is not None:
+            return _stopped(members, *failure)
     sent = yield from send(Send(ExecuteSpeedRequest(ALL_UNITS)))
     if sent.status is not SendStatus.SENT:
         return ProcedureResult(*not_sent(ALL_UNITS, sent))
@@ -124,16 +155,22 @@ def _likely_refusals_first(
 
 def _suspend_others(
     roster: Roster, setpoints: Mapping[int, int], context: CommandContext
-) -> Subprocedure[tuple[dict[int, int], Failure | None]]:
+) -> Subprocedure[tuple[Suspended, Failure | None]]:
     """Return the staged speeds that are to be given back, and why a unit outside the change may move with it;
     None where none can."""
     outside = [record for record in roster if record.unit not in setpoints]
-    waiting = [(record, record.staged) for record in outside if record.staged is not None]
-    suspended: dict[int, int] = {}
-    for record, staged in waiting:
+    suspended: Suspended = {}
+    for record in outside:
+        staged, scale = record.staged, record.staged_scale
+        if staged is None and not record.staged_unknown:
+            continue
         if (yield from _stage_present(record, context)) is None:
-            return suspended, ("not_sent", Message.of("outsider_staged", unit=record.unit, staged=staged))
-        suspended[record.unit] = staged
+            reason = Message.of("outsider_unknown", unit=record.unit)
+            if staged is not None:
+                reason = Message.of("outsider_staged", unit=record.unit, staged=staged)
+            return suspended, ("not_sent", reason)
+        if staged is not None:
+            suspended[record.unit] = staged, scale
     return suspended, None
 
 
@@ -141,13 +178,26 @@ def _stage_all(members: list[Member], context: CommandContext) -> Subprocedure[F
     """None when every unit acknowledged, else how the change ended and why."""
     for done, member in enumerate(members):
         yield ReportProgress("sent", member.unit, done, len(members))
+        if (failure := (yield from _rescaled(member))) is not None:
+            return failure
         member.sent = yield from send(Send(StageSpeedRequest(member.unit, member.raw)))
         if not member.sent.acknowledged:
             return _why_stopped(member, member.sent)
+        if member.guarded:
+            yield NoteStagedScale(member.unit, member.scale)
         if context.cancelled:
             return "not_sent", Message("canceled_before_execute")
     yield ReportProgress("acknowledged", None, len(members), len(members))
     return None
+
+
+def _rescaled(member: Member) -> Subprocedure[Failure | None]:
+    """How a change ends before a unit that has another scale than its typed value was converted with."""
+    if not member.guarded or (refusal := (yield from scale_refused(member.unit, member.scale))) is None:
+        return None
+    assert refusal.message is not None
+    member.outcome = refusal
+    return refusal.outcome, refusal.message
 
 
 def _why_stopped(member: Member, sent: SendResult) -> Failure:
@@ -186,10 +236,12 @@ def _withdraw_all(members: list[Member], context: CommandContext) -> Subprocedur
         member.outcome = outcome_of(member.unit, member.sent, *outcome)
 
 
-def _restage(suspended: Mapping[int, int]) -> Subprocedure[None]:
+def _restage(suspended: Suspended) -> Subprocedure[None]:
     """Give each unit outside the change its staged speed back."""
-    for unit, staged in suspended.items():
-        yield from send(Send(StageSpeedRequest(unit, staged), withdraws=True))
+    for unit, (staged, scale) in suspended.items():
+        sent = yield from send(Send(StageSpeedRequest(unit, staged), withdraws=True))
+        if sent.acknowledged:
+            yield NoteStagedScale(unit, scale)
 
 
 def _stopped(members: list[Member], outcome: Outcome, reason: Message) -> ProcedureResult:
@@ -234,13 +286,15 @@ def _verify(member: Member, broadcast: SendResult, context: CommandContext) -> S
         # It has the value staged where it missed the broadcast, and the next execute would take it over.
         assert readback.why is not None
         message = Message.of("unit_may_hold", unit=member.unit, reason=readback.why, raw=member.raw)
-    member.outcome = replace(
+    member.missed_broadcast = not readback.shown
+    outcome = replace(
         outcome_with_readback(member.unit, broadcast, readback),
         message=message,
         sent_at=staging.sent_at if staging is not None else broadcast.sent_at,
         acknowledged_at=staging.responded_at if staging is not None else None,
         attempts=staging.attempts if staging is not None else 1,
     )
+    member.outcome = yield from still_scaled(outcome, member.scale, guarded=member.guarded)
 
 
 def _verify_unchanged(member: Member, broadcast: SendResult) -> Subprocedure[None]:
@@ -259,7 +313,7 @@ def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[Non
     if not sent.may_have_acted:
         return
     yield from _verify(member, sent, context)
-    if member.outcome is not None and not member.missed_broadcast:
+    if member.outcome is not None and member.outcome.outcome == "verified":
         member.outcome = replace(member.outcome, message=EXECUTED_SINGLY)
 
 

@@ -11,16 +11,26 @@ from bus.contract import (
     Outcome,
     SetSpeed,
     UnitOutcome,
+    UnitScale,
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
 )
 from bus.errors import unit_error, unit_refused
-from bus.line.commands.procedure import Procedure, ProcedureResult, ReportProgress, send
+from bus.line.commands.procedure import (
+    CommandContext,
+    NoteStagedScale,
+    Procedure,
+    ProcedureResult,
+    ReportProgress,
+    Subprocedure,
+    send,
+)
 from bus.line.commands.readback import (
     REREADS,
     Readback,
     Verification,
+    scale_differs,
     verify_output,
     verify_parameter,
     verify_speed,
@@ -28,7 +38,6 @@ from bus.line.commands.readback import (
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import UnitRecord
 from bus.messages import Message
-from bus.settings import Dialect
 from bus.wire.commands import (
     ExecuteSpeedRequest,
     Request,
@@ -42,9 +51,49 @@ from bus.wire.commands import (
 UnitWrite: TypeAlias = SetSpeed | ExecuteSpeed | WriteOutput | WriteAnalogOutput | WriteParameter
 
 
-def write_to_unit(record: UnitRecord, action: UnitWrite, dialect: Dialect) -> Procedure:
-    """Send ``action`` to its unit and prove it, where a later exchange can show it."""
-    unit, before = record.unit, record.commanded
+def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext) -> Procedure:
+    """Send ``action`` to its unit and prove it, where a later exchange can show it.
+
+    The scale of a typed value is read in between: before it is sent, and again after it was proved. That of
+    a raw one is read afterwards alone, for those who show it, so that the write itself waits for nothing.
+    """
+    unit, scale, guarded = record.unit, context.scale(record.unit), context.typed
+    if isinstance(action, ExecuteSpeed):
+        if record.staged_unknown:
+            return ProcedureResult("refused", Message.of("staged_unknown", unit=unit))
+        scale, guarded = {**scale, **record.staged_scale}, guarded or bool(record.staged_scale)
+    if guarded and (refusal := (yield from scale_refused(unit, scale))) is not None:
+        return _result_of_one(refusal)
+    outcome = yield from _write_unscaled(record, action, context)
+    if isinstance(action, SetSpeed) and not action.execute and outcome.outcome == "acknowledged" and guarded:
+        yield NoteStagedScale(unit, scale)
+    return _result_of_one((yield from still_scaled(outcome, scale, guarded=guarded)))
+
+
+def scale_refused(unit: int, scale: UnitScale) -> Subprocedure[UnitOutcome | None]:
+    """The outcome at a unit that is not written, as its scale is another or cannot be read; else None."""
+    if (change := (yield from scale_differs(unit, scale))) is None:
+        return None
+    outcome, reason = change
+    return UnitOutcome(unit, outcome, Message.of("scale_changed_nothing_sent", reason=reason))
+
+
+def still_scaled(outcome: UnitOutcome, scale: UnitScale, *, guarded: bool) -> Subprocedure[UnitOutcome]:
+    """``outcome`` of a write that succeeded; *unverified* where the unit shows its value in another scale by
+    now, unless the value was given raw (not ``guarded``)."""
+    if outcome.outcome not in ("verified", "acknowledged"):
+        return outcome
+    change = yield from scale_differs(outcome.unit, scale)
+    if change is None or not guarded:
+        return outcome
+    message = Message.of("scale_changed_since", reason=change[1])
+    return replace(outcome, outcome="unverified", message=message, proven_at=None)
+
+
+def _write_unscaled(
+    record: UnitRecord, action: UnitWrite, context: CommandContext
+) -> Subprocedure[UnitOutcome]:
+    unit, before, dialect = record.unit, record.commanded, context.dialect
     match action:
         case SetSpeed(raw=raw, execute=True):
             readback = verify_speed(record, raw, dialect, before=before)
@@ -64,19 +113,19 @@ def write_to_unit(record: UnitRecord, action: UnitWrite, dialect: Dialect) -> Pr
             return _write(WriteAnalogOutputRequest(unit, raw), None)
 
 
-def _write(request: Request, verification: Verification | None) -> Procedure:
+def _write(request: Request, verification: Verification | None) -> Subprocedure[UnitOutcome]:
     """Send ``request`` and, unless refused, read it back. ``verification`` None: there is only the ACK."""
     unit = request.unit
     sent = yield from send(Send(request, reports_sent=True))
     if not sent.may_have_acted:
-        return _result_of_one(outcome_without_readback(unit, sent))
+        return outcome_without_readback(unit, sent)
     if sent.acknowledged:
         yield ReportProgress("acknowledged", unit)
     if verification is None:
-        return _result_of_one(outcome_without_readback(unit, sent))
+        return outcome_without_readback(unit, sent)
     yield ReportProgress("proving", unit)
     readback = yield from verification
-    return _result_of_one(outcome_with_readback(unit, sent, readback))
+    return outcome_with_readback(unit, sent, readback)
 
 
 def outcome_of(unit: int, sent: SendResult, outcome: Outcome, message: Message | None) -> UnitOutcome:

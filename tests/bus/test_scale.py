@@ -1,0 +1,381 @@
+"""A typed value is executed as the unit shows it, or not at all, whatever is done at its keypad.
+
+The units are those written from the manual alone; their keypads change the scale at random moments. What
+the app does is done here with what the worker has reported: it converts by that, and states by what.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import inf
+from typing import cast
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bus.catalogue.numbers import (
+    ANALOG_OUT_HIGH,
+    ANALOG_OUT_LOW,
+    ANALOG_OUT_SOURCE,
+    AT_SPEED_WINDOW,
+    DECIMALS,
+    FOLLOWER_MODE,
+    MAX_DISPLAY,
+)
+from bus.catalogue.values import is_follower, ratio_raw, speed_raw
+from bus.contract import (
+    Action,
+    ExecuteAll,
+    ExecuteSpeed,
+    ParameterValue,
+    Result,
+    SetLine,
+    SetSpeed,
+    Staged,
+    UnitScale,
+    WriteAnalogOutput,
+    WriteParameter,
+)
+from bus.errors import CallerError
+from bus.settings import wire_seconds
+from bus.simulator.line import SimulatedLine
+from bus.simulator.pacer import Wake
+from tests.bus.virtual_line import EPOCH, VirtualLine, run
+from tests.path.independent_unit import Unit, cut_frame
+from tests.sizes import sizes
+
+UNITS = 3
+SCALE = (MAX_DISPLAY, FOLLOWER_MODE, DECIMALS)
+
+
+class KeypadUnit(Unit):
+    """A unit with a display and a keypad. ``shown``: since when its display shows which setpoint."""
+
+    def __init__(self, address: int) -> None:
+        super().__init__(address)
+        self.commanded = self.actual = 500
+        self.shown: list[tuple[float, str]] = [(0.0, self.display(self.commanded))]
+        self.tolerances: list[tuple[float, str]] = [(0.0, self.display(self.values[AT_SPEED_WINDOW]))]
+
+    def display(self, raw: int) -> str:
+        """A setpoint or the tolerance as it stands there."""
+        places = 4 if self.values[FOLLOWER_MODE] else self.values[DECIMALS]
+        return f"{raw / 10**places:.{places}f}"
+
+    def note(self, now: float) -> None:
+        """What the display shows from ``now`` on."""
+        self.shown.append((now, self.display(self.commanded)))
+        self.tolerances.append((now, self.display(self.values[AT_SPEED_WINDOW])))
+
+
+def was_shown(texts: list[tuple[float, str]], text: str, since: float) -> bool:
+    """Whether the display has shown it after ``since``."""
+    ends = [at for at, _ in texts[1:]] + [inf]
+    return any(shown == text and end > since for (_, shown), end in zip(texts, ends, strict=True))
+
+
+@dataclass
+class Keypads:
+    """The units of a cable, in the place of the simulated line."""
+
+    units: list[KeypadUnit]
+    _buffer: bytearray = field(default_factory=bytearray)
+    _sent: list[tuple[float, bytes]] = field(default_factory=list)
+    _free_at: float = 0.0
+
+    def receive(self, now: float, data: bytes, baud: int | None = None) -> None:
+        self._buffer += data
+        arrived = now + wire_seconds(len(data), baud or 9600)
+        while (body := cut_frame(self._buffer)) is not None:
+            for unit in self.units:
+                reply = unit.respond(body)
+                unit.note(arrived)
+                if reply is not None:
+                    self._free_at = max(self._free_at, arrived) + wire_seconds(len(reply), baud or 9600)
+                    self._sent.append((self._free_at, reply))
+
+    def advance(self, now: float) -> bytes:
+        due = [reply for at, reply in self._sent if at <= now]
+        self._sent = [(at, reply) for at, reply in self._sent if at > now]
+        return b"".join(due)
+
+    def wake(self) -> Wake:
+        return Wake(min((at for at, _ in self._sent), default=inf), sharp=False)
+
+    def unplug(self) -> None:
+        self._sent.clear()
+
+
+def play(scene: Callable[[VirtualLine, Keypads], object]) -> None:
+    """Run a scene with keypads on a virtual clock, once all that is needed was read."""
+    keypads = Keypads([KeypadUnit(address) for address in range(1, UNITS + 1)])
+
+    async def begin(line: VirtualLine) -> None:
+        await line.until(lambda: all(known(line, unit, SCALE) for unit in line.units))
+        await cast("asyncio.Future[None]", scene(line, keypads))
+
+    run(begin, UNITS, configured=UNITS, line=cast("SimulatedLine", keypads))
+
+
+def known(line: VirtualLine, unit: int, numbers: tuple[int, ...]) -> UnitScale:
+    """What the worker has reported last; empty where one is missing."""
+    values = {
+        update.number: update.raw
+        for update in line.updates
+        if isinstance(update, ParameterValue) and update.unit == unit
+    }
+    return {number: values[number] for number in numbers} if values.keys() >= set(numbers) else {}
+
+
+def converted(text: str, scale: UnitScale) -> int:
+    """As the app converts what was typed."""
+    if is_follower(scale[FOLLOWER_MODE]):
+        return ratio_raw(text)
+    return speed_raw(text, scale[DECIMALS] or 0)
+
+
+@dataclass(frozen=True)
+class Change:
+    """Somebody at the keypad of a unit: after how many seconds, which parameter, to what."""
+
+    after_s: float
+    unit: int
+    number: int
+    raw: int
+
+
+@dataclass(frozen=True)
+class Typed:
+    """What a person enters, with what happens at the keypads meanwhile."""
+
+    kind: str
+    unit: int
+    text: str
+    changes: list[Change]
+    wait_s: float
+
+
+CHANGES = st.builds(
+    lambda after_s, unit, what: Change(after_s, unit, *what),
+    st.floats(0.0, 0.3),
+    st.integers(1, UNITS),
+    st.sampled_from([(3, 0), (3, 1), (3, 2), (8, 0), (8, 1), (2, 2000), (2, 20000), (2, 99999), (6, 77)]),
+)
+TYPED = st.builds(
+    Typed,
+    st.sampled_from(["set", "stage and execute", "stage and execute all", "group", "tolerance"]),
+    st.integers(1, UNITS),
+    st.sampled_from(["12", "100", "10.0", "55.5", "1.25", "0.5", "9"]),
+    st.lists(CHANGES, max_size=4),
+    st.floats(0.0, 1.5),
+)
+
+
+@dataclass
+class Judge:
+    """Enters what people type, and states what was *verified* beside another display."""
+
+    line: VirtualLine
+    keypads: Keypads
+    complaints: list[str] = field(default_factory=list)
+    outcomes: list[str] = field(default_factory=list)
+
+    async def enter(self, typed: Typed) -> None:
+        for change in typed.changes:
+            self.line.loop.call_later(change.after_s, self._press, change)
+        await asyncio.sleep(typed.wait_s / 10)
+        try:
+            await self._enter(typed)
+        except CallerError:
+            self.outcomes.append("not converted")
+        await asyncio.sleep(typed.wait_s)
+
+    def _press(self, change: Change) -> None:
+        unit = self.keypads.units[change.unit - 1]
+        unit.values[change.number] = change.raw
+        unit.note(self.line.loop.time())
+
+    async def _enter(self, typed: Typed) -> None:
+        unit, text = typed.unit, typed.text
+        scale = known(self.line, unit, SCALE)
+        match typed.kind:
+            case "set":
+                await self._perform(SetSpeed(unit, converted(text, scale)), {unit: scale}, {unit: text})
+            case "group":
+                scales = {each: known(self.line, each, SCALE) for each in self.line.units}
+                raws = {each: converted(text, scales[each]) for each in scales}
+                await self._perform(SetLine(raws), scales, dict.fromkeys(scales, text))
+            case "tolerance":
+                raw = converted(text, scale)
+                if raw < 256 and not is_follower(scale[FOLLOWER_MODE]):
+                    action = WriteParameter(unit, AT_SPEED_WINDOW, raw)
+                    await self._perform(action, {unit: {DECIMALS: scale[DECIMALS]}}, {unit: text})
+            case _:
+                action = SetSpeed(unit, converted(text, scale), execute=False)
+                staged = await self._perform(action, {unit: scale}, {})
+                if staged.outcome == "acknowledged":
+                    await asyncio.sleep(typed.wait_s / 5)
+                    execute = ExecuteAll() if typed.kind.endswith("all") else ExecuteSpeed(unit)
+                    await self._perform(execute, None, {unit: text})
+
+    async def _perform(
+        self, action: Action, scales: dict[int, UnitScale] | None, texts: dict[int, str]
+    ) -> Result:
+        began = self.line.loop.time()
+        before = {unit.address: unit.commanded for unit in self.keypads.units}
+        result = await self.line.perform(action, typed_with=scales)
+        self.outcomes.append(result.outcome)
+        verified = {part.unit for part in result.units if part.outcome == "verified"}
+        for number, text in texts.items():
+            unit = self.keypads.units[number - 1]
+            is_setpoint = not isinstance(action, WriteParameter)
+            history = unit.shown if is_setpoint else unit.tolerances
+            shows = [shown for at, shown in history if at >= began]
+            if number in verified and not any(float(shown) == float(text) for shown in shows):
+                self.complaints.append(f"verified {text} at unit {number}, which showed {shows[-3:]}")
+            if result.outcome == "refused" and is_setpoint and unit.commanded != before[number]:
+                self.complaints.append(f"refused, and unit {number} was changed to {unit.commanded}")
+        return result
+
+
+@pytest.mark.parametrize("examples", sizes(25, 600))
+def test_verified_never_stands_beside_a_number_that_the_display_does_not_show(examples: int) -> None:
+    seen: list[str] = []
+
+    @settings(max_examples=examples, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    @given(st.lists(TYPED, min_size=4, max_size=12))
+    def enter_all(people: list[Typed]) -> None:
+        async def scene(line: VirtualLine, keypads: Keypads) -> None:
+            judge = Judge(line, keypads)
+            for typed in people:
+                await judge.enter(typed)
+            seen.extend(judge.outcomes)
+            assert judge.complaints == []
+
+        play(scene)
+
+    enter_all()
+    assert seen.count("verified") > examples
+    assert seen.count("refused") > examples / 5
+
+
+async def result_of(
+    line: VirtualLine, keypads: Keypads, text: str, *pressed: Change, execute: bool = True
+) -> Result:
+    scale = known(line, 1, SCALE)
+    for change in pressed:
+        keypads.units[change.unit - 1].values[change.number] = change.raw
+    return await line.perform(SetSpeed(1, converted(text, scale), execute), typed_with={1: scale})
+
+
+def test_ten_times_what_was_typed_is_refused_with_old_and_new() -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        pressed = [Change(0, 1, DECIMALS, 0), Change(0, 1, MAX_DISPLAY, 2000)]
+        result = await result_of(line, keypads, "100.0", *pressed)
+        assert (result.outcome, result.unit_error) == ("refused", None)
+        assert "(parameter 2) was 20000 and is 2000 now" in str(result.message)
+        assert "(parameter 3) was 1 and is 0 now" in str(result.message)
+        assert keypads.units[0].commanded == 500
+        assert keypads.units[0].writes == []
+        # What was read is reported: the next one is converted with it, and executed as it is shown.
+        result = await result_of(line, keypads, "100")
+        assert (result.outcome, keypads.units[0].display(keypads.units[0].commanded)) == ("verified", "100")
+
+    play(scene)
+
+
+def test_a_scale_that_changes_between_the_write_and_its_read_back_leaves_it_unverified() -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        unit = keypads.units[0]
+        scale = known(line, 1, SCALE)
+        command = line.command(SetSpeed(1, 1000), typed_with={1: scale})
+        await line.until(lambda: unit.commanded == 1000)
+        unit.values[DECIMALS] = 0
+        await line.until(lambda: line.result_of(command))
+        result = line.result_of(command)
+        assert result is not None
+        assert result.outcome == "unverified"
+        assert "another scale" in str(result.message)
+
+    play(scene)
+
+
+def test_a_group_stops_before_the_unit_whose_scale_is_another() -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        scales = {unit: known(line, unit, SCALE) for unit in line.units}
+        keypads.units[2].values[DECIMALS] = 0
+        result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), typed_with=scales)
+        assert result.outcome == "refused"
+        assert [unit.commanded for unit in keypads.units] == [500] * UNITS
+        assert not any(command == 0x83 for unit in keypads.units for command, _, _ in unit.writes)
+        assert [unit.staged for unit in keypads.units] == [500, 500, None], "withdrawn where it was staged"
+
+    play(scene)
+
+
+def test_what_was_given_raw_is_sent_before_any_scale_is_read() -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        keypads.units[0].values[DECIMALS] = 0
+        result = await line.perform(SetSpeed(1, 900))
+        assert (result.outcome, result.read_back) == ("verified", 900)
+
+    play(scene)
+
+
+def test_a_speed_that_was_staged_in_another_scale_is_not_executed() -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        assert (await result_of(line, keypads, "70.0", execute=False)).outcome == "acknowledged"
+        keypads.units[0].values[DECIMALS] = 0
+        for action in (ExecuteSpeed(1), ExecuteAll()):
+            result = await line.perform(action)
+            assert (result.outcome, keypads.units[0].commanded) == ("refused", 500)
+
+    play(scene)
+
+
+def test_the_analog_output_is_bounded_and_converted_as_the_unit_does_now() -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        numbers = (ANALOG_OUT_SOURCE, ANALOG_OUT_LOW, ANALOG_OUT_HIGH)
+        await line.until(lambda: known(line, 1, numbers))
+        scale = {1: known(line, 1, numbers)}
+        assert (await line.perform(WriteAnalogOutput(1, 350), typed_with=scale)).outcome == "acknowledged"
+        keypads.units[0].values[ANALOG_OUT_HIGH] = 1000
+        assert (await line.perform(WriteAnalogOutput(1, 360), typed_with=scale)).outcome == "refused"
+        assert keypads.units[0].analog_out == 350
+
+    play(scene)
+
+
+def test_one_parameter_changed_at_the_keypad_has_the_scale_read_again_soon() -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        await asyncio.sleep(30.0)
+        keypads.units[1].values |= {6: 77, DECIMALS: 3}
+        await line.until(lambda: known(line, 2, (6,)) == {6: 77}, within_s=300.0)
+        found_at = line.loop.time()
+        await line.until(lambda: known(line, 2, (DECIMALS,)) == {DECIMALS: 3}, within_s=300.0)
+        assert line.loop.time() - found_at < 3.0
+
+    play(scene)
+
+
+def test_what_a_unit_holds_staged_is_not_known_after_it_was_away_and_is_not_executed() -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "acknowledged"
+        keypads.units[0].off = True
+        await line.until(lambda: line.worker.line.roster[1].link.link == "offline")
+        keypads.units[0].off, keypads.units[0].staged = False, 300
+        await line.until(lambda: line.worker.line.roster[1].link.link == "online")
+        reported = [update for update in line.updates if isinstance(update, Staged)]
+        assert reported[-1] == Staged(1, reported[-1].at, None, unknown=True)
+        assert reported[-1].at > EPOCH
+        for action in (ExecuteSpeed(1), ExecuteAll()):
+            result = await line.perform(action)
+            assert (result.outcome, keypads.units[0].commanded) == ("refused", 500)
+        result = await line.perform(SetLine({2: 600, 3: 600}))
+        assert (result.outcome, keypads.units[0].commanded) == ("verified", 500)
+        assert not line.worker.line.roster[1].staged_unknown, "its present speed was staged instead"
+
+    play(scene)
