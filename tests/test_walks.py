@@ -167,6 +167,7 @@ async def app_calls_of_a_click(house: House, calls: Calls) -> None:
     """From the POST of the page to the command for the worker."""
     client = await house.signed_in(Role.OPERATOR)
     form = {"raw": "1500", "was": "1000", "how": "now", "id": "0" * 32, "reviewed_at": str(time.time())}
+    form["scale"] = "-"
     with calls.watched():
         page = await client.post(f"/units/{BUS}/{UNIT}/speed", data=form)
     assert page.status_code == 200, page.text

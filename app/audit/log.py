@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, Required, TypedDict, Unpack
 
 import structlog
@@ -53,6 +54,9 @@ class EventFields(TypedDict, total=False):
     message: str | Message
 
 
+NO_TEXTS: Mapping[Any, Any] = MappingProxyType({})
+
+
 class EventLog:
     """Append-only. Whatever returns from here is on disk. An event of a bus is in the chain of that bus, any
     other in that of the site. Without ``keys``, what seals the entries ends with the process: nothing that is
@@ -77,10 +81,15 @@ class EventLog:
         """Store commands before they are sent, in one transaction with ``also``; their numbers in order."""
         return await self._append_all([self._entry("command", **intent) for intent in intents], also)
 
-    async def conclude_together(self, outcomes: Mapping[int, tuple[Outcome, str | Message]]) -> None:
-        """Store the outcome and message of several commands, by event number, in one transaction."""
+    async def conclude_together(
+        self,
+        outcomes: Mapping[int, tuple[Outcome, str | Message]],
+        texts: Mapping[int, Mapping[str, Message]] = NO_TEXTS,
+    ) -> None:
+        """Store the outcome and message of several commands, by event number, in one transaction. ``texts``:
+        as in :meth:`conclude`."""
         entries = [
-            self._entry("fate", about=event, outcome=outcome, message=message)
+            self._entry("fate", about=event, outcome=outcome, message=message, **texts.get(event, {}))
             for event, (outcome, message) in outcomes.items()
         ]
         await self._write_all(entries)
@@ -94,9 +103,11 @@ class EventLog:
         message: str | Message = "",
         frames: Sequence[Frame] = (),
         also: Also | None = None,
+        texts: Mapping[str, Message] = NO_TEXTS,
     ) -> None:
-        """Store the outcome of an intent; ``frames`` carried it. ``also``: in the same transaction."""
-        entry = self._entry("fate", about=event, outcome=outcome, message=message, frames=frames)
+        """Store the outcome of an intent; ``frames`` carried it. ``also``: in the same transaction.
+        ``texts``: the fields ``old`` and ``new`` where the command has shown that they are others."""
+        entry = self._entry("fate", about=event, outcome=outcome, message=message, frames=frames, **texts)
         await self._write_all([entry], also)
         await self._publish_stored(event)
 

@@ -46,16 +46,20 @@ from bus.contract import (
 from bus.contract.durations import longest_stage_s
 from bus.messages import Message, term
 
+SCALE_READS = 3
+"""How many parameters convert and bound a setpoint; they are read in the turn that stages its unit."""
 
-def timeout_s_for(bus: BusLive, staged_units: int = 0) -> float:
+
+def timeout_s_for(bus: BusLive, staged_units: int = 0, *, typed: bool = False) -> float:
     """How long a write may wait to be sent: a change of several units needs the time of its staging too.
-    ``staged_units``: how many, 0 for a command to one."""
-    return DEFAULT_TIMEOUT_S + staged_units * longest_stage_s(bus.baud, bus.settings.turnaround_s)
+    ``staged_units``: how many, 0 for a command to one. ``typed``: its values were not given raw."""
+    reads = SCALE_READS if typed else 0
+    return DEFAULT_TIMEOUT_S + staged_units * longest_stage_s(bus.baud, bus.settings.turnaround_s, reads)
 
 
 def longest_change_s(bus: BusLive, units: int) -> float:
     """Until the result of a change of several units is known at the latest: it may be withdrawn from each."""
-    return 2 * timeout_s_for(bus, units)
+    return 2 * timeout_s_for(bus, units, typed=True)
 
 
 A = TypeVar("A", bound=Action)
@@ -140,7 +144,7 @@ SET_LINE = CommandKind(
     check=action_checks.check_line,
     # Its broadcast executes what other units hold staged, too.
     only_slows=lambda action, bus: slows_all({**staged_setpoints(bus), **action.setpoints}, bus),
-    timeout_s=lambda action, bus: timeout_s_for(bus, len(action.setpoints)),
+    timeout_s=lambda action, bus: timeout_s_for(bus, len(action.setpoints), typed=True),
 )
 WRITE_OUTPUT = CommandKind(
     WriteOutput,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from app.commands.rules.setpoint import commanded_setpoint
 from app.commands.rules.setpoint_range import KIND_OF_PARAMETER, is_above_display, setpoint_range
 from app.commands.safeguards.limits import Limits
+from app.commands.scale import scale_text, setpoint_scale
 from app.commands.values import measure_of_setpoint, setpoint_message
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive, follower
@@ -140,6 +141,8 @@ class SetpointChange:
     measure: str
     lowest: str | Message
     highest: str | Message
+    scale: str
+    """What it was converted with, as the form of the review holds it."""
     ramp: Ramp | None
     obstacle: Message | None
     risks: tuple[Message, ...]
@@ -161,6 +164,7 @@ def change_of(
         measure=measure_of_setpoint(unit),
         lowest=setpoint_message(allowed.lowest, unit),
         highest=setpoint_message(allowed.highest, unit),
+        scale=scale_text(setpoint_scale(unit, new_raw)),
         ramp=ramp,
         obstacle=obstacle_of(bus, unit, now, block=block),
         risks=risks_of(bus, unit, now, ramp, new_raw),

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from app.commands.rules.setpoint import commanded_setpoint
 from app.commands.values import parameter_message, setpoint_message
-from app.live.state.bus_live import BusLive
+from app.live.state.bus_live import BusLive, UnitLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS, output_is_on
-from bus.contract import WriteOutput, WriteParameter
+from bus.contract import (
+    Action,
+    ExecuteAll,
+    ExecuteSpeed,
+    SetLine,
+    SetSpeed,
+    WriteOutput,
+    WriteParameter,
+)
 from bus.messages import Message, listed, term
 
 _ON_OFF = (term("off"), term("on"))
@@ -62,6 +70,41 @@ def of_setpoint(what: Message, bus: BusLive, unit: int, raw: int | None) -> Word
     live = bus.units[unit]
     old = commanded_setpoint(live, bus)
     return Wording(what, setpoint_message(old, live), setpoint_message(raw, live), old, raw)
+
+
+def reworded(
+    action: Action, words: Wording, parts: Mapping[int, Wording], bus: BusLive
+) -> tuple[dict[str, Message], dict[int, dict[str, Message]]]:
+    """The old and new values of a command, and of its parts by unit, that its units show otherwise than they
+    were worded, as the scale was read with the command."""
+    by_unit = {unit: _in_scale(action, part, bus.units[unit]) for unit, part in parts.items()}
+    changed = {unit: texts for unit, part in parts.items() if (texts := _other(part, by_unit[unit]))}
+    if action.only_unit is not None:
+        return _other(words, _in_scale(action, words, bus.units[action.only_unit])), {}
+    if not changed:
+        return {}, {}
+    olds, news = ({unit: getattr(part, end) for unit, part in by_unit.items()} for end in ("old", "new"))
+    return {"old": _by_unit(olds), "new": _by_unit(news)}, changed
+
+
+def _in_scale(action: Action, words: Wording, live: UnitLive) -> Wording:
+    """``words`` with its integers as the unit shows them now."""
+    match action:
+        case SetSpeed() | SetLine() | ExecuteSpeed() | ExecuteAll():
+            old, new = setpoint_message(words.old_raw, live), setpoint_message(words.new_raw, live)
+        case WriteParameter(number=number) if number in PARAMETERS and not PARAMETERS[number].secret:
+            old, new = (
+                "" if raw is None else parameter_message(PARAMETERS[number], raw, live)
+                for raw in (words.old_raw, words.new_raw)
+            )
+        case _:
+            return words
+    return replace(words, old=old, new=new)
+
+
+def _other(words: Wording, now: Wording) -> dict[str, Message]:
+    texts = {"old": (words.old, now.old), "new": (words.new, now.new)}
+    return {name: text for name, (was, text) in texts.items() if isinstance(text, Message) and text != was}
 
 
 def of_each(what: Message, bus: BusLive, setpoints: Mapping[int, int]) -> dict[int, Wording]:

@@ -10,6 +10,7 @@ from app.audit.act import Act
 from app.audit.log import EventLog
 from app.commands.catalogue import SET_LINE
 from app.commands.rules.objection import reason_of
+from app.commands.scale import Scales, parse_scale, scale_text, setpoint_scale
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, LiveState
@@ -100,10 +101,12 @@ class RecipeBook:
         confirm: bool,
         command_id: str | None,
         left_out: Collection[int] = (),
+        scales: Scales | None = None,
     ) -> Result:
         """Load it as one change: staged, broadcast, read back. ``left_out``: the units that keep their
-        present setpoint. With a ``command_id`` that this person has used the result of that load is given
-        again: neither is the line judged as it is now, nor is the recipe noted as loaded a second time.
+        present setpoint. ``scales``: what its review was made with; None: there was none. With a
+        ``command_id`` that this person has used the result of that load is given again: neither is the line
+        judged as it is now, nor is the recipe noted as loaded a second time.
 
         Raises Problem 409 where another unit cannot take it, 422 where all are left out.
         """
@@ -112,12 +115,12 @@ class RecipeBook:
         if not taking:
             raise Problem(422, "invalid", Message.of("recipe_all_left_out", name=recipe.name))
         if command_id is not None and await self._is_repeated(person, recipe.bus, command_id):
-            return await self._send(person, recipe, taking, made_at, confirm, command_id)
+            return await self._send(person, recipe, taking, made_at, confirm, command_id, scales)
         _refuse_obstacles(recipe, taking)
         load = (person.sender, command_id)
         self._under_way.add(load)
         try:
-            result = await self._send(person, recipe, taking, made_at, confirm, command_id)
+            result = await self._send(person, recipe, taking, made_at, confirm, command_id, scales)
             if result.outcome == "verified":
                 await self._mark(person, recipe, [step.name for step in steps if step.unit in left_out])
         finally:
@@ -136,6 +139,7 @@ class RecipeBook:
         made_at: Monotonic,
         confirm: bool,
         command_id: str | None,
+        scales: Scales | None,
     ) -> Result:
         action = SetLine(setpoints={step.unit: step.raw for step in taking})
         return await self._commands[recipe.bus].send(
@@ -145,6 +149,7 @@ class RecipeBook:
             confirm=confirm,
             id=command_id,
             origin=Message.of("origin_recipe", name=recipe.name),
+            scales=scales or {step.unit: parse_scale(step.scale) for step in taking if step.scale},
         )
 
     async def _mark(self, person: Person, recipe: Recipe, left_out: Sequence[str | Message]) -> None:
@@ -190,4 +195,4 @@ def _setpoint(bus: BusLive, unit: int, raw: int) -> RecipeSetpoint:
     kind = rules.setpoint_kind(live)
     if kind is None:
         raise Problem(422, "invalid", Message.of("unit_mode_unknown", unit=unit))
-    return RecipeSetpoint(unit, raw, kind)
+    return RecipeSetpoint(unit, raw, kind, scale_text(setpoint_scale(live, raw)))

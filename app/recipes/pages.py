@@ -122,7 +122,7 @@ async def load(
         is_sent = await of_bus.has_sent(confirmed.id)
         if not is_sent:
             confirmed.refuse_lapsed()
-        setpoints = reviewed(of_bus.bus, form, is_sent=is_sent)
+        setpoints, scales = reviewed(of_bus.bus, form, is_sent=is_sent)
         left_out = left_out_of(form)
         if setpoints != {
             one.unit: one.raw
@@ -131,7 +131,13 @@ async def load(
         }:
             raise Problem(422, "invalid", Message("not_what_was_reviewed"))
         result = await book.load(
-            person, recipe, page.made_at, confirm=True, command_id=confirmed.id, left_out=left_out
+            person,
+            recipe,
+            page.made_at,
+            confirm=True,
+            command_id=confirmed.id,
+            left_out=left_out,
+            scales=scales,
         )
     except Problem as problem:
         return page.refused(problem, recipe.name)

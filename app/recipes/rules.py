@@ -11,6 +11,7 @@ from pydantic import Field, InstanceOf, PlainSerializer
 from app.commands.review import obstacle_of, ramp_of, risks_of
 from app.commands.rules.setpoint import setpoint_text
 from app.commands.rules.setpoint_range import SetpointKind, kind_of
+from app.commands.scale import differs, parse_scale, scale_text, setpoint_scale
 from app.commands.values import in_measure, measure_of_setpoint
 from app.live.api.schemas import UnitAddress
 from app.live.state.bus_live import BusLive, UnitLive, follower
@@ -27,11 +28,13 @@ NOT_CONFIGURED = Message("unit_not_configured")
 
 @dataclass(frozen=True, slots=True)
 class RecipeSetpoint:
-    """``raw``: display units of the unit, or ratio times 10000 for a follower."""
+    """``raw``: display units of the unit, or ratio times 10000 for a follower. ``scale``: what it was shown
+    with when it was saved, as the form of a review holds it; empty where that is not known."""
 
     unit: int
     raw: int
     kind: SetpointKind
+    scale: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +72,7 @@ class RecipeDryRunStep:
         None
     )
     measure: Annotated[str, Field(exclude=True)] = ""
+    scale: Annotated[str, Field(exclude=True)] = ""
     risks: Annotated[tuple[MessageObject, ...], Field(exclude=True)] = ()
 
 
@@ -143,6 +147,7 @@ def _step(
             },
         ),
         measure=measure,
+        scale=setpoint.scale or scale_text(setpoint_scale(unit, setpoint.raw)),
         risks=risks_of(bus, unit, now, ramp, setpoint.raw),
     )
 
@@ -174,6 +179,8 @@ def why_not_setpoint(setpoint: RecipeSetpoint, bus: BusLive) -> Message | None:
         return Message("recipe_mode_unread")
     if kind != setpoint.kind:
         return Message("recipe_holds_speed" if setpoint.kind == "speed" else "recipe_holds_ratio")
+    if setpoint.scale and differs(parse_scale(setpoint.scale), unit):
+        return Message("recipe_other_scale")
     return None
 
 
@@ -208,7 +215,7 @@ def _commanded_since(unit: UnitLive, kind: SetpointKind, moment: UnixTime) -> bo
 def setpoints_now(units: Iterable[UnitLive]) -> tuple[RecipeSetpoint, ...]:
     """The present setpoints of units that have reported theirs, to begin a recipe from."""
     return tuple(
-        RecipeSetpoint(unit.settings.id, raw, kind)
+        RecipeSetpoint(unit.settings.id, raw, kind, scale_text(setpoint_scale(unit, raw)))
         for unit in units
         if (kind := setpoint_kind(unit)) and (raw := present_raw(unit, kind)) is not None
     )

@@ -37,8 +37,8 @@ class RecipeStore(Tables):
             (recipe.bus, recipe.name, version, recipe.comment, recipe.who, recipe.saved_at),
         )
         connection.executemany(
-            "INSERT INTO recipe_row VALUES (?, ?, ?, ?)",
-            [(recipe_id, setpoint.unit, setpoint.raw, setpoint.kind) for setpoint in recipe.setpoints],
+            "INSERT INTO recipe_row (recipe_id, unit, raw, kind, scale) VALUES (?, ?, ?, ?, ?)",
+            [(recipe_id, one.unit, one.raw, one.kind, one.scale) for one in recipe.setpoints],
         )
         return replace(recipe, version=version, id=recipe_id)
 
@@ -109,7 +109,7 @@ def _recipes(connection: StoreConnection, ids: Iterable[int]) -> Iterator[Recipe
             "SELECT bus, name, comment, who, saved_at, version FROM recipe WHERE id = ?", (recipe_id,)
         )
         rows = connection.execute(
-            "SELECT unit, raw, kind FROM recipe_row WHERE recipe_id = ? ORDER BY unit", (recipe_id,)
+            "SELECT unit, raw, kind, scale FROM recipe_row WHERE recipe_id = ? ORDER BY unit", (recipe_id,)
         )
         setpoints = tuple(RecipeSetpoint(*row) for row in rows)
         for bus, name, comment, who, saved_at, version in heads:

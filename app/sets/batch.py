@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from app.commands.scale import parameter_scale
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, UnitLive
@@ -20,7 +21,7 @@ from bus.catalogue.parameter import Parameter, check_writable_value
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits
 from bus.catalogue.values import is_follower, parameter_raw
-from bus.contract import ReadParameters, WriteParameter
+from bus.contract import ReadParameters, UnitScale, WriteParameter
 from bus.errors import CallerError
 from bus.messages import Message
 
@@ -43,6 +44,8 @@ class BatchRow:
     """What a form holds of the present value, to see whether it moves: raw, empty where secret or unknown."""
     typed: str = ""
     wanted: int | None = None
+    scale: UnitScale = field(default_factory=dict)
+    """What it was converted with."""
     shown: Message | None = None
     fault: Message | None = None
     warning: Message | None = None
@@ -127,7 +130,8 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
         return replace(row, fault=error.message)
     shown = _shown(parameter, wanted, known)
     warning = warning_of(parameter.number, wanted, running=None if status is None else status.run)
-    return replace(row, wanted=wanted, shown=shown, warning=warning)
+    scale = parameter_scale(unit, parameter.number, wanted)
+    return replace(row, wanted=wanted, scale=scale, shown=shown, warning=warning)
 
 
 def _shown(parameter: Parameter, raw: int, known: UnitRows) -> Message:
@@ -139,7 +143,9 @@ async def _write(
 ) -> BatchResult:
     action = WriteParameter(unit=row.unit, number=number, raw=row.wanted or 0)
     try:
-        result = await commands.send(person, action, confirm=confirm, origin="batch edit")
+        result = await commands.send(
+            person, action, confirm=confirm, origin="batch edit", scales={row.unit: row.scale}
+        )
     except Problem as problem:
         return BatchResult(row.unit, row.name, problem.code, problem.message)
     return BatchResult(row.unit, row.name, result.outcome, result.message)

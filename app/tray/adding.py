@@ -10,11 +10,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.catalogue import SET_LINE, SET_SPEED, WRITE_ANALOG_OUTPUT, WRITE_OUTPUT
-from app.commands.forms.page_context import BusPage, OfBus, OfUnit, Page
+from app.commands.forms.page_context import BusPage, OfBus, OfUnit, Page, ReviewedScale
 from app.commands.pages.outputs import OutputPath, typed_analog
 from app.commands.pages.parameters import ParameterPath
 from app.commands.pages.setpoints import typed_setpoints
 from app.commands.pages.speed import explain_setpoint
+from app.commands.scale import Scales, parse_scale
 from app.commands.service.writer import ParameterWriter, permitted
 from app.commands.undo.changes import ValuePlace, Values
 from app.errors import Problem
@@ -33,8 +34,10 @@ router = APIRouter(include_in_schema=False)
 TypedText = Annotated[str, Form(max_length=40)]
 
 
-async def _added(page: BusPage, changes: Values, deadline: Deadline | None = None) -> Response:
-    await OwnTray(page).add(changes, deadline)
+async def _added(
+    page: BusPage, changes: Values, deadline: Deadline | None = None, scales: Scales | None = None
+) -> Response:
+    await OwnTray(page).add(changes, deadline, scales)
     return page.render("tray/_added.html", added=len(changes))
 
 
@@ -71,11 +74,15 @@ async def add_analog(page: OfUnit, value: TypedText = "") -> Response:
 
 @router.post("/units/{bus}/{unit:int}/tray/parameters/{number:int}")
 async def add_parameter(
-    _: ParameterWriter, page: OfUnit, number: ParameterPath, raw: Annotated[int, Form(ge=0)]
+    _: ParameterWriter,
+    page: OfUnit,
+    number: ParameterPath,
+    raw: Annotated[int, Form(ge=0)],
+    scale: ReviewedScale,
 ) -> Response:
     """A value of a parameter, from its review."""
     try:
-        return await _added(page, {ValuePlace("parameter", page.id, number): raw})
+        return await _added(page, {ValuePlace("parameter", page.id, number): raw}, scales={page.id: scale})
     except Problem as problem:
         return page.explain(problem, f"#parameter-{number}-error")
 
@@ -84,8 +91,8 @@ async def add_parameter(
 async def add_setpoints(request: Request, page: OfBus) -> Response:
     """Every setpoint that was typed."""
     try:
-        setpoints = await typed_setpoints(page, await request.form())
-        return await _added(page, _setpoints(setpoints), page.deadline(len(setpoints)))
+        setpoints, scales = await typed_setpoints(page, await request.form())
+        return await _added(page, _setpoints(setpoints), page.deadline(len(setpoints)), scales)
     except (CallerError, Problem) as error:
         return page.explain(error, f"#setpoints-error-{page.name}")
 
@@ -100,7 +107,8 @@ async def add_recipe(page: Page, recipe: KnownRecipe) -> Response:
                 name = Message.of("unit_address", unit=setpoint.unit)
                 raise Problem(409, "not_loadable", Message.of("of_unit", name=name, reason=reason))
         setpoints = {setpoint.unit: setpoint.raw for setpoint in recipe.setpoints}
-        return await _added(of_bus, _setpoints(setpoints), of_bus.deadline(len(setpoints)))
+        scales = {each.unit: parse_scale(each.scale) for each in recipe.setpoints if each.scale}
+        return await _added(of_bus, _setpoints(setpoints), of_bus.deadline(len(setpoints)), scales)
     except Problem as problem:
         return page.explain(problem, "#recipe-error")
 
@@ -122,7 +130,7 @@ async def add_batch(request: Request, _: ParameterWriter, page: OfBus) -> Respon
         }
         if not changes:
             raise CallerError(Message("tray_nothing_to_add"))
-        return await _added(page, changes)
+        return await _added(page, changes, scales={row.unit: row.scale for row in rows})
     except (CallerError, Problem) as error:
         return page.explain(error, "#batch-error")
 
@@ -138,6 +146,7 @@ async def add_restore(
         changes = {
             ValuePlace("parameter", restore.unit, write.number): write.wanted for write in restore.plan.writes
         }
-        return await _added(of_bus, changes)
+        # Of a stored set: its values are raw, and an earlier row may be the scale of a later one.
+        return await _added(of_bus, changes, scales={restore.unit: {}})
     except Problem as problem:
         return page.explain(problem, "#restore-error")

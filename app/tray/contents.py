@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import re
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple, get_args
 
 from app.commands.undo.changes import PlaceKind, ValuePlace, Values
 from app.errors import Problem
+from bus.contract import UnitScale
 from bus.instants import Monotonic
 from bus.messages import Message
 
@@ -47,8 +48,13 @@ def steps_of(changes: Values) -> list[Values]:
     return [*([together] if together else []), *alone]
 
 
+PlaceScales = Mapping[ValuePlace, UnitScale]
+"""What each change was shown with when it was added."""
+
+
 class _Tray(NamedTuple):
     changes: Values
+    scales: PlaceScales
     added_at: Monotonic
 
 
@@ -63,12 +69,17 @@ class Trays:
         tray = self._trays.get(sender)
         return {} if tray is None or now - tray.added_at >= LASTS_S else tray.changes
 
-    def add(self, sender: str, changes: Values, now: Monotonic) -> None:
+    def scales_of(self, sender: str) -> PlaceScales:
+        """What the changes of this sender were shown with when they were added."""
+        tray = self._trays.get(sender)
+        return {} if tray is None else tray.scales
+
+    def add(self, sender: str, changes: Values, now: Monotonic, scales: PlaceScales) -> None:
         """Add changes; the former one of the same place is replaced. Raises Problem 422 for too many."""
         held = {**self.of(sender, now), **changes}
         if len(held) > MAX_CHANGES:
             raise Problem(422, "invalid", Message.of("tray_full", most=MAX_CHANGES))
-        self._trays[sender] = _Tray(held, now)
+        self._trays[sender] = _Tray(held, {**self.scales_of(sender), **scales}, now)
         self._trays.move_to_end(sender)
         while len(self._trays) > MAX_TRAYS:
             self._trays.popitem(last=False)

@@ -8,9 +8,10 @@ from contextlib import suppress
 
 from app.commands.forms.page_context import BusPage
 from app.commands.rules.objection import reason_of
-from app.commands.undo.changes import Values, action_for
+from app.commands.scale import Scales, differs, scales_of
+from app.commands.undo.changes import ValuePlace, Values, action_for
 from app.errors import Problem
-from app.tray.contents import Trays
+from app.tray.contents import PlaceScales, Trays
 from app.tray.rows import Judge, TrayRow
 from app.web.admission.arrival import Deadline
 from app.web.services import bus_service_of
@@ -33,16 +34,28 @@ class OwnTray:
         held = self._trays.of(self.page.person.sender, monotonic_now())
         return {place: raw for place, raw in held.items() if place.unit in self.page.bus.units}
 
-    async def add(self, changes: Values, deadline: Deadline | None = None) -> None:
-        """Add changes, all of them or none. Raises Problem for one that could never be sent by this
-        person."""
+    @property
+    def scales(self) -> PlaceScales:
+        """What its changes were shown with when they were added."""
+        return self._trays.scales_of(self.page.person.sender)
+
+    async def add(
+        self, changes: Values, deadline: Deadline | None = None, scales: Scales | None = None
+    ) -> None:
+        """Add changes, all of them or none. ``scales``: by unit what they were converted with, where it was
+        not just now. Raises Problem for one that could never be sent by this person."""
         deadline = deadline or self.page.deadline()
+        given = scales or {}
+        shown_with = {
+            place: {**scales_of(action_for({place: raw}), self.page.bus), **given}.get(place.unit, {})
+            for place, raw in changes.items()
+        }
         for place, raw in changes.items():
             if place.kind == "parameter" and place.number in PARAMETERS and PARAMETERS[place.number].secret:
                 raise Problem(422, "invalid", Message.of("tray_secret", number=place.number))
             action = action_for({place: raw})
             await self.page.commands.check_for_later(self.page.person, action, deadline)
-        self._trays.add(self.page.person.sender, changes, monotonic_now())
+        self._trays.add(self.page.person.sender, changes, monotonic_now(), shown_with)
 
     def remove(self, changes: Values) -> None:
         """Remove changes; one that has another value by now stays."""
@@ -52,7 +65,8 @@ class OwnTray:
         """Every change as it stands now."""
         changes, page = self.changes, self.page
         values = page.commands.undo.values_now(changes)
-        return Judge(page.bus, values, page.change, page.obstacle, self._refusal).rows(changes)
+        judge = Judge(page.bus, values, page.change, page.obstacle, self._refusal, self._other_scale)
+        return judge.rows(changes)
 
     async def learn(self) -> None:
         """Read what the keypads may have changed of the parameters, and the ramps that were never read, of
@@ -72,6 +86,11 @@ class OwnTray:
         for unit, those in numbers:
             with suppress(Problem):
                 await self.page.commands.read(self.page.person, unit, those, deadline)
+
+    def _other_scale(self, place: ValuePlace) -> Message | None:
+        """Why a change is another value now than when it was added; None where it is the same."""
+        added_with = self.scales.get(place, {})
+        return Message("tray_other_scale") if differs(added_with, self.page.bus.units[place.unit]) else None
 
     def _refusal(self, action: Action) -> Message | None:
         """Why this command would be refused now, confirmed as it will be."""

@@ -141,7 +141,7 @@ async def send_tray(
             raise Problem(409, "dangerous", Message("word_not_typed"))
         changes = {each.place: each.raw for each in rows}
         results = await send_changes(
-            page.commands, page.person, page.bus, changes, confirmed.id, page.made_at
+            page.commands, page.person, page.bus, changes, confirmed.id, page.made_at, tray.scales
         )
     except Problem as problem:
         return _refused(page, problem)

@@ -71,13 +71,15 @@ class Unable(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Judge:
     """The state of the units when a tray is reviewed. ``change``: what a new setpoint means for a unit;
-    ``obstacle``: why a unit takes no command now; ``refusal``: why this command would be refused."""
+    ``obstacle``: why a unit takes no command now; ``refusal``: why this command would be refused;
+    ``other_scale``: why its value is another one by now."""
 
     bus: BusLive
     values: Mapping[ValuePlace, int | None]
     change: Callable[[int, int], SetpointChange]
     obstacle: Callable[[int], Message | None]
     refusal: Callable[[Action], Message | None]
+    other_scale: Callable[[ValuePlace], Message | None]
 
     def rows(self, changes: Values) -> list[TrayRow]:
         """In the order in which they are sent; setpoints in floor order."""
@@ -86,7 +88,8 @@ class Judge:
         return [self._row(place, raw) for step in steps for place, raw in step]
 
     def _row(self, place: ValuePlace, raw: int) -> TrayRow:
-        refusal = self.obstacle(place.unit) or self.refusal(action_for({place: raw}))
+        refusal = self.obstacle(place.unit) or self.other_scale(place)
+        refusal = refusal or self.refusal(action_for({place: raw}))
         was = self.values[place]
         match place.kind:
             case "setpoint":

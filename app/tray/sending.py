@@ -7,11 +7,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from app.commands.catalogue import kind_of_command
+from app.commands.scale import Scales
 from app.commands.service.command_service import CommandService
 from app.commands.undo.changes import ValuePlace, Values, action_for
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
-from app.tray.contents import steps_of
+from app.tray.contents import PlaceScales, steps_of
 from app.web.admission.access import Person
 from app.web.admission.arrival import Deadline
 from bus.contract import Result, UnitOutcome
@@ -43,11 +44,17 @@ def first_id(id: str) -> str:
 
 
 async def send_changes(
-    commands: CommandService, person: Person, bus: BusLive, changes: Values, id: str, made_at: Monotonic
+    commands: CommandService,
+    person: Person,
+    bus: BusLive,
+    changes: Values,
+    id: str,
+    made_at: Monotonic,
+    scales: PlaceScales,
 ) -> list[TrayResult]:
     """The result of each change, in the order in which they were sent. ``id``: of the change; sent again, it
     gives the same results. ``made_at``: when the person confirmed it, from which the time of the first
-    command counts."""
+    command counts. ``scales``: what they were shown with."""
     results: list[TrayResult] = []
     failed = False
     for step, values in enumerate(steps_of(changes)):
@@ -58,7 +65,8 @@ async def send_changes(
             )
         else:
             deadline = _deadline(bus, values, made_at) if step == 0 else None
-            parts = await _sent(commands, person, values, key, deadline)
+            shown_with = {place.unit: scales.get(place, {}) for place in values}
+            parts = await _sent(commands, person, values, key, deadline, shown_with)
         these = [TrayResult(place, values[place], key, part) for place, part in parts.items()]
         failed = failed or not all(result.is_done for result in these)
         results += these
@@ -71,11 +79,22 @@ def _deadline(bus: BusLive, values: Values, made_at: Monotonic) -> Deadline:
 
 
 async def _sent(
-    commands: CommandService, person: Person, values: Values, id: str, deadline: Deadline | None
+    commands: CommandService,
+    person: Person,
+    values: Values,
+    id: str,
+    deadline: Deadline | None,
+    scales: Scales,
 ) -> dict[ValuePlace, Result | UnitOutcome | Message]:
     try:
         result = await commands.send(
-            person, action_for(values), deadline=deadline, confirm=True, id=id, origin="change tray"
+            person,
+            action_for(values),
+            deadline=deadline,
+            confirm=True,
+            id=id,
+            origin="change tray",
+            scales=scales,
         )
     except Problem as problem:
         return dict.fromkeys(values, problem.message)

@@ -119,7 +119,7 @@ def test_a_search_is_an_event_and_a_look_at_one_address_is_none() -> None:
 def test_a_change_of_the_line_may_take_the_time_of_its_staging_and_a_list_of_parameters_its_own() -> None:
     bus = bus_with()
     times = {type(action): kind_of_command(action).timeout_s(action, bus) for action in ALL}
-    assert times[SetLine] == timeout_s_for(bus, 2) > times[SetSpeed] == timeout_s_for(bus)
+    assert times[SetLine] == timeout_s_for(bus, 2, typed=True) > times[SetSpeed] == timeout_s_for(bus)
     slow = ReadParameters(unit=2, urgent=False)
     assert times[ReadParameters] < kind_of_command(slow).timeout_s(slow, bus)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.commands.catalogue import timeout_s_for
+from app.commands.catalogue import SCALE_READS, timeout_s_for
 from app.commands.service.command_service import CommandService
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
@@ -34,7 +34,9 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 def test_the_worker_never_refuses_for_want_of_time_what_the_app_gives_time_for(units: int, baud: int) -> None:
     live = a_bus()
     live.buses["dry-end"].apply([BusLink(at=1.0, link="open", baud=baud)])
-    assert units * stage_s(baud) < timeout_s_for(live.buses["dry-end"], units) - 1
+    bus = live.buses["dry-end"]
+    assert units * stage_s(baud) < timeout_s_for(bus, units) - 1
+    assert units * stage_s(baud, SCALE_READS) < timeout_s_for(bus, units, typed=True) - 1
 
 
 def test_the_arithmetic_of_the_wire() -> None:
@@ -57,6 +59,7 @@ async def test_pages_programs_and_recipes_give_a_change_the_same_time_at_any_bau
     house.services[LiveState].buses["dry-end"].apply([BusLink(at=1.0, link="open", baud=300)])
     operator = await house.signed_in(Role.OPERATOR)
     setpoints = {"raw-1": "700", "was-1": "1000", "raw-2": "800", "was-2": "1000"}
+    setpoints |= {"scale-1": "-", "scale-2": "-"}
     form = {"bus": "dry-end", "id": "c" * 32, "reviewed_at": f"{time.time()}"} | setpoints
     for path in ("/setpoints", "/line/zero"):
         assert (await operator.post(path, data=form)).status_code == 200
@@ -64,5 +67,7 @@ async def test_pages_programs_and_recipes_give_a_change_the_same_time_at_any_bau
     assert (await operator.post("/api/v1/buses/dry-end/speeds", json=body)).status_code == 200
     await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {1: 700, 2: 800})
     assert (await operator.post("/api/v1/recipes/1/load", json={})).status_code == 200
-    assert set(given) == {timeout_s_for(house.services[LiveState].buses["dry-end"], 2)}
-    assert len(given) == 4
+    bus = house.services[LiveState].buses["dry-end"]
+    at_zero, typed = timeout_s_for(bus, 2), timeout_s_for(bus, 2, typed=True)
+    raw = at_zero
+    assert given == [typed, at_zero, raw, typed]

@@ -138,7 +138,7 @@ async def test_refused_limits_are_explained_at_their_place_on_the_page(house: Ho
 @pytest.mark.parametrize("header", ["Lineside-Clicked-At", "Lineside-Asked-At"])
 async def test_an_old_click_sends_nothing_and_reports_it(house: House, header: str) -> None:
     client = await house.program(Role.OPERATOR)
-    form = {"raw": "100", "id": "a1", "how": "now", "reviewed_at": "1.0", "was": ""}
+    form = {"raw": "100", "id": "a1", "how": "now", "reviewed_at": "1.0", "was": "", "scale": "-"}
     late = await client.post("/units/dry-end/1/speed", data=form, headers={header: "1.0"})
     assert (late.status_code, "too late" in late.text) == (503, True)
     expired = await client.post("/units/dry-end/1/speed", data=form)

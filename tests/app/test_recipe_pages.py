@@ -24,7 +24,8 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 
 
 async def load(client: httpx.AsyncClient, **changed: str) -> httpx.Response:
-    form = {"id": "c" * 32, "reviewed_at": str(time.time()), "raw-1": "700", "was-1": "", **changed}
+    form = {"id": "c" * 32, "reviewed_at": str(time.time()), "raw-1": "700", "was-1": ""}
+    form |= {"scale-1": "8:0,3:1", **changed}
     return await client.post("/recipes/1/load", data=form, headers={"Origin": str(client.base_url)})
 
 

@@ -243,7 +243,8 @@ def test_a_recipe_begins_from_the_setpoints_that_are_known() -> None:
         ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in ((8, 1), (37, 9900))
     ]
     live.buses["dry-end"].apply(follower)
-    assert setpoints_now(live.buses["dry-end"].units.values()) == (
-        RecipeSetpoint(1, 1000, "speed"),
-        RecipeSetpoint(2, 9900, "ratio"),
+    units = live.buses["dry-end"].units
+    assert setpoints_now(units.values()) == (
+        RecipeSetpoint(1, 1000, "speed", "2:20000,8:0,3:1"),
+        RecipeSetpoint(2, 9900, "ratio", "8:1"),
     )

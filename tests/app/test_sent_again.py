@@ -91,6 +91,7 @@ async def test_a_recipe_is_loaded_once(house: House, line: PlayedLine) -> None:
 async def test_a_form_of_a_recipe_shows_its_result_again(house: House, line: PlayedLine) -> None:
     recipe, browser = await recipe_of(house, "Kraft 80", 700), await house.signed_in(Role.ENGINEER)
     form = {"id": "form-id-1", "reviewed_at": unix_now(), "raw-1": "700", "was-1": "0"}
+    form["scale-1"] = "-"
     path = f"/recipes/{recipe.id}/load"
     await assert_one_command(line, lambda: post(browser, path, form), SetLine({1: 700}))
     assert await loads(house) == 1
@@ -120,6 +121,7 @@ async def test_a_form_of_execute_staged_shows_its_result_again(house: House, lin
     browser = await house.signed_in(Role.OPERATOR)
     stage(line)
     form = {"id": "form-id-1", "reviewed_at": unix_now(), "raw": "500", "was": "0"}
+    form["scale"] = "-"
     path = f"/units/{BUS}/1/execute"
     await assert_one_command(line, lambda: post(browser, path, form), ExecuteSpeed(unit=1))
     other = await post(browser, path, {**form, "id": "form-id-2"})

@@ -134,7 +134,7 @@ async def test_a_program_is_refused_above_the_maximum_with_the_nearest(
     [
         ("/units/dry-end/1/review", {"value": "2000.1"}),
         ("/units/dry-end/1/review", {"value": "2000.1", "how": "stage"}),
-        ("/units/dry-end/1/nudge", {"step": "19001", "id": "c" * 32}),
+        ("/units/dry-end/1/nudge", {"step": "19001", "id": "c" * 32, "scale": "-"}),
         ("/setpoints/review", {"bus": "dry-end", "new-2": "5.0", "new-1": "2000.1"}),
         ("/units/dry-end/1/parameters/20/review", {"value": "2000.1"}),
     ],
@@ -156,6 +156,7 @@ async def test_what_was_reviewed_below_a_maximum_that_has_sunk_since_is_refused(
     browser = await house.signed_in(Role.OPERATOR)
     recipe = await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {1: 1000})
     reviewed = {"id": "c" * 32, "reviewed_at": f"{time.time()}", "raw-1": "1000", "was-1": "1000"}
+    reviewed |= {"scale": "-", "scale-1": "-"}
     for path, form in (
         ("/units/dry-end/1/speed", {"raw": "1000", "was": "1000", "how": "now"}),
         ("/setpoints", {"bus": "dry-end"}),

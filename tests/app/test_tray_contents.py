@@ -47,19 +47,19 @@ def test_a_tray_is_bounded_and_too_much_adds_nothing() -> None:
     trays = Trays()
     full = {ValuePlace("parameter", unit, number): 0 for unit in range(1, 33) for number in range(1, 17)}
     assert len(full) == MAX_CHANGES
-    trays.add("anna", full, START)
-    trays.add("anna", dict.fromkeys(full, 1), START)
+    trays.add("anna", full, START, {})
+    trays.add("anna", dict.fromkeys(full, 1), START, {})
     with pytest.raises(Problem, match="at most 512 changes"):
-        trays.add("anna", {SPEED_1: 10}, START)
+        trays.add("anna", {SPEED_1: 10}, START, {})
     assert trays.of("anna", START) == dict.fromkeys(full, 1)
 
 
 def test_of_too_many_trays_the_oldest_is_emptied() -> None:
     trays = Trays()
     for number in range(MAX_TRAYS):
-        trays.add(f"person {number}", {SPEED_1: number}, START)
-    trays.add("person 0", {SPEED_2: 0}, START)
-    trays.add("anna", {SPEED_1: 10}, START)
+        trays.add(f"person {number}", {SPEED_1: number}, START, {})
+    trays.add("person 0", {SPEED_2: 0}, START, {})
+    trays.add("anna", {SPEED_1: 10}, START, {})
     assert trays.of("person 1", START) == {}
     assert trays.of("person 0", START) == {SPEED_1: 0, SPEED_2: 0}
     assert trays.of("anna", START) == {SPEED_1: 10}
@@ -97,7 +97,7 @@ class TrayModel(RuleBasedStateMachine):
         raw=st.integers(0, 2),
     )
     def add(self, who: str, places: list[ValuePlace], raw: int) -> None:
-        self.trays.add(who, dict.fromkeys(places, raw), Monotonic(self.now))
+        self.trays.add(who, dict.fromkeys(places, raw), Monotonic(self.now), {})
         self.log += [(self.now, who, place, raw) for place in places]
 
     @rule(who=st.sampled_from(["anna", "ben"]), place=st.sampled_from(ALL), raw=st.integers(0, 2))

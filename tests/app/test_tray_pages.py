@@ -70,7 +70,7 @@ async def test_each_way_to_set_a_value_adds_to_the_tray(house: House) -> None:
         "/units/dry-end/1/tray/setpoint": {"value": "150.0"},
         "/units/dry-end/1/tray/outputs/3": {"on": "true"},
         "/units/dry-end/1/tray/analog-output": {"value": "7"},
-        "/units/dry-end/1/tray/parameters/6": {"raw": "75"},
+        "/units/dry-end/1/tray/parameters/6": {"raw": "75", "scale": "-"},
         "/bus/dry-end/tray/setpoints": {"new-1": "", "new-2": "110.0"},
         f"/recipes/{saved.id}/tray": {},
         "/batch/dry-end/tray": {"number": "7", "unit-1": "5.0", "unit-2": "6.0"},
@@ -100,9 +100,9 @@ async def test_each_way_to_set_a_value_adds_to_the_tray(house: House) -> None:
         ("/units/dry-end/1/tray/setpoint", {"value": "9000"}, "0.0 to 2000.0"),
         ("/units/dry-end/1/tray/setpoint", {"value": ""}, "no number was entered"),
         ("/units/dry-end/1/tray/analog-output", {"value": "x"}, "without decimals"),
-        ("/units/dry-end/1/tray/parameters/6", {"raw": "12000"}, "(parameter 6)"),
-        ("/units/dry-end/1/tray/parameters/21", {"raw": "12"}, "a secret"),
-        ("/units/dry-end/1/tray/parameters/17", {"raw": "12"}, "(parameter 17)"),
+        ("/units/dry-end/1/tray/parameters/6", {"raw": "12000", "scale": "-"}, "(parameter 6)"),
+        ("/units/dry-end/1/tray/parameters/21", {"raw": "12", "scale": "-"}, "a secret"),
+        ("/units/dry-end/1/tray/parameters/17", {"raw": "12", "scale": "-"}, "(parameter 17)"),
         ("/bus/dry-end/tray/setpoints", {"new-1": ""}, "empty is not zero"),
         ("/batch/dry-end/tray", {"number": "7", "unit-1": "x"}, "Unwind: "),
         ("/batch/dry-end/tray", {"number": "7", "unit-1": "5.0"}, "nothing would change"),
@@ -134,7 +134,7 @@ async def test_each_role_adds_what_it_may_set(house: House) -> None:
         ("/units/dry-end/1/tray/setpoint", {"value": "150.0"}, True),
         ("/units/dry-end/1/tray/outputs/3", {"on": "true"}, True),
         ("/units/dry-end/1/tray/analog-output", {"value": "7"}, False),
-        ("/units/dry-end/1/tray/parameters/6", {"raw": "75"}, False),
+        ("/units/dry-end/1/tray/parameters/6", {"raw": "75", "scale": "-"}, False),
         ("/batch/dry-end/tray", {"number": "7"}, False),
     ):
         assert (await post(house, path, operator, **form)).status_code == (200 if allowed else 403), path
@@ -185,7 +185,7 @@ async def test_nothing_is_sent_but_what_was_reviewed(
 
 
 async def test_a_dangerous_parameter_needs_its_word(house: House) -> None:
-    await post(house, "/units/dry-end/1/tray/parameters/18", raw="48")
+    await post(house, "/units/dry-end/1/tray/parameters/18", raw="48", scale="-")
     assert 'data-typed="WRITE"' in (await tray(house)).text
     assert "word was not typed" in (await send(house)).text
     assert await house.events("command") == []

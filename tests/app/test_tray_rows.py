@@ -46,6 +46,7 @@ def rows(bus: BusLive, changes: dict[ValuePlace, int], *, local: int = 0) -> lis
         lambda unit, raw: change_of(bus, bus.units[unit], raw, NO_LIMITS, time.time()),
         lambda unit: LOCAL if unit == local else None,
         refusal,
+        lambda _: None,
     ).rows(changes)
 
 

@@ -52,7 +52,7 @@ def verified(command: Command) -> Update:
 
 async def send(stage: Stage, changes: Values, person: Person = ANNA) -> list[TrayResult]:
     return await send_changes(
-        stage.commands, person, stage.live.buses["dry-end"], changes, "a-tray", monotonic_now()
+        stage.commands, person, stage.live.buses["dry-end"], changes, "a-tray", monotonic_now(), {}
     )
 
 

@@ -103,7 +103,7 @@ async def line(house: House) -> PlayedLine:
 
 async def send(client: httpx.AsyncClient, path: str, form: Mapping[str, Any], text: str) -> httpx.Response:
     filled = {key: text if value == "#" else value for key, value in form.items()}
-    review = {"id": "an-id-of-a-form", "reviewed_at": str(unix_now())}
+    review = {"id": "an-id-of-a-form", "reviewed_at": str(unix_now()), "scale": "-"}
     return await client.post(path, data={**review, **filled}, headers={"hx-request": "true"})
 
 
@@ -214,7 +214,7 @@ async def carried_out(line: PlayedLine, sending: asyncio.Future[httpx.Response],
 
 RESENT = {
     "setpoint": (f"/units/{BUS}/1/speed", {"raw": "5", "was": "0", "how": "now"}),
-    "group change": ("/setpoints", {"bus": BUS, "raw-1": "5", "was-1": "0"}),
+    "group change": ("/setpoints", {"bus": BUS, "raw-1": "5", "was-1": "0", "scale-1": "-"}),
 }
 
 

@@ -25,7 +25,7 @@ BY_API, BY_PAGE, BY_BATCH, BY_FILE, REFUSED = 73_195, 58_273, 64_938, 81_467, 73
 SECRETS = (BY_API, BY_PAGE, BY_BATCH, BY_FILE, REFUSED)
 SETS = {"parameter_set_row"}
 UNIT = "/buses/line/units/1"
-IDS = re.compile(r'name="(id|raw|reviewed_at)" value="([^"]*)"')
+IDS = re.compile(r'name="(id|raw|scale|reviewed_at)" value="([^"]*)"')
 
 
 @pytest.fixture(scope="module")

@@ -38,6 +38,7 @@ async def client(house: House, line: PlayedLine) -> httpx.AsyncClient:
 
 async def write(client: httpx.AsyncClient, raw: int, id: str, undoes: str = "") -> httpx.Response:
     form: dict[str, Any] = {"raw": raw, "id": id, "reviewed_at": unix_now(), "undoes": undoes}
+    form["scale"] = "-"
     return await client.post(PARAMETER, data={**form, "typed": "WRITE"})
 
 

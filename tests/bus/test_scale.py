@@ -13,7 +13,7 @@ from math import inf
 from typing import cast
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from bus.catalogue.numbers import (
@@ -245,7 +245,12 @@ class Judge:
 def test_verified_never_stands_beside_a_number_that_the_display_does_not_show(examples: int) -> None:
     seen: list[str] = []
 
-    @settings(max_examples=examples, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    @settings(
+        max_examples=examples,
+        deadline=None,
+        phases=(Phase.explicit, Phase.reuse, Phase.generate),
+        suppress_health_check=[HealthCheck.too_slow],
+    )
     @given(st.lists(TYPED, min_size=4, max_size=12))
     def enter_all(people: list[Typed]) -> None:
         async def scene(line: VirtualLine, keypads: Keypads) -> None:

@@ -126,7 +126,10 @@ def expect_controls(page: Page) -> None:
 def test_a_panel_only_looks_unless_it_is_given_more(panel: Callable[..., Page]) -> None:
     wall = panel("wall", HOME)
     expect(wall.locator(".main [data-command]")).to_have_count(0)
-    assert wall.request.post("/units/line/2/nudge", form={"step": "1", "id": "x" * 32}).status == 403
+    assert (
+        wall.request.post("/units/line/2/nudge", form={"step": "1", "id": "x" * 32, "scale": "-"}).status
+        == 403
+    )
     first_page = panel("first", HOME)
     expect(first_page.locator("#setpoint")).to_be_visible()
 

@@ -282,6 +282,7 @@ def press(
     if form:
         present = str(setpoint(site, 1))
         reviewed = {} if path.startswith("/batch/") else {"was": present, "was-1": present}
+        reviewed |= {"scale": "-", "scale-1": "-"}
         form = {**reviewed, "reviewed_at": "9999999999", **form}
         arguments = {"data": form, "headers": {"HX-Request": "true", "Accept": "text/html"}}
     return client.request(method, path, **arguments)

@@ -66,7 +66,7 @@ def _own_code(settings: AlarmSettings) -> str:
 
 def _analog(unit: UnitLive, reading: Reading) -> int | None:
     low, high = unit.parameter_raw(ANALOG_IN_LOW), unit.parameter_raw(ANALOG_IN_HIGH)
-    if low is None or high is None:
+    if low is None or high is None or unit.scale_is_old:
         return None
     return round(1000 * analog_input_value(reading.analog, low, high))
 
@@ -139,8 +139,8 @@ class OwnCondition:
 
 
 def known_decimals(bus: BusLive, unit: UnitLive) -> int | None:
-    """The decimals of the speeds of a unit; None while they are not known."""
-    decimals = speed_decimals(bus, unit)
+    """The decimals of the speeds of a unit; None while they are not known, or may have changed."""
+    decimals = None if unit.scale_is_old else speed_decimals(bus, unit)
     return None if decimals is None or decimals > MAX_DECIMALS else decimals
 
 

@@ -20,7 +20,8 @@ LOWEST_ID = -(2**63)
 CHUNK = 500
 """Entries that are verified at a stretch: a few milliseconds."""
 _FOLDED = """
-SELECT e.id, e.time, e.kind, e.who, e.origin, e.bus, e.unit, e.what, e.old, e.new, e.old_raw, e.new_raw,
+SELECT e.id, e.time, e.kind, e.who, e.origin, e.bus, e.unit, e.what,
+       COALESCE(f.old, e.old) AS old, COALESCE(f.new, e.new) AS new, e.old_raw, e.new_raw,
        COALESCE(f.outcome, e.outcome) AS outcome, COALESCE(f.message, e.message) AS message,
        COALESCE(f.frames, e.frames) AS frames, e.count, f.time AS concluded_at, e.entered_at,
        e.messages, f.messages AS concluded_messages

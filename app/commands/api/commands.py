@@ -35,6 +35,7 @@ from app.commands.catalogue import (
     CommandKind,
     timeout_s_for,
 )
+from app.commands.scale import Scales, parameter_scale, setpoint_scale
 from app.commands.service.command_service import CommandService
 from app.commands.service.prior_read import check_all_read
 from app.commands.service.value_converter import ValueConverter
@@ -59,6 +60,7 @@ from bus.contract import (
     ReadParameters,
     SetLine,
     SetSpeed,
+    UnitScale,
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
@@ -97,19 +99,23 @@ class CommandCall:
     query_timeout_s: float | None
     frames: bool
 
-    def deadline(self, body: CommandRequestBody, staged_units: int = 0) -> Deadline:
+    def deadline(self, body: CommandRequestBody, staged_units: int = 0, *, typed: bool = False) -> Deadline:
         """By the body's ``timeout_s``, else the query's, else what a change of so many units may take."""
         given = body.timeout_s if body.timeout_s is not None else self.query_timeout_s
-        return Deadline(self.made_at, timeout_s_for(self.bus, staged_units) if given is None else given)
+        usual = timeout_s_for(self.bus, staged_units, typed=typed)
+        return Deadline(self.made_at, usual if given is None else given)
 
     def typed(self, unit: int, deadline: Deadline) -> ValueConverter:
         """Conversion of typed values for a unit. Raises Problem 404."""
         return ValueConverter(self.commands, self.person, unit_of_bus_or_404(self.bus, unit), deadline)
 
-    async def setpoint(self, unit: int, given: Quantity, deadline: Deadline) -> int:
-        """The raw setpoint of a unit. Raises Problem 404."""
+    async def setpoint(self, unit: int, given: Quantity, deadline: Deadline) -> tuple[int, Scales]:
+        """The raw setpoint of a unit, and what it was converted with. Raises Problem 404."""
         typed = self.typed(unit, deadline)
-        return await typed.setpoint(given.typed) if given.raw is None else given.raw
+        if given.raw is not None:
+            return given.raw, {}
+        raw = await typed.setpoint(given.typed)
+        return raw, {unit: setpoint_scale(self.bus.units[unit], raw)}
 
     async def send(
         self,
@@ -117,11 +123,13 @@ class CommandCall:
         body: CommandRequestBody,
         unit: int | None = None,
         deadline: Deadline | None = None,
+        scales: Scales | None = None,
     ) -> Response:
-        """Send ``action`` and return its result as a response."""
+        """Send ``action`` and return its result as a response. ``scales``: what its values were converted
+        with, where they were not given raw."""
         deadline = deadline or self.deadline(body)
         result = await self.commands.send(
-            self.person, action, deadline=deadline, confirm=body.confirm, id=self.key
+            self.person, action, deadline=deadline, confirm=body.confirm, id=self.key, scales=scales or None
         )
         return command_response(self.request, self.bus, result, unit, frames=self.frames)
 
@@ -159,8 +167,9 @@ async def set_speed(
 ) -> Response:
     """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
     deadline = call.deadline(body)
-    raw = await call.setpoint(unit, body, deadline)
-    return await call.send(SetSpeed(unit=unit, raw=raw, execute=body.execute), body, unit, deadline)
+    raw, scales = await call.setpoint(unit, body, deadline)
+    action = SetSpeed(unit=unit, raw=raw, execute=body.execute)
+    return await call.send(action, body, unit, deadline, scales)
 
 
 @router.post("/units/{unit:int}/execute", responses=RESULT_RESPONSES)
@@ -182,12 +191,14 @@ async def execute_all_speeds(
 @router.post("/speeds", responses=RESULT_RESPONSES)
 async def set_speeds(call: Annotated[CommandCall, calling(SET_LINE)], body: SpeedsRequest) -> Response:
     """Stage all, require every acknowledgement, broadcast, read back: all units change or none."""
-    deadline = call.deadline(body, len(body.setpoints))
-    setpoints = {
-        int(key): await call.setpoint(int(key), quantity, deadline)
-        for key, quantity in body.setpoints.items()
-    }
-    return await call.send(SetLine(setpoints=setpoints), body, deadline=deadline)
+    typed = any(quantity.raw is None for quantity in body.setpoints.values())
+    deadline = call.deadline(body, len(body.setpoints), typed=typed)
+    setpoints: dict[int, int] = {}
+    scales: dict[int, UnitScale] = {}
+    for key, quantity in body.setpoints.items():
+        setpoints[int(key)], scale = await call.setpoint(int(key), quantity, deadline)
+        scales |= scale
+    return await call.send(SetLine(setpoints=setpoints), body, deadline=deadline, scales=scales)
 
 
 @router.put("/units/{unit:int}/outputs/{number:int}", responses=RESULT_RESPONSES)
@@ -253,5 +264,9 @@ async def write_parameter(
     typed = call.typed(unit, deadline)
     if number not in PARAMETERS:
         raise Problem(404, "unknown_parameter", Message("no_such_parameter"), unit=unit)
-    raw = await typed.parameter(number, body.typed) if body.raw is None else body.raw
-    return await call.send(WriteParameter(unit=unit, number=number, raw=raw), body, unit, deadline)
+    raw, scales = body.raw, None
+    if raw is None:
+        raw = await typed.parameter(number, body.typed)
+        scales = {unit: parameter_scale(call.bus.units[unit], number, raw)}
+    action = WriteParameter(unit=unit, number=number, raw=raw)
+    return await call.send(action, body, unit, deadline, scales)

@@ -1,8 +1,8 @@
 """The change of several units of a bus: its review, and the result per unit.
 
-The form of such a review holds for each unit ``raw-N``, the new setpoint, and ``was-N``, the one that the
-person saw; both raw, the latter empty where it was not known. ``leave-out`` are the units that the person
-leaves out by name, as they cannot take it now.
+The form of such a review holds for each unit ``raw-N``, the new setpoint, ``was-N``, the one that the person
+saw, both raw, the latter empty where it was not known, and ``scale-N``, what both were shown with.
+``leave-out`` are the units that the person leaves out by name, as they cannot take it now.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from starlette.responses import Response
 from app.commands.forms.outcome import OutcomeText, outcome_text
 from app.commands.forms.page_context import BusPage
 from app.commands.review import present_setpoint
+from app.commands.scale import Scales, parse_scale
 from app.commands.values import setpoint_message
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, follower
@@ -31,10 +32,11 @@ def left_out_of(form: FormData) -> set[int]:
     return {unit for unit in units if unit is not None}
 
 
-def reviewed(live: BusLive, form: FormData, *, is_sent: bool) -> dict[int, int]:
-    """The new setpoints, raw, by address, of the units that are not left out. Raises Problem 409 where one
-    has moved since the review; ``is_sent``: by this change itself, whose form is here again."""
-    setpoints, left_out = {}, left_out_of(form)
+def reviewed(live: BusLive, form: FormData, *, is_sent: bool) -> tuple[dict[int, int], Scales]:
+    """The new setpoints, raw, by address, of the units that are not left out, and what they were shown with.
+    Raises Problem 409 where one has moved since the review; ``is_sent``: by this change itself, whose form is
+    here again."""
+    setpoints, scales, left_out = {}, {}, left_out_of(form)
     for number, unit in live.units.items():
         text = str(form.get(f"raw-{number}", ""))
         if not text or number in left_out:
@@ -46,8 +48,8 @@ def reviewed(live: BusLive, form: FormData, *, is_sent: bool) -> dict[int, int]:
         was = str(form.get(f"was-{number}", ""))
         if not is_sent and was != ("" if present is None else str(present)):
             raise Problem(409, "moved", Message.of("setpoint_of_moved", name=unit.settings.name))
-        setpoints[number] = raw
-    return setpoints
+        setpoints[number], scales[number] = raw, parse_scale(form.get(f"scale-{number}"))
+    return setpoints, scales
 
 
 def followers_of(live: BusLive) -> set[int]:

@@ -32,6 +32,16 @@ ResultRow = tuple[str, str | Message, OutcomeText]
 def outcome_text(result: Result | UnitOutcome, shown: ValueFormat = str) -> OutcomeText:
     """The text of the result of a command, or of one unit's part in it."""
     message = result.message
+    if message and message.code == "scale_changed_since":
+        return OutcomeText("unknown", message)
+    if message and result.outcome == "refused" and result.unit_error is None:
+        # Before anything was sent: no unit has rejected it.
+        return OutcomeText("bad", message)
+    return _outcome_text(result, shown)
+
+
+def _outcome_text(result: Result | UnitOutcome, shown: ValueFormat) -> OutcomeText:
+    message = result.message
     if (
         isinstance(result, UnitOutcome)
         and message
@@ -51,8 +61,8 @@ def outcome_text(result: Result | UnitOutcome, shown: ValueFormat = str) -> Outc
         case "unverified", int(read):
             return OutcomeText("unknown", Message.of("result_reads_other", value=shown(read)))
         case "refused", _:
-            reason = message if result.unit_error is None else unit_error(result.unit_error)
-            return OutcomeText("bad", Message.of("result_refused", reason=reason or ""))
+            reason = "" if result.unit_error is None else unit_error(result.unit_error)
+            return OutcomeText("bad", Message.of("result_refused", reason=reason))
         case "not_sent", _:
             return OutcomeText("bad", Message("result_not_sent"))
         case "bus_closed", _:

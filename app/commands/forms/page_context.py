@@ -28,6 +28,7 @@ from app.commands.rules.draw_changes import DrawChange, draw_changes
 from app.commands.rules.slowing import slows_all
 from app.commands.safeguards.limits import Limits
 from app.commands.safeguards.service import Safeguards
+from app.commands.scale import Scales, parse_scale
 from app.commands.service.command_service import CommandService
 from app.commands.service.value_converter import ValueConverter
 from app.commands.values import setpoint_message
@@ -42,7 +43,7 @@ from app.web.admission.access import Person, not_signed_in, person_of
 from app.web.admission.arrival import Deadline, made_at, refuse_late
 from app.web.rendering.templating import render, templates_of
 from app.web.services import bus_service_of, service_of
-from bus.contract import Action, Result, UnitOutcome
+from bus.contract import Action, Result, UnitOutcome, UnitScale
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
@@ -160,9 +161,9 @@ class BusPage(PageContext):
     def limits(self, unit: int) -> Limits:
         return self.guards.limits.of(unit)
 
-    def deadline(self, staged_units: int = 0) -> Deadline:
+    def deadline(self, staged_units: int = 0, *, typed: bool = True) -> Deadline:
         """Deadline of the command that this request sends. ``staged_units``: number of units of a change."""
-        return Deadline(self.made_at, timeout_s_for(self.bus, staged_units))
+        return Deadline(self.made_at, timeout_s_for(self.bus, staged_units, typed=typed))
 
     def typed(self, unit: int, deadline: Deadline | None = None) -> ValueConverter:
         """Converts what was typed for a unit."""
@@ -197,28 +198,43 @@ class BusPage(PageContext):
         return undo_shown(self.commands.undo.offer(self.person, id), self.bus)
 
     async def send(
-        self, action: Action, id: str, deadline: Deadline | None = None, undoes: str = ""
+        self,
+        action: Action,
+        id: str,
+        deadline: Deadline | None = None,
+        undoes: str = "",
+        scales: Scales | None = None,
     ) -> Result:
         """Send the reviewed command, once; ``deadline`` where it is not that of its kind; ``undoes``: the id
-        of the command that it undoes.
+        of the command that it undoes; ``scales``: what the review was made with.
 
         Raises Problem where it is not sent.
         """
         timeout_s = kind_of_command(action).timeout_s(action, self.bus)
         deadline = deadline or Deadline(self.made_at, timeout_s)
         return await self.commands.send(
-            self.person, action, deadline=deadline, confirm=True, id=id, origin="page", undoes=undoes
+            self.person,
+            action,
+            deadline=deadline,
+            confirm=True,
+            id=id,
+            origin="page",
+            undoes=undoes,
+            scales=scales,
         )
 
     async def has_sent(self, id: str) -> bool:
         """Whether the form was sent before: its command is not judged again, its result is shown."""
         return await self.commands.has_taken(self.person, id)
 
-    async def carry_out(self, action: Action, confirmation: Confirmation) -> Result:
-        """Send what was confirmed while its review lasts. Raises Problem where it is not sent."""
+    async def carry_out(
+        self, action: Action, confirmation: Confirmation, scales: Scales | None = None
+    ) -> Result:
+        """Send what was confirmed while its review lasts; ``scales``: what that was made with. Raises Problem
+        where it is not sent."""
         if not await self.has_sent(confirmation.id):
             confirmation.refuse_lapsed()
-        return await self.send(action, confirmation.id, undoes=confirmation.undoes)
+        return await self.send(action, confirmation.id, undoes=confirmation.undoes, scales=scales)
 
     def outcome(self, result: Result | UnitOutcome, unit: int) -> OutcomeText:
         """What became of a setpoint; what was read back is in the decimals of ``unit``."""
@@ -350,3 +366,11 @@ Page = Annotated[PageContext, Depends(_page_of_site)]
 OfBus = Annotated[BusPage, Depends(_page_of_bus)]
 OfUnit = Annotated[UnitPage, Depends(unit_page_of)]
 Confirmed = Annotated[Confirmation, Depends(_confirmation_of)]
+
+
+async def _scale_of(scale: Annotated[str | None, Form(max_length=400)] = None) -> UnitScale:
+    return parse_scale(scale)
+
+
+ReviewedScale = Annotated[UnitScale, Depends(_scale_of)]
+"""What converted and bounded the value in the review that is confirmed. Raises Problem 422 without it."""

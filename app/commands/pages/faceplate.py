@@ -11,6 +11,7 @@ from app.alarms.monitor.line_alarms import LineAlarms
 from app.commands.forms.page_context import OfUnit, UnitPage
 from app.commands.review import nudges
 from app.commands.rules.setpoint_range import setpoint_range
+from app.commands.scale import scale_text, setpoint_scale
 from app.commands.values import measure_of_setpoint
 from app.live.state.bus_live import follower
 from app.web.admission.access import Viewer
@@ -44,6 +45,7 @@ def setting(page: UnitPage) -> dict[str, Any]:
         "highest": page.setpoint(allowed.highest),
         "bounds_unit": measure_of_setpoint(page.unit),
         "follower": bool(follower(page.unit)),
+        "scale": scale_text(setpoint_scale(page.unit, 1)),
         "nudges": [(sign * step, page.setpoint(step), sign) for sign, step in steps],
         "block": page.guards.blocks.of(page.id),
     }

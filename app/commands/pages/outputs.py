@@ -9,7 +9,8 @@ from starlette.responses import Response
 
 from app.commands.catalogue import WRITE_ANALOG_OUTPUT, WRITE_OUTPUT
 from app.commands.forms.outcome import OutcomeText, outcome_text
-from app.commands.forms.page_context import Confirmed, OfUnit, UnitPage
+from app.commands.forms.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
+from app.commands.scale import analog_scale, scale_text
 from app.commands.service.writer import permitted, permitted_writer
 from app.errors import Problem
 from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW
@@ -80,16 +81,19 @@ def review_analog_value(page: UnitPage, raw: int) -> Response:
         "unit/_review_analog.html",
         unit=page.on_line,
         raw=raw,
+        scale=scale_text(analog_scale(page.unit)),
         volts=_volts(page, raw),
         obstacle=page.obstacle(page.id),
     )
 
 
 @router.post("/analog-output", dependencies=[permitted_writer(WRITE_ANALOG_OUTPUT)])
-async def set_analog(page: OfUnit, raw: Annotated[int, Form(ge=0)], confirmed: Confirmed) -> Response:
+async def set_analog(
+    page: OfUnit, raw: Annotated[int, Form(ge=0)], confirmed: Confirmed, scale: ReviewedScale
+) -> Response:
     """88h. The best outcome is acknowledged: there is nothing to read back."""
     try:
-        result = await page.carry_out(WriteAnalogOutput(unit=page.id, raw=raw), confirmed)
+        result = await page.carry_out(WriteAnalogOutput(unit=page.id, raw=raw), confirmed, {page.id: scale})
     except Problem as problem:
         return page.not_sent(problem)
     return page.result(outcome_text(result), undo=page.undo(confirmed.id))

@@ -11,9 +11,10 @@ from starlette.responses import Response
 
 from app.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
 from app.commands.forms.outcome import OutcomeText, outcome_text
-from app.commands.forms.page_context import Confirmed, OfUnit, UnitPage
+from app.commands.forms.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
 from app.commands.review import risks_of_writing
 from app.commands.rules.setpoint_range import parameter_bounds
+from app.commands.scale import parameter_scale, scale_text
 from app.commands.service.writer import permitted, permitted_writer
 from app.commands.values import measure_of_value, parameter_message
 from app.errors import Problem
@@ -97,6 +98,7 @@ async def review_value(page: UnitPage, number: int, raw: int) -> Response:
         unit=page.on_line,
         parameter=parameter,
         raw=raw,
+        scale=scale_text(parameter_scale(page.unit, number, raw)),
         old="" if known is None else parameter_message(parameter, known, page.unit),
         new=parameter_message(parameter, raw, page.unit),
         measure=measure_of_value(page.unit, parameter, raw),
@@ -113,6 +115,7 @@ async def write_parameter(
     number: ParameterPath,
     raw: Annotated[int, Form(ge=0)],
     confirmed: Confirmed,
+    scale: ReviewedScale,
     typed: Annotated[str, Form(max_length=20)] = "",
 ) -> Response:
     """86h, read back by 85h; a dangerous one only with the word typed."""
@@ -120,7 +123,8 @@ async def write_parameter(
     try:
         if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", Message("word_not_typed"))
-        result = await page.carry_out(WriteParameter(unit=page.id, number=number, raw=raw), confirmed)
+        action = WriteParameter(unit=page.id, number=number, raw=raw)
+        result = await page.carry_out(action, confirmed, {page.id: scale})
     except Problem as problem:
         if confirmed.undoes:
             return page.refused(problem, page.title)

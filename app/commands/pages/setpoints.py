@@ -15,12 +15,13 @@ from app.commands.forms.line_change import followers_of, left_out_of, proven, re
 from app.commands.forms.page_context import BusPage, Confirmed, Page
 from app.commands.review import by_remark
 from app.commands.rules.setpoint_range import setpoint_range
+from app.commands.scale import Scales, setpoint_scale
 from app.commands.service.writer import permitted
 from app.commands.values import measure_of_setpoint, setpoint_message
 from app.errors import Problem
 from app.live.state.bus_live import follower
 from app.web.admission.access import Viewer
-from bus.contract import SetLine
+from bus.contract import SetLine, UnitScale
 from bus.errors import CallerError
 from bus.messages import Message, term
 
@@ -53,7 +54,8 @@ async def review_setpoints(request: Request, page: Page) -> Response:
     form = await request.form()
     of_bus = page.of_bus(str(form.get("bus", "")))
     try:
-        return await review_change(of_bus, await typed_setpoints(of_bus, form))
+        setpoints, _ = await typed_setpoints(of_bus, form)
+        return await review_change(of_bus, setpoints)
     except (CallerError, Problem) as error:
         return page.explain(error, f"#setpoints-error-{of_bus.name}")
 
@@ -81,20 +83,24 @@ async def review_change(of_bus: BusPage, setpoints: Mapping[int, int]) -> Respon
     )
 
 
-async def typed_setpoints(page: BusPage, form: FormData) -> dict[int, int]:
-    """Raw setpoint by unit. Raises CallerError and Problem for an invalid setpoint."""
+async def typed_setpoints(page: BusPage, form: FormData) -> tuple[dict[int, int], Scales]:
+    """Raw setpoint by unit, and what it was converted with. Raises CallerError and Problem for an invalid
+    setpoint."""
     fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in page.bus.units}
     typed = {unit: text for unit, text in fields.items() if text}
     if not typed:
         raise CallerError(Message("no_new_setpoint"))
-    deadline, setpoints = page.deadline(len(typed)), {}
+    deadline = page.deadline(len(typed))
+    setpoints: dict[int, int] = {}
+    scales: dict[int, UnitScale] = {}
     for unit, text in typed.items():
         try:
             setpoints[unit] = await page.typed(unit, deadline).setpoint(text)
+            scales[unit] = setpoint_scale(page.bus.units[unit], setpoints[unit])
         except CallerError as error:
             name = page.bus.units[unit].settings.name
             raise CallerError(Message.of("of_unit", name=name, reason=error.message)) from error
-    return setpoints
+    return setpoints, scales
 
 
 @router.post("/setpoints", dependencies=[permitted(SET_LINE)])
@@ -105,10 +111,10 @@ async def set_setpoints(
     of_bus, form, title = page.of_bus(bus), await request.form(), page.translator.t(TITLE)
     try:
         is_sent = await of_bus.has_sent(confirmed.id)
-        setpoints = reviewed(of_bus.bus, form, is_sent=is_sent)
+        setpoints, scales = reviewed(of_bus.bus, form, is_sent=is_sent)
         if not is_sent:
             of_bus.refuse_unable(setpoints)
-        result = await of_bus.carry_out(SetLine(setpoints=setpoints), confirmed)
+        result = await of_bus.carry_out(SetLine(setpoints=setpoints), confirmed, scales)
     except Problem as problem:
         return page.refused(problem, title)
     return proven(of_bus, title, setpoints, result, confirmed.id, left_out_of(form))

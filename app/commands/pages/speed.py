@@ -11,7 +11,7 @@ from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.catalogue import EXECUTE_SPEED, SET_SPEED
-from app.commands.forms.page_context import Confirmed, OfUnit, UnitPage
+from app.commands.forms.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
 from app.commands.review import nudges
 from app.commands.service.writer import permitted, permitted_writer
 from app.errors import Problem
@@ -68,6 +68,7 @@ async def set_speed(
     page: OfUnit,
     raw: SetpointField,
     confirmed: Confirmed,
+    scale: ReviewedScale,
     how: Annotated[Literal["now", "stage"], Form()],
     was: Was = "",
 ) -> Response:
@@ -76,7 +77,7 @@ async def set_speed(
     try:
         if not await page.has_sent(confirmed.id):
             _refuse_moved(page, was)
-        result = await page.carry_out(action, confirmed)
+        result = await page.carry_out(action, confirmed, {page.id: scale})
     except Problem as problem:
         return page.not_sent(problem)
     return _done(page, raw, result, confirmed.id)
@@ -103,6 +104,7 @@ async def nudge(
     page: OfUnit,
     step: Annotated[int, Form(ge=-99999, le=99999)],
     id: Annotated[str, Form(max_length=64)],
+    scale: ReviewedScale,
 ) -> Response:
     """A small step from where the unit is now: without a review where it is no larger than one allowed so."""
     try:
@@ -113,7 +115,7 @@ async def nudge(
             raise Problem(422, "invalid", Message("step_below_zero"), nearest=0)
         if not _is_small(page, step):
             return await review_setpoint(page, raw, execute=True)
-        result = await page.send(SetSpeed(unit=page.id, raw=raw), id)
+        result = await page.send(SetSpeed(unit=page.id, raw=raw), id, scales={page.id: scale})
     except Problem as problem:
         return explain_setpoint(page, problem)
     response = _done(page, raw, result, id)
@@ -132,7 +134,9 @@ async def review_execute(page: OfUnit) -> Response:
     staged = page.unit.staged
     try:
         if staged is None:
-            raise Problem(409, "nothing_staged", Message("nothing_staged"))
+            unknown = page.unit.staged_unknown
+            message = Message.of("staged_unknown", unit=page.id) if unknown else Message("nothing_staged")
+            raise Problem(409, "nothing_staged", message)
         await page.judge(ExecuteSpeed(unit=page.id))
         await page.know_ramps([page.id])
     except Problem as problem:
@@ -142,14 +146,16 @@ async def review_execute(page: OfUnit) -> Response:
 
 
 @router.post("/execute", dependencies=[permitted_writer(EXECUTE_SPEED)])
-async def execute(page: OfUnit, confirmed: Confirmed, raw: SetpointField, was: Was = "") -> Response:
+async def execute(
+    page: OfUnit, confirmed: Confirmed, scale: ReviewedScale, raw: SetpointField, was: Was = ""
+) -> Response:
     """Send 83h to one unit if its staged and its commanded value are still the reviewed ones."""
     try:
         if not await page.has_sent(confirmed.id):
             if page.unit.staged != raw:
                 raise Problem(409, "moved", Message("staged_moved"))
             _refuse_moved(page, was)
-        result = await page.carry_out(ExecuteSpeed(unit=page.id), confirmed)
+        result = await page.carry_out(ExecuteSpeed(unit=page.id), confirmed, {page.id: scale})
     except Problem as problem:
         return page.not_sent(problem)
     return _done(page, raw, result, confirmed.id)

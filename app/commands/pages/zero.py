@@ -93,7 +93,9 @@ async def _zero_bus(page: BusPage, id: str) -> list[ResultRow]:
 async def _zero_units(page: BusPage, plan: ZeroPlan, id: str) -> list[ResultRow]:
     """Set all at once; then each unit that is not verified, unless the click itself came too late."""
     units = len(plan.units)
-    together = await _sent(page, SetLine(setpoints=dict.fromkeys(plan.units, 0)), id, page.deadline(units))
+    together = await _sent(
+        page, SetLine(setpoints=dict.fromkeys(plan.units, 0)), id, page.deadline(units, typed=False)
+    )
     came_late = isinstance(together, Problem) and together.code == "not_sent"
     at_the_end = Deadline(page.made_at, _longest_s(page.bus, units))
     by_unit = {result.unit: result for result in together.units} if isinstance(together, Result) else {}

@@ -8,6 +8,7 @@ from typing import Literal
 from msgspec.structs import replace
 
 from app.commands.catalogue import kind_of_command
+from app.commands.scale import Scales
 from app.web.admission.access import Person
 from app.web.admission.arrival import Deadline
 from bus.contract import Action, Result, UnitOutcome
@@ -32,6 +33,8 @@ class CommandRequest:
     """The sender's key, by which it gets the result again; keys of different senders are independent."""
     undoes: str = ""
     """The key of the command that it undoes."""
+    scales: Scales | None = None
+    """What its values were shown and typed with; None: they were given raw."""
 
     @property
     def can_be_undone(self) -> bool:

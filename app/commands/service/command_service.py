@@ -18,6 +18,7 @@ from app.commands.rules.setpoint import Moves, commanded_setpoint
 from app.commands.rules.setpoint_range import kind_of
 from app.commands.safeguards.control import controlled
 from app.commands.safeguards.service import Safeguards
+from app.commands.scale import Scales, wording_scales
 from app.commands.service.command_request import CommandOrigin, CommandRequest, without_secret
 from app.commands.service.idempotency import IdempotencyCache, KeptCommand, refuse_other
 from app.commands.service.prior_read import UnreadError, read_values, unread, unread_by_unit
@@ -95,9 +96,13 @@ class CommandService:
         id: str | None = None,
         origin: CommandOrigin | Message = "api",
         undoes: str = "",
+        scales: Scales | None = None,
     ) -> Result:
         """Send ``action`` and return its one result; the same ``id`` returns the same result again. An id
         belongs to its sender: the same id of another sender is another command.
+
+        ``scales``: what its values were shown and typed with, where they were not given raw; a unit that has
+        another scale by now is not written, and the result is *refused*.
 
         ``deadline``: the request's. Without one it may wait ``timeout_s`` from now, or as long as its
         kind takes.
@@ -121,7 +126,7 @@ class CommandService:
             timeout_s = timeout_s or kind_of_command(action).timeout_s(action, self._live)
             deadline = deadline or Deadline.within(timeout_s)
             request = CommandRequest(
-                new_command_id(id), person, self._bus, action, deadline, origin, id, undoes
+                new_command_id(id), person, self._bus, action, deadline, origin, id, undoes, scales
             )
             try:
                 kept = await self._accept(request, confirm)
@@ -260,7 +265,7 @@ class CommandService:
             intent = await self._record.intend(request, self._live)
             with self.undo.of(request) as followed:
                 result = followed(without_secret(request.action, await self._transmit(request)))
-            await self._record.conclude(intent, request, result)
+            await self._record.conclude(intent, request, result, self._live)
             return result
         finally:
             if result is None or result.outcome not in ACTED:
@@ -293,7 +298,15 @@ class CommandService:
             return _not_sent(request, reason)
         # This clock first: whatever stops this process between the two makes the deadline earlier.
         deadline = unix_now() + request.deadline.left_s
-        command = Command(id=request.id, deadline=deadline, action=request.action)
+        typed = request.scales is not None
+        scales = wording_scales(request.action, self._live) if request.scales is None else request.scales
+        command = Command(
+            id=request.id,
+            deadline=deadline,
+            action=request.action,
+            scales={unit: scale for unit, scale in scales.items() if scale},
+            typed=typed,
+        )
         return await _while_permitted(
             self._channel.send(command),
             lambda: self._why_no_longer(request, slows=slows),

@@ -15,7 +15,7 @@ from app.audit.log import EventLog
 from app.commands.catalogue import kind_of_command
 from app.commands.service import idempotency
 from app.commands.service.command_request import CommandRequest
-from app.commands.wording import Wording
+from app.commands.wording import Wording, reworded
 from app.database import Database, StoreConnection
 from app.errors import Problem, StoreError
 from app.live.state.bus_live import BusLive
@@ -29,10 +29,13 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True, slots=True)
 class Intent:
-    """The events of one command. ``parts``: unit → event, for a change of several."""
+    """The events of one command. ``parts``: unit → event, for a change of several. ``words``: of both, as
+    they were stored before it was sent."""
 
     event: int
     parts: dict[int, int]
+    words: Wording
+    part_words: dict[int, Wording]
 
 
 class CommandRecord:
@@ -63,9 +66,9 @@ class CommandRecord:
     async def intend(self, request: CommandRequest, live: BusLive) -> Intent:
         """On disk when this returns. Raises StoreError, and then nothing may be sent."""
         kind = kind_of_command(request.action)
-        by_unit = kind.part_wordings(request.action, live)
-        group = _entry(request, request.action.only_unit, kind.wording(request.action, live))
-        parts = [_entry(request, unit, words) for unit, words in by_unit.items()]
+        words, by_unit = kind.wording(request.action, live), dict(kind.part_wordings(request.action, live))
+        group = _entry(request, request.action.only_unit, words)
+        parts = [_entry(request, unit, part) for unit, part in by_unit.items()]
         begun = idempotency.begun(request, self._events.keys.ring, self._now())
 
         def beside(connection: StoreConnection) -> None:
@@ -75,16 +78,24 @@ class CommandRecord:
                 link_parts(connection, len(parts))
 
         event, *others = await self._events.intend_together([group, *parts], beside)
-        return Intent(event, dict(zip(by_unit, others, strict=True)))
+        return Intent(event, dict(zip(by_unit, others, strict=True)), words, by_unit)
 
-    async def conclude(self, intent: Intent, request: CommandRequest, result: Result) -> None:
-        """Record the result of an intent. The result stands even if the database fails now."""
+    async def conclude(self, intent: Intent, request: CommandRequest, result: Result, live: BusLive) -> None:
+        """Record the result of an intent, and the values of a command that was given raw in the scale that
+        was read with it, where it is another. The result stands even if the database fails now."""
+        texts: dict[str, Message] = {}
+        part_texts: dict[int, dict[str, Message]] = {}
+        if request.scales is None:
+            texts, part_texts = reworded(request.action, intent.words, intent.part_words, live)
         try:
             if intent.parts:
-                await self._events.conclude_together(_outcomes(intent, result))
+                await self._events.conclude_together(
+                    _outcomes(intent, result),
+                    {intent.parts[unit]: changed for unit, changed in part_texts.items()},
+                )
             beside = idempotency.ended(request, result)
             message = result.message or ""
-            await self._events.conclude(intent.event, result.outcome, message, result.frames, beside)
+            await self._events.conclude(intent.event, result.outcome, message, result.frames, beside, texts)
         except StoreError as error:
             log.error("outcome not stored", command=request.id, outcome=result.outcome, error=str(error))
 

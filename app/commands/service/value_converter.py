@@ -1,6 +1,6 @@
 """What a person typed → the integer on the wire, by the decimals (#3) and mode (#8) of the unit.
 
-Where those are not known yet they are read first, within the time of the command.
+Where those are not known yet, or may have changed, they are read first, within the time of the command.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ValueConverter:
         return parameter_raw(parameter, text, known.get(DECIMALS), follower=follower)
 
     async def _known(self, numbers: tuple[int, ...]) -> dict[int, int | None]:
-        missing = [number for number in numbers if number not in self._unit.parameters]
+        missing = [number for number in numbers if not self._unit.is_current(number)]
         known = {number: self._unit.parameter_raw(number) for number in numbers}
         if missing:
             unit = self._unit.settings.id

@@ -23,7 +23,14 @@ from app.live.state.draw import draw_of
 from app.live.state.motion import Motion
 from app.live.state.onset import Onset, Onsets
 from app.live.state.scan_time import offline_after_s, scan_s_of, silence_after_s
-from bus.catalogue.numbers import DECIMALS
+from bus.catalogue.numbers import (
+    ANALOG_IN_HIGH,
+    ANALOG_IN_LOW,
+    DECIMALS,
+    FOLLOWER_MODE,
+    MAX_DISPLAY,
+    SETPOINTS,
+)
 from bus.catalogue.values import MAX_DECIMALS, RATIO_DECIMALS
 from bus.contract import (
     BusFigures,
@@ -41,6 +48,8 @@ from bus.settings import BusSettings, Seam, UnitSettings
 
 log = structlog.get_logger()
 
+SHOWN_WITH = (MAX_DISPLAY, DECIMALS, FOLLOWER_MODE, ANALOG_IN_LOW, ANALOG_IN_HIGH)
+"""The parameters that a reading is shown with."""
 NO_WORKER = Message("worker_not_connected")
 BusSubscriber = Callable[[Sequence[Update]], None]
 """Called with the updates of a bus after they were applied."""
@@ -64,6 +73,11 @@ class UnitLive:
     reading: Reading | None = None
     parameters: dict[int, ParameterValue] = field(default_factory=dict)
     staged: int | None = None
+    staged_unknown: bool = False
+    """It was away while it held a staged speed, and may hold it still."""
+    may_differ_since: UnixTime | None = None
+    """When a parameter was found changed, or the unit was back after it was offline: whoever has changed one
+    at the keypad may have changed others, and what was read before counts as old until it is read again."""
     motion: Motion = field(default_factory=Motion)
     onsets: Onsets = field(default_factory=Onsets)
     last_response: UnixTime | None = None
@@ -75,6 +89,25 @@ class UnitLive:
         known = self.parameters.get(number)
         raw = known.raw if known is not None else None
         return None if raw is not None and number == DECIMALS and raw > MAX_DECIMALS else raw
+
+    def is_current(self, number: int) -> bool:
+        """Whether a parameter was read since the unit was last away or changed at its keypad."""
+        known, since = self.parameters.get(number), self.may_differ_since
+        return known is not None and (since is None or known.at >= since)
+
+    @property
+    def scale_is_old(self) -> bool:
+        """Whether the values of this unit are shown in a scale that it may not have any more."""
+        return self.may_differ_since is not None and not all(
+            self.is_current(number) for number in SHOWN_WITH if number in self.parameters
+        )
+
+    def see_parameter(self, value: ParameterValue) -> None:
+        """Take in a parameter that was read."""
+        former = self.parameters.get(value.number)
+        if former is not None and former.raw != value.raw and value.number not in SETPOINTS:
+            self.may_differ_since = value.at
+        self.parameters[value.number] = value
 
 
 class Silence(NamedTuple):
@@ -164,11 +197,13 @@ class BusLive:
             case Reading() if unit:
                 self.take_reading(unit, update)
             case UnitLink() if unit:
+                if update.link == "online" and unit.link.link == "offline":
+                    unit.may_differ_since = update.at
                 unit.link = update
             case ParameterValue() if unit:
-                unit.parameters[update.number] = update
+                unit.see_parameter(update)
             case Staged() if unit:
-                unit.staged = update.raw
+                unit.staged, unit.staged_unknown = update.raw, update.unknown
             case BusFigures():
                 self.figures = update
             case BusLink():
@@ -228,7 +263,8 @@ def updates_of(snapshot: Snapshot) -> list[Update]:
         updates.append(state.link)
         if state.reading is not None:
             updates.append(state.reading)
-        updates += [*state.parameters, Staged(unit=state.unit, at=snapshot.sent_at, raw=state.staged)]
+        staged = Staged(state.unit, snapshot.sent_at, state.staged, state.staged_unknown)
+        updates += [*state.parameters, staged]
     if snapshot.figures is not None:
         updates.append(snapshot.figures)
     return updates
