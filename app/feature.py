@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo
 
 from fastapi import APIRouter
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.lifespan import Lifespan
 from app.settings import Settings
 from app.web.services import Registry

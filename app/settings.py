@@ -57,10 +57,6 @@ KEY_SUFFIX = ".audit.key"
 """``lineside.toml`` has its key in ``lineside.audit.key``."""
 
 
-ANCHOR_SUFFIX = ".anchor"
-"""The data folder ``data`` has its anchor in ``data.anchor``."""
-
-
 class Site(StrictModel):
     """The plant as people call it."""
 
@@ -198,12 +194,6 @@ class Settings(StrictModel):
     """The configuration file, where it was read from one."""
     _text: str = PrivateAttr("")
     """Its text as it was read."""
-
-    @property
-    def anchor_file(self) -> Path:
-        """Where the head of the audit log is noted: as configured, or beside the data folder."""
-        data = self.server.data
-        return self.audit.anchor or data.parent / f"{data.name}{ANCHOR_SUFFIX}"
 
     @property
     def page_digest(self) -> str:

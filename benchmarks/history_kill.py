@@ -11,8 +11,8 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.audit.events.store import heads_of, prove
-from app.audit.proof.keys import open_keys
+from app.audit.keys import open_keys
+from app.audit.proof import heads_of, prove
 from app.database import Database
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail

@@ -10,9 +10,9 @@ import asyncio
 import sys
 from pathlib import Path
 
-from app.audit.events.store import heads_of
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.proof.keys import open_keys
+from app.audit.proof import heads_of
 from app.database import Database
 from app.history.service import History
 from app.settings import ServerSettings, Settings

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import click
 
-from app.audit.proof.anchoring import AnchorStatus
+from app.audit.anchor import AnchorStatus
 from app.cli import cli
 from app.history.status import HistoryStatus
 from app.metrics.families import LineCollector

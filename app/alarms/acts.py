@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 
 from app.alarms.rules import changes
 from app.alarms.rules.changes import Changed
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.web.admission.access import Role
 from app.web.api.shape import StrictBody
 from bus.text import OneLine

@@ -20,9 +20,9 @@ from app.alarms.own import api as own_api
 from app.alarms.own import pages as own_pages
 from app.alarms.own.book import OwnAlarmBook
 from app.alarms.simulation.simulator import Simulator
-from app.audit.archive.archiving import EventArchive
+from app.audit.anchor import Anchoring
+from app.audit.archive import EventArchive
 from app.audit.log import EventLog
-from app.audit.proof.anchoring import Anchoring
 from app.auth.accounts import Accounts
 from app.backup.service import Backups
 from app.commands.safeguards.service import Safeguards

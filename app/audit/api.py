@@ -11,11 +11,11 @@ from fastapi import APIRouter, Depends, Query
 from pydantic import BaseModel, Field
 from starlette.responses import Response, StreamingResponse
 
-from app.audit.events.entry import is_moment
-from app.audit.events.kinds import EventKind
-from app.audit.events.store import Filter
+from app.audit.anchor import Anchoring
+from app.audit.entry import EventKind, is_moment
 from app.audit.log import Event, EventLog
-from app.audit.proof.walk import AuditVerification
+from app.audit.proof import AuditVerification
+from app.audit.queries import Filter
 from app.web.admission.access import Admin, Viewer
 from app.web.admission.turns import DOWNLOAD, SEARCH
 from app.web.api.route import ApiRoute
@@ -58,13 +58,6 @@ class EventShown(BaseModel):
 
     id: int
     time: Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds; null: not readable.")]
-    entered_at: Annotated[
-        MaybeInstant,
-        Field(
-            description="When it came into the audit log, ISO 8601 in UTC, milliseconds, where it was logged"
-            " locally first, while the database was away; else null."
-        ),
-    ]
     kind: str
     who: str
     origin: Annotated[str, Field(description="Which way it came: page, api, command line, restore …")]
@@ -123,7 +116,6 @@ def shown(event: Event) -> dict[str, Any]:
     return {
         **{name: event[name] for name in (*COLUMNS, "unreadable", "messages")},
         "time": iso(event["time"]) if is_moment(event["time"]) else None,
-        "entered_at": iso(event["entered_at"]) if event["entered_at"] else None,
         "count": event["count"] or 1,
         "frames": [{**frame, "at": iso(frame["at"])} for frame in json.loads(event["frames"])],
     }
@@ -139,9 +131,11 @@ async def list_events(
 
 
 @router.get("/events/proof", dependencies=[DOWNLOAD])
-async def verify_audit_log(_: Admin, events: Events) -> AuditVerification:
-    """Verify the complete log like ``lineside audit verify``, with the anchor beside the key alone."""
-    return await events.proof.verify()
+async def verify_audit_log(
+    _: Admin, anchoring: Annotated[Anchoring, service(Anchoring)]
+) -> AuditVerification:
+    """Verify the complete log like ``lineside audit verify``, with the newest line of the anchor alone."""
+    return await anchoring.verify()
 
 
 @router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])

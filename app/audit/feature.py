@@ -8,14 +8,14 @@ from functools import partial
 from zoneinfo import ZoneInfo
 
 from app.audit import api, pages
-from app.audit.act_limit import ActLimit
-from app.audit.archive.archiving import EventArchive
+from app.audit.acts import ActLimit
+from app.audit.anchor import Anchoring, anchor_file
+from app.audit.archive import EventArchive
 from app.audit.configuration import change_since_last
-from app.audit.events.finding import EventFinder
-from app.audit.events.store import heads_of
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.proof.anchoring import Anchoring
-from app.audit.proof.keys import open_keys
+from app.audit.pages import EventFinder
+from app.audit.proof import heads_of
 from app.database import Database
 from app.database.migration import FIRST, Migration
 from app.feature import Feature, Services
@@ -31,18 +31,16 @@ def make(services: Services) -> None:
     events = services.add(EventLog(database, keys=keys))
     services[Finders].add("find_events", EventFinder(events, settings))
     is_configured = settings.audit.anchor is not None
-    anchoring = services.add(Anchoring(events, settings.anchor_file, is_configured=is_configured))
+    anchoring = services.add(Anchoring(events, anchor_file(settings), is_configured=is_configured))
     lifespan.add("audit anchor", anchoring.follow, end=anchoring.end)
     archive = EventArchive(
         database, events, settings.audit.archive, settings.audit.keep_months, ZoneInfo(settings.site.zone)
     )
     services.add(archive)
-    services.lifespan.add("event archive", archive.follow)
+    lifespan.add("event archive", archive.follow)
     begin = partial(_record_start, settings, database, events)
     lifespan.add("event log", start=begin, end=partial(_record_end, events))
-    for bus in ("", *services.buses):
-        close = partial(events.close_open_intents, bus or None)
-        services.lifespan.add(f"open commands of {bus or 'the site'}", start=close)
+    lifespan.add("open commands", start=events.close_open_intents)
     record_all = partial(events.repeated.record_due, everything=True)
     lifespan.add("repeated events", events.repeated.follow, end=record_all)
 

@@ -1,8 +1,7 @@
-"""Writes, reads and verifies the event log."""
+"""The event log: each entry continues the chain, in the transaction of what it is about."""
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -10,23 +9,20 @@ from typing import Any, Required, TypedDict, Unpack
 
 import structlog
 
-from app.audit.archive.cuts import newest_cut
-from app.audit.events import appending, store
-from app.audit.events.entry import Event as Event
-from app.audit.events.entry import is_moment, new_entry, readable
-from app.audit.events.kinds import EventKind
-from app.audit.events.repeated import RepeatedEvents
-from app.audit.events.store import Filter
-from app.audit.proof.anchor import read_key_anchor
-from app.audit.proof.chain import Head, newest_of
-from app.audit.proof.keyring import KeyRing
-from app.audit.proof.keys import Keys, passing_keys
-from app.audit.proof.walk import AuditVerification, Walk
+from app.audit import former, queries
+from app.audit.chain import END_ALTERED, FIELDS, Head, newest_of, remark_on, sealed_entry, sealed_head
+from app.audit.entry import Event as Event
+from app.audit.entry import EventKind, is_moment, new_entry, readable
+from app.audit.former import SITE
+from app.audit.keys import Keys, passing_keys
+from app.audit.proof import LogProof
+from app.audit.queries import Filter
+from app.audit.repeated import RepeatedEvents
 from app.database import Database, StoreConnection
 from app.errors import StoreUnavailableError
 from bus.contract import Frame, Outcome
 from bus.instants import Clock, UnixTime, unix_now
-from bus.messages import Message
+from bus.messages import Message, joined
 
 log = structlog.get_logger()
 
@@ -58,9 +54,8 @@ NO_TEXTS: Mapping[Any, Any] = MappingProxyType({})
 
 
 class EventLog:
-    """Append-only. Whatever returns from here is on disk. An event of a bus is in the chain of that bus, any
-    other in that of the site. Without ``keys``, what seals the entries ends with the process: nothing that is
-    kept may be written so."""
+    """Append-only. Whatever returns from here is on disk. Without ``keys``, what seals the entries ends
+    with the process: nothing that is kept may be written so."""
 
     def __init__(self, database: Database, clock: Clock = unix_now, keys: Keys | None = None) -> None:
         self.keys = keys or passing_keys()
@@ -126,20 +121,18 @@ class EventLog:
         entry = self._entry(kind, **fields, count=count if count > 1 else None, **time)
         return (await self._append_all([entry], also))[0]
 
-    async def close_open_intents(self, bus: str | None) -> int:
-        """Record what of a bus, or of the site (None), was open when the last run ended as unverified. Return
-        how many there were."""
-        left = await self._database.read(lambda connection: store.open_intents(connection, bus))
-        numbers = [intent["id"] for intent in left]
+    async def close_open_intents(self) -> int:
+        """At the start: what was open when the last run ended is unverified. Returns how many there were."""
+        left = await self._database.read(queries.open_intents)
         for first in range(0, len(left), CHUNK):
-            chunk = numbers[first : first + CHUNK]
+            chunk = left[first : first + CHUNK]
             await self.conclude_together(dict.fromkeys(chunk, ("unverified", ENDED_BEFORE)))
         return len(left)
 
     async def page(self, wanted: Filter, limit: int) -> tuple[list[Event], int | None]:
         """Events newest first, and the number to continue from (None at the end)."""
         found = await self._database.read_costly(
-            lambda connection: store.select(connection, wanted, limit + 1)
+            lambda connection: queries.select(connection, wanted, limit + 1)
         )
         return found[:limit], found[limit - 1]["id"] if len(found) > limit else None
 
@@ -154,23 +147,23 @@ class EventLog:
 
     async def kinds(self) -> list[str]:
         """Every kind there is an event of."""
-        return await self._database.read_costly(store.kinds)
+        return await self._database.read_costly(queries.kinds)
 
     async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
         numbers = await self._write_all(entries, also)
         for number, entry in zip(numbers, entries, strict=True):
             about = {"id": number, "concluded_at": None, "concluded_messages": None}
-            self._publish(readable({"entered_at": None, **entry, **about}))
+            self._publish(readable({**entry, **about}))
         return numbers
 
     async def _write_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
-        def append(connection: StoreConnection) -> list[int]:
-            numbers = appending.append(connection, entries, self.keys)
+        def write(connection: StoreConnection) -> list[int]:
+            numbers = append(connection, entries, self.keys)
             if also is not None:
                 also(connection)
             return numbers
 
-        return await self._database.write(append)
+        return await self._database.write(write)
 
     def _entry(self, kind: str, **members: Any) -> dict[str, Any]:
         return new_entry(**{"time": self._clock(), "kind": kind, **members})
@@ -179,7 +172,7 @@ class EventLog:
         if not self._subscribers:
             return
         try:
-            event = await self._database.read(lambda connection: store.one(connection, number))
+            event = await self._database.read(lambda connection: queries.one(connection, number))
         except StoreUnavailableError:
             return
         if event is not None:
@@ -193,59 +186,54 @@ class EventLog:
                 log.exception("subscriber of events failed", event_id=event["id"])
 
 
-class LogProof:
-    """Reads the log chunk by chunk in a thread: neither the event loop nor the store's checkpoint waits until
-    all of a long log is read."""
+_COLUMNS = (*FIELDS, "count", "messages", "key", "previous", "hash", "seal")
+"""A further column must allow NULL and stand here; the hash covers it wherever it is not NULL."""
+_INSERT = f"INSERT INTO events ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
+_LAST = "SELECT id, hash, key, chain FROM events ORDER BY id DESC LIMIT 1"
+_HEADS = "SELECT id, hash, key, seal, chain FROM events_head"
+_NOTE_HEAD = """
+INSERT INTO events_head (chain, id, hash, key, seal) VALUES (?, ?, ?, ?, ?)
+ON CONFLICT (chain) DO UPDATE
+SET id = excluded.id, hash = excluded.hash, key = excluded.key, seal = excluded.seal
+"""
 
-    def __init__(self, database: Database, keys: Keys) -> None:
-        self._database = database
-        self._keys = keys
-        self._one_at_a_time = asyncio.Lock()
 
-    async def verify(self, anchors: Mapping[int, Head] | None = None) -> AuditVerification:
-        """Whether the log is intact, and holds the heads that ``anchors`` names by entry; where None, those
-        of the anchor beside the key."""
-        async with self._one_at_a_time:
-            if anchors is None:
-                # Before the extent: the log may be ahead of its anchor, never behind.
-                beside_key = await asyncio.to_thread(read_key_anchor, self._keys.path, self._keys.ring)
-                anchors = beside_key.heads
-            heads, last = await self.extent()
-            ring = self._knowing(heads)
-            walk = await self._database.read(lambda c: store.walk_from_cut(c, ring, anchors))
-            await self._follow(walk, store.LOWEST_ID, last)
-            return walk.end(heads)
+def append(connection: StoreConnection, entries: Sequence[Mapping[str, Any]], keys: Keys) -> list[int]:
+    """Add entries without their ids; return the ids. Where the log before them cannot be vouched for, or ends
+    in several chains, entries about that come first."""
+    if not entries:
+        return []
+    ends, is_altered = _ends(connection)
+    last = newest_of(ends.values())
+    ring = keys.knowing(last.key)
+    remarks = [remark for end in ends.values() if (remark := remark_on(end, ring)) is not None]
+    found: list[tuple[Message, Message | str]] = [(remark, "") for remark in remarks[:1]]
+    if is_altered:
+        found = [(END_ALTERED, "")]
+    if len(ends) > 1:
+        found.append((former.JOINED, joined(former.named(ends)) or ""))
+    time = entries[0]["time"]
+    first = [new_entry(kind="audit", time=time, what=what, message=why) for what, why in found]
+    number, previous, row = last.id, former.joined(ends), {}
+    for number, entry in enumerate([*first, *entries], start=last.id + 1):
+        # Exactly what the row will hold: the hash of anything else would not be confirmed by it.
+        row = {name: entry.get(name) for name in _COLUMNS} | {"id": number}
+        row = sealed_entry(previous, row, ring)
+        connection.execute(_INSERT, [row[name] for name in _COLUMNS])
+        previous = row["hash"]
+    head = sealed_head(row, ring)
+    connection.execute(_NOTE_HEAD, (SITE, head.id, head.hash, head.key, head.seal))
+    return [*range(number - len(entries) + 1, number + 1)]
 
-    async def since(self, known: Mapping[str, Head]) -> AuditVerification:
-        """Whether what was added after the ends of the chains at one instant, which are known to be good,
-        continues them."""
-        heads, last = await self.extent()
-        ring, newest = self._knowing(heads), newest_of(known.values()).id
-        cut = await self._database.read(lambda connection: newest_cut(connection, ring))
-        if cut is not None and newest < cut.last:
-            # What followed is archived meanwhile: the log goes on from there.
-            known, newest = cut.ends, cut.last
-        walk = Walk(ring, start=known)
-        await self._follow(walk, newest + 1 if newest else store.LOWEST_ID, last)
-        return walk.end(heads)
 
-    async def extent(self) -> tuple[dict[str, Head], int]:
-        """The newest entry of each chain as noted apart, and the number of the last one stored."""
-        return await self._database.read(store.extent)
-
-    async def links(self, heads: Mapping[str, Head]) -> dict[str, Head]:
-        """The entries that heads name, as the next ones of their chains continue them; without those that are
-        gone."""
-        ring = self._knowing(heads)
-        return await self._database.read(lambda connection: store.links_of(connection, heads, ring))
-
-    def _knowing(self, heads: Mapping[str, Head]) -> KeyRing:
-        return self._keys.knowing(newest_of(heads.values()).key)
-
-    async def _follow(self, walk: Walk, number: int, until: int) -> None:
-        def follow(connection: StoreConnection) -> int | None:
-            return store.follow_chunk(connection, walk, number, until)
-
-        while (following := await self._database.read(follow)) is not None:
-            number = following
-            await asyncio.sleep(0)
+def _ends(connection: StoreConnection) -> tuple[dict[str, Head], bool]:
+    """What the next entry continues, by chain, and whether an entry is there behind what was noted as the
+    end, which cannot have been written so."""
+    last = connection.execute(_LAST).fetchone()
+    is_one = last is not None and last["chain"] is None
+    rows = connection.execute(f"{_HEADS} WHERE chain = ''" if is_one else _HEADS)
+    ends = {row["chain"]: Head(*row) for row in rows}
+    if last is None or last["id"] <= newest_of(ends.values()).id:
+        return ends, False
+    chain = last["chain"] or SITE
+    return {**ends, chain: Head(last["id"], last["hash"], last["key"], chain=chain)}, True

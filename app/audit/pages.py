@@ -1,7 +1,11 @@
-"""The events page: who did what, filtered and searched, from a unit's page too."""
+"""The events page: who did what, filtered and searched; and what the search of all pages finds of it."""
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from typing import Annotated, Any
 from urllib.parse import urlencode
@@ -11,9 +15,13 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse
 
 from app.audit.api import Events
-from app.audit.events import groups
-from app.audit.events.finding import units_named
-from app.audit.events.store import Filter
+from app.audit.entry import Event
+from app.audit.log import EventLog
+from app.audit.queries import Filter, UnitPlace
+from app.errors import StoreError
+from app.find.finders import FoundPlace, Search
+from app.find.matching import rank, words_of
+from app.messages import Language
 from app.settings import Settings
 from app.time_zone import day_begins
 from app.web.admission.access import Viewer
@@ -22,10 +30,13 @@ from app.web.api.shape import parse_integer
 from app.web.rendering.formats import Formats
 from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
+from bus.messages import Message
 from bus.text import TypedText
 
 router = APIRouter(include_in_schema=False)
 ON_A_PAGE = 100
+MAX_PARTS = 1000
+"""Parts that one page holds; with more there are fewer rows on it. A change has at most 255."""
 FIELDS = ("kind", "bus", "unit", "who", "since", "until", "search")
 
 
@@ -59,7 +70,7 @@ async def events_page(
         search=formats.typed_number(search),
         named=units_named(settings, search),
     )
-    rows, after = await groups.page(events, wanted, ON_A_PAGE)
+    rows, after = await page_of(events, wanted, ON_A_PAGE)
     return render(
         request,
         "events/page.html",
@@ -83,3 +94,95 @@ def _of_api(wanted: Filter, formats: Formats) -> dict[str, Any]:
     times = {"from": wanted.since, "to": wanted.until}
     instants = {name: None if at is None else formats.local(at).isoformat() for name, at in times.items()}
     return {name: getattr(wanted, name) for name in names} | instants
+
+
+@dataclass(frozen=True, slots=True)
+class EventRow:
+    """One row of the events page: an event, with the parts of a change of several units by address."""
+
+    event: Event
+    parts: list[Event] = field(default_factory=list)
+
+    @property
+    def outcomes(self) -> list[tuple[str | None, int]]:
+        """How many parts have which outcome, the most frequent first; None while it is not known."""
+        return Counter(part["outcome"] for part in self.parts).most_common()
+
+
+async def page_of(events: EventLog, wanted: Filter, limit: int) -> tuple[list[EventRow], int | None]:
+    """Rows newest first, at most ``limit``, and the number to continue from (None at the end). A part is a
+    row where the filter leaves its group out."""
+    found, after = await events.page(replace(wanted, folded=True), limit)
+    groups = sorted(event["id"] for event in found)
+    parts, more = await events.page(Filter(parts_of=tuple(groups)), MAX_PARTS)
+    by_group: dict[int, list[Event]] = {}
+    for part in reversed(parts):
+        by_group.setdefault(_group_of(part, groups), []).append(part)
+    if more is not None:
+        # Newest first: the change of the last part may have more than were read; newer ones have all.
+        cut = _group_of(parts[-1], groups)
+        found, after = [event for event in found if event["id"] > cut], cut + 1
+    return [EventRow(event, by_group.get(event["id"], [])) for event in found], after
+
+
+def _group_of(part: Event, ordered: Sequence[int]) -> int:
+    """The parts of a change stand right behind it."""
+    return ordered[bisect_left(ordered, part["id"]) - 1]
+
+
+SHOWN = 3
+"""Events that are listed; the page of events has the others."""
+MAX_SEARCHED = 10_000
+"""A key press searches so many entries of the log: in a long one a word that is in none takes seconds."""
+LAST = 100
+"""Their rank: they come after everything that has the name."""
+
+
+def units_named(settings: Settings, typed: str) -> tuple[UnitPlace, ...]:
+    """The units that people call so."""
+    words = words_of(typed)
+    if not words:
+        return ()
+    return tuple(
+        (bus.name, unit.id)
+        for bus in settings.bus
+        for unit in bus.unit
+        if rank(words, (unit.name, unit.group)) is not None
+    )
+
+
+class EventFinder:
+    def __init__(self, events: EventLog, settings: Settings) -> None:
+        self._events = events
+        self._settings = settings
+        self._names = {(bus.name, unit.id): unit.name for bus in settings.bus for unit in bus.unit}
+
+    async def __call__(self, search: Search) -> Iterable[FoundPlace]:
+        """A way to the page of events with this search, and the newest of them."""
+        typed = search.formats.typed_number(search.typed)
+        named = units_named(self._settings, search.typed)
+        wanted = Filter(search=typed, named=named, folded=True, newest=MAX_SEARCHED)
+        try:
+            events, _ = await self._events.page(wanted, SHOWN)
+        except StoreError:
+            events = []
+        every = f"/events?{urlencode({'search': search.typed})}"
+        more = FoundPlace(Message.of("find_events_with", text=search.typed), every, rank=LAST)
+        return [
+            *(
+                FoundPlace(
+                    self._label(event, search.language),
+                    f"{every}#event-{event['id']}",
+                    search.formats.moment(event["time"]) if event["time"] else "",
+                    rank=LAST,
+                )
+                for event in events
+            ),
+            more,
+        ]
+
+    def _label(self, event: Event, language: Language) -> str:
+        """What happened, after the name of the unit that it happened to."""
+        what = language.t(event["messages"].get("what", event["what"]))
+        name = self._names.get((event["bus"] or "", event["unit"] or 0))
+        return f"{name} · {what}" if name else what

@@ -16,8 +16,8 @@ class Audit(StrictModel):
     key_file: Path | None = None
     """The keys that seal the log, made at the first start; when absent, see `Settings.key_files`."""
     anchor: Path | None = None
-    """Where the head of the log is noted every minute and at every stop; when absent, see
-    `Settings.anchor_file`."""
+    """Where the head of the log is noted every minute and at every stop; when absent, the newest one is kept
+    beside the key."""
     archive: Path | None = None
     """Where old events are moved to, a file for each month, best on another disk. None: all events stay in
     the store."""

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.audit.log import EventLog
 from app.auth import acts, rules, store
 from app.auth.rights import notices

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.web.admission.access import Role
 
 ADD_USER = Act("add_user", Role.ADMIN, "user", "event_user_added")

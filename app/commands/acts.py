@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.web.admission.access import Role
 
 SET_LIMITS = Act("set_speed_limits", Role.ENGINEER, "limits", "event_limits_changed")

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Path
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.configuration.acts import CHANGE, RESTART, ROLL_BACK
 from app.configuration.difference import DifferenceLine, difference
 from app.configuration.document import Edit, at

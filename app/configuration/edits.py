@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.configuration.acts import CHANGE, CHANGE_MAIL
 from app.configuration.document import Edit, moved_up, with_values, without
 from app.configuration.tables import TablePlace, changes_of

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import structlog
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.audit.log import EventLog
 from app.configuration.acts import ROLL_BACK
 from app.configuration.difference import DifferenceLine, difference

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import structlog
 
-from app.audit.events.kinds import EventKind
+from app.audit.entry import EventKind
 from app.database.connection import is_intact
 from app.errors import DamagedStoreError, StoreError
 from app.history.intake.tail import Tail

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from app.audit.events.kinds import EventKind
+from app.audit.entry import EventKind
 from app.conditions.condition import Condition
 from app.conditions.of_bus import PORT_LOST
 from app.conditions.of_unit import BY_READING, UNIT_OFFLINE

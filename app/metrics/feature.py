@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from app.alarms.monitor.line_alarms import LineAlarms
+from app.audit.anchor import Anchoring
 from app.audit.log import EventLog
-from app.audit.proof.anchoring import Anchoring
 from app.backup.service import Backups
 from app.feature import Feature, Services
 from app.history.service import History

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.alarms.monitor.line_alarms import LineAlarms
+from app.audit.anchor import AnchorStatus
 from app.audit.log import Event, EventLog
-from app.audit.proof.anchoring import AnchorStatus
 from app.history.status import HistoryStatus
 from app.live.state.bus_live import LiveState
 from bus.instants import UnixTime

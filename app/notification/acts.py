@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.web.admission.access import Role
 
 BEGIN_MAINTENANCE = Act("begin_maintenance", Role.ENGINEER, "notification", "event_maintenance_begun")

@@ -9,7 +9,7 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.audit.api import Events
-from app.audit.events.store import Filter
+from app.audit.queries import Filter
 from app.commands.api.commands import RESULT_RESPONSES
 from app.commands.api.responses import FramesWanted, command_response
 from app.commands.catalogue import SET_LINE

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Literal
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.audit.log import EventLog
 from app.commands.catalogue import SET_LINE
 from app.commands.rules.objection import reason_of

@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.audit.events.entry import Event
+from app.audit.entry import Event
 from app.web.api.shape import Instant, MaybeInstant, iso
 
 MAX_LOADS = 1000

@@ -6,9 +6,9 @@ import asyncio
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from app.audit.events.kinds import EventKind
-from app.audit.events.store import Filter
+from app.audit.entry import EventKind
 from app.audit.log import Event, EventLog
+from app.audit.queries import Filter
 from app.errors import StoreError
 from app.live.state.bus_live import LiveState
 from app.sites.summary import EventSummary

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.commands.catalogue import WRITE_PARAMETER
 
 BEGIN = Act("begin_swap", WRITE_PARAMETER.role, "swap", "event_swap_begun")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
-from app.audit.archive.archiving import EventArchive
-from app.audit.events.store import heads_of
+from app.audit.archive import EventArchive
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.proof.keys import open_keys
+from app.audit.proof import heads_of
 from app.database import Database
 from app.settings import Settings, load
 from bus.instants import UnixTime

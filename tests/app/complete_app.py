@@ -79,7 +79,7 @@ class House:
 
     async def events(self, kind: str) -> list[dict[str, Any]]:
         """Return the events of one kind, newest first."""
-        from app.audit.events.store import Filter
+        from app.audit.queries import Filter
 
         return (await self.services[EventLog].page(Filter(kind=kind), 100))[0]
 

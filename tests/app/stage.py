@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-from app.audit.act_limit import ActLimit
+from app.audit.acts import ActLimit
 from app.audit.api import router as events_router
 from app.audit.log import EventLog
 from app.commands.api.commands import router as commands_router

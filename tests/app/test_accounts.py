@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.act import Act
-from app.audit.events.store import Filter
+from app.audit.acts import Act
 from app.audit.log import EventLog
+from app.audit.queries import Filter
 from app.auth import rules, store
 from app.auth.accounts import Accounts
 from app.auth.acts import (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.commands.catalogue import COMMANDS
 from app.errors import Problem
 from app.main import FEATURES, create_app

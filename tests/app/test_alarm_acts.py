@@ -19,7 +19,7 @@ from app.alarms.acts import (
 )
 from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.monitor.site_alarms import SiteAlarms
-from app.audit.events.store import Filter
+from app.audit.queries import Filter
 from app.database import Database
 from app.errors import Problem
 from app.web.admission.access import Person, Role

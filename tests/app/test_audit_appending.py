@@ -1,4 +1,4 @@
-"""Each event is in the chain of its bus or of the site, under a number over all chains; old stores go on."""
+"""Each event continues the one chain of its site; old stores go on."""
 
 from __future__ import annotations
 
@@ -7,23 +7,25 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import pytest
 
-from app.audit.events import appending
-from app.audit.events.entry import new_entry
-from app.audit.events.store import heads_of, prove
+from app.audit import log as appending
+from app.audit.anchor import Anchoring, read_anchors
+from app.audit.archive import EventArchive, Month, prove_archive
+from app.audit.chain import BEGINNING, Head, KeyOrigin, KeyRing, entry_hash, sealed_entry, sealed_head
+from app.audit.entry import new_entry
+from app.audit.former import JOINED, SITE, origin_of
+from app.audit.keys import Keys, open_keys, passing_keys
 from app.audit.log import EventLog
-from app.audit.proof.anchor import Anchors, anchor_line, joined_heads, newest_anchor, read_anchors
-from app.audit.proof.anchoring import Anchoring
-from app.audit.proof.chain import SITE, Head, entry_hash, origin_of, sealed_entry, sealed_head
-from app.audit.proof.keyring import BEGINNING, KeyOrigin, KeyRing
-from app.audit.proof.keys import Keys, open_keys, passing_keys
+from app.audit.proof import cuts_of, heads_of, newest_cut, prove
 from app.database import Database, StoreConnection
 from app.database.migration import MIGRATIONS
+from bus.instants import UnixTime
+from tests.app.former_log import DRY, WET, FormerLog
 from tests.app.intents import intend
 
-DRY, WET = "dry-end", "wet-end"
 RING = KeyRing((b"k" * 32,))
 
 
@@ -33,56 +35,41 @@ def store(tmp_path: Path) -> Iterator[Database]:
         yield database
 
 
-def chains(database: Database) -> list[tuple[int, str | None]]:
-    rows = database.read_now(lambda c: c.execute("SELECT id, chain FROM events ORDER BY id").fetchall())
-    return [(number, chain) for number, chain in rows]
+@pytest.fixture
+def former(store: Database) -> FormerLog:
+    made = FormerLog(store, RING)
+    made.work()
+    return made
+
+
+def rows(database: Database) -> list[dict[str, Any]]:
+    return database.read_now(lambda c: [dict(row) for row in c.execute("SELECT * FROM events ORDER BY id")])
 
 
 def intent(bus: str, unit: int = 1) -> dict[str, Any]:
     return {"who": "ann", "origin": "api", "bus": bus, "unit": unit, "what": "set speed"}
 
 
-async def test_an_event_and_its_outcome_are_in_the_chain_of_its_bus(store: Database) -> None:
+async def test_events_of_all_buses_and_their_outcomes_are_in_one_chain(store: Database) -> None:
     log = EventLog(store)
     await log.record(kind="login", what="signed in")
     number = await intend(log, **intent(DRY))
     await log.record(kind="estop", what="e-stop", bus=WET)
     await log.conclude(number, "verified")
-    assert chains(store) == [(1, SITE), (2, DRY), (3, WET), (4, DRY)]
-    verdict = await log.proof.verify({})
-    assert verdict.broken is None
-    assert [(chain.bus, chain.entries) for chain in verdict.chains] == [(None, 1), (DRY, 2), (WET, 1)]
-
-
-async def test_a_change_of_a_group_is_in_the_chain_of_its_bus(store: Database) -> None:
-    log = EventLog(store)
     numbers = await log.intend_together([intent(DRY, unit) for unit in (1, 2, 3)])
     await log.conclude_together(dict.fromkeys(numbers, ("verified", "")))
-    assert chains(store) == [(number, DRY) for number in range(1, 7)]
-    assert (await log.proof.verify({})).broken is None
+    found = rows(store)
+    assert [row["id"] for row in found] == list(range(1, 11))
+    assert [row["previous"] for row in found] == [BEGINNING, *(row["hash"] for row in found[:-1])]
+    verdict = await log.proof.verify()
+    assert (verdict.broken, verdict.entries) == (None, 10)
 
 
-async def test_commands_of_several_buses_are_concluded_each_in_its_chain(store: Database) -> None:
-    log = EventLog(store)
-    numbers = await log.intend_together([intent(DRY), intent(WET), intent(DRY)])
-    await log.conclude_together(dict.fromkeys(numbers, ("verified", "")))
-    assert [chain for _, chain in chains(store)] == [DRY, WET, DRY] * 2
-    assert (await log.proof.verify({})).broken is None
-
-
-async def test_two_servers_append_to_one_store_by_turns(store: Database) -> None:
-    """Each has read the keys for itself; one of them meets a newer key."""
-    one, other = EventLog(store, keys=Keys(RING)), EventLog(store, keys=Keys(RING))
-    for number in range(4):
-        await (one, other)[number % 2].record(
-            kind="estop", what=f"e-stop {number}", bus=(DRY, WET)[number // 2]
-        )
-    newer = Keys(RING.with_key(b"n" * 32))
-    await EventLog(store, keys=newer).record(kind="login", what="signed in")
-    assert [chain for _, chain in chains(store)] == [DRY, DRY, WET, WET, DRY, WET, SITE]
-    heads = store.read_now(heads_of)
-    assert {head.key for head in heads.values()} == {newer.ring.newest}
-    assert store.read_now(lambda c: prove(c, newer.ring, {})).broken is None
+async def test_a_program_that_meets_a_newer_key_goes_on(store: Database) -> None:
+    one, other = EventLog(store, keys=Keys(RING)), EventLog(store, keys=Keys(RING.with_key(b"n" * 32)))
+    await one.record(kind="login", what="signed in")
+    await other.record(kind="login", what="signed in")
+    assert store.read_now(lambda c: prove(c, other.keys.ring, {})).broken is None
 
 
 async def test_entries_of_one_transaction_are_noted_once(store: Database) -> None:
@@ -90,7 +77,80 @@ async def test_entries_of_one_transaction_are_noted_once(store: Database) -> Non
     keys = passing_keys()
     assert store.write_now(lambda c: appending.append(c, entries, keys)) == [1, 2, 3]
     assert store.write_now(lambda c: appending.append(c, [], keys)) == []
-    assert {chain: head.id for chain, head in store.read_now(heads_of).items()} == {SITE: 1, DRY: 3}
+    assert {chain: head.id for chain, head in store.read_now(heads_of).items()} == {SITE: 3}
+
+
+async def test_the_chains_of_a_former_log_go_on_as_one(store: Database, former: FormerLog) -> None:
+    assert store.read_now(lambda c: prove(c, RING, {})).broken is None, "as it is"
+    log = EventLog(store, keys=Keys(RING))
+    assert await log.record(kind="estop", what="new", bus=WET) == 11
+    await log.record(kind="login", what="new")
+    joining = rows(store)[9]
+    assert joining["what"] == str(JOINED)
+    for chain, head in former.ends.items():
+        assert f"ended with entry {head.id}, {head.hash}" in joining["message"]
+        assert (f"the chain of {chain} " if chain else "the chain of the site ") in joining["message"]
+    assert [row["chain"] for row in rows(store)[9:]] == [None] * 3
+    verdict = await log.proof.verify()
+    assert (verdict.broken, verdict.entries) == (None, 12)
+    log.keys.rotate()
+    await log.record(kind="login", what="newer")
+    assert (await log.proof.verify()).broken is None
+
+
+async def test_a_former_log_of_the_site_alone_goes_on_without_a_word(store: Database) -> None:
+    former = FormerLog(store, RING)
+    former.record()
+    log = EventLog(store, keys=Keys(RING))
+    assert await log.record(kind="login", what="new") == 2
+    assert (await log.proof.verify()).broken is None
+
+
+async def test_the_anchor_of_a_former_log_is_continued(
+    store: Database, former: FormerLog, tmp_path: Path
+) -> None:
+    anchor = tmp_path / "anchor"
+    anchor.write_bytes(former.anchor_line())
+    log = EventLog(store, keys=Keys(RING))
+    await log.record(kind="estop", what="new", bus=DRY)
+    anchoring = Anchoring(log, anchor)
+    await anchoring.export()
+    assert anchoring.status.altered is None
+    anchors = read_anchors(anchor.read_bytes().splitlines(), RING)
+    assert (sorted(anchors.hashes), anchors.forged) == ([7, 8, 9, 11], None)
+    assert (await log.proof.verify(anchors.hashes)).anchored == 11
+    assert (await anchoring.verify()).anchored == 11
+    assert (await log.proof.since(Head(9, anchors.hashes[9]))).broken is None
+
+
+@pytest.mark.parametrize("forge", [(b"dry-end", b"wet-end2"), (b"[9,", b"[3,")])
+def test_a_chain_of_a_line_of_a_former_anchor_is_sealed_with_it(
+    former: FormerLog, forge: tuple[bytes, bytes]
+) -> None:
+    assert read_anchors([former.anchor_line()], RING).forged is None
+    assert read_anchors([former.anchor_line().replace(*forge)], RING).forged == 1
+
+
+async def test_the_archive_of_a_former_log_is_continued(
+    store: Database, former: FormerLog, tmp_path: Path
+) -> None:
+    former.archive(tmp_path, Month(2001, 9))
+    former.record(WET, what="after the cut")
+    former.rotate(b"n" * 32)
+    now = UnixTime(1e9 + 400 * 86_400.0)
+    log = EventLog(store, lambda: now, keys=Keys(former.ring))
+    assert (await log.proof.verify()).archived == 9
+    await log.record(kind="login", what="new")
+    await EventArchive(store, log, tmp_path, 2, ZoneInfo("UTC"), lambda: now).archive_due()
+    verdict = await log.proof.verify()
+    assert (verdict.broken, verdict.archived) == (None, 13)
+    await log.record(kind="login", what="after the cut")
+    assert (await log.proof.verify()).broken is None
+    proof = prove_archive(store.read_now(cuts_of), tmp_path, former.ring, {})
+    assert (proof.entries, proof.absent) == (13, ())
+    cut = store.read_now(lambda c: newest_cut(c, former.ring))
+    assert cut is not None
+    assert set(cut.ends) == {SITE, DRY, WET}, "the month ends before the chains go on as one"
 
 
 def before_chains(folder: Path) -> Path:
@@ -103,7 +163,7 @@ def before_chains(folder: Path) -> Path:
 
 
 def old_log(connection: StoreConnection, ring: KeyRing | None) -> Head:
-    """Three entries as versions with one chain wrote them; without a ring, as those before the key."""
+    """Three entries as the first versions wrote them; without a ring, as those before the key."""
     previous = BEGINNING
     for number in (1, 2, 3):
         row = {**new_entry(kind="estop", time=float(number), what="old", bus=DRY), "id": number}
@@ -121,110 +181,29 @@ def old_log(connection: StoreConnection, ring: KeyRing | None) -> Head:
 
 
 @pytest.mark.parametrize("is_sealed", [True, False])
-async def test_the_chain_of_an_old_store_goes_on_as_that_of_the_site(tmp_path: Path, is_sealed: bool) -> None:
+async def test_the_chain_of_the_first_versions_goes_on(tmp_path: Path, is_sealed: bool) -> None:
     path = tmp_path / "lineside.db"
     with closing(Database(path, before_chains(tmp_path / "steps"))) as old:
         head = old.write_now(lambda c: old_log(c, RING if is_sealed else None))
         assert old.read_now(heads_of) == {SITE: head}
         ring = KeyRing(RING.keys, KeyOrigin() if is_sealed else KeyOrigin(head.id, head.hash))
-        verdict = old.read_now(lambda c: prove(c, ring, {3: head}))
+        verdict = old.read_now(lambda c: prove(c, ring, {3: head.hash}))
         assert (verdict.broken, verdict.entries) == (None, 3), "the command reads it as it is"
     with closing(Database(path)) as database:
         assert database.read_now(heads_of) == {SITE: head}
         log = EventLog(database, keys=Keys(ring))
-        await log.record(kind="estop", what="new", bus=DRY)
-        await log.record(kind="login", what="new")
-        remarks: list[tuple[int, str | None]] = [] if is_sealed else [(4, SITE)]
-        after = [(number, None) for number in (1, 2, 3)] + remarks
-        first = len(after) + 1
-        assert chains(database) == [*after, (first, DRY), (first + 1, SITE)]
-        verdict = await log.proof.verify({3: head})
+        first = await log.record(kind="estop", what="new", bus=DRY)
+        assert first == (4 if is_sealed else 5), "an entry states from where on the log is sealed"
+        verdict = await log.proof.verify({3: head.hash})
         assert (verdict.broken, verdict.unsealed) == (None, 0 if is_sealed else 3)
-        assert [(chain.bus, chain.entries) for chain in verdict.chains] == [(None, first), (DRY, 1)]
 
 
-async def test_the_anchor_of_an_old_store_is_continued(tmp_path: Path) -> None:
-    path, steps = tmp_path / "lineside.db", before_chains(tmp_path / "steps")
-    with closing(Database(path, steps)) as old:
-        head = old.write_now(lambda c: old_log(c, RING))
-    time = "2026-11-21T02:01:33Z"
-    seal = RING.seal("anchor", "3", head.hash, time)
-    line = f'{{"id":3,"hash":"{head.hash}","time":"{time}","key":"{RING.newest}","seal":"{seal}"}}\n'
-    anchor = tmp_path / "anchor"
-    anchor.write_text(line)
-    with closing(Database(path)) as database:
-        log = EventLog(database, keys=Keys(RING))
-        await log.record(kind="estop", what="new", bus=DRY)
-        anchoring = Anchoring(log, anchor)
-        await anchoring.export()
-        assert anchoring.status.altered is None
-        anchors = read_anchors(anchor.read_bytes().splitlines(), RING)
-        assert (sorted(anchors.heads), anchors.forged) == ([3, 4], None)
-        assert (await log.proof.verify(anchors.heads)).anchored == 4
-
-
-async def test_a_line_names_the_chains_that_changed_and_at_first_all(tmp_path: Path) -> None:
-    anchor = tmp_path / "anchor"
-    with closing(Database(tmp_path / "lineside.db")) as database:
-        log = EventLog(database, keys=Keys(RING))
-        anchoring = Anchoring(log, anchor)
-        for bus in (DRY, WET, DRY):
-            await log.record(kind="estop", what="e-stop", bus=bus)
-            await anchoring.export()
-        again = Anchoring(log, anchor)
-        await log.record(kind="estop", what="e-stop", bus=DRY)
-        await again.export()
-        assert again.status.altered is None
-        assert named_in(anchor) == [[1], [2], [3], [2, 4]], (
-            "the beginning of a chain is one of the site's too"
-        )
-        heads = newest_anchor(anchor, RING)
-        assert {chain: head.id for chain, head in heads.items()} == {SITE: 2, DRY: 4, WET: 2}
-
-
-def named_in(anchor: Path) -> list[list[int]]:
-    """The entries that each line names."""
-    return [sorted(read_anchors([line], RING).heads) for line in anchor.read_bytes().splitlines()]
-
-
-async def test_from_time_to_time_a_line_names_all_chains(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_file_of_a_key_notes_where_every_chain_of_a_former_log_ended(
+    former: FormerLog, tmp_path: Path
 ) -> None:
-    """The start reads the end of a long file alone."""
-    anchor = tmp_path / "anchor"
-    monkeypatch.setattr("app.audit.proof.anchoring.FULL_EVERY_BYTES", 500)
-    with closing(Database(tmp_path / "lineside.db")) as database:
-        log = EventLog(database, keys=Keys(RING))
-        await log.record(kind="estop", what="e-stop", bus=WET)
-        anchoring = Anchoring(log, anchor)
-        for _ in range(6):
-            await log.record(kind="login", what="signed in")
-            await anchoring.export()
-    named = named_in(anchor)
-    assert named[:2] == [[1, 2], [3]]
-    assert any(1 in line for line in named[2:]), "the chain in which nothing follows is named again"
-
-
-def test_a_chain_of_a_line_is_sealed_with_it() -> None:
-    heads = {SITE: Head(1, "a" * 64), DRY: Head(2, "b" * 64, chain=DRY)}
-    line = anchor_line(heads, 1.0, RING)
-    assert read_anchors([line], RING).heads == {1: heads[SITE], 2: heads[DRY]}
-    for forged in (line.replace(b"dry-end", b"wet-end"), line.replace(b"[1,", b"[3,")):
-        assert read_anchors([forged], RING).forged == 1
-
-
-def test_two_files_that_contradict_each_other_hold_no_log() -> None:
-    first = Anchors({1: Head(1, "a" * 64, chain=DRY)})
-    second = Anchors({1: Head(1, "b" * 64, chain=DRY), 2: Head(2, "c" * 64)})
-    assert joined_heads(first, second) == {1: Head(1, "", chain=DRY), 2: Head(2, "c" * 64)}
-
-
-def test_the_file_of_a_key_notes_where_every_chain_ended(tmp_path: Path) -> None:
     store, file = tmp_path / "lineside.db", tmp_path / "audit.key"
-    store.touch()
-    heads = {SITE: Head(7, "a" * 64), DRY: Head(9, "b" * 64, chain=DRY), WET: Head(8, "c" * 64, chain=WET)}
-    made = open_keys([file], store, heads)
+    made = open_keys([file], store, former.ends)
     made.rotate()
     read = open_keys([file], store, {}).ring.origin
-    assert read == origin_of(heads)
-    assert read.hashes == {7: "a" * 64, 8: "c" * 64, 9: "b" * 64}
+    assert read == origin_of(former.ends)
+    assert read.hashes == {head.id: head.hash for head in former.ends.values()}

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.audit.events.entry import new_entry
-from app.audit.proof.chain import FIELDS, SITE, Head, entry_hash, sealed_entry, sealed_head
-from app.audit.proof.keyring import BEGINNING, KeyOrigin, KeyRing
-from app.audit.proof.walk import AuditVerification, Walk
+from app.audit.chain import BEGINNING, FIELDS, Head, KeyOrigin, KeyRing, entry_hash, sealed_entry, sealed_head
+from app.audit.entry import new_entry
+from app.audit.former import SITE
+from app.audit.proof import AuditVerification, Walk
 
 Log = list[dict[str, Any]]
 RING = KeyRing((b"k" * 32,))
@@ -21,7 +21,7 @@ STRANGERS_RING = KeyRing((b"s" * 32,))
 def verify(
     log: Log, head: Head | None, ring: KeyRing = RING, anchors: dict[int, str] | None = None
 ) -> AuditVerification:
-    walk = Walk(ring, {number: Head(number, digest) for number, digest in (anchors or {}).items()})
+    walk = Walk(ring, anchors)
     walk.follow(log)
     return walk.end({} if head is None else {SITE: head})
 

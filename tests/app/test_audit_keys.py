@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.proof.chain import SITE, Head
-from app.audit.proof.keyring import KeyOrigin, KeyRing
-from app.audit.proof.keys import KeyFileError, Keys, open_keys
+from app.audit.chain import Head, KeyOrigin, KeyRing
+from app.audit.former import SITE
+from app.audit.keys import KeyFileError, Keys, open_keys
 from app.errors import StoreError
 from app.settings import ConfigurationError, Settings, load
 

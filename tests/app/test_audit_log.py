@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from app.audit.events.store import Filter
 from app.audit.log import ENDED_BEFORE, Event, EventLog
+from app.audit.queries import Filter
 from app.database import Database
 from app.errors import ConstraintError
 from bus.contract import Frame
@@ -95,8 +95,8 @@ async def test_what_a_dead_server_left_open_is_unverified(log: EventLog) -> None
     done, left = await intent(log), await intent(log)
     await log.conclude(done, "acknowledged")
     await log.record(kind="login", what="logged in", who="ann")
-    assert await log.close_open_intents("dry-end") == 1
-    assert await log.close_open_intents("dry-end") == 0
+    assert await log.close_open_intents() == 1
+    assert await log.close_open_intents() == 0
     events = {event["id"]: event for event in await newest(log, kind="command")}
     assert events[done]["outcome"] == "acknowledged"
     assert (events[left]["outcome"], events[left]["message"]) == ("unverified", str(ENDED_BEFORE))
@@ -212,7 +212,7 @@ async def test_a_subscriber_that_fails_affects_no_other(log: EventLog) -> None:
 async def test_a_message_that_this_version_does_not_have_is_shown_as_it_was_stored(
     log: EventLog, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.audit.events.entry._KNOWN", {"term"})
+    monkeypatch.setattr("app.audit.entry._KNOWN", {"term"})
     await log.record(kind="server", what=Message("event_server_started"), old=term("stopped"))
     [event] = await newest(log)
     assert event["what"] == "server started"

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.events import store
-from app.audit.events.store import Filter
+from app.audit import queries
 from app.audit.log import EventLog
+from app.audit.queries import Filter
 from app.database import Database
 from app.database import database as database_module
 from app.errors import TooCostlyError
@@ -99,7 +99,7 @@ async def test_costly_reads_leave_the_others_alone(tmp_path: Path) -> None:
         try:
             async with asyncio.timeout(PATIENCE_S):
                 await log.record(kind="server", what="written meanwhile")
-                assert await opened.read(lambda c: store.open_intents(c, None)) == []
+                assert await opened.read(lambda c: queries.open_intents(c)) == []
         finally:
             gate.set()
             await asyncio.gather(*held)

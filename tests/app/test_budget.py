@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from app.audit.events.budget import (
+from app.live.change_recorder import (
     BURST,
-    BURST_OF_ALL,
     FIRST_PAUSE_S,
     FORGIVEN_EVERY_S,
     MAX_PAUSE_S,
@@ -60,13 +59,6 @@ def test_one_series_does_not_crowd_out_another() -> None:
     budget = spent()
     assert not budget.admits(KEY, 1, 1.0)
     assert budget.admits(("run", 2), 1, 1.0)
-
-
-def test_all_series_together_have_a_share_too() -> None:
-    budget = EventBudget[int]()
-    admitted = sum(budget.admits(number, 0, 0.0) for number in range(2 * BURST_OF_ALL))
-    assert admitted == BURST_OF_ALL
-    assert len(budget.due(0.0, everything=True)) == BURST_OF_ALL
 
 
 def test_nothing_is_lost_when_the_server_ends() -> None:

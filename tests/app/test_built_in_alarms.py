@@ -12,7 +12,7 @@ from app.alarms.journal.store import AlarmStore
 from app.alarms.monitor.control_left import control_left_by
 from app.alarms.monitor.expiry_watch import ExpiryWatch
 from app.alarms.monitor.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
-from app.audit.proof.anchoring import AnchorStatus
+from app.audit.anchor import AnchorStatus
 from app.auth.store import Token
 from app.conditions.catalogue import CONDITIONS
 from app.conditions.of_server import DAY_S, certificate_expires, token_expires

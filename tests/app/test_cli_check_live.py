@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from app.audit.proof.keyring import KeyOrigin
-from app.audit.proof.keys import make_key_file
+from app.audit.chain import KeyOrigin
+from app.audit.keys import make_key_file
 from app.cli.findings import check
 from app.cli.findings import live as live_findings
 from app.cli.options import command_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.audit.events.store import Filter
+from app.audit.queries import Filter
 from app.commands.catalogue import COMMANDS, READ_PARAMETERS, ROLES_BY_COMMAND, kind_of_command
 from app.errors import Problem
 from app.sets.batch import rows_of_batch, write_batch

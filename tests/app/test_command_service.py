@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.audit.events.store import Filter
+from app.audit.queries import Filter
 from app.commands.catalogue import timeout_s_for
 from app.errors import Problem, StoreError
 from app.live.state.bus_live import LiveState

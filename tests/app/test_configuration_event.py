@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from app.audit.configuration import FILE, change_since_last, differences
-from app.audit.events.store import Filter
 from app.audit.log import EventLog
+from app.audit.queries import Filter
 from app.main import create_app
 from tests.app.complete_app import settings_in
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import app.configuration.service as service_module
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.configuration.acts import CHANGE, CHANGE_MAIL, ROLL_BACK
 from app.configuration.document import Edit, with_values
 from app.configuration.service import ConfigurationFile

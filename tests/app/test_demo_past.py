@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.events.store import Filter, heads_of
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.proof.keys import open_keys
+from app.audit.proof import heads_of
+from app.audit.queries import Filter
 from app.cli.simulated.demo import configuration
 from app.cli.simulated.past import write_past
 from app.cli.simulated.past.story import PHASES, past_of

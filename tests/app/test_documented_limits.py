@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.audit import act_limit
+from app.audit import acts
 from app.auth import pages, rules, store
 from app.auth.rights import lasting, rights
 from app.auth.sign_in import signin, strength, throttle
@@ -52,7 +52,7 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
         "api.md",
         "an account makes {} changes other than commands (of alarms, sets, limits, control, users) at once, "
         "then {} a second.",
-        (act_limit.MAX_ACTS, act_limit.ACTS_PER_S),
+        (acts.MAX_ACTS, acts.ACTS_PER_S),
     ),
     ("api.md", "At most {} requests wait for a response on one connection", (http.MAX_PIPELINED,)),
     (

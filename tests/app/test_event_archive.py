@@ -13,21 +13,24 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from app.audit.archive import archiving as module
-from app.audit.archive import cuts
-from app.audit.archive.archiving import EventArchive
-from app.audit.archive.cut import Cut
-from app.audit.archive.file import ArchiveWriter, EventArchiveError, entries_in
-from app.audit.archive.month import month_of, months_due
-from app.audit.archive.proof import ArchiveProof, prove_archive
-from app.audit.events.store import Filter
+from app.audit import archive as module
+from app.audit.anchor import Anchoring, read_anchor_file
+from app.audit.archive import (
+    ArchiveProof,
+    ArchiveWriter,
+    EventArchive,
+    EventArchiveError,
+    Month,
+    entries_in,
+    month_of,
+    months_due,
+    prove_archive,
+)
+from app.audit.chain import KeyRing
+from app.audit.keys import Keys
 from app.audit.log import EventLog
-from app.audit.proof.anchor import read_anchor_file
-from app.audit.proof.anchoring import Anchoring
-from app.audit.proof.chain import Head
-from app.audit.proof.keyring import KeyRing
-from app.audit.proof.keys import Keys
-from app.audit.proof.walk import AuditVerification
+from app.audit.proof import AuditVerification, Cut, add_cut, cuts_of
+from app.audit.queries import Filter
 from app.database import Database, StoreConnection
 from app.database.migration import MIGRATIONS
 from app.errors import ConstraintError
@@ -84,7 +87,7 @@ class Log:
         return sorted(path.name for path in self.folder.iterdir())
 
     async def cuts(self) -> list[Cut]:
-        return await self.database.read(cuts.cuts_of)
+        return await self.database.read(cuts_of)
 
     async def numbers(self) -> list[int]:
         query = "SELECT id FROM events ORDER BY id"
@@ -110,12 +113,12 @@ async def log(tmp_path: Path) -> AsyncIterator[Log]:
 
 def test_a_month_is_due_once_the_kept_ones_after_it_are_over() -> None:
     def due(oldest: str, now: str, keep: int) -> list[str]:
-        return [month.name for month in months_due(moment(oldest), moment(now), keep, BERLIN)]
+        return [str(month) for month in months_due(moment(oldest), moment(now), keep, BERLIN)]
 
     assert due("2025-11-30T23:59", "2026-03-31T23:59", 2) == ["2025-11", "2025-12"]
     assert due("2025-11-30T23:59", "2026-01-31T23:59", 2) == []
     assert due("2026-03-01T00:00", "2025-03-01T00:00", 2) == []
-    assert month_of(moment("2025-12-31T23:59"), BERLIN).after(1).begins == moment("2026-01-01T00:00")
+    assert month_of(moment("2025-12-31T23:59"), BERLIN).after(1).begins(BERLIN) == moment("2026-01-01T00:00")
 
 
 async def test_months_past_their_time_are_moved_into_a_file_each(log: Log) -> None:
@@ -211,8 +214,8 @@ async def test_a_server_that_ended_before_the_cut_writes_the_same_file(log: Log)
     await log.five_months()
     written = log.folder / "events-2026-01.jsonl.gz"
     with suppress(EventArchiveError):
-        writer = ArchiveWriter(log.folder, "2026-01")
-        writer.write(await log.database.read(lambda c: cuts.entries_between(c, 1, 6, 100)))
+        writer = ArchiveWriter(log.folder, Month(2026, 1))
+        writer.write(await log.database.read(lambda c: module._entries_between(c, 1, 6)))
         writer.close()
     before = written.read_bytes()
     await log.started().archive_due()
@@ -225,20 +228,20 @@ async def test_a_server_that_ended_during_the_removal_goes_on_with_it(
     log: Log, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await log.five_months()
-    monkeypatch.setattr(cuts, "MAX_REMOVED", 2)
+    monkeypatch.setattr(module, "MAX_REMOVED", 2)
     steps = 0
 
     class EndedError(Exception):
         pass
 
-    def ended(connection: cuts.StoreConnection, remove=cuts.remove_some) -> bool:  # type: ignore[no-untyped-def]
+    def ended(connection: StoreConnection, remove=module._remove_some) -> bool:  # type: ignore[no-untyped-def]
         nonlocal steps
         steps += 1
         if steps == 3:
             raise EndedError
         return bool(remove(connection))
 
-    monkeypatch.setattr(module.cuts, "remove_some", ended)
+    monkeypatch.setattr(module, "_remove_some", ended)
     with pytest.raises(EndedError):
         await log.archive.archive_due()
     assert (await log.numbers())[:3] == [1, 2, 7]
@@ -322,8 +325,8 @@ async def test_a_cut_without_the_key_proves_nothing(log: Log) -> None:
     await log.five_months()
     cut = Cut(6, 1, "events-2026-01.jsonl.gz", "0" * 64, "0" * 64, "{}", log.now)
     forged = cut.sealed(KeyRing((b"s" * 32,)))
-    await log.database.write(lambda c: cuts.add_cut(c, forged))
-    await log.database.write(cuts.remove_some)
+    await log.database.write(lambda c: add_cut(c, forged))
+    await log.database.write(module._remove_some)
     assert (await log.verify()).broken == 1
     with pytest.raises(EventArchiveError, match="not written with the key"):
         await log.prove()
@@ -354,7 +357,7 @@ async def test_an_anchor_of_before_the_cut_is_continued(log: Log, tmp_path: Path
     for each in (started, running):
         await each.export()
         assert each.status.altered is None
-    heads = read_anchor_file(anchor, RING).heads
+    heads = read_anchor_file(anchor, RING).hashes
     assert prove_archive(await log.cuts(), log.folder, RING, heads) == ArchiveProof(12)
     assert (await log.events.proof.verify(heads)).broken is None
 
@@ -363,7 +366,7 @@ async def test_an_archived_entry_that_an_anchor_contradicts_is_named(log: Log) -
     await log.five_months()
     await log.archive.archive_due()
     with pytest.raises(EventArchiveError, match="entry 4 is not the one that the anchor names"):
-        prove_archive(await log.cuts(), log.folder, RING, {4: Head(4, "0" * 64)})
+        prove_archive(await log.cuts(), log.folder, RING, {4: "0" * 64})
 
 
 async def test_the_entry_of_a_signature_stays_and_is_verified(log: Log) -> None:
@@ -398,7 +401,7 @@ async def test_a_store_of_before_the_archive_gets_one(tmp_path: Path) -> None:
     with pytest.raises(ConstraintError):
         await database.write(lambda c: c.execute("DELETE FROM events"))
     cut = Cut(1, 1, "f", "", "", "{}", UnixTime(1.0)).sealed(RING)
-    await database.write(lambda c: cuts.add_cut(c, cut))
+    await database.write(lambda c: add_cut(c, cut))
     await database.write(lambda c: c.execute("DELETE FROM events"))
     database.close()
 

@@ -12,10 +12,9 @@ from typing import Any
 
 import pytest
 
-from app.audit.events import groups
-from app.audit.events.groups import MAX_PARTS, EventRow, link_parts
-from app.audit.events.store import Filter
 from app.audit.log import EventLog
+from app.audit.pages import MAX_PARTS, EventRow, page_of
+from app.audit.queries import Filter, link_parts
 from app.database.migration import MIGRATIONS, bring_up_to_date
 from app.web.admission.access import Role
 from bus.messages import number as decimal
@@ -55,7 +54,7 @@ async def change(house: House, units: int, *, failed: int | None = None, who: st
 
 
 async def rows(house: House, limit: int = 100, **wanted: Any) -> tuple[list[EventRow], int | None]:
-    return await groups.page(house.services[EventLog], Filter(kind="command", **wanted), limit)
+    return await page_of(house.services[EventLog], Filter(kind="command", **wanted), limit)
 
 
 async def test_a_change_is_one_row_with_its_units_in_order(house: House) -> None:
@@ -119,7 +118,7 @@ async def test_a_command_to_several_units_is_written_as_one_change(
     worker.play = responding("verified")
     await stage.request("POST", "/units/1/speed", {"raw": 90, "execute": True})
     await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
-    found, _ = await groups.page(stage.events, Filter(kind="command"), 10)
+    found, _ = await page_of(stage.events, Filter(kind="command"), 10)
     assert [(row.event["unit"], [part["unit"] for part in row.parts]) for row in found] == [
         (None, [1, 2]),
         (1, []),

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import websockets
 
-from app.audit.events.store import Filter
+from app.audit.queries import Filter
 from app.feed import bus_feed
 from app.feed.holders import Ending
 from app.feed.socket import GOING_AWAY

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.audit.events.store import Filter
 from app.audit.log import EventLog
+from app.audit.queries import Filter
 from app.find.matching import missing, rank, words_of
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook

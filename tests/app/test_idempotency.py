@@ -9,7 +9,7 @@ import sqlite3
 import msgspec
 import pytest
 
-from app.audit.proof.keyring import KeyRing
+from app.audit.chain import KeyRing
 from app.commands.service import idempotency
 from app.commands.service.command_request import CommandRequest, without_secret
 from app.commands.service.command_service import CommandService

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from msgspec import structs
 
-from app.audit.events.store import Filter
+from app.audit.queries import Filter
 from app.errors import StoreError
 from app.live.change_recorder import FEW
 from bus.contract import Batch, BusLink

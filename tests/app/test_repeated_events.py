@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.events.repeated import MANY, MAX_KEYS, RepeatedEvents
-from app.audit.events.store import Filter
 from app.audit.log import EventLog
+from app.audit.queries import Filter
+from app.audit.repeated import MANY, MAX_KEYS, RepeatedEvents
 from app.database import Database
 from app.server.admission.repeats import WINDOW_S
 from tests.app.complete_app import complete_app

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from app.audit.events.store import Filter
+from app.audit.queries import Filter
 from app.commands.safeguards import service
 from app.commands.safeguards.control import LAPSES_AFTER_S
 from app.commands.safeguards.limits import NO_LIMITS, BlockStore, CommandBlock, Limits, LimitsStore

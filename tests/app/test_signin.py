@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from argon2 import PasswordHasher, Type, extract_parameters
 
-from app.audit.events.store import Filter
 from app.audit.log import EventLog
+from app.audit.queries import Filter
 from app.auth import rules, store
 from app.auth.accounts import Accounts
 from app.auth.rights.identity import Identity

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from app.audit.events.store import Filter
+from app.audit.queries import Filter
 from app.commands.undo.changes import ValuePlace, Values, values_set
 from app.tray.sending import TrayResult, send_changes
 from app.web.admission.access import Person, Role

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.act_limit import ACTS_PER_S, MAX_ACTS, ActLimit
+from app.audit.acts import ACTS_PER_S, MAX_ACTS, ActLimit
 from app.errors import Problem
 from app.web.admission.access import Role
 from bus.instants import Monotonic, monotonic_now

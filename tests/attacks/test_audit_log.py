@@ -16,12 +16,11 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from app.audit.events.store import heads_of
+from app.audit.anchor import Anchoring
+from app.audit.chain import BEGINNING, END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, entry_hash, sealed_head
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.proof.anchoring import Anchoring
-from app.audit.proof.chain import END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, SITE, entry_hash, sealed_head
-from app.audit.proof.keyring import BEGINNING
-from app.audit.proof.keys import open_keys
+from app.audit.proof import heads_of
 from app.cli import cli
 from app.database import Database
 from app.database.migration import MIGRATIONS
@@ -32,11 +31,9 @@ WITHOUT_ANCHOR = ("--anchor", "/dev/null")
 
 
 class Plant:
-    """A store with a log, its configuration, and the two who have to do with it. ``bus``: the one of which
-    the server writes entries; None: of none."""
+    """A store with a log, its configuration, and the two who have to do with it."""
 
-    def __init__(self, folder: Path, bus: str | None = None) -> None:
-        self.bus = bus
+    def __init__(self, folder: Path) -> None:
         self.config = folder / "lineside.toml"
         self.store = folder / "data" / "lineside.db"
         self.key = folder / "lineside.audit.key"
@@ -54,7 +51,7 @@ class Plant:
             keys = open_keys([self.key], self.store, await database.read(heads_of))
             log = EventLog(database, keys=keys)
             for number in range(entries):
-                await log.record(kind="estop", what=f"e-stop {number}", bus=self.bus, unit=1)
+                await log.record(kind="estop", what=f"e-stop {number}", bus="dry-end", unit=1)
             await Anchoring(log, self.anchor).export()
         finally:
             database.close()
@@ -71,35 +68,28 @@ class Plant:
             connection.commit()
 
     def rebuild(self, change: Callable[[list[Row]], list[Row]], *, key: str | None = None) -> None:
-        """Replace the log by a changed one in which every hash fits; ``key``: the key that it claims, in one
-        chain as versions wrote that had no key."""
+        """Replace the log by a changed one in which every hash fits; ``key``: the key that it claims."""
         with closing(sqlite3.connect(self.store)) as connection:
             connection.row_factory = sqlite3.Row
             rows = change([dict(row) for row in connection.execute("SELECT * FROM events ORDER BY id")])
-            ends: dict[str, tuple[int, str]] = {}
+            number, previous = 0, BEGINNING
             self.attack("DELETE FROM events")
             for number, row in enumerate(rows, start=1):
-                row |= {"id": number} if key is None else {"id": number, "key": key, "chain": None}
-                chain = row["chain"] or SITE
-                row["previous"] = ends.get(chain, ends.get(SITE, (0, BEGINNING)))[1]
-                row["hash"] = entry_hash(row["previous"], row)
-                ends |= dict.fromkeys({chain} if chain in ends else {chain, SITE}, (number, row["hash"]))
+                row |= {"id": number, "previous": previous} | ({} if key is None else {"key": key})
+                row["hash"] = previous = entry_hash(previous, row)
                 marks = ", ".join("?" * len(row))
                 connection.execute(f"INSERT INTO events ({', '.join(row)}) VALUES ({marks})", [*row.values()])
-            for chain, end in ends.items():
-                connection.execute("UPDATE events_head SET id = ?, hash = ? WHERE chain = ?", (*end, chain))
+            connection.execute("UPDATE events_head SET id = ?, hash = ?", (number, previous))
             if key is not None:
                 connection.execute("UPDATE events_head SET key = ?, seal = ''", (key,))
-                connection.execute("DELETE FROM events_head WHERE chain <> ''")
             connection.commit()
 
     @property
     def cut_off(self) -> tuple[str, str]:
-        """SQL that removes the newest entries and sets the end of their chain back."""
+        """SQL that removes the newest entries and sets the end back."""
         return (
             "DELETE FROM events WHERE id > 5",
-            "UPDATE events_head SET id = 5, hash = (SELECT hash FROM events WHERE id = 5) "
-            f"WHERE chain = '{self.bus or SITE}'",
+            "UPDATE events_head SET id = 5, hash = (SELECT hash FROM events WHERE id = 5)",
         )
 
     def copy_store(self, path: Path) -> None:
@@ -119,15 +109,15 @@ class Plant:
         return done.exit_code, done.output
 
     def broken_at(self, *options: str) -> str:
-        """Return the fault of the log, the first chain's first; fail if there is none."""
+        """Return the fault of the log; fail if there is none."""
         code, printed = self.verify(*options)
         assert code == 1, printed
-        return re.sub(r"^lineside: the audit log (of \S+ )?is broken at entry ", "", printed)
+        return re.sub(r"^lineside: the audit log is broken at entry ", "", printed)
 
 
-@pytest.fixture(params=[None, "dry-end"], ids=["of the site", "of a bus"])
-def plant(tmp_path: Path, request: pytest.FixtureRequest) -> Plant:
-    made = Plant(tmp_path, request.param)
+@pytest.fixture
+def plant(tmp_path: Path) -> Plant:
+    made = Plant(tmp_path)
     made.work()
     assert made.verify()[0] == 0
     return made
@@ -193,16 +183,14 @@ def test_an_earlier_copy_of_the_store_is_put_in_its_place(plant: Plant, tmp_path
 
 
 def test_so_are_earlier_copies_of_the_store_and_of_its_anchor(plant: Plant, tmp_path: Path) -> None:
-    """The anchor beside the key detects it; with that put back too, only a copy that is out of reach does."""
+    """Only a copy that is out of reach detects it."""
     plant.copy_store(tmp_path / "earlier.db")
-    earlier, earlier_beside_key = plant.anchor.read_bytes(), plant.key_anchor.read_bytes()
+    earlier = plant.anchor.read_bytes()
     plant.work()
     copy = tmp_path / "copy.anchor"
     shutil.copy(plant.anchor, copy)
     plant.put_back(tmp_path / "earlier.db")
     plant.anchor.write_bytes(earlier)
-    assert "but the anchor names entry 18" in plant.broken_at()
-    plant.key_anchor.write_bytes(earlier_beside_key)
     assert plant.verify()[0] == 0
     assert "but the anchor names entry 18" in plant.broken_at("--anchor", str(copy))
 
@@ -211,13 +199,12 @@ def test_the_store_is_removed_and_restarted(plant: Plant) -> None:
     for path in plant.store.parent.glob("lineside.db*"):
         path.unlink()
     plant.work(20)
-    # The anchor names the first entry of a bus too: it is one of the site's chain.
-    assert f"entry {1 if plant.bus else 9} is not the one that the anchor names" in plant.broken_at()
+    assert "entry 9 is not the one that the anchor names" in plant.broken_at()
 
 
 def test_entries_before_the_first_are_added(plant: Plant) -> None:
     plant.attack("INSERT INTO events SELECT -1 AS id, " + _columns_but_id() + " FROM events WHERE id = 1")
-    assert "entry 1 is missing; after 0 comes -1" in plant.broken_at()
+    assert "entry -1 does not continue the one before it" in plant.broken_at()
 
 
 def _columns_but_id() -> str:
@@ -271,7 +258,7 @@ def test_a_new_key_vouches_for_the_log_from_then_on_only(plant: Plant) -> None:
 
 
 def test_a_store_from_before_the_key_is_sealed_as_it_is(tmp_path: Path) -> None:
-    plant = Plant(tmp_path, "dry-end")
+    plant = Plant(tmp_path)
     plant.work()
     plant.rebuild(lambda rows: rows, key="")
     plant.key.unlink()
@@ -302,13 +289,12 @@ def test_after_a_rotation_the_older_key_forges_nothing(plant: Plant) -> None:
     plant.key.write_bytes(older)
     ring = open_keys([plant.key], plant.store, {}).ring
     with closing(sqlite3.connect(plant.store)) as connection:
-        for chain, number in {SITE: 1 if plant.bus else 9, plant.bus or SITE: 9}.items():
-            (digest,) = connection.execute("SELECT hash FROM events WHERE id = ?", (number,)).fetchone()
-            head = sealed_head({"id": number, "hash": digest}, ring, chain)
-            end = (chain, number, digest, ring.newest, head.seal)
-            connection.execute(
-                "INSERT INTO events_head (chain, id, hash, key, seal) VALUES (?, ?, ?, ?, ?)", end
-            )
+        (digest,) = connection.execute("SELECT hash FROM events WHERE id = 9").fetchone()
+        head = sealed_head({"id": 9, "hash": digest}, ring)
+        connection.execute(
+            "INSERT INTO events_head (chain, id, hash, key, seal) VALUES ('', 9, ?, ?, ?)",
+            (digest, ring.newest, head.seal),
+        )
         connection.commit()
     plant.work(2)
     assert plant.verify(*WITHOUT_ANCHOR)[0] == 0, "to the older key alone all is well"

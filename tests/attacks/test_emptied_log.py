@@ -13,10 +13,11 @@ from structlog.testing import capture_logs
 
 from app.alarms.alarm import key_of
 from app.alarms.monitor.line_alarms import LineAlarms
-from app.audit.events.store import Filter, heads_of
+from app.audit.anchor import Anchoring, AnchorStatus
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.proof.anchoring import Anchoring, AnchorStatus
-from app.audit.proof.keys import open_keys
+from app.audit.proof import heads_of
+from app.audit.queries import Filter
 from app.cli import cli
 from app.database import Database
 from app.main import create_app
@@ -31,10 +32,7 @@ class QuietPlant(Plant):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
         self.config.write_text('[server]\ndata = "data"\n')
-        self.anchor = folder / "data.anchor"
-
-    def remove_anchor(self) -> None:
-        self.anchor.unlink()
+        self.anchor = folder / "lineside.audit.key.anchor"
 
     def serve(self, entries: int = 1) -> AnchorStatus:
         """What a server finds that starts, writes so many entries, and ends."""
@@ -46,9 +44,9 @@ class QuietPlant(Plant):
                 log = EventLog(database, keys=keys)
                 for number in range(entries):
                     await log.record(kind="estop", what=f"e-stop {number}")
-                anchoring = Anchoring(log, load(self.config).anchor_file, is_configured=False)
+                anchoring = Anchoring(log, self.anchor, is_configured=False)
                 await anchoring.export()
-                assert (await log.proof.verify()).broken is None or anchoring.status.altered
+                assert (await anchoring.verify()).broken is None or anchoring.status.altered
                 return anchoring.status
             finally:
                 database.close()
@@ -80,18 +78,16 @@ def plant(tmp_path: Path) -> QuietPlant:
 
 
 def test_an_emptied_log_is_noticed_without_an_anchor(plant: QuietPlant) -> None:
-    plant.remove_anchor()
     plant.attack("DELETE FROM events", "DELETE FROM events_head")
     assert "the log ends at entry 0, but the anchor names entry 9" in plant.broken_at()
 
 
 def test_the_start_reports_an_emptied_log(plant: QuietPlant) -> None:
-    plant.remove_anchor()
     remove_store(plant.store.parent)
     status = plant.serve(3)
-    assert str(status.altered).startswith("the log was emptied or cut off: it has no entry 9, which ")
+    assert str(status.altered) == "the log ends at entry 3, but the anchor names entry 9"
     [message] = plant.events("audit log altered")
-    assert "lineside.audit.key.anchor names" in message
+    assert "the anchor names entry 9" in message
     assert "the anchor names entry 9" in plant.broken_at()
     plant.serve(20)
     assert "entry 9 is not the one that the anchor names" in plant.broken_at(), "it was not anchored again"
@@ -115,27 +111,25 @@ async def test_a_server_over_an_emptied_log_raises_the_alarm(tmp_path: Path) -> 
 def test_an_earlier_copy_is_noticed_without_an_anchor(plant: QuietPlant, tmp_path: Path) -> None:
     plant.copy_store(tmp_path / "earlier.db")
     plant.serve(5)
-    plant.remove_anchor()
     plant.put_back(tmp_path / "earlier.db")
     assert "the log ends at entry 9, but the anchor names entry 14" in plant.broken_at()
 
 
 def test_a_kill_between_the_log_and_its_anchors_raises_no_alarm(plant: QuietPlant) -> None:
     """The log is ahead of them, which is no alteration; the next start makes up for it."""
-    beside_key, anchor = plant.key_anchor.read_bytes(), plant.anchor.read_bytes()
+    anchor = plant.anchor.read_bytes()
     plant.serve(5)
-    plant.key_anchor.write_bytes(beside_key)
     plant.anchor.write_bytes(anchor)
     assert plant.verify()[0] == 0
     assert plant.serve(1) == AnchorStatus()
     assert plant.events("audit log altered") == []
-    assert plant.key_anchor.read_bytes() == plant.anchor.read_bytes().splitlines(keepends=True)[-1]
+    assert plant.anchor.read_bytes() != anchor
 
 
 def test_a_kill_while_the_anchor_is_replaced_leaves_the_one_before(
     plant: QuietPlant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = plant.key_anchor.read_bytes()
+    before = plant.anchor.read_bytes()
 
     def fail(*_: object) -> None:
         raise OSError(5, "Input/output error")
@@ -143,31 +137,30 @@ def test_a_kill_while_the_anchor_is_replaced_leaves_the_one_before(
     monkeypatch.setattr(Path, "replace", fail)
     assert plant.serve(2) == AnchorStatus(), "it is not configured: an event, and no alarm"
     monkeypatch.undo()
-    assert plant.key_anchor.read_bytes() == before
+    assert plant.anchor.read_bytes() == before
     assert [path.name for path in plant.key.parent.glob(".lineside*")] == []
     assert plant.events("audit anchor not written") == ["Input/output error"]
     assert plant.verify()[0] == 0
 
 
 def test_a_forged_anchor_beside_the_key_is_named(plant: QuietPlant) -> None:
-    plant.key_anchor.write_text(plant.key_anchor.read_text().replace('"id":9', '"id":8'))
+    plant.anchor.write_text(plant.anchor.read_text().replace('"id":9', '"id":8'))
     code, printed = plant.verify()
-    assert (code, f"line 1 of {plant.key_anchor}" in printed.replace("\n", "")) == (1, True)
+    assert (code, f"line 1 of {plant.anchor}" in printed.replace("\n", "")) == (1, True)
 
 
 def test_files_of_a_version_without_them_are_no_alteration(plant: QuietPlant) -> None:
-    plant.remove_anchor()
-    plant.key_anchor.unlink()
+    plant.anchor.unlink()
     assert plant.verify()[0] == 0
     assert plant.serve() == AnchorStatus()
     assert plant.verify()[0] == 0
 
 
-def test_a_lost_key_begins_both_anchors_again_and_keeps_the_old_ones(plant: QuietPlant) -> None:
+def test_a_lost_key_begins_the_anchor_again_and_keeps_the_old_one(plant: QuietPlant) -> None:
     plant.key.unlink()
     assert plant.serve() == AnchorStatus()
     assert plant.verify()[0] == 0
-    assert len(list(plant.key.parent.glob("*.anchor.until-*"))) == 2
+    assert len(list(plant.key.parent.glob("*.anchor.until-*"))) == 1
 
 
 def test_a_default_place_that_cannot_be_written_is_reported_once(plant: QuietPlant) -> None:
@@ -186,26 +179,22 @@ def test_a_default_place_that_cannot_be_written_is_reported_once(plant: QuietPla
     assert events.count("audit anchor not written") == 1
 
 
-def test_a_restored_store_is_recorded_and_begins_new_anchors(plant: QuietPlant, tmp_path: Path) -> None:
+def test_a_restored_store_is_recorded_and_begins_a_new_anchor(plant: QuietPlant, tmp_path: Path) -> None:
     plant.command("backup-store", str(tmp_path / "one.tar"))
     plant.serve(5)
     printed = plant.command("restore-store", str(tmp_path / "one.tar"), "--yes")
-    asides = sorted(tmp_path.glob("*.anchor.until-*"))
-    assert [aside.name.partition(".until-")[0] for aside in asides] == [
-        "data.anchor",
-        "lineside.audit.key.anchor",
-    ]
-    assert all(str(aside) in printed for aside in asides)
+    [aside] = tmp_path.glob("lineside.audit.key.anchor.until-*")
+    assert str(aside) in printed
     assert plant.verify()[0] == 0
     assert plant.serve() == AnchorStatus()
     assert plant.verify()[0] == 0
     [message] = plant.events("the stores were restored from a backup")
     assert "the audit log that was replaced ended at entry 14, " in message
-    assert "the anchor names entry 14" in plant.broken_at("--anchor", str(asides[0])), "it stays as evidence"
+    assert "the anchor names entry 14" in plant.broken_at("--anchor", str(aside)), "it stays as evidence"
 
 
 def test_a_configured_anchor_outlives_a_restore(plant: QuietPlant, tmp_path: Path) -> None:
-    plant.config.write_text('[server]\ndata = "data"\n[audit]\nanchor = "data.anchor"\n')
+    plant.config.write_text('[server]\ndata = "data"\n[audit]\nanchor = "lineside.audit.key.anchor"\n')
     plant.command("backup-store", str(tmp_path / "one.tar"))
     printed = plant.command("restore-store", str(tmp_path / "one.tar"), "--yes")
     assert "name another file as anchor in [audit]" in printed

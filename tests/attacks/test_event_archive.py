@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.archive.file import EventArchiveError
-from app.audit.archive.proof import ArchiveProof
+from app.audit.archive import ArchiveProof, EventArchiveError
 from tests.app.test_event_archive import Log, log
 
 __all__ = ["log"]

@@ -19,8 +19,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
-from app.audit.events.store import Filter
 from app.audit.log import EventLog
+from app.audit.queries import Filter
 from app.feed.bus_feed import BusFeed, WorkerLeft
 from app.feed.channel import Channel
 from app.feed.holders import Credential

@@ -10,8 +10,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.audit.events.store import Filter
 from app.audit.log import EventLog
+from app.audit.queries import Filter
 from app.auth.accounts import Accounts
 from app.cli.serving.server import Server
 from app.server.admission.addresses import Network

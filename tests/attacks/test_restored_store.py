@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from app.audit.events.store import heads_of
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.proof.keys import open_keys
+from app.audit.proof import heads_of
 from app.auth import store
 from app.auth.accounts import Accounts
 from app.auth.store import CompanyAccount

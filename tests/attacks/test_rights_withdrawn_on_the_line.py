@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.events.entry import Event
+from app.audit.entry import Event
 from app.audit.log import EventLog
 from app.commands.safeguards.service import Safeguards
 from app.recipes.book import RecipeBook

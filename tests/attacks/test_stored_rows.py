@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from app.audit.events.entry import new_entry
+from app.audit.entry import new_entry
 from app.audit.log import EventLog
 from app.database import Database
 from app.web.admission.access import Role

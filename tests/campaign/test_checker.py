@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from app.audit.events.entry import new_entry
+from app.audit.entry import new_entry
 from bus.instants import UnixTime
 from bus.messages import Message
 from tests.campaign.checker.__main__ import main, violations

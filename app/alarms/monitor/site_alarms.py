@@ -11,7 +11,7 @@ from app.alarms.journal.store import AlarmStore, StoredAlarm
 from app.alarms.monitor.alarm_list import AlarmList
 from app.alarms.monitor.expiry_watch import ExpiryWatch
 from app.alarms.settings import BuiltInAlarmSettings
-from app.audit.proof.anchoring import AnchorStatus
+from app.audit.anchor import AnchorStatus
 from app.conditions import of_server
 from app.conditions.catalogue import SERVER_ALARMS
 from app.history.intake.clock_watch import ClockWatch

@@ -11,7 +11,7 @@ from app.alarms.alarm import Alarm
 from app.alarms.journal.store import alarm_writer
 from app.alarms.monitor.alarm_list import AlarmList
 from app.alarms.rules.changes import Changed
-from app.audit.events.kinds import EventKind
+from app.audit.entry import EventKind
 from app.audit.log import Also, EventFields, EventLog
 from app.database import StoreConnection
 from app.errors import StoreError

@@ -21,7 +21,7 @@ from app.alarms.own.definition import own_definition
 from app.alarms.rules import changes
 from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.proposal import in_toml, proposed
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.audit.log import EventLog
 from app.database import Database, StoreConnection, StoreRow
 from app.errors import Problem, StoreError

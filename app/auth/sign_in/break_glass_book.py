@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from app.audit.act import Performed
+from app.audit.acts import Performed
 from app.audit.log import EventLog
 from app.auth import rules
 from app.auth.accounts import Accounts

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from math import ceil
 
-from app.audit.events.kinds import EventKind
+from app.audit.entry import EventKind
 from app.audit.log import EventLog
 from app.auth import rules, store
 from app.auth.acts import LOG_OUT

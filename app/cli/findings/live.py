@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from app.audit.anchor import anchor_file
 from app.cli.findings.machine import Finding, fault, is_visible, may_make_files_in, user
 from app.cli.findings.ports import PortUsers, port_findings
 from app.cli.serving.listening import ListenError, PortInUse, listen, url_of
@@ -78,7 +79,7 @@ def _folders(settings: Settings) -> Iterator[Finding]:
     data = settings.server.data
     inner = sorted(_entries(data))
     folders = [data, *(each for each in inner if each.is_dir() and not each.is_symlink())]
-    for folder in dict.fromkeys((*folders, settings.backup.folder, settings.anchor_file.parent)):
+    for folder in dict.fromkeys((*folders, settings.backup.folder, anchor_file(settings).parent)):
         if folder is not None and is_visible(folder) and may_make_files_in(folder):
             free = number(f"{free_bytes(folder) / GB:.1f}")
             yield Finding(Message.of("live_folder", folder=str(folder), user=user(), free=free))

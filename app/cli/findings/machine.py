@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from app.audit.proof.keys import KeyFileError, find_key_file, owners_of, read_key_file
+from app.audit.anchor import anchor_file
+from app.audit.keys import KeyFileError, find_key_file, owners_of, read_key_file
 from app.cli.serving.listening import ListenError, listen
 from app.settings import ServerSettings, Settings
 from bus.line.port.open_error import why_not
@@ -83,7 +84,7 @@ def findings(settings: Settings) -> Iterator[Finding]:
     yield from _encryption(settings.server)
     yield _data(settings.server.data)
     yield _key(settings.key_files, settings.server.store)
-    yield _anchor(settings.anchor_file, is_configured=settings.audit.anchor is not None)
+    yield _anchor(anchor_file(settings), is_configured=settings.audit.anchor is not None)
     yield from _archive(settings.audit.archive)
     if not settings.bus:
         yield fault("check_no_bus")

@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from app.audit.proof.keys import find_key_file
+from app.audit.keys import find_key_file
 from app.cli.findings.machine import Finding, existing_part, fault, is_read_only, is_visible
 from app.cli.site.facts import size_of
 from app.database.connection import examining

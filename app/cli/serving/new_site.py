@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from contextlib import closing
 
-from app.audit.proof.keys import find_key_file
+from app.audit.keys import find_key_file
 from app.cli.serving.serve import check_store
 from app.cli.setup.rights import become_owner_of
 from app.cli.site.log import open_log, record

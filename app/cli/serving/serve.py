@@ -10,7 +10,7 @@ from typing import Annotated
 
 import click
 
-from app.audit.proof.keys import find_key_file
+from app.audit.keys import find_key_file
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import complain, report
 from app.cli.options import Option

@@ -78,9 +78,9 @@ def unit_of(command: Path, config: Path, user: str, settings: Settings | None) -
 def folders_written(settings: Settings, config: Path) -> tuple[Path, ...]:
     """The folders beside its own in which a service of this configuration writes: nightly backups, the
     archive of events, the anchor of the audit log and its key, and the data where they are elsewhere."""
-    key, anchor = settings.audit.key_file, settings.anchor_file
+    key, anchor = settings.audit.key_file, settings.audit.anchor
     archives = (settings.backup.folder, settings.audit.archive)
-    named = (settings.server.data, *archives, anchor.parent, key and key.parent)
+    named = (settings.server.data, *archives, anchor and anchor.parent, key and key.parent)
     own = (DATA, config.parent)
     written = (folder for folder in named if folder and not any(map(folder.is_relative_to, own)))
     return tuple(dict.fromkeys(written))

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from app.audit.events.kinds import EventKind
-from app.audit.events.store import heads_of
+from app.audit.entry import EventKind
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.proof.keys import open_keys
+from app.audit.proof import heads_of
 from app.cli.serving.serve import check_store
 from app.cli.setup.rights import become_owner_of
 from app.database import Database

@@ -21,8 +21,8 @@ from typing import Annotated
 
 import msgspec
 
-from app.audit.archive.file import NAME as ARCHIVED
-from app.audit.archive.file import digest_of
+from app.audit.archive import NAME as ARCHIVED
+from app.audit.archive import digest_of
 from app.cli.stores.backup_files import ENCRYPTED, IN_CLEAR, MAX_BYTES
 from app.cli.stores.kept_events import FOLDER, copy_file, is_kept, kept_file
 from app.database.private import FILE_MODE

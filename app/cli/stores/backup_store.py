@@ -20,8 +20,8 @@ from typing import Annotated, NamedTuple
 
 import click
 
-from app.audit.archive.cuts import cuts_of
-from app.audit.archive.file import digest_of
+from app.audit.archive import digest_of
+from app.audit.proof import cuts_of
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.options import Argument, AsJson, Option

@@ -16,7 +16,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from app.audit.archive.file import digest_of
+from app.audit.archive import digest_of
 from app.database.private import FILE_MODE, make_folder, refuse_link, sync_folder
 
 FOLDER = "archived-events"

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import sqlite3
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +14,9 @@ from typing import Annotated
 
 import click
 
-from app.audit.events.store import heads_of
-from app.audit.proof.anchor import key_anchor_of, put_aside
-from app.audit.proof.chain import Head, newest_of
-from app.audit.proof.keys import find_key_file
+from app.audit.anchor import anchor_file, put_aside
+from app.audit.chain import Head, newest_of
+from app.audit.proof import heads_of
 from app.auth.rights.withheld import Present, Withheld, read_present, tokens_to_revoke, withhold
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
@@ -80,7 +79,7 @@ def restore_store(
         file,
         server.data,
         settings.key_files,
-        None if anchor else settings.anchor_file,
+        None if anchor else anchor_file(settings),
         settings.audit.archive,
         begin=begin,
         keep_tokens=keep_tokens,
@@ -98,8 +97,8 @@ def _report(done: Restored, file: Path, data: Path, anchor: Path | None) -> None
                 "backup_events_lost", folder=str(file.absolute().parent / FOLDER), files=[*done.events_lost]
             )
         )
-    for aside in done.anchors:
-        report(Message.of("anchor_put_aside", path=str(aside)))
+    if done.anchor is not None:
+        report(Message.of("anchor_put_aside", path=str(done.anchor)))
     if done.withheld is not None:
         if anchor is not None:
             report(Message.of("anchor_outlives_restore", path=str(anchor)))
@@ -116,12 +115,12 @@ def _confirm(file: Path, folder: Path) -> None:
 @dataclass(frozen=True, slots=True)
 class Restored:
     """``names`` of the stores, what was ``withheld`` from the main one where the backup contains it, and the
-    ``anchors`` of the log that it replaced, under their new names; ``events``: the files that were put into
+    ``anchor`` of the log that it replaced, under its new name; ``events``: the files that were put into
     the archive of events, ``events_lost``: those that should be beside the backup and in no place are."""
 
     names: list[str]
     withheld: Withheld | None
-    anchors: tuple[Path, ...]
+    anchor: Path | None
     events: tuple[Path, ...]
     events_lost: tuple[str, ...]
 
@@ -137,8 +136,8 @@ def read_backup(
     keep_tokens: bool = False,
 ) -> Restored:
     """Put the stores of a backup into a data folder. The log of the main one continues under the key in the
-    first of ``key_files``; ``anchor`` and the one beside the key are put aside, for they name what came after
-    the backup. ``event_archive``: the folder that gets the archived events that are not there. ``begin`` is
+    first of ``key_files``; ``anchor`` is put aside, for it names what came after the backup.
+    ``event_archive``: the folder that gets the archived events that are not there. ``begin`` is
     called with the names of the tokens that will be revoked, before anything is replaced; what it raises ends
     the restore.
 
@@ -160,7 +159,7 @@ def read_backup(
             fresh = Path(folder) / STORE_FILE
             begin([] if keep_tokens or fresh not in proved else _tokens_to_revoke(fresh, data / STORE_FILE))
             withheld: Withheld | None = None
-            anchors: tuple[Path, ...] = ()
+            put_away: Path | None = None
             events: tuple[Path, ...] = ()
             lost: tuple[str, ...] = ()
             if fresh in proved:
@@ -173,10 +172,10 @@ def read_backup(
                     events = tuple(archive.unpack_events(event_archive))
                     lost = tuple(name for name in archive.lost_events if not (event_archive / name).exists())
                 # Before the stores: a log without an anchor is not taken for one that was cut off.
-                anchors = _anchors_put_aside(key_files, anchor)
+                put_away = None if anchor is None else put_aside(anchor)
             for fresh in proved:
                 _put(fresh, data / fresh.name)
-    return Restored([fresh.name for fresh in proved], withheld, anchors, events, lost)
+    return Restored([fresh.name for fresh in proved], withheld, put_away, events, lost)
 
 
 def _tokens_to_revoke(fresh: Path, present: Path) -> list[str]:
@@ -190,13 +189,6 @@ def _require_archive(folder: Path | None) -> None:
         raise StoreError(Message("backup_needs_archive"))
     if not folder.is_dir():
         raise StoreError(Message.of("audit_archive_folder_missing", folder=str(folder)))
-
-
-def _anchors_put_aside(key_files: Sequence[Path], anchor: Path | None) -> tuple[Path, ...]:
-    key_file = find_key_file(key_files)
-    anchors = (anchor, None if key_file is None else key_anchor_of(key_file))
-    asides = [put_aside(path) for path in anchors if path is not None]
-    return tuple(aside for aside in asides if aside is not None)
 
 
 def _prove(store: Path, file: Path) -> None:
@@ -255,19 +247,20 @@ def make_ready(
     with closing(Database(fresh)) as database:
         events = open_log(database, key_files)
         withheld = database.write_now(bring_in)
-        replaced = [] if standing is None else _replaced(standing.heads)
-        message = joined([backup, *replaced, *consequences(withheld)]) or ""
+        newest = None if standing is None else standing.newest
+        replaced = newest and Message.of("restored_over", entry=newest.id, hash=newest.hash)
+        message = joined([backup, *([replaced] if replaced else []), *consequences(withheld)]) or ""
         record(events, "server", Message("event_stores_restored"), message)
     return withheld
 
 
 @dataclass(frozen=True, slots=True)
 class InForce:
-    """What the present store has in force, and the newest entry of each chain of its log."""
+    """What the present store has in force, and the newest entry of its log."""
 
     rights: Present | None
     protection: Protection
-    heads: dict[str, Head]
+    newest: Head
 
 
 def _standing(present: Path) -> InForce | None:
@@ -276,24 +269,10 @@ def _standing(present: Path) -> InForce | None:
         return None
     try:
         with closing(open_for_reading(present)) as connection:
-            return InForce(read_present(connection), read_protection(connection), heads_of(connection))
+            newest = newest_of(heads_of(connection).values())
+            return InForce(read_present(connection), read_protection(connection), newest)
     except (sqlite3.Error, ValueError):
         return None
-
-
-def _replaced(heads: Mapping[str, Head]) -> list[Message]:
-    """Name where the log ended that is replaced, and where each of its other chains did."""
-    newest = newest_of(heads.values())
-    others = (head for _, head in sorted(heads.items()) if head is not newest)
-    return [
-        Message.of("restored_over", entry=newest.id, hash=newest.hash),
-        *(
-            Message.of("restored_over_bus", bus=head.chain, entry=head.id, hash=head.hash)
-            if head.chain
-            else Message.of("restored_over_site", entry=head.id, hash=head.hash)
-            for head in others
-        ),
-    ]
 
 
 def consequences(withheld: Withheld) -> list[Message]:

@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import InitVar, dataclass, field
 
-from app.audit.act import Act
+from app.audit.acts import Act
 from app.audit.log import EventLog
 from app.auth.rights.rights import Rights
 from app.auth.sign_in.signin import SignIn

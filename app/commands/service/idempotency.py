@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import msgspec
 
+from app.audit.chain import KeyRing
 from app.audit.log import Also
-from app.audit.proof.keyring import KeyRing
 from app.commands.service.command_request import CommandRequest
 from app.database import StoreConnection
 from app.errors import Problem

@@ -10,8 +10,8 @@ from typing import Any
 
 import structlog
 
-from app.audit.events.groups import link_parts
 from app.audit.log import EventLog
+from app.audit.queries import link_parts
 from app.commands.catalogue import kind_of_command
 from app.commands.service import idempotency
 from app.commands.service.command_request import CommandRequest

@@ -11,10 +11,10 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.alarms.journal.store import JournalEntry
+from app.audit import queries
 from app.audit.api import EventShown, shown
-from app.audit.events import store
-from app.audit.events.store import Filter
 from app.audit.log import Event
+from app.audit.queries import Filter
 from app.database import StoreConnection
 from app.database.connection import json_member
 from app.handover.rules.scope import EVERYTHING, Scope
@@ -92,7 +92,7 @@ class ShiftEvents:
             until=self._shift.end,
             folded=True,
         )
-        return store.select(self._connection, wanted, MAX_EVENTS)
+        return queries.select(self._connection, wanted, MAX_EVENTS)
 
     def _count(self) -> dict[str, Counter[str]]:
         where, values = self._scope.conditions("e.")
@@ -116,7 +116,7 @@ def alarms_at(connection: StoreConnection, at: UnixTime) -> list[JournalEntry]:
 def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> list[Event]:
     """The last event of a kind before a moment, for each unit or bus."""
     numbers = [number for (number,) in connection.execute(_LAST_OF_EACH, (kind, before))]
-    found = (store.one(connection, number) for number in numbers)
+    found = (queries.one(connection, number) for number in numbers)
     return [event for event in found if event is not None]
 
 

@@ -10,7 +10,7 @@ from zoneinfo import ZoneInfo
 
 from pydantic import Field
 
-from app.audit.events import store
+from app.audit import queries
 from app.database import StoreConnection
 from app.database.connection import has_column, json_member
 from app.errors import Problem
@@ -133,7 +133,7 @@ def check_turn(
 
 def _is_named(connection: StoreConnection, signed: SignedSheet, signature: ShiftSignature) -> bool:
     """Whether the event of a signature names this sheet."""
-    event = store.one(connection, signature.event)
+    event = queries.one(connection, signature.event)
     what = None if event is None else event["messages"].get("what")
     digests = {"digest": signed.digest, "page_digest": signed.page_digest}
     return (

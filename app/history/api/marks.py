@@ -7,8 +7,8 @@ from datetime import datetime
 from operator import attrgetter
 from typing import Any, NamedTuple
 
-from app.audit.events.store import Filter
 from app.audit.log import Event, EventLog
+from app.audit.queries import Filter
 from app.messages import Language
 from app.web.api.shape import iso, message_shown
 from bus.instants import UnixTime

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import structlog
 
-from app.audit.events.kinds import EventKind
+from app.audit.entry import EventKind
 from app.database import Database
 from app.database.connection import size_of
 from app.database.migration import put_aside

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.audit.archive.cuts import cuts_of
+from app.audit.proof import cuts_of
 from app.database import StoreConnection
 from app.database.reserve import MIN_FREE_OF_OTHERS
 from app.history.series.runs import DAY, HOUR

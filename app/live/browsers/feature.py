@@ -8,7 +8,7 @@ from app.alarms.alarm import Alarm
 from app.alarms.banner import AlarmBanner
 from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.shown import AlarmShown, alarm_json
-from app.audit.proof.anchoring import Anchoring, anchor_notice
+from app.audit.anchor import Anchoring, anchor_notice
 from app.commands.safeguards.service import Safeguards
 from app.database.reserve import Reserve
 from app.feature import Feature, Services

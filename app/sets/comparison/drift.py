@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from app.audit.events.store import Filter
 from app.audit.log import Event, EventLog
+from app.audit.queries import Filter
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Drifted, UnitSubscriber
 from app.live.state.bus_live import Audience, BusLive

@@ -15,10 +15,10 @@ from app.alarms.catalogue import built_in
 from app.alarms.journal.store import AlarmStore, entry_of
 from app.alarms.rules.facts import AlarmFacts, Transition
 from app.alarms.rules.observed import ObservedSpan
-from app.audit.act import Act
-from app.audit.events.store import heads_of
+from app.audit.acts import Act
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.proof.keys import open_keys
+from app.audit.proof import heads_of
 from app.cli.simulated.past.story import Incident, Past, setpoint_of
 from app.conditions.catalogue import CONDITIONS
 from app.database import Database, StoreConnection

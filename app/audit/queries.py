@@ -1,34 +1,25 @@
-"""The events table as it is read, and verified; `app.audit.events.appending` writes it."""
+"""The events table as it is read: filtered and searched, each command with its outcome."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from app.audit.archive.cuts import newest_cut
-from app.audit.events.entry import readable
-from app.audit.proof.chain import SITE, Head
-from app.audit.proof.keyring import KeyRing
-from app.audit.proof.walk import AuditVerification, Walk
+from app.audit.entry import readable
 from app.database import StoreConnection
 from app.database.connection import json_member
 from bus.instants import UnixTime
 
-LOWEST_ID = -(2**63)
-"""Where a walk begins: an entry that was added before the first must be seen too."""
-CHUNK = 500
-"""Entries that are verified at a stretch: a few milliseconds."""
 _FOLDED = """
 SELECT e.id, e.time, e.kind, e.who, e.origin, e.bus, e.unit, e.what,
        COALESCE(f.old, e.old) AS old, COALESCE(f.new, e.new) AS new, e.old_raw, e.new_raw,
        COALESCE(f.outcome, e.outcome) AS outcome, COALESCE(f.message, e.message) AS message,
-       COALESCE(f.frames, e.frames) AS frames, e.count, f.time AS concluded_at, e.entered_at,
+       COALESCE(f.frames, e.frames) AS frames, e.count, f.time AS concluded_at,
        e.messages, f.messages AS concluded_messages
 FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.about IS NULL
 """
-_EXTENT = "SELECT * FROM (SELECT max(id) AS last FROM events) AS log LEFT JOIN events_head ON 1 = 1"
 UnitPlace = tuple[str, int]
 """The name of a bus, and the address of a unit."""
 _SEARCHED = ("what", "who", "old", "new", "message")
@@ -119,12 +110,6 @@ def _pattern(text: str) -> str:
     return f"%{text}%"
 
 
-def heads_of(connection: StoreConnection) -> dict[str, Head]:
-    """The newest entry of each chain as noted apart, by chain; of a store of any version."""
-    heads, _ = extent(connection)
-    return heads
-
-
 def select(connection: StoreConnection, wanted: Filter, limit: int) -> list[dict[str, Any]]:
     """Events newest first, each command with its outcome."""
     conditions, values = wanted.conditions()
@@ -148,67 +133,17 @@ def kinds(connection: StoreConnection) -> list[str]:
     return [row["kind"] for row in connection.execute(query)]
 
 
-def open_intents(connection: StoreConnection, bus: str | None) -> list[dict[str, Any]]:
-    """Commands to a bus, or to none, without an outcome."""
-    # By the index of the bus: all buses together read each event once.
-    place = "e.bus IS NULL" if bus is None else "e.bus = ?"
+def open_intents(connection: StoreConnection) -> list[int]:
+    """The numbers of commands without an outcome."""
     query = (
-        f"SELECT * FROM events e WHERE {place} AND e.kind = 'command' AND e.about IS NULL"
-        " AND e.outcome IS NULL "
+        "SELECT id FROM events e WHERE e.kind = 'command' AND e.about IS NULL AND e.outcome IS NULL "
         "AND NOT EXISTS (SELECT 1 FROM events f WHERE f.about = e.id)"
     )
-    return [dict(row) for row in connection.execute(query, () if bus is None else (bus,))]
+    return [row["id"] for row in connection.execute(query)]
 
 
-def extent(connection: StoreConnection) -> tuple[dict[str, Head], int]:
-    """The newest entry of each chain as noted apart, and the number of the last one stored, of one
-    instant."""
-    rows = [dict(row) for row in connection.execute(_EXTENT)]
-    # A store of an earlier version has one chain, and at first no key and no seal.
-    heads = [
-        Head(row["id"], row["hash"], row.get("key", ""), row.get("seal", ""), row.get("chain", SITE))
-        for row in rows
-        if row["id"] is not None
-    ]
-    return {head.chain: head for head in heads}, rows[0]["last"] or 0
-
-
-def links_of(connection: StoreConnection, heads: Mapping[str, Head], ring: KeyRing) -> dict[str, Head]:
-    """The entries that heads name, by chain, each as the next one continues it; without those that are gone.
-    Of a chain whose entry is archived, its end where the log was cut."""
-    query = "SELECT id, hash, key FROM events WHERE id = ?"
-    cut = newest_cut(connection, ring)
-    links = dict(cut.ends) if cut else {}
-    there = {}
-    for chain, head in heads.items():
-        row = connection.execute(query, (head.id,)).fetchone()
-        if cut and head.id <= cut.last and chain in links:
-            there[chain] = links[chain]
-        elif row is not None:
-            there[chain] = Head(*row)
-    return there
-
-
-def walk_from_cut(
-    connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, Head] | None = None
-) -> Walk:
-    """A walk over the entries of a store, from where the log was cut."""
-    cut = newest_cut(connection, ring)
-    return Walk(ring, anchors) if cut is None else Walk(ring, anchors, cut.ends, cut.last)
-
-
-def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, Head]) -> AuditVerification:
-    """Walk the log, chunk by chunk: entries added in between are left for the next time."""
-    heads, last = extent(connection)
-    walk, number = walk_from_cut(connection, ring, anchors), LOWEST_ID
-    while (following := follow_chunk(connection, walk, number, last)) is not None:
-        number = following
-    return walk.end(heads)
-
-
-def follow_chunk(connection: StoreConnection, walk: Walk, number: int, until: int) -> int | None:
-    """Follow at most `CHUNK` entries from ``number`` to ``until``; return the next number or None."""
-    query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"
-    chunk = [dict(row) for row in connection.execute(query, (number, until, CHUNK))]
-    walk.follow(chunk)
-    return chunk[-1]["id"] + 1 if chunk else None
+def link_parts(connection: StoreConnection, count: int) -> None:
+    """Note that the last ``count`` events are parts of the one before; in the transaction that wrote them."""
+    [last] = connection.execute("SELECT max(id) FROM events").fetchone()
+    rows = [(number, last - count) for number in range(last - count + 1, last + 1)]
+    connection.executemany("INSERT INTO event_parts (event, change) VALUES (?, ?)", rows)

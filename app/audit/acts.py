@@ -1,21 +1,47 @@
-"""What a person does to a thing other than a unit: an alarm, a shift, a set, a recipe, an account."""
+"""What a person does to a thing other than a unit: an alarm, a shift, a set, a recipe, an account. Each is an
+event in a log that is kept for good, so an account does it only so often."""
 
 from __future__ import annotations
 
+import math
+from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import Any, TypedDict
 
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from app.audit.act_limit import ActLimit
-from app.audit.events.kinds import EventKind
+from app.audit.entry import EventKind
+from app.errors import Problem
 from app.web.admission.access import Person, Requires, Role, refuse_without
+from app.web.admission.rate_limit import RateLimit
 from app.web.services import service_of
-from bus.instants import monotonic_now
+from bus.bucket import Bucket
+from bus.instants import Monotonic, monotonic_now
 from bus.messages import TEXTS, Message, ParamValue
 
+MAX_ACTS, ACTS_PER_S = 600, 5.0
+"""At once, and in the long run: more than a program acknowledges in a flood of alarms."""
 READS = frozenset({"GET", "HEAD"})
+
+
+@dataclass(eq=False)
+class ActLimit:
+    """Counts the acts of each account. Commands are not among them: the wire bounds those."""
+
+    _performed: defaultdict[str, Bucket] = field(
+        default_factory=lambda: defaultdict(lambda: Bucket(ACTS_PER_S, MAX_ACTS)), init=False
+    )
+
+    def count(self, account: str, now: Monotonic) -> None:
+        """Count one more act. Raises Problem 429 with the time to wait."""
+        performed = self._performed[account]
+        if performed.take(now):
+            return
+        seconds = math.ceil(performed.wait_s(now))
+        problem = Problem(429, "too_many", Message.of("acts_too_many", n=seconds))
+        problem.headers.update(RateLimit.of(performed, now).headers)
+        raise problem.with_headers(Retry_After=str(seconds))
 
 
 class _Performs(Requires):

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Awaitable, Callable
 from functools import partial
 
-from app.audit.events.kinds import EventKind
+from app.audit.entry import EventKind
 from app.errors import StoreError
 from app.server.admission.repeats import WINDOW_S, Repeats, Repetition
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now

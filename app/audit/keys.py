@@ -9,15 +9,15 @@ from __future__ import annotations
 import os
 import secrets
 import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 
-from app.audit.proof.chain import Head, newest_of, origin_of
-from app.audit.proof.keyring import KEY_BYTES, KeyOrigin, KeyRing
+from app.audit.chain import KEY_BYTES, KeyOrigin, KeyRing
+from app.audit.former import Ends, origin_of
 from app.database.private import fresh_file, sync_folder
 from app.errors import StoreError, system_error
 from bus.messages import Message
@@ -56,19 +56,14 @@ def passing_keys() -> Keys:
     return Keys(KeyRing((secrets.token_bytes(KEY_BYTES),)))
 
 
-def open_keys(paths: Sequence[Path], store: Path | None, heads: Mapping[str, Head]) -> Keys:
-    """The keys of the log in ``store``, whose chains end with ``heads``, from the first of the files that is
-    there. Where none is, the first that can be made is made. ``store``: its file; None: a database that
-    several servers share, whose log names the site that lives there by its key. Raises KeyFileError."""
-    owners, sealed = owners_of(store), newest_of(heads.values()).key
-    if store is None and sealed and find_key_file(paths) is None:
-        raise KeyFileError(Message.of("audit_key_elsewhere", path=str(paths[0])))
+def open_keys(paths: Sequence[Path], store: Path | None, heads: Ends) -> Keys:
+    """The keys of the log in the file ``store``, which ends with ``heads``, from the first of the files that
+    is there. Where none is, the first that can be made is made. Raises KeyFileError."""
+    owners = owners_of(store)
     path = find_key_file(paths) or _made(paths, origin_of(heads))
     ring = read_key_file(path, owners)
     if ring is None:
         raise KeyFileError(Message.of("audit_key_removed", path=str(path)))
-    if store is None and sealed and ring.rank(sealed) is None:
-        raise KeyFileError(Message.of("audit_key_of_other_site", path=str(path)))
     return Keys(ring, path, owners)
 
 

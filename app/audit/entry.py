@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -18,7 +18,39 @@ from bus.instants import UnixTime
 from bus.messages import LIST, NUMBER, TERM, TEXTS, Message
 
 Event = dict[str, Any]
-"""One event with its result, as `app.audit.events.entry.readable` gives it."""
+"""One event with its result, as :func:`readable` gives it."""
+EventKind = Literal[
+    "access_refused",
+    "alarm",
+    "audit",
+    "block",
+    "bus",
+    "clock",
+    "command",
+    "configuration",
+    "control",
+    "estop",
+    "home",
+    "limits",
+    "login",
+    "notification",
+    "login_refused",
+    "logout",
+    "mode",
+    "parameter_set",
+    "recipe",
+    "restore",
+    "run",
+    "secret",
+    "server",
+    "shift",
+    "swap",
+    "token",
+    "unit",
+    "user",
+    "worker",
+]
+"""A filter for another one is refused, instead of returning nothing. A log of 0.2 has events of ``home``."""
 
 MAX_TIME = 253_370_764_800.0
 """The year 9999: no date of the screen or of ISO 8601 goes further. Unix time in seconds."""
@@ -101,8 +133,6 @@ def readable(row: Mapping[str, Any]) -> Event:
     event["messages"] = {name: message for name, message in messages.items() if message.code in _KNOWN}
     if None in parts:
         event["unreadable"] = True
-    if event["entered_at"] is not None and not is_moment(event["entered_at"]):
-        event |= {"entered_at": None, "unreadable": True}
     if not has_time:
         event["time"] = 0.0
     if frames is None:

@@ -1,1 +1,0 @@
-"""Events at rest: appended within a budget, found by text, grouped for a page."""
