@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from app.audit.log import EventLog
-from app.configuration import api, pages
+from app.configuration import api, bus_pages, pages
 from app.configuration.acts import ACTS
+from app.configuration.port_scan import PortScan
 from app.configuration.restart import Restart
 from app.configuration.service import ConfigurationFile
 from app.configuration.versions import VersionStore
@@ -16,7 +17,8 @@ def make(services: Services) -> None:
     store = VersionStore(settings.server.data)
     file = services.add(ConfigurationFile(settings, store, services[EventLog]))
     services.add(Restart(file, services[EventLog]))
-    services.lifespan.add("configuration", start=file.begin)
+    scan = services.add(PortScan())
+    services.lifespan.add("configuration", start=file.begin, end=scan.stop)
 
 
-FEATURE = Feature(make, (api.router, pages.router), ACTS)
+FEATURE = Feature(make, (api.router, pages.router, bus_pages.router), ACTS)

@@ -87,6 +87,7 @@ async def configuration_page(
         shown=shown,
         new={form.kind: end_of(form, data).name for form in FORMS if form.is_listed and len(form.path) < 5},
         duties=[ShownTable(end_of(_DUTY, data, group.place.path), group.title) for group in shown["group"]],
+        buses=buses_of(present),
         versions=await file.versions(),
         done=done,
         can_restart=restart.is_offered and not present.faults,
@@ -143,7 +144,7 @@ async def _changed(
         return _form(request, place, present, texts, fault=Message("configuration_nothing_changed"))
     if not _text_in(form, "confirmed"):
         fields = {"act": kind, **texts}
-        return _review(request, file, present, review, f"/configuration/tables/{name}", fields)
+        return review_page(request, file, present, review, f"/configuration/tables/{name}", fields)
     version = await file.save(person, act, edit, digest, reason)
     return RedirectResponse(f"/configuration?done={version.number}", SEE_OTHER)
 
@@ -179,7 +180,7 @@ async def roll_back_configuration_page(
     if confirmed and not review.faults:
         saved = await file.save(person, ROLL_BACK, lambda _: stored.text, digest, reason_of_change)
         return RedirectResponse(f"/configuration?done={saved.number}", SEE_OTHER)
-    return _review(request, file, present, review, f"/configuration/versions/{number}/roll-back", {})
+    return review_page(request, file, present, review, f"/configuration/versions/{number}/roll-back", {})
 
 
 @router.post("/configuration/restart")
@@ -191,7 +192,7 @@ async def restart_server_page(
     return RedirectResponse("/configuration?restarting=true", SEE_OTHER)
 
 
-def _review(
+def review_page(
     request: Request,
     file: ConfigurationFile,
     present: PresentFile,
@@ -199,6 +200,7 @@ def _review(
     action: str,
     fields: Mapping[str, str],
 ) -> Response:
+    """Show what the file would become; ``fields`` are posted to ``action`` again when it is confirmed."""
     shown = masked(review.text)
     return render(
         request,
@@ -290,6 +292,12 @@ def _typed(request: Request, place: TablePlace, form: FormData) -> dict[str, str
         text = ", ".join(given).strip()
         texts[field.key] = formats.typed_number(text) if field.kind == "number" else text
     return texts
+
+
+def buses_of(present: PresentFile) -> list[dict[str, Any]]:
+    """Return the buses of the file."""
+    buses = at(present.data, ("bus",))
+    return [bus for bus in buses if isinstance(bus, dict)] if isinstance(buses, list) else []
 
 
 def _text_in(form: FormData, key: str) -> str:

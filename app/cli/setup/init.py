@@ -18,7 +18,6 @@ from app.cli.setup import install_service
 from app.cli.setup.rights import acting_as_owner_of
 from app.cli.setup.service_unit import CONFIGURATION, PACKAGED_UNIT, UNIT_FILE
 from app.cli.setup.starting_file import (
-    adapters,
     example_bus,
     has_own_bus,
     likely_port,
@@ -26,6 +25,7 @@ from app.cli.setup.starting_file import (
     with_names,
     without_bus,
 )
+from app.configuration.port_scan import adapters
 from app.configuration.service import replace_file
 from app.errors import system_error
 from app.settings import parse

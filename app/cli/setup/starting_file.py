@@ -10,18 +10,13 @@ from typing import Any
 
 from app.cli.setup.service_unit import DATA
 from app.configuration.document import content_of, with_values, without
+from app.configuration.port_scan import BY_ID, adapters
 
-BY_ID = Path("/dev/serial/by-id")
 USUAL_PORT = "/dev/ttyUSB0"
 STARTER = Path(__file__).with_name("starter.toml")
 BUS = "# One [[bus]] for each RS-422 cable.\n"
 """Of the starter: what follows is the bus."""
 NO_BUS = f"{BUS}# Not set yet: sudo lineside init, or the page Configuration.\n"
-
-
-def adapters(folder: Path = BY_ID) -> list[str]:
-    """Return the serial adapters of this machine by their lasting paths."""
-    return sorted(str(entry) for entry in folder.iterdir()) if folder.is_dir() else []
 
 
 def likely_port(folder: Path = BY_ID) -> str:

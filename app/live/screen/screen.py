@@ -70,7 +70,10 @@ class Screen:
         return changed
 
     def refresh(self, now: UnixTime) -> Groups:
+        """Render everything; a server without a bus has its totals too."""
         buses = self.live.buses.items()
+        if not buses:
+            return self.put(LINE_GROUP, self._line(now))
         return merge_groups({}, *(self.see(name, bus.units, now, include_bus=True) for name, bus in buses))
 
     def put(self, group: str, fields: Fields) -> Groups:
