@@ -81,10 +81,6 @@ class DamagedStoreError(StoreError):
     """SQLite cannot follow the pages of a store, or finds no store in its file."""
 
 
-class StoreUnavailableError(StoreError):
-    """The database cannot be reached or written now: it is away, or a standby. It may come back."""
-
-
 class TooCostlyError(StoreError):
     """A read took longer than one may; it was ended."""
 

@@ -4,6 +4,7 @@ upgrade. Only a database that has the data of the site is refused."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from pydantic_core import PydanticCustomError
@@ -12,11 +13,23 @@ from bus.messages import Message
 
 FORMER_KEYS = {("store",), ("history", "spool_mb")}
 """Paths of keys and tables."""
+BREAK_GLASS = "break-glass.json"
+"""Accounts that signed in only while the database of the site was away: none of them does so here."""
 
 
 def former_keys(data: Mapping[str, Any]) -> list[str]:
     """The keys of a configuration that are ignored, as TOML writes them."""
     return sorted(".".join(path) for path in FORMER_KEYS if _has(data, path))
+
+
+def former_notices(data: Mapping[str, Any], folder: Path) -> list[Message]:
+    """What an earlier version used of a configuration and of its data folder, and what sets nothing now."""
+    notices = []
+    if keys := former_keys(data):
+        notices.append(Message.of("ignored_keys", keys=", ".join(keys)))
+    if (file := folder / BREAK_GLASS).exists():
+        notices.append(Message.of("break_glass_of_former_version", file=str(file)))
+    return notices
 
 
 def without_former_keys(data: object) -> object:

@@ -10,7 +10,7 @@ from typing import Any
 
 import structlog
 
-from app.errors import StoreUnavailableError, system_error
+from app.errors import system_error
 from bus.errors import LinesideError
 from bus.messages import Message
 
@@ -52,7 +52,7 @@ class Lifespan:
         self._parts.append((name, start, end))
         self._works += [partial(_restarted, name, work) for work in works]
         if once is not None:
-            self._works.append(partial(_run_alone, name, once))
+            self._works.append(partial(_run_once, name, once))
         if finish is not None:
             self._finishing.append(partial(_ended, name, partial(_within, finish)))
 
@@ -106,30 +106,14 @@ async def _cancel(tasks: list[asyncio.Task[None]]) -> None:
 
 async def _restarted(name: str, work: Step) -> None:
     """Run ``work``; a failure is logged, and it starts again."""
-    is_waiting = False
     while True:
-        try:
-            await _run_once(name, work)
-            is_waiting = False
-        except StoreUnavailableError as error:
-            if not is_waiting:
-                log.warning("work waits for the database", part=name, why=str(error))
-            is_waiting = True
+        await _run_once(name, work)
         await asyncio.sleep(RESTART_AFTER_S)
 
 
-async def _run_alone(name: str, work: Step) -> None:
-    try:
-        await _run_once(name, work)
-    except StoreUnavailableError:
-        log.exception("work failed", part=name)
-
-
 async def _run_once(name: str, work: Step) -> None:
-    """Run ``work``; a failure is logged. Raises StoreUnavailableError."""
+    """Run ``work``; a failure is logged."""
     try:
         await work()
-    except StoreUnavailableError:
-        raise
     except Exception:
         log.exception("work failed", part=name)

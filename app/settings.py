@@ -26,7 +26,7 @@ from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings, refuse_buil
 from app.audit.settings import Audit
 from app.auth.settings import OidcSettings, Sessions
 from app.backup.settings import BackupSettings
-from app.former_settings import former_keys, without_former_keys
+from app.former_settings import former_notices, without_former_keys
 from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
@@ -203,9 +203,9 @@ class Settings(StrictModel):
         return sha256(repr((VERSION, self.site, units)).encode()).hexdigest()[:16]
 
     @property
-    def ignored_keys(self) -> list[str]:
-        """The keys of the file that an earlier version had, and that set nothing any more."""
-        return former_keys(tomllib.loads(self._text))
+    def former_notices(self) -> list[Message]:
+        """What an earlier version used of the file and of the data folder, and what sets nothing now."""
+        return former_notices(tomllib.loads(self._text), self.server.data)
 
     @property
     def key_files(self) -> tuple[Path, ...]:

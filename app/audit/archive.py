@@ -32,7 +32,7 @@ from app.audit.log import EventLog
 from app.audit.proof import CHUNK, Cut, Walk, add_cut, cuts_of, heads_text
 from app.database import Database, StoreConnection
 from app.database.private import FILE_MODE, sync_folder
-from app.errors import StoreError, StoreUnavailableError, system_error
+from app.errors import StoreError, system_error
 from app.server.in_thread import in_thread
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
@@ -247,9 +247,6 @@ class EventArchive:
             while self._folder is not None and (due := await self._next_due()):
                 await self._archive(self._folder, due)
                 await self._remove_archived()
-        except StoreUnavailableError:
-            # It has an alarm apart.
-            return
         except (StoreError, OSError) as error:
             await self._failed(error.message if isinstance(error, StoreError) else system_error(error))
         else:

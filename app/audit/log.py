@@ -19,7 +19,6 @@ from app.audit.proof import LogProof
 from app.audit.queries import Filter
 from app.audit.repeated import RepeatedEvents
 from app.database import Database, StoreConnection
-from app.errors import StoreUnavailableError
 from bus.contract import Frame, Outcome
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message, joined
@@ -171,10 +170,7 @@ class EventLog:
     async def _publish_stored(self, number: int) -> None:
         if not self._subscribers:
             return
-        try:
-            event = await self._database.read(lambda connection: queries.one(connection, number))
-        except StoreUnavailableError:
-            return
+        event = await self._database.read(lambda connection: queries.one(connection, number))
         if event is not None:
             self._publish(event)
 

@@ -18,8 +18,6 @@ CREATE_WORKER_TOKEN = Act("create_worker_token", Role.ADMIN, "token", "event_tok
 REVOKE_TOKEN = Act("revoke_token", Role.ADMIN, "token", "event_token_revoked")
 CHANGE_OWN_PASSWORD = Act("change_own_password", Role.VIEWER, "user", "event_password_changed")
 LOG_OUT = Act("log_out", Role.VIEWER, "logout", "event_signed_out")
-MAKE_BREAK_GLASS = Act("make_break_glass", Role.ADMIN, "user", "event_break_glass_made")
-REMOVE_BREAK_GLASS = Act("remove_break_glass", Role.ADMIN, "user", "event_break_glass_removed")
 
 _OF_USERS = (ADD_USER, ADD_PANEL, SET_ROLE, DISABLE_USER, ENABLE_USER, SET_PASSWORD, REMOVE_USER)
 _OF_TOKENS = (CREATE_TOKEN, CREATE_WORKER_TOKEN, REVOKE_TOKEN)

@@ -18,7 +18,7 @@ class CurrentUser(TypedDict):
 
     name: str
     role: Role
-    via: Literal["session", "token", "worker", "demo", "break_glass"]
+    via: Literal["session", "token", "worker", "demo"]
 
 
 @router.get("/me")

@@ -194,7 +194,7 @@ async def signed_in(request: Request, sign_in: SignIn, begun: SignedIn, next_pag
     """Redirect to the page that was wanted, with the cookies of the session. The session that the browser had
     before ends: nothing else could end it any more."""
     before = person_of(request)
-    if before is not None and before.via in ("session", "break_glass"):
+    if before is not None and before.via == "session":
         await sign_in.sign_out(request.cookies[session_name(request)], before)
     home = begun.user.home if next_page == "/" else next_page
     response = RedirectResponse(own_path(home), 303)

@@ -52,7 +52,7 @@ async def trends(request: Request, person: Viewer, history: HistoryOf, views: Sa
 
 
 async def _views_seen(views: TrendViews, person: Person) -> list[TrendView]:
-    """None while the store is away: the chart is shown without them."""
+    """None where the store cannot be read: the chart is shown without them."""
     try:
         return await views.seen_by(person)
     except StoreError:

@@ -13,7 +13,7 @@ from app.configuration.acts import CHANGE, CHANGE_MAIL, ROLL_BACK
 from app.configuration.document import Edit, with_values
 from app.configuration.service import ConfigurationFile
 from app.configuration.versions import FOLDER, MAX_VERSIONS, ConfigurationVersion, StoredVersion, VersionStore
-from app.errors import Problem, StoreUnavailableError
+from app.errors import Problem, StoreError
 from app.settings import load
 from app.web.admission.access import Person, Role
 from bus.instants import UnixTime
@@ -199,12 +199,12 @@ async def test_a_change_by_hand_is_recorded_once_the_audit_log_is_back(
     house: House, file: ConfigurationFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def away(**_: object) -> int:
-        raise StoreUnavailableError(Message("server_stopped"))
+        raise StoreError(Message("server_stopped"))
 
     file.path.write_text(RENAMED)
     with monkeypatch.context() as patched:
         patched.setattr(file._events, "record", away)
-        with pytest.raises(StoreUnavailableError):
+        with pytest.raises(StoreError):
             await file.present()
     await file.present()
     assert (await file.versions())[0].origin == "by_hand"
@@ -215,11 +215,11 @@ async def test_without_the_audit_log_nothing_is_written(
     file: ConfigurationFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def away(**_: object) -> int:
-        raise StoreUnavailableError(Message("server_stopped"))
+        raise StoreError(Message("server_stopped"))
 
     digest = (await file.present()).digest
     monkeypatch.setattr(file._events, "record", away)
-    with pytest.raises(StoreUnavailableError):
+    with pytest.raises(StoreError):
         await file.save(ANN, CHANGE, named("Unwinder"), digest, "")
     assert file.path.read_text() == TEXT
     assert len(await file.versions()) == 1

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from app.former_settings import former_keys
 from app.settings import ConfigurationError, load
 
 SECRET = "s3cret-word"
@@ -43,7 +45,8 @@ def test_other_keys_are_ignored_and_named(tmp_path: Path, text: str, ignored: li
     config = tmp_path / "lineside.toml"
     config.write_text(text)
     settings = load(config)
-    assert settings.ignored_keys == ignored
+    assert former_keys(tomllib.loads(text)) == ignored
+    assert len(settings.former_notices) == bool(ignored)
     assert settings.history.raw_days == (5 if "raw_days" in text else 30)
 
 
@@ -52,3 +55,12 @@ def test_a_key_that_no_version_had_is_still_an_error(tmp_path: Path) -> None:
     config.write_text("[history]\nspool_gb = 1\n")
     with pytest.raises(ConfigurationError, match="spool_gb"):
         load(config)
+
+
+def test_accounts_of_an_outage_are_named_and_sign_nobody_in(tmp_path: Path) -> None:
+    config = tmp_path / "lineside.toml"
+    config.write_text("")
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "break-glass.json").write_text("[]")
+    (notice,) = load(config).former_notices
+    assert str(notice).startswith(f"{tmp_path}/data/break-glass.json is not used any more")

@@ -30,8 +30,7 @@ MAX_FREQUENT = 10
 _ANNUNCIATED = "after = 'unack_active' AND before <> 'unack_active'"
 _IN_SPAN = f"{_ANNUNCIATED} AND at >= :start AND at < :end"
 _OBSERVED = "SELECT starts, ends FROM alarm_observed WHERE ends > :start AND starts < :end"
-# SQLite truncates where PostgreSQL gives the nearest integer: of a decimal number both give the nearest.
-_WINDOW = f"CAST(round(CAST(at / {WINDOW_S} - 0.5 AS NUMERIC)) AS INTEGER)"
+_WINDOW = f"CAST(at / {WINDOW_S} AS INTEGER)"
 _WINDOWS = f"SELECT {_WINDOW}, COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
 _PRIORITIES = f"SELECT priority, COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
 _FREQUENT = (

@@ -5,15 +5,13 @@ from __future__ import annotations
 import hmac
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from app.auth import rules, store
-from app.auth.rights.known import KnownCredentials
-from app.auth.sign_in.break_glass import BreakGlass
 from app.auth.sign_in.signin import SignIn
-from app.auth.store import Session, Token
+from app.auth.store import Token
 from app.database import Database, StoreConnection
-from app.errors import Problem, StoreError, StoreUnavailableError
+from app.errors import Problem, StoreError
 from app.web.admission.access import Person, Role, account_of
 from bus.instants import Clock, unix_now
 from bus.messages import Message
@@ -21,15 +19,12 @@ from bus.messages import Message
 
 @dataclass(eq=False, repr=False)
 class Identity:
-    """``worker_tokens``: by bus, of the workers that this server starts itself; they end with the server.
-    ``known`` and ``break_glass``: where the database may be away."""
+    """``worker_tokens``: by bus, of the workers that this server starts itself; they end with the server."""
 
     _database: Database
     _sign_in: SignIn
     _worker_tokens: Mapping[str, str]
     _clock: Clock = unix_now
-    known: KnownCredentials | None = None
-    break_glass: BreakGlass | None = None
 
     async def by_cookie(self, cookie: str, *, is_use: bool = True) -> Person | None:
         """The account of a session cookie; None when it is over or was never valid.
@@ -37,9 +32,7 @@ class Identity:
         ``is_use`` False: the lookup prolongs nothing.
         """
         hash_ = rules.secret_hash(cookie)
-        if self.break_glass is not None and (person := self.break_glass.person(hash_)):
-            return person
-        session = await self._session(hash_)
+        session = await self._database.read(lambda connection: store.session(connection, hash_))
         now = self._clock()
         if session is None or session.user.disabled or session.user.is_refused_panel:
             return None
@@ -50,8 +43,6 @@ class Identity:
         if is_use and now - session.used_at >= rules.USE_NOTED_EVERY_S:
             ends = lifetime.ends_at(session.created_at, now)
             await self._note(lambda connection: store.prolong_session(connection, hash_, now, ends))
-            if self.known is not None:
-                self.known.note_session(hash_, replace(session, used_at=now, expires_at=ends))
         user = session.user
         return Person(
             user.name,
@@ -71,7 +62,7 @@ class Identity:
             if hmac.compare_digest(bearer.encode(), own.encode()):
                 return Person("worker", Role.WORKER, "worker", bus=bus)
         hash_ = rules.secret_hash(bearer)
-        token = await self._token(hash_)
+        token = await self._database.read(lambda connection: store.token(connection, hash_))
         if token is None:
             return None
         now = self._clock()
@@ -88,29 +79,6 @@ class Identity:
             bus=token.bus or "",
             credential=token.credential,
         )
-
-    async def _session(self, hash_: bytes) -> Session | None:
-        """The session of a cookie, as it was last read where the database is away."""
-        try:
-            session = await self._database.read(lambda connection: store.session(connection, hash_))
-        except StoreUnavailableError:
-            if self.known is None:
-                raise
-            return self.known.session(hash_)
-        if self.known is not None:
-            self.known.note_session(hash_, session)
-        return session
-
-    async def _token(self, hash_: bytes) -> Token | None:
-        """A token, as it was last read where the database is away. One that was made since raises
-        StoreUnavailableError: it may be good."""
-        try:
-            return await self._database.read(lambda connection: store.token(connection, hash_))
-        except StoreUnavailableError:
-            known = None if self.known is None else self.known.token(hash_)
-            if known is None:
-                raise
-            return known
 
     async def _note(self, work: Callable[[StoreConnection], None]) -> None:
         """Store when an account was last used. On a full disk the line can still be watched."""

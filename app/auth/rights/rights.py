@@ -17,7 +17,7 @@ from app.auth import store
 from app.auth.rights import notices
 from app.auth.rights.lasting import Rechecks
 from app.database import Database, StoreConnection
-from app.errors import Problem, StoreError, StoreUnavailableError
+from app.errors import Problem, StoreError
 from app.web.admission.access import AccountSubscriber, Person, Role, account_of
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
@@ -77,14 +77,11 @@ class Rights:
 
     async def check(self, person: Person) -> None:
         """Raises Problem 403 ``rights_withdrawn`` when the account of a person may no longer do what it could
-        when the person was authenticated; StoreError when that cannot be known. While the database is away,
-        what was read last holds."""
+        when the person was authenticated; StoreError when that cannot be known."""
         if not person.has_account:
             return
         if self.monotonic() - self._read_at > FRESH_S or self._why_withdrawn(person):
-            # What was withdrawn before the database went away stays so.
-            with suppress(StoreUnavailableError):
-                await self.refresh()
+            await self.refresh()
         reason = self._why_withdrawn(person)
         if reason:
             raise Problem(403, "rights_withdrawn", reason, outcome="rights_withdrawn")

@@ -1,1 +1,1 @@
-"""Signing in: by password, by PIN, as the first admin, or while the database is away."""
+"""Signing in: by password, by PIN, or as the first admin."""

@@ -12,17 +12,15 @@ from app.audit.log import EventLog
 from app.auth import rules, store
 from app.auth.acts import LOG_OUT
 from app.auth.rights import notices
-from app.auth.rights.known import KnownCredentials
 from app.auth.rights.lasting import Rechecks
 from app.auth.rights.notices import RightsNotice
 from app.auth.settings import Sessions
 from app.auth.sign_in import strength
-from app.auth.sign_in.break_glass import BreakGlass, BreakGlassUser
 from app.auth.sign_in.passwords import hash_secret, is_outdated, verify_secret
 from app.auth.sign_in.throttle import Attempt, Throttle
 from app.auth.store import User
 from app.database import Database, StoreConnection
-from app.errors import Problem, StoreError, StoreUnavailableError
+from app.errors import Problem, StoreError
 from app.server.admission.addresses import source_of
 from app.server.admission.fair_queue import FairQueue, TooManyWaitingError
 from app.web.admission.access import AccountSubscriber, Person
@@ -65,8 +63,6 @@ class SignIn:
     _monotonic: MonotonicClock = monotonic_now
     site: str = ""
     rechecks: Rechecks = field(default_factory=Rechecks)
-    known: KnownCredentials | None = None
-    break_glass: BreakGlass | None = None
     _throttle: Throttle = field(default_factory=Throttle)
     _has_users: bool = False
     """Once true it stays so: the last admin with a password cannot be removed."""
@@ -131,18 +127,13 @@ class SignIn:
     async def has_no_users(self) -> bool:
         """Whether no one can sign in without a provider of company accounts."""
         if not self._has_users:
-            with suppress(StoreUnavailableError):
-                self._has_users = await self._database.read(store.has_own_users)
-                return not self._has_users
-            return False
+            self._has_users = await self._database.read(store.has_own_users)
         return not self._has_users
 
     async def end(self, hash_: bytes, name: str) -> None:
         """End the session with this hash, of this user."""
-        if self.break_glass is not None and self.break_glass.end(hash_):
-            was_last = name not in self.break_glass.signed_in
-        else:
-            was_last = await self._end(hash_, name)
+        now = self._clock()
+        was_last = await self._database.write(lambda c: _end_session(c, hash_, name, now))
         self.rechecks.now(name)
         if was_last:
             await self._notify_signed_out(name)
@@ -164,13 +155,6 @@ class SignIn:
 
     async def _notify_signed_out(self, name: str) -> None:
         await asyncio.gather(*(subscriber(name) for subscriber in self._signed_out))
-
-    async def _end(self, hash_: bytes, name: str) -> bool:
-        """End a session; whether it was the user's last."""
-        now = self._clock()
-        if self.known is not None:
-            self.known.note_session(hash_, None)
-        return await self._database.write(lambda connection: _end_session(connection, hash_, name, now))
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""
@@ -195,11 +179,9 @@ class SignIn:
 
     async def _attempt(self, name: str, address: str, device: str, panel: bool) -> Attempt:
         network, browser = source_of(address), _browser(device)
-        is_own = is_used = False
-        with suppress(StoreUnavailableError):
-            is_own, is_used = await self._database.read(
-                lambda connection: store.are_places(connection, name, browser, network)
-            )
+        is_own, is_used = await self._database.read(
+            lambda connection: store.are_places(connection, name, browser, network)
+        )
         if device and is_own:
             return Attempt(name, browser, panel, own_browser=True)
         return Attempt(name, network, panel, used_network=is_used)
@@ -211,12 +193,7 @@ class SignIn:
 
     async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
         secret = secret[: strength.MAX_CODE_POINTS + 1]
-        try:
-            user, stored = await self._user_or_decoy(name)
-        except StoreUnavailableError:
-            if panel or self.break_glass is None:
-                raise
-            return await self.break_glass.verified(name, secret)
+        user, stored = await self._user_or_decoy(name)
         if not await verify_secret(stored, secret):
             return None
         if user is None or user.panel is not panel or user.disabled:
@@ -242,10 +219,6 @@ class SignIn:
         return await self._database.read(find)
 
     async def _begin(self, user: User, secret: str, address: str, device: str) -> SignedIn:
-        if isinstance(user, BreakGlassUser):
-            session, device = rules.new_secret(), device or rules.new_secret()
-            await self._begin_break_glass(user, rules.secret_hash(session), address)
-            return SignedIn(session, device, user)
         what, weak = Message("event_signed_in"), self._is_weak(user, secret)
         return await self._begin_session(user, address, device, what, weak_secret=weak)
 
@@ -269,13 +242,6 @@ class SignIn:
         await self._events.record(kind="login", what=what, who=user.name, origin=address)
         return SignedIn(session, device, user)
 
-    async def _begin_break_glass(self, user: BreakGlassUser, hash_: bytes, address: str) -> None:
-        """Begin a session of a break-glass account, once that is logged."""
-        assert self.break_glass is not None
-        what = Message.of("event_break_glass_used", role=term(user.role))
-        await self._events.record(kind="login", what=what, who=user.name, origin=address)
-        self.break_glass.begin(hash_, user)
-
     def _is_weak(self, user: User, secret: str) -> bool:
         """Whether today's rules refuse the secret; it works until it is changed; the admin is notified."""
         try:
@@ -287,23 +253,10 @@ class SignIn:
     async def note_refusal(self, name: str, address: str) -> None:
         """Count a wrong secret in the events. It is written to the disk for some names and not for others, so
         only once the refusal is sent: its time must not reveal which names exist."""
-        try:
-            known = await self._database.read(lambda connection: store.user(connection, name))
-        except StoreUnavailableError:
-            await self._note_break_glass_refusal(name, address)
-            return
+        known = await self._database.read(lambda connection: store.user(connection, name))
         # A password typed into the field for the name must not end up in the log.
         who = name if known else Message("unknown_name")
         await count_refusal(self._events, "login_refused", Message("event_sign_in_refused"), who, address)
-
-    async def _note_break_glass_refusal(self, name: str, address: str) -> None:
-        """A wrong password of an account that exists is logged; the limits of signing in bound how many."""
-        with suppress(StoreError):
-            if self.break_glass is not None and name in self.break_glass.accounts():
-                what = Message("event_sign_in_refused")
-                await self._events.record(
-                    kind="login_refused", what=what, who=name, origin=source_of(address)
-                )
 
 
 def _end_session(connection: StoreConnection, hash_: bytes, name: str, now: UnixTime) -> bool:

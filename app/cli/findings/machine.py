@@ -78,8 +78,7 @@ def existing_part(folder: Path) -> Path:
 
 def findings(settings: Settings) -> Iterator[Finding]:
     """Everything worth knowing of a configuration on this machine, in the order of the file."""
-    if keys := settings.ignored_keys:
-        yield Finding(Message.of("ignored_keys", keys=", ".join(keys)))
+    yield from map(Finding, settings.former_notices)
     yield _address(settings.server)
     yield from _encryption(settings.server)
     yield _data(settings.server.data)

@@ -36,8 +36,8 @@ def serve(
     manager = ServiceManager()
     with configuration_refused(manager):
         settings = load(config)
-    if keys := settings.ignored_keys:
-        report(Message.of("ignored_keys", keys=", ".join(keys)), err=True)
+    for notice in settings.former_notices:
+        report(notice, err=True)
     choose = Message.of("choose_port_configured", file=str(config))
     with listen(settings.server.host, settings.server.port, choose) as port:
         check_store(settings, new=new)

@@ -89,25 +89,6 @@ def remove_user(name: UserName, config: Config = LINESIDE_TOML) -> None:
     with_accounts(config, lambda accounts: accounts.remove_user(name, by=console()))
 
 
-@user.add("break-glass")
-def break_glass(
-    name: UserName,
-    role: Annotated[str, Option(help="operator or engineer.")] = Role.OPERATOR,
-    password_stdin: FromInput = False,
-    remove: Annotated[bool, Option("--remove", help="Remove the account.")] = False,
-    config: Config = LINESIDE_TOML,
-) -> None:
-    """Make an account that can sign in only while the database is away, or give it another password."""
-    from app.auth.sign_in.break_glass_book import BreakGlassBook
-
-    settings = load(config)
-    password = "" if remove else _password(password_stdin)
-    with site_log(settings) as (database, events):
-        book = BreakGlassBook(settings.server.data, Accounts(database, events), events, settings.site.name)
-        work = book.remove(name, by=console()) if remove else book.put(name, role, password, by=console())
-        asyncio.run(work)
-
-
 def _user_shown(each: User) -> dict[str, Any]:
     return {
         "name": each.name,

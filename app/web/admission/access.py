@@ -21,9 +21,8 @@ from bus.errors import CallerError
 from bus.instants import UnixTime
 from bus.messages import Message, term
 
-Via = Literal["session", "token", "worker", "demo", "console", "break_glass"]
-"""How a person is known; ``console``: calls the command line of the server, and sends no request;
-``break_glass``: signed in by a local account while the database is away."""
+Via = Literal["session", "token", "worker", "demo", "console"]
+"""How a person is known; ``console``: calls the command line of the server, and sends no request."""
 
 
 class Author(TypedDict):
