@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -99,9 +100,11 @@ def _labels(family: Any) -> str:
 def _nothing() -> MetricSources:
     """The sources of a server without buses, which has every family of metrics."""
     sources = {
-        "live": SimpleNamespace(here={}),
+        "live": SimpleNamespace(buses={}),
         "commands": SimpleNamespace(by_outcome=dict.fromkeys(OUTCOMES, 0)),
-        "alarms": SimpleNamespace(present=list, places_here=list),
+        "alarms": SimpleNamespace(
+            present=list, buses={}, list_of=lambda _: SimpleNamespace(annunciated=Counter())
+        ),
         "pages": lambda: 0,
         "anchor": AnchorStatus,
         "history": HistoryStatus,
