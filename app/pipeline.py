@@ -15,6 +15,7 @@ from app.live.change_recorder import ChangeRecorder
 from app.live.changes import Changes, LineEvent
 from app.live.state.bus_live import BusLive
 from app.web.api.shape import iso
+from bus.catalogue.values import plausible_parameter
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
 from bus.instants import UnixTime
 from bus.messages import Message, number, term
@@ -108,11 +109,15 @@ class Pipeline:
         self._history.append(self._live.settings.name, believed)
 
     def _believed(self, update: Update) -> Update | None:
-        """A state from before has its place in history already. A parameter that was another then scales
-        readings only from when that is known."""
+        """What history takes of it. A state from before has its place there already. A parameter that was
+        another then scales readings only from when that is known. What the manual rules out is no value."""
         match update:
+            case Reading():
+                return None if update.implausible else update
             case UnitLink() | BusLink():
                 return update if update.at >= self.since else None
+            case ParameterValue() if plausible_parameter(update.number, update.raw) != update.raw:
+                return None
             case ParameterValue():
                 return replace(update, at=max(update.at, self.since))
         return update

@@ -9,7 +9,7 @@ from app.conditions.draw import Draw
 from bus.catalogue.numbers import FOLLOWER_MODE
 from bus.catalogue.status import StatusBits
 from bus.catalogue.values import is_follower
-from bus.contract import BusFigures, Reading
+from bus.contract import BusFigures, ParameterValue, Reading
 from bus.settings import BusSettings, UnitSettings
 
 
@@ -18,8 +18,8 @@ class UnitFacts(NamedTuple):
 
     bits: StatusBits
     motion: str
-    commanded: int
-    actual: int
+    commanded: int | None
+    actual: int | None
     is_late: bool = False
 
 
@@ -71,6 +71,10 @@ class UnitValues(Protocol):
     def motion(self) -> MotionValue: ...
     @property
     def staged(self) -> int | None: ...
+    @property
+    def reading(self) -> Reading | None: ...
+    @property
+    def parameters(self) -> Mapping[int, ParameterValue]: ...
     def parameter_raw(self, number: int, /) -> int | None: ...
 
 

@@ -22,8 +22,11 @@ from app.conditions.evidence import (
     reads_ratio,
 )
 from bus.catalogue.numbers import MAX_DISPLAY, MAX_RATIO, MIN_RATIO, OWN_ADDRESS, RATIO_SETPOINT
+from bus.catalogue.parameter import Parameter
+from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.values import plausible_parameter
 from bus.contract import Reading
-from bus.messages import Message, term
+from bus.messages import Message, joined, term
 
 DEGRADED_SHARE = 0.05
 """Share of polls without a valid response in a minute. An operator cannot see it, and it only gets worse."""
@@ -69,8 +72,25 @@ def _deviation(bus: BusValues, unit: UnitValues, reading: Reading, passes: Limit
     """Also where the unit itself reports AT SPEED; not known while #2 is not."""
     if unit.motion.state not in SETTLED or reads_ratio(bus, unit):
         return False
-    full_scale = unit.parameter_raw(MAX_DISPLAY)
-    return None if full_scale is None else passes(abs(reading.commanded - reading.actual), full_scale)
+    full_scale, deviation = unit.parameter_raw(MAX_DISPLAY), reading.deviation
+    return None if full_scale is None or deviation is None else passes(abs(deviation), full_scale)
+
+
+def implausible_of(unit: UnitValues) -> Message | None:
+    """What the unit sent that the manual rules out, as bytes and raw numbers; None where there is nothing."""
+    found = [
+        _implausible_parameter(PARAMETERS[number], value.raw)
+        for number, value in unit.parameters.items()
+        if value.raw is not None and plausible_parameter(number, value.raw) is None
+    ]
+    if unit.reading is not None and unit.reading.implausible:
+        found.insert(0, Message.of("implausible_status", data=unit.reading.implausible.hex(" ").upper()))
+    return joined(found)
+
+
+def _implausible_parameter(parameter: Parameter, raw: int) -> Message:
+    shown = term("hidden") if parameter.secret else raw
+    return Message.of("implausible_parameter", number=parameter.number, raw=shown)
 
 
 def _analog_out_of_limits(_: BusValues, unit: UnitValues, reading: Reading, passes: LimitCheck) -> bool:
@@ -194,7 +214,21 @@ DRAW_OUT_OF_BAND: Condition[DrawPredicate] = Condition(
 )
 """Judged by each reading of the unit."""
 
+VALUE_IMPLAUSIBLE: Condition[ParameterPredicate] = Condition(
+    "value_implausible",
+    ("major", "half_hour"),
+    about="communication",
+    holds=lambda _, unit: implausible_of(unit) is not None,
+    means="the unit sends a speed beyond 99999, or a parameter outside of its range in the manual; it is not"
+    " stored, and scales nothing",
+    tuning=Tuning(off_delay_s=5),
+    group="unit",
+    tiles=("value_implausible",),
+)
+"""Judged by each reading, too."""
+
 BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
+    VALUE_IMPLAUSIBLE,
     Condition(
         "ratio_out_of_limits",
         ("major", "half_hour"),

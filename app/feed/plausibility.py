@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 from msgspec.structs import replace
 
+from bus.catalogue.values import plausible_speed
 from bus.contract import (
     BUFFER_AGE_S,
     Action,
@@ -82,7 +83,10 @@ def result_for(result: Result, action: Action) -> Result:
 
 def _judged(update: Update, units: Collection[int], now: UnixTime) -> Update | None:
     match update:
-        case Reading() | ParameterValue() | Staged():
+        case Reading():
+            is_its_own = update.unit in units and _in_window(update.at, now)
+            return believed_reading(update) if is_its_own else None
+        case ParameterValue() | Staged():
             return update if update.unit in units and _in_window(update.at, now) else None
         case UnitLink():
             return _held_now(update, now) if update.unit in units else None
@@ -96,6 +100,16 @@ def _judged(update: Update, units: Collection[int], now: UnixTime) -> Update | N
             return update if _in_window(update.at, now) else replace(update, at=now)
         case Result():
             return _judged_result(update, units, now)
+
+
+def believed_reading(reading: Reading) -> Reading:
+    """The reading with None for a speed that the manual rules out, and then with what the unit sent."""
+    commanded, actual = plausible_speed(reading.commanded), plausible_speed(reading.actual)
+    if commanded == reading.commanded and actual == reading.actual:
+        return reading
+    speeds = ((raw or 0).to_bytes(4, "big") for raw in (reading.commanded, reading.actual))
+    sent = b"".join(speeds) + bytes((reading.analog, reading.outputs, reading.inputs))
+    return replace(reading, commanded=commanded, actual=actual, implausible=sent)
 
 
 def _in_window(at: UnixTime, now: UnixTime) -> bool:
@@ -116,6 +130,7 @@ def _judged_state(state: UnitState, now: UnixTime) -> UnitState:
 
     values = {value.number: value for value in state.parameters if is_its_own(value)}
     reading = state.reading if state.reading is not None and is_its_own(state.reading) else None
+    reading = reading and believed_reading(reading)
     at = state.link.at if _is_past(state.link.at, now) else now
     link = replace(state.link, unit=state.unit, at=at)
     return replace(state, link=link, reading=reading, parameters=list(values.values()))

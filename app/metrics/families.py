@@ -135,9 +135,10 @@ def _readings(buses: Iterable[tuple[str, BusLive]], now: UnixTime) -> Iterator[M
                 output.add_metric([*of_unit, str(which)], float(output_is_on(reading.outputs, which)))
             if decimals is None:
                 continue
-            actual.add_metric(of_unit, reading.actual / 10**decimals)
-            commanded.add_metric(of_unit, reading.commanded / 10**decimals)
-            deviation.add_metric(of_unit, (reading.actual - reading.commanded) / 10**decimals)
+            families, speeds = (actual, commanded, deviation), (reading.actual, reading.commanded)
+            for family, raw in zip(families, (*speeds, reading.deviation), strict=True):
+                if raw is not None:
+                    family.add_metric(of_unit, raw / 10**decimals)
             found = draw_of(bus, unit, now)
             if found.tenths is not None:
                 draw.add_metric(of_unit, float(percent_of(found.tenths)))

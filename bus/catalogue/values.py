@@ -8,17 +8,31 @@ from __future__ import annotations
 import re
 
 from bus.catalogue.parameter import Parameter, Scale
+from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
 from bus.messages import Message, number, term
 
 RATIO_DECIMALS = 4
 _FOLLOWER_MODES = (1, 2)
 """#8 of a follower and of an inverse follower (manual, 4.0)."""
-MAX_DECIMALS = 9
+MAX_DECIMALS = 4
+"""Of #3 (manual, 4.0), and of a ratio."""
 HIGHEST_ATD = 255
+HIGHEST_SPEED = 99_999
 _FULL_VOLTS = 10
 _NUMBER = re.compile(r"([0-9]{1,9})(?:[.,]([0-9]{1,9}))?")
 _SCALE_UNITS = {Scale.TENTHS: "s", Scale.BAUD: "baud"}
+
+
+def plausible_speed(raw: int | None) -> int | None:
+    """A commanded or actual speed, or ratio, as sent; None beyond the range of the manual (81h: 0-1869Fh)."""
+    return raw if raw is not None and raw <= HIGHEST_SPEED else None
+
+
+def plausible_parameter(number: int, raw: int | None) -> int | None:
+    """A parameter as sent; None outside of its printed range (manual, 4.0)."""
+    known = PARAMETERS.get(number)
+    return raw if raw is not None and known and known.minimum <= raw <= known.maximum else None
 
 
 def is_follower(mode: int | None) -> bool:
@@ -29,8 +43,7 @@ def is_follower(mode: int | None) -> bool:
 def speed_text(raw: int, decimals: int) -> str:
     """Return ``raw`` display units with ``decimals`` (#3) places: 12345 with 1 is "1234.5".
 
-    Marked as raw where a unit reports more than :data:`MAX_DECIMALS`, because ten to the power of a
-    four-byte number does not finish.
+    Marked as raw where a unit reports more than :data:`MAX_DECIMALS`.
     """
     if decimals > MAX_DECIMALS:
         return str(bare(raw))
@@ -114,10 +127,13 @@ def parameter_message(
     """What people read: a choice by its name where that is known, else the number in its scale.
 
     ``decimals`` is #3 of the unit, None while it is not known: a speed is then marked as raw.
-    ``follower``: #8 is 1 or 2, so presets and jumps are ratios. A secret is not shown.
+    ``follower``: #8 is 1 or 2, so presets and jumps are ratios. A secret is not shown, and what is outside of
+    the printed range is marked as that.
     """
     if parameter.secret:
         return Message("value_hidden")
+    if plausible_parameter(parameter.number, raw) is None:
+        return Message.of("value_implausible", raw=raw)
     if raw in parameter.choices:
         return term(parameter.choices[raw])
     if parameter.scale is Scale.BAUD:

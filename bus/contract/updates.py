@@ -35,15 +35,23 @@ from bus.messages import Message
 
 
 class Reading(TaggedStruct, frozen=True, tag="reading"):
-    """One response to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1, all as sent."""
+    """One response to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1, all as sent.
+
+    The app takes a speed beyond the manual's range for None; then ``implausible`` is what the unit sent."""
 
     unit: UnitId
     at: Stamp
-    commanded: FourBytes
-    actual: FourBytes
+    commanded: FourBytes | None
+    actual: FourBytes | None
     analog: Byte
     outputs: Byte
     inputs: Byte
+    implausible: FrameBytes = b""
+
+    @property
+    def deviation(self) -> int | None:
+        """Actual minus commanded speed; None while one of them is not known."""
+        return None if self.actual is None or self.commanded is None else self.actual - self.commanded
 
 
 class ParameterValue(TaggedStruct, frozen=True, tag="parameter"):

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from msgspec.structs import asdict
 
 from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.values import plausible_parameter, plausible_speed
 from bus.contract import ParameterValue, Reading, Staged, UnitLink, UnitLinkState, UnitScale, UnitState
 from bus.errors import UnitErrorCode
 from bus.instants import UnixTime
@@ -71,13 +72,14 @@ class UnitRecord:
 
     @property
     def commanded(self) -> int | None:
-        """The commanded speed as last read; None when it never was."""
-        return self.reading.commanded if self.reading is not None else None
+        """The commanded speed as last read; None when it never was, or is none that a unit can have."""
+        return plausible_speed(self.reading.commanded) if self.reading is not None else None
 
     def raw(self, number: int) -> int | None:
-        """A parameter as last read; None when it never was, or the unit does not have it."""
+        """A parameter as last read; None when it never was, the unit does not have it, or it is outside of
+        its printed range."""
         known = self.parameters.get(number)
-        return known.raw if known is not None else None
+        return plausible_parameter(number, known.raw) if known is not None else None
 
 
 class Roster:

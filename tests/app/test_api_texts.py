@@ -103,7 +103,14 @@ TIMES = {
 NUMBERS_AND_BYTES = {
     *("actual", "commanded", "data", "deviation", "draw", "frame", "frames", "hex", "highest", "lowest"),
     *(f"OwnAlarm.{name}" for name in ("above", "below", "deadband", "change_per_s")),
-    *("recipe", "staged", "HistorySeries.value", "RecipeDryRunStep.new", "RecipeSetpoint.value"),
+    *(
+        "recipe",
+        "staged",
+        "Unit.implausible",
+        "HistorySeries.value",
+        "RecipeDryRunStep.new",
+        "RecipeSetpoint.value",
+    ),
 }
 NO_TEXT = CODES | IN_THE_READERS_LANGUAGE | TYPED_BY_PEOPLE | TIMES | NUMBERS_AND_BYTES
 

@@ -190,7 +190,7 @@ def test_a_unit_never_read_and_a_unit_lost_before_the_start_with_its_time() -> N
 RAMPING: list[tuple[dict[int, int | None], str]] = [
     ({}, "Ramping to 120.0, about 2 s left"),
     ({6: 5000}, "Ramping to 120.0, about 75 s left"),
-    ({6: 50_000}, "Ramping to 120.0, about 12 min left"),
+    ({6: 9999, 2: 400}, "Ramping to 120.0, about 12 min left"),
     ({6: None}, "Ramping to 120.0"),
     ({6: 0}, "Ramping to 120.0"),
     ({2: None}, "Ramping to 120.0"),

@@ -21,6 +21,7 @@ from app.conditions.condition import Condition, Tuning
 from app.conditions.draw import NO_DRAW, UNKNOWN_DRAW, Draw
 from app.conditions.evidence import BusFacts, LinkFacts, UnitFacts
 from app.conditions.of_unit import suspicion
+from app.feed.plausibility import believed_reading
 from app.live.state.bus_live import BusLive
 from bus.catalogue.status import status_bits
 from bus.contract import BusFigures, ParameterValue, Staged
@@ -76,6 +77,12 @@ def staged() -> BusLive:
     return bus
 
 
+def implausible() -> BusLive:
+    bus = live()
+    bus.apply([believed_reading(reading(1, actual=4_294_967_196))])
+    return bus
+
+
 def followers(ratio: int) -> BusLive:
     return live(p8=1, p37=ratio, p38=100, p31=200)
 
@@ -120,6 +127,11 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
     ),
     "duplicate_address": ([of(addresses(9, 2, 3))], [of(addresses(1, 2, 3)), of(addresses(9, 8, 7))], NEVER),
     "staged_left": ([of(staged())], [of(live())], NEVER),
+    "value_implausible": (
+        [of(live(p3=5)), of(live(p2=100_000)), of(live(p21=100_000)), of(implausible())],
+        [of(live()), of(live(p3=4, p31=79_999))],
+        NEVER,
+    ),
     "unit_offline": (
         [(LINK._replace(is_lost=True),)],
         [(LINK,)],

@@ -50,7 +50,7 @@ def unit(parameters: dict[int, int | None]) -> UnitLive:
         ({8: 0, 2: 2000}, Limits(lowest=2500), SetpointRange("speed", 2000, 2000, "limits")),
         ({8: 0, 2: 0}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
         ({8: 0, 2: None}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
-        ({8: 0, 2: 4_000_000}, NO_LIMITS, SetpointRange("speed", 0, 99999, "display")),
+        ({8: 0, 2: 4_000_000}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
         ({8: None, 2: 2000}, NO_LIMITS, SetpointRange("speed", 0, 2000, "display")),
         ({**FOLLOWER, 2: 2000}, NO_LIMITS, SetpointRange("ratio", 5000, 15000, "ratio")),
         ({**FOLLOWER, 8: 2}, NO_LIMITS, SetpointRange("ratio", 5000, 15000, "ratio")),

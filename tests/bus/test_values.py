@@ -15,6 +15,8 @@ from bus.catalogue.values import (
     parameter_raw,
     parameter_text,
     parameter_unit,
+    plausible_parameter,
+    plausible_speed,
     ratio_raw,
     ratio_text,
     rpm,
@@ -191,10 +193,29 @@ def test_a_baud_rate_is_typed_as_a_number() -> None:
 
 
 def test_a_speed_of_more_decimals_than_a_value_can_have_is_raw() -> None:
-    assert speed_text(5, 9) == "0.000000005"
-    assert speed_text(5, 10) == "5 raw"
+    assert speed_text(5, 4) == "0.0005"
+    assert speed_text(5, 5) == "5 raw"
     with pytest.raises(CallerError, match="more decimals"):
-        speed_raw("5", 10)
+        speed_raw("5", 5)
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS.values(), ids=lambda each: f"#{each.number}")
+def test_a_value_outside_of_the_printed_range_is_implausible(parameter: Parameter) -> None:
+    number, ends = parameter.number, (parameter.minimum, parameter.maximum)
+    assert [plausible_parameter(number, raw) for raw in ends] == list(ends)
+    for raw in {max(parameter.minimum - 1, 0), parameter.maximum + 1, 4_294_967_196} - set(ends):
+        assert plausible_parameter(number, raw) is None
+        words = "hidden" if parameter.secret else f"implausible (raw {raw})"
+        assert parameter_text(parameter, raw, 1) == words
+    assert plausible_parameter(number, None) is None
+
+
+def test_a_speed_beyond_the_manual_is_implausible() -> None:
+    assert [plausible_speed(raw) for raw in (0, 99_999, 100_000, 4_294_967_196, None)] == [
+        0,
+        99_999,
+        *[None] * 3,
+    ]
 
 
 def test_an_invalid_number_is_not_repeated_where_the_parameter_is_secret() -> None:

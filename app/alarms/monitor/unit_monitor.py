@@ -55,6 +55,7 @@ class UnitMonitor:
             for alarm in (self._alarms[row.code],)
         ]
         self._draw = self._alarms[of_unit.DRAW_OUT_OF_BAND.code]
+        self._implausible = self._alarms[of_unit.VALUE_IMPLAUSIBLE.code]
         self._offline = self._alarms[of_unit.UNIT_OFFLINE.code]
         self._degraded = self._alarms[of_unit.LINK_DEGRADED.code]
         self._drift = self._alarms[of_unit.PARAMETER_DRIFT.code]
@@ -83,7 +84,9 @@ class UnitMonitor:
         return [*self._alarms.values(), *(alarm for alarm, _ in self._own.values())]
 
     def present(self, alarm: Alarm) -> Message | None:
-        """The present value of what an alarm of the site is about."""
+        """The present value of what an alarm is about, where it is about one."""
+        if alarm is self._implausible:
+            return of_unit.implausible_of(self._unit)
         own = self._own.get(alarm.definition.key)
         return None if own is None else own[1].present(self._bus, self._unit)
 
@@ -114,15 +117,18 @@ class UnitMonitor:
             for alarm, condition in self._by_reading:
                 self._observe(alarm, condition(facts), now)
             self._see_own(self._own_states, reading, None, now)
-        for alarm, holds, passes in self._by_value:
-            found = holds(bus, unit, reading, passes)
-            if found is not alarm.holds:
-                self._observe(alarm, found, now)
-        is_out = of_unit.DRAW_OUT_OF_BAND.holds(draw_of(bus, unit, now))
-        if is_out is not self._draw.holds:
-            self._observe(self._draw, is_out, now)
+        self._see_values(reading, now)
         if self._own_values:
             self._see_own(self._own_values, reading, known_decimals(bus, unit), now)
+
+    def _see_values(self, reading: Reading, now: UnixTime) -> None:
+        bus, unit = self._bus, self._unit
+        found = [(alarm, holds(bus, unit, reading, passes)) for alarm, holds, passes in self._by_value]
+        found.append((self._implausible, of_unit.VALUE_IMPLAUSIBLE.holds(bus, unit)))
+        found.append((self._draw, of_unit.DRAW_OUT_OF_BAND.holds(draw_of(bus, unit, now))))
+        for alarm, is_held in found:
+            if is_held is not alarm.holds:
+                self._observe(alarm, is_held, now)
 
     def _see_own(
         self, several: Sequence[ObservedOwn], reading: Reading, decimals: int | None, now: UnixTime
@@ -150,6 +156,7 @@ class UnitMonitor:
         self._status = None
         self._observe(self._degraded, None, now)
         self._observe(self._draw, None, now)
+        self._observe(self._implausible, None, now)
         for alarm in (*(each for each, _ in self._by_reading), *(each for each, *_ in self._by_value)):
             self._observe(alarm, None, now)
         for alarm, own in self._own.values():

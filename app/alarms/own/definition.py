@@ -74,7 +74,7 @@ def _analog(unit: UnitLive, reading: Reading) -> int | None:
 _VALUES: dict[str, Callable[[UnitLive, Reading], int | None]] = {
     "actual": lambda _, reading: reading.actual,
     "commanded": lambda _, reading: reading.commanded,
-    "deviation": lambda _, reading: abs(reading.actual - reading.commanded),
+    "deviation": lambda _, reading: None if reading.deviation is None else abs(reading.deviation),
 }
 
 

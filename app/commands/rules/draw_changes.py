@@ -52,7 +52,7 @@ def _speed(bus: BusLive, unit: UnitLive, setpoints: Mapping[int, int]) -> Sectio
     """A unit that stands, whatever is commanded, stays standing."""
     raw = setpoints.get(unit.settings.id)
     if raw is None and unit.reading is not None:
-        raw = unit.reading.commanded if unit.reading.actual else 0
+        raw = 0 if unit.reading.actual == 0 else unit.reading.commanded
     return SectionSpeed(raw, unit.parameter_raw(DECIMALS), quantity_of(bus, unit))
 
 

@@ -49,7 +49,9 @@ def micros(at: UnixTime) -> int:
 
 
 def plain_run(reading: Reading) -> PlainRun:
-    """A reading as a run of one."""
+    """A reading as a run of one; one with an implausible speed is not stored."""
+    assert reading.commanded is not None
+    assert reading.actual is not None
     at = round(float(reading.at) * SECOND)
     word = reading.outputs << 8 | reading.inputs
     return at, at, 1, reading.commanded, reading.actual, reading.analog, word

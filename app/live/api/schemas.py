@@ -110,6 +110,13 @@ class UnitShown(TypedDict):
     outputs: Annotated[list[bool] | None, Field(description="The six auxiliary outputs, output 1 first.")]
     inputs: InputsShown | None
     follower: Annotated[bool | None, Field(description="Whether #8 makes it follow a master by a ratio.")]
+    implausible: Annotated[
+        str | None,
+        Field(
+            description="The data of the response in hexadecimal where a speed is beyond 99999, and so null; "
+            "null: none is."
+        ),
+    ]
     staged_raw: Annotated[
         int | None, Field(description="Speed staged by 82h and not yet executed, 0 to 99999.")
     ]
@@ -181,3 +188,7 @@ class ParameterShown(TypedDict):
     writable: bool
     dangerous: Annotated[str, Field(description="Risk of the write; empty: it needs no confirmation.")]
     masked: Annotated[bool, Field(description="Whether it is a secret (#21).")]
+    implausible: Annotated[
+        bool,
+        Field(description="Whether raw is outside of min and max: value is null, and it scales nothing."),
+    ]

@@ -42,6 +42,7 @@ from bus.catalogue.values import (
     analog_input_value,
     parameter_text,
     parameter_unit,
+    plausible_parameter,
     rpm,
     speed_text,
 )
@@ -55,7 +56,7 @@ _NEVER_READ = dict.fromkeys(
     (
         *("read_at", "age_ms", "commanded_raw", "actual_raw", "deviation_raw"),
         *("commanded", "actual", "deviation", "rpm", "analog_raw", "analog"),
-        *("at_speed", "remote", "mode", "outputs", "inputs"),
+        *("at_speed", "remote", "mode", "outputs", "inputs", "implausible"),
     )
 )
 _NOT_MEASURED: Json = {
@@ -164,11 +165,12 @@ def parameter_json(unit: UnitLive, number: int) -> Json:
     parameter = PARAMETERS[number]
     known = unit.parameters.get(number)
     raw = known.raw if known is not None else None
+    is_implausible = plausible_parameter(number, raw) != raw
     return {
         "number": number,
         "name": parameter.name,
         "raw": None if parameter.secret else raw,
-        "value": None if raw is None else _parameter_text(unit, number, raw),
+        "value": None if raw is None or is_implausible else _parameter_text(unit, number, raw),
         "unit": parameter_unit(parameter),
         "min": parameter.minimum,
         "max": parameter.maximum,
@@ -182,6 +184,7 @@ def parameter_json(unit: UnitLive, number: int) -> Json:
         "writable": not parameter.never_writable,
         "dangerous": parameter.dangerous,
         "masked": parameter.secret,
+        "implausible": is_implausible,
     }
 
 
@@ -198,7 +201,7 @@ def _parameter_text(unit: UnitLive, number: int, raw: int) -> str:
 def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: UnixTime) -> Json:
     bits = bits_of(bus, reading)
     decimals = speed_decimals(bus, unit)
-    error = reading.actual - reading.commanded
+    error = reading.deviation
     return {
         "read_at": iso(reading.at),
         "age_ms": max(0, round(1000 * (now - reading.at))),
@@ -207,7 +210,7 @@ def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: UnixTime)
         "deviation_raw": error,
         "commanded": _speed_text(reading.commanded, decimals),
         "actual": _speed_text(reading.actual, decimals),
-        "deviation": None if decimals is None else _signed_text(error, decimals),
+        "deviation": None if decimals is None or error is None else _signed_text(error, decimals),
         "rpm": _rpm(unit, reading.actual),
         "analog_raw": reading.analog,
         "analog": _analog(unit, reading.analog),
@@ -216,20 +219,23 @@ def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: UnixTime)
         "mode": mode_of(unit, bits).upper(),
         "outputs": list(bits.outputs),
         "inputs": bits.inputs,
+        "implausible": reading.implausible.hex(" ").upper() or None,
     }
 
 
-def _speed_text(raw: int, decimals: int | None) -> str | None:
-    return None if decimals is None else speed_text(raw, decimals)
+def _speed_text(raw: int | None, decimals: int | None) -> str | None:
+    return None if decimals is None or raw is None else speed_text(raw, decimals)
 
 
 def _signed_text(raw: int, decimals: int) -> str:
     return ("-" if raw < 0 else "") + speed_text(abs(raw), decimals)
 
 
-def _rpm(unit: UnitLive, raw: int) -> float | None:
+def _rpm(unit: UnitLive, raw: int | None) -> float | None:
     max_rpm, max_display = unit.parameter_raw(MAX_RPM), unit.parameter_raw(MAX_DISPLAY)
-    return round(rpm(raw, max_rpm, max_display), 1) if max_rpm is not None and max_display else None
+    if raw is None or max_rpm is None or not max_display:
+        return None
+    return round(rpm(raw, max_rpm, max_display), 1)
 
 
 def _analog(unit: UnitLive, atd: int) -> float | None:

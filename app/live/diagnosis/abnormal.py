@@ -7,7 +7,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from app.conditions.of_bus import NO_UNIT_RESPONDS, NO_UNIT_YET
-from app.conditions.of_unit import BLOCKED, DRAW_OUT_OF_BAND, PARAMETER_DRIFT, suspicion
+from app.conditions.of_unit import (
+    BLOCKED,
+    DRAW_OUT_OF_BAND,
+    PARAMETER_DRIFT,
+    VALUE_IMPLAUSIBLE,
+    implausible_of,
+    suspicion,
+)
 from app.live.diagnosis.cause import Cause, Level, abnormal, unit_cause
 from app.live.diagnosis.links import any_responds, bus_facts
 from app.live.state.bus_live import BusLive, UnitLive
@@ -67,7 +74,9 @@ def shown_cause(
     """
     if cause is not None and cause.code in _BEFORE_ALL:
         return cause
-    return next(_others(cause, _draw(bus, unit, now), suspicion(bus, unit), blocked, drifted), cause)
+    suspected = suspicion(bus, unit)
+    others = _others(cause, _draw(bus, unit, now), implausible_of(unit), suspected, blocked, drifted)
+    return next(others, cause)
 
 
 def _draw(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
@@ -83,6 +92,7 @@ def _draw(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
 def _others(
     cause: Cause | None,
     draw: Cause | None,
+    implausible: Message | None,
     suspected: Message | None,
     blocked: Message | None,
     drifted: str,
@@ -91,6 +101,8 @@ def _others(
         yield abnormal("address_suspect", params={"why": suspected})
     if cause is not None and cause.level:
         yield cause
+    if implausible is not None:
+        yield abnormal(VALUE_IMPLAUSIBLE.code)
     if draw is not None:
         yield draw
     if BLOCKED.holds(blocked):

@@ -107,10 +107,11 @@ def _since(unit: UnitLive, names: Sequence[str]) -> Onset | None:
 
 
 def _ramp(bus: BusLive, unit: UnitLive, reading: Reading) -> Cause:
-    seconds = ramp_seconds(unit, reading.actual, reading.commanded)
+    target = reading.commanded
+    seconds = None if target is None else ramp_seconds(unit, reading.actual, target)
     left = None if seconds is None else ceil(seconds)
     params = {
-        "target_raw": reading.commanded,
+        "target_raw": target,
         "decimals": speed_decimals(bus, unit),
         "seconds_left": left,
     }

@@ -185,14 +185,18 @@ _NEVER: Fields = {
 
 
 def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, translator: Translator) -> Fields:
-    decimals = speed_decimals(bus, unit)
+    decimals, deviation = speed_decimals(bus, unit), reading.deviation
     return {
-        "actual": translator.formats.fixed(reading.actual, decimals),
-        "commanded": translator.formats.fixed(reading.commanded, decimals),
+        "actual": _speed(reading.actual, decimals, translator),
+        "commanded": _speed(reading.commanded, decimals, translator),
         "setpoint": [reading.commanded, decimals],
-        "deviation": _signed(reading.actual - reading.commanded, decimals, translator),
+        "deviation": UNKNOWN if deviation is None else _signed(deviation, decimals, translator),
         "analog": _analog(unit, reading.analog, translator),
     }
+
+
+def _speed(raw: int | None, decimals: int | None, translator: Translator) -> str:
+    return translator.t("implausible") if raw is None else translator.formats.fixed(raw, decimals)
 
 
 def _staged(unit: UnitLive, translator: Translator) -> str:
@@ -231,17 +235,17 @@ def _positions(unit: UnitLive, reading: Reading) -> Fields:
     if not span:
         return {"fill": "", "mark": "", "band": "", "off": deviation}
     return {
-        "fill": f"{min(1.0, reading.actual / span):.4f}",
-        "mark": f"{min(1.0, reading.commanded / span):.4f}",
+        "fill": "" if reading.actual is None else f"{min(1.0, reading.actual / span):.4f}",
+        "mark": "" if reading.commanded is None else f"{min(1.0, reading.commanded / span):.4f}",
         "band": f"{min(1.0, 2 * (window or 0) / span):.4f}",
         "off": deviation,
     }
 
 
 def _deviation(reading: Reading, window: int) -> str:
-    if window <= 0:
+    if window <= 0 or reading.deviation is None:
         return ""
-    share = (reading.actual - reading.commanded) / (window * 2 * DEVIATION_WINDOWS)
+    share = reading.deviation / (window * 2 * DEVIATION_WINDOWS)
     return f"{0.5 + max(-0.5, min(0.5, share)):.3f}"
 
 

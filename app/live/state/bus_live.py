@@ -31,7 +31,7 @@ from bus.catalogue.numbers import (
     MAX_DISPLAY,
     SETPOINTS,
 )
-from bus.catalogue.values import MAX_DECIMALS, RATIO_DECIMALS
+from bus.catalogue.values import RATIO_DECIMALS, plausible_parameter
 from bus.contract import (
     BusFigures,
     BusLink,
@@ -84,11 +84,10 @@ class UnitLive:
     """Unix time, before this server started; None while it is not known."""
 
     def parameter_raw(self, number: int) -> int | None:
-        """The raw value of a parameter as last read; None when never read or not available, and for decimals
-        (#3) that no value can have."""
+        """The raw value of a parameter as last read; None when never read or not available, and outside of
+        its printed range: it scales and bounds nothing then."""
         known = self.parameters.get(number)
-        raw = known.raw if known is not None else None
-        return None if raw is not None and number == DECIMALS and raw > MAX_DECIMALS else raw
+        return plausible_parameter(number, known.raw) if known is not None else None
 
     def is_current(self, number: int) -> bool:
         """Whether a parameter was read since the unit was last away or changed at its keypad."""

@@ -37,6 +37,9 @@ class Motion:
     def see(self, reading: Reading, bits: StatusBits, *, scan_s: float, ratio: bool = False) -> MotionState:
         """The state after this reading. ``ratio``: its speeds are ratios to a master, which do not show
         whether the motor turns."""
+        if reading.commanded is None or reading.actual is None:
+            self.state, self._goal = "", None
+            return self.state
         driven = is_driven(bits)
         goal = reading.commanded if driven else 0
         error = abs(goal - reading.actual)
@@ -45,20 +48,20 @@ class Motion:
             self._goal, self._least_error, self._nearer_at = goal, error, reading.at
         gave_up = reading.at - self._nearer_at > max(PATIENCE_S, PATIENCE_SCANS * scan_s)
         if driven or (reading.commanded == 0 and reading.actual == 0):
-            self.state = _driven(reading, bits.at_speed, gave_up)
+            self.state = _driven(reading.commanded, reading.actual, bits.at_speed, gave_up)
         else:
             self.state = "" if ratio else _not_driven(reading, gave_up)
         return self.state
 
 
-def _driven(reading: Reading, at_speed: bool, gave_up: bool) -> MotionState:
-    if reading.commanded == 0 and reading.actual == 0:
+def _driven(commanded: int, actual: int, at_speed: bool, gave_up: bool) -> MotionState:
+    if commanded == 0 and actual == 0:
         return "at_zero"
     if at_speed:
         return "at_speed"
     if gave_up:
         return "off_speed"
-    return "ramping_up" if reading.commanded > reading.actual else "ramping_down"
+    return "ramping_up" if commanded > actual else "ramping_down"
 
 
 def _not_driven(reading: Reading, gave_up: bool) -> MotionState:
