@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 
 K = TypeVar("K")
 
-MAX_REST_S = 0.5
+MAX_REST_S = 0.05
 
 
 class TooManyWaitingError(Exception):
@@ -64,7 +64,7 @@ class FairQueue(Generic[K]):
 
     ``at_once``: turns at a time, and ``at_once_of_key`` of one key. ``most_waiting_of_key`` may wait of one
     key, ``most_waiting`` of all together, half of them known and half not. ``rest``: how many times as long
-    as a turn took its place then stays free, but at most MAX_REST_S.
+    as a turn took its place then stays free, but at most ``most_rest_s``.
     """
 
     def __init__(
@@ -74,12 +74,14 @@ class FairQueue(Generic[K]):
         most_waiting_of_key: int,
         most_waiting: float = inf,
         rest: float = 0.0,
+        most_rest_s: float = MAX_REST_S,
     ) -> None:
         self._at_once = at_once
         self._at_once_of_key = at_once_of_key
         self._most_of_key = at_once_of_key + most_waiting_of_key
         self._most_waiting_of_class = most_waiting / 2
         self._rest = rest
+        self._most_rest_s = most_rest_s
         self._waiting: dict[bool, RoundRobin[K]] = {True: RoundRobin(), False: RoundRobin()}
         self._busy: Counter[K] = Counter()
         self._known_next = True
@@ -94,7 +96,7 @@ class FairQueue(Generic[K]):
             yield
         finally:
             if self._rest:
-                loop.call_later(min(self._rest * (loop.time() - begun), MAX_REST_S), self._end, key)
+                loop.call_later(min(self._rest * (loop.time() - begun), self._most_rest_s), self._end, key)
             else:
                 self._end(key)
 

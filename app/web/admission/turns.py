@@ -21,9 +21,9 @@ MAX_AT_ONCE = 2
 MAX_WAITING = 30
 """How many searches, and how many downloads, of an account may wait."""
 MAX_READS = 2
-REST = 2.0
-"""How many times as long as a read took its place stays free: a command needs the event loop some
-twenty times and would otherwise wait for a page of the same account each time."""
+REST, MOST_REST_S = 2.0, 0.5
+"""How many times as long as a read took its place stays free, and for how long at most. A command needs the
+event loop some twenty times, and would otherwise wait for another page of that account each time."""
 MAX_WAITING_READS = 200
 """How many other reads of an account may wait."""
 
@@ -35,7 +35,9 @@ class Turns:
     searches: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, MAX_AT_ONCE, MAX_WAITING))
     downloads: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, MAX_AT_ONCE, MAX_WAITING))
     reads: FairQueue[str] = field(
-        default_factory=lambda: FairQueue(inf, MAX_READS, MAX_WAITING_READS, rest=REST)
+        default_factory=lambda: FairQueue(
+            inf, MAX_READS, MAX_WAITING_READS, rest=REST, most_rest_s=MOST_REST_S
+        )
     )
     """Everything else that is read."""
 
