@@ -10,7 +10,7 @@ from app.database import Database
 from app.history.intake.writer import MIGRATIONS
 from app.history.series.rollup import combine, pack_rollups, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_runs
-from app.history.series.scaling import ParameterStep
+from app.history.series.values import ParameterStep
 from app.history.store import tables
 from bus.contract import Reading
 

@@ -13,14 +13,14 @@ from app.audit.entry import EventKind
 from app.database.connection import is_intact
 from app.errors import DamagedStoreError, StoreError
 from app.history.intake.tail import Tail
+from app.history.intake.upkeep import TABLES, damaged_blocks
 from app.history.intake.writer import Writer
 from app.history.query.query import QueryResult, SeriesQuery, run_query
-from app.history.series.intervals import Interval
 from app.history.series.runs import SECOND, micros
+from app.history.series.values import Interval
 from app.history.status import HistoryStatus
 from app.history.store import tables
-from app.history.store.damage import BlockKey
-from app.history.store.inspection import TABLES, damaged_blocks
+from app.history.store.tables import BlockKey
 from app.settings import Settings
 from bus.contract import Update
 from bus.instants import UnixTime, unix_now

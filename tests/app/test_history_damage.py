@@ -22,7 +22,7 @@ from app.history.series.values import VALUES
 from app.history.service import FILE, History
 from app.history.settings import HistorySettings
 from app.history.status import store_notice
-from app.history.store.damage import BlockKey, StoredTier
+from app.history.store.tables import BlockKey, StoredTier
 from app.settings import ServerSettings, Settings
 from app.web.rendering.formats import Formats
 from bus.instants import unix_now

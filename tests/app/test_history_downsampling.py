@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.history.series.downsampling import Points, downsample, grid, in_order, series
-from app.history.series.gaps import Marks
 from app.history.series.runs import HOUR, MINUTE, SECOND
-from app.history.series.scaling import LinearScale, Scaling
+from app.history.series.values import LinearScale, Marks, Scaling
 
 PLAIN = Scaling([0], [LinearScale(decimals=0)])
 

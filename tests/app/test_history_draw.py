@@ -7,9 +7,8 @@ from pathlib import Path
 from app.history.query.query import SeriesQuery, run_query, stored_queries
 from app.history.series.downsampling import Series
 from app.history.series.draw import draw_series
-from app.history.series.gaps import LONG_GAP
 from app.history.series.runs import SECOND, micros
-from app.history.series.values import VALUES
+from app.history.series.values import LONG_GAP, VALUES
 from bus.settings import BusSettings, UnitSettings
 from tests.app.history_line import BUS, NOON, Shelf, parameter, reading
 

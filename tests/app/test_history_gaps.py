@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from app.history.series.gaps import Marks, holes, usual_interval
 from app.history.series.runs import SECOND
+from app.history.series.values import Marks, holes, usual_interval
 
 POLLS = [i * SECOND // 5 for i in range(100)]
 USUAL = SECOND // 5

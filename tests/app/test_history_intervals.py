@@ -7,9 +7,8 @@ from itertools import pairwise, permutations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.history.series.gaps import Marks
-from app.history.series.intervals import Interval, intervals, splice
 from app.history.series.runs import MINUTE, SECOND, Run
+from app.history.series.values import Interval, Marks, intervals, splice
 
 WORDS = st.lists(st.integers(0, 2), min_size=36, max_size=36)
 

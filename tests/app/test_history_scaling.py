@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from app.history.series.scaling import ParameterStep, scaling
-from app.history.series.values import VALUES
+from app.history.series.values import VALUES, ParameterStep, scaling
 
 
 def shown(name: str, raw: int, steps: list[tuple[int, int, int]], at: int = 100, **how: object) -> float:

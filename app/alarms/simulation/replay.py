@@ -16,7 +16,7 @@ from app.alarms.simulation.rest import AtRest
 from app.conditions.of_unit import ESTOP_ACTIVE
 from app.history.series.rollup import Rollup
 from app.history.series.runs import MINUTE, SECOND, Run, micros
-from app.history.series.scaling import ParameterStep
+from app.history.series.values import ParameterStep
 from app.live.diagnosis.links import unit_facts
 from app.live.state.bus_live import never_seen
 from app.live.state.scan_time import scan_s_of, stale_after_s

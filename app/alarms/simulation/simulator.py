@@ -14,7 +14,7 @@ from app.alarms.simulation.stored import StoredHour
 from app.history.intake.tail import Tail
 from app.history.query.unit_history import StoredUnit, minutes_of
 from app.history.series.runs import HOUR, MINUTE, SECOND, micros
-from app.history.series.scaling import ParameterStep
+from app.history.series.values import ParameterStep
 from app.history.service import History
 from app.history.store import tables
 from app.server.admission.fair_queue import FairQueue

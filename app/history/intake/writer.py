@@ -21,16 +21,14 @@ from app.database.presence import proves_intact
 from app.database.reserve import free_bytes
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.history.intake.clock_watch import ClockWatch
-from app.history.intake.recorder import Recorder
+from app.history.intake.recorder import Delivery, Recorder
 from app.history.intake.tail import Tail
-from app.history.intake.updates import Delivery
-from app.history.intake.upkeep import DiskReserve, Upkeep, space
+from app.history.intake.upkeep import DiskReserve, FoundDamage, Upkeep, set_aside, space
 from app.history.series.runs import DAY, SECOND, micros
 from app.history.settings import HistorySettings
 from app.history.status import NOTICES, HistoryStatus, StoreState, damage_message, store_message
 from app.history.store import tables
-from app.history.store.damage import BlockKey
-from app.history.store.inspection import FoundDamage, set_aside
+from app.history.store.tables import BlockKey
 from app.web.api.shape import iso
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number

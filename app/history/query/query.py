@@ -11,12 +11,10 @@ from app.history.intake.tail import Tail
 from app.history.query import unit_history
 from app.history.series import draw
 from app.history.series.downsampling import Points, Series, downsample, grid, holes_in, series
-from app.history.series.gaps import Marks
 from app.history.series.runs import HOUR, MINUTE
-from app.history.series.scaling import Scaling, scaling
-from app.history.series.values import VALUES, Value
+from app.history.series.values import VALUES, Marks, Scaling, Value, scaling
 from app.history.store import tables
-from app.history.store.damage import BlockKey
+from app.history.store.tables import BlockKey
 from bus.settings import BusSettings
 
 MAX_READINGS = 100_000

@@ -13,8 +13,6 @@ from typing import Any, TypeVar
 from app.history.intake.tail import Tail
 from app.history.series import columns
 from app.history.series.downsampling import Points, in_order
-from app.history.series.gaps import Marks, usual_interval
-from app.history.series.intervals import Interval, intervals
 from app.history.series.rollup import (
     FIELDS,
     Rollup,
@@ -25,9 +23,9 @@ from app.history.series.rollup import (
     unpack_rollups,
 )
 from app.history.series.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_runs
-from app.history.series.values import Value
+from app.history.series.values import Interval, Marks, Value, intervals, usual_interval
 from app.history.store import tables
-from app.history.store.damage import BlockKey, StoredTier
+from app.history.store.tables import BlockKey, StoredTier
 
 T = TypeVar("T")
 Unpacking = Callable[[bytes, int], list[T]]

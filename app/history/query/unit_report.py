@@ -23,8 +23,7 @@ from app.history.series.run_time import (
     stretches,
 )
 from app.history.series.runs import MINUTE, Run
-from app.history.series.scaling import ParameterStep, Scaling
-from app.history.series.values import VALUES
+from app.history.series.values import VALUES, ParameterStep, Scaling
 from app.history.store import tables
 from bus.catalogue.numbers import FOLLOWER_MODE
 from bus.settings import BusSettings

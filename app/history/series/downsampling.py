@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter, le, truediv
 
-from app.history.series.gaps import Marks, holes
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND
-from app.history.series.scaling import Scaling
+from app.history.series.values import Marks, Scaling, holes
 
 _MS = 1000
 WIDTHS = tuple(

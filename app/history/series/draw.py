@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from app.history.series.downsampling import Series
-from app.history.series.gaps import LONG_GAP
 from app.history.series.runs import MINUTE
+from app.history.series.values import LONG_GAP
 
 STORED_DECIMALS = 2
 

@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import Literal, NamedTuple
 
-from app.history.series.gaps import Marks, holes, usual_interval
 from app.history.series.rollup import Rollup
 from app.history.series.runs import MINUTE, Run
-from app.history.series.values import VALUES
+from app.history.series.values import VALUES, Marks, holes, usual_interval
 from bus.catalogue.status import status_bits
 
 StopCause = Literal["estop", "run_off", "speed_zero", "unknown"]

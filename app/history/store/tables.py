@@ -1,17 +1,20 @@
-"""The rows of the history store. Every function takes a connection; who calls decides the transaction."""
+"""The rows of the history store. Every function takes a connection; who calls decides the transaction.
+
+A block that is damaged is detected by zlib's checksum, and costs only itself.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from operator import gt, itemgetter, sub
-from typing import Literal
+from typing import Literal, TypeVar
 
 from app.database import StoreConnection as StoreConnection
 from app.database.connection import upsert
 from app.history.series import columns
-from app.history.series.gaps import Marks
-from app.history.series.intervals import Interval
 from app.history.series.rollup import Rollup, pack_rollups, unpack_rollups
 from app.history.series.runs import (
     DAY,
@@ -24,8 +27,45 @@ from app.history.series.runs import (
     unpack_columns,
     unpack_runs,
 )
-from app.history.series.scaling import ParameterStep
-from app.history.store.damage import BlockKey, intact, sound
+from app.history.series.values import Interval, Marks, ParameterStep
+
+T = TypeVar("T")
+StoredTier = Literal["raw", "minutes", "hours"]
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class BlockKey:
+    """Where a block is: ``unit`` by its key, ``start`` in µs."""
+
+    tier: StoredTier
+    unit: int
+    start: int
+
+
+class DamagedBlock(ValueError):
+    """Its content is not what was written."""
+
+    def __init__(self, block: BlockKey, why: str) -> None:
+        super().__init__(f"{why} ({block.tier} of unit key {block.unit} from {block.start})")
+        self.block = block
+
+
+def intact(block: BlockKey, unpack: Callable[[], T]) -> T:
+    """Return what ``unpack`` gives. Raises DamagedBlock where it raises ValueError."""
+    try:
+        return unpack()
+    except ValueError as error:
+        raise DamagedBlock(block, str(error)) from error
+
+
+def sound(blob: bytes) -> bool:
+    """Whether a block still has its checksum."""
+    try:
+        zlib.decompress(blob)
+    except zlib.error:
+        return False
+    return True
+
 
 RollupTier = Literal["minutes", "hours"]
 ROW_SPAN: dict[RollupTier, int] = {"minutes": HOUR, "hours": DAY}

@@ -9,14 +9,13 @@ from itertools import groupby
 
 from app.cli.simulated.past.story import MAX_UNITS, Past, Stretch, setpoint_of
 from app.database import Database, StoreConnection
+from app.history.intake import folding
 from app.history.intake.writer import MIGRATIONS
-from app.history.series.gaps import Marks
-from app.history.series.intervals import intervals
 from app.history.series.rollup import combine, minute_rollups
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, micros
-from app.history.series.scaling import DECIDING, ParameterStep
+from app.history.series.values import DECIDING, Marks, ParameterStep, intervals
 from app.history.service import FILE
-from app.history.store import minutes, tables
+from app.history.store import tables
 from app.settings import Settings
 from bus.simulator.section import TENSION_AT_REST, TENSION_RUNNING
 from bus.simulator.unit import Unit
@@ -73,7 +72,7 @@ def _write_blocks(connection: StoreConnection, key: int, runs: list[PlainRun], m
             rollups.append(combine(rows, hour))
         tables.write_rollups(connection, "hours", key, day, rollups)
     bits = intervals(((run[0], run[1], run[6]) for run in runs), marks, MINUTE)
-    minutes.replace_bits(connection, {key: ()}, {key: bits})
+    folding.replace_bits(connection, {key: ()}, {key: bits})
 
 
 def _is_online(stretch: Stretch) -> bool:
