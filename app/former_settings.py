@@ -3,33 +3,51 @@ upgrade. Only a database that has the data of the site is refused."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic_core import PydanticCustomError
 
+from bus.configuration import KeyPath, LineNumbers
 from bus.messages import Message
+from bus.settings import FORMER_KEYS_OF_BUS
 
-FORMER_KEYS = {("store",), ("history", "spool_mb")}
+FORMER_KEYS = {("store",), ("history", "spool_mb"), ("server", "id"), ("server", "home"), ("server", "url")}
 """Paths of keys and tables."""
+FORMER_ALARMS = ("store_unavailable", "break_glass_used")
+"""Codes of alarms that there are no more; what a ``[[built_in_alarm]]`` sets of them is ignored."""
 BREAK_GLASS = "break-glass.json"
 """Accounts that signed in only while the database of the site was away: none of them does so here."""
 
 
-def former_keys(data: Mapping[str, Any]) -> list[str]:
-    """The keys of a configuration that are ignored, as TOML writes them."""
-    return sorted(".".join(path) for path in FORMER_KEYS if _has(data, path))
+def former_keys(data: Mapping[str, Any]) -> list[KeyPath]:
+    """Return the paths of the keys of a configuration that are ignored."""
+    found: list[KeyPath] = [path for path in FORMER_KEYS if _has(data, path)]
+    for number, bus in enumerate(data.get("bus", ())):
+        found += [("bus", number, key) for key in FORMER_KEYS_OF_BUS if key in bus]
+    for number, alarm in enumerate(data.get("built_in_alarm", ())):
+        if alarm["code"] in FORMER_ALARMS:
+            found.append(("built_in_alarm", number, "code"))
+    return sorted(found, key=str)
 
 
-def former_notices(data: Mapping[str, Any], folder: Path) -> list[Message]:
+def former_notices(text: str, file: str, folder: Path) -> list[Message]:
     """What an earlier version used of a configuration and of its data folder, and what sets nothing now."""
-    notices = []
-    if keys := former_keys(data):
-        notices.append(Message.of("ignored_keys", keys=", ".join(keys)))
-    if (file := folder / BREAK_GLASS).exists():
-        notices.append(Message.of("break_glass_of_former_version", file=str(file)))
+    lines = LineNumbers(text)
+    notices = [
+        Message.of("ignored_key", file=file, line=lines.of(path), key=_name(path))
+        for path in former_keys(tomllib.loads(text))
+    ]
+    if (accounts := folder / BREAK_GLASS).exists():
+        notices.append(Message.of("break_glass_of_former_version", file=str(accounts)))
     return notices
+
+
+def _name(path: KeyPath) -> str:
+    """Return the name of a key with those of its tables, as TOML writes it."""
+    return ".".join(step for step in path if isinstance(step, str))
 
 
 def without_former_keys(data: object) -> object:

@@ -26,6 +26,8 @@ IMPLAUSIBLE = Message("updates_implausible")
 KNOWN = Message("updates_late_known")
 OVER_QUOTA = Message("updates_over_quota")
 """Why updates of a worker are refused."""
+OTHER_RELEASE = "worker_version_differs"
+"""The code of the refusal of a worker whose link has another version."""
 
 
 class HistoryIntake(Protocol):
@@ -80,8 +82,12 @@ class Pipeline:
         self._recorder.note(LineEvent("worker", None, at, what, "", term("connected")))
 
     def worker_refused(self, at: UnixTime, holder: str, refused: str, reason: Message) -> None:
-        """A worker's hello was refused. ``holder`` and ``refused``: the tokens and their addresses."""
+        """A worker's hello was refused. ``holder`` and ``refused``: the tokens and their addresses. A bus
+        without a worker shows that its worker is of another release."""
         self._recorder.note(refusal_of_worker(at, holder, refused, reason))
+        live = self._live
+        if reason.code == OTHER_RELEASE and not live.worker_connected and live.link.cause != reason:
+            live.apply([BusLink(at=at, link="closed", cause=reason)])
 
     def updates_refused(self, at: UnixTime, counts: Mapping[Message, int]) -> None:
         """So many updates of a worker were not taken in, for each reason; they are summed up."""

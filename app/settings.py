@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import socket
-import tomllib
 from hashlib import sha256
 from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
 from pathlib import Path
@@ -32,7 +30,7 @@ from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
 from app.notification.settings import NotifySettings, refuse_unknown_names
 from app.reports.settings import ReportSettings, refuse_unsendable
-from app.server.settings import TlsSettings, WebUrl, is_loopback
+from app.server.settings import TlsSettings, is_loopback
 from app.time_zone import is_zone, machine_zone
 from app.version import VERSION
 from bus import configuration
@@ -44,9 +42,6 @@ from bus.text import OneLine
 __all__ = ["ConfigurationError", "ServerSettings", "Settings", "Site", "load", "parse"]
 
 _HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9_-]{1,63}(?:\.[A-Za-z0-9_-]{1,63})*")
-
-
-_SERVER_ID = r"^[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?$"
 
 
 STORE_FILE = "lineside.db"
@@ -115,16 +110,6 @@ def host_name(written: str) -> str:
     return bare
 
 
-def _refuse_unknown_homes(server: ServerSettings, buses: tuple[BusSettings, ...]) -> None:
-    """Raises PydanticCustomError where ``home`` names a bus that is not configured."""
-    known = [bus.name for bus in buses]
-    for index, name in enumerate(server.home or ()):
-        if name not in known:
-            message = Message.of("setting_home_bus", bus=name, known=", ".join(known) or "-")
-            at = ("server", "home", index)
-            raise PydanticCustomError("home", "no such bus", {"message": message, "at": at})
-
-
 TrustedNetwork = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
 HostName = Annotated[str, AfterValidator(host_name)]
 
@@ -144,25 +129,6 @@ class ServerSettings(StrictModel):
     sessions: Sessions = Sessions()
     tls: TlsSettings | None = None
     """HTTPS and WSS instead of HTTP."""
-    id: Annotated[str, Field(pattern=_SERVER_ID, max_length=64)] = Field(default_factory=socket.gethostname)
-    """The name of this server, by which it holds the home of a bus: each server has its own."""
-    home: tuple[str, ...] | None = None
-    """The buses whose home this server may be; None: all."""
-    url: WebUrl | None = None
-    """How other servers and workers reach this one; None: by host, port and TLS."""
-
-    @property
-    def own_url(self) -> str:
-        """How other servers and workers reach this one."""
-        if self.url is not None:
-            return self.url.rstrip("/")
-        host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host
-        name = f"[{host}]" if ":" in host else host
-        return f"http{'' if self.tls is None else 's'}://{name}:{self.port}"
-
-    def may_be_home(self, bus: str) -> bool:
-        """Whether this server may be the home of a bus."""
-        return self.home is None or bus in self.home
 
     @property
     def is_in_clear(self) -> bool:
@@ -205,7 +171,7 @@ class Settings(StrictModel):
     @property
     def former_notices(self) -> list[Message]:
         """What an earlier version used of the file and of the data folder, and what sets nothing now."""
-        return former_notices(tomllib.loads(self._text), self.server.data)
+        return former_notices(self._text, str(self._file), self.server.data)
 
     @property
     def key_files(self) -> tuple[Path, ...]:
@@ -251,7 +217,6 @@ class Settings(StrictModel):
         refuse_built_in(self.built_in_alarm, self.bus)
         refuse_unknown_names(self.notify, self.bus)
         refuse_unsendable(self.report, self.notify, self.bus)
-        _refuse_unknown_homes(self.server, self.bus)
         return self
 
 

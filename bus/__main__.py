@@ -33,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
     except ConfigurationError as error:
         return _wrong(error.message)
     structlog.contextvars.bind_contextvars(bus=bus.name)
-    return run(bus, options.app, token, child=options.child, leased=options.leased)
+    return run(bus, options.app, token, child=options.child)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -45,9 +45,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--child", action="store_true", help="token from standard input; leave when the parent is gone"
-    )
-    parser.add_argument(
-        "--leased", action="store_true", help="use the port only while the dashboard is the home of the bus"
     )
     return parser
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from decimal import Decimal
 from itertools import pairwise
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 from urllib.parse import urlsplit
 
 from pydantic import (
@@ -16,6 +16,7 @@ from pydantic import (
     ValidatorFunctionWrapHandler,
     WrapValidator,
     field_validator,
+    model_validator,
 )
 from pydantic_core import PydanticCustomError
 
@@ -110,6 +111,10 @@ class UnitSettings(StrictModel):
     labels: UnitLabels = UnitLabels()
 
 
+FORMER_KEYS_OF_BUS = ("take_over",)
+"""Keys of version 0.2, which are ignored."""
+
+
 class BusSettings(Dialect):
     """One RS-422 cable, its port, its dialect and its units in floor order."""
 
@@ -119,12 +124,17 @@ class BusSettings(Dialect):
     turnaround_ms: Annotated[float, Field(strict=True, ge=0, le=5000)] = 50
     worker: Literal["server", "remote"] = "server"
     """Who runs its worker: the server on its machine, or ``lineside worker`` on the one with the port."""
-    take_over: Literal["automatic", "manual"] | None = None
-    """Whether another server becomes the home of the bus without a person; None: where its port is on a
-    device server, which any server reaches."""
     draw_percent: DrawBand = ()
     """Band of each draw of its units that sets no other."""
     unit: tuple[UnitSettings, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_former_keys(cls, data: Any) -> Any:
+        """Ignore what an earlier version had, so that no line stops at an upgrade."""
+        if not isinstance(data, dict):
+            return data
+        return {key: value for key, value in data.items() if key not in FORMER_KEYS_OF_BUS}
 
     @field_validator("unit")
     @classmethod
@@ -161,11 +171,6 @@ class BusSettings(Dialect):
     def has_local_port(self) -> bool:
         """Whether its port is a device of the server's machine."""
         return self.worker == "server" and "://" not in self.port
-
-    @property
-    def is_taken_over(self) -> bool:
-        """Whether another server becomes the home of the bus without a person."""
-        return self.take_over == "automatic" if self.take_over is not None else "://" in self.port
 
     @property
     def turnaround_s(self) -> float:

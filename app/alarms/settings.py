@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError, PydanticKnownError
 from app.conditions.catalogue import BUS_ALARMS, CONDITIONS, SERVER_ALARMS, UNIT_ALARMS
 from app.conditions.condition import Tuning
 from app.conditions.priority import AlarmPriority
+from app.former_settings import FORMER_ALARMS
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 from bus.text import OneLine
@@ -112,7 +113,7 @@ def refuse_misplaced(alarms: Iterable[AlarmSettings], buses: Iterable[BusSetting
 
 def _known(code: str) -> str:
     codes = (*UNIT_ALARMS, *BUS_ALARMS, *SERVER_ALARMS)
-    if code not in codes:
+    if code not in (*codes, *FORMER_ALARMS):
         raise PydanticKnownError("literal_error", {"expected": ", ".join(map(repr, codes))})
     return code
 
@@ -166,6 +167,8 @@ def refuse_built_in(entries: Sequence[BuiltInAlarmSettings], buses: Iterable[Bus
     what its alarm has not, one given twice, and limits that no value can keep."""
     units = _units_of(buses)
     for index, each in enumerate(entries):
+        if each.code in FORMER_ALARMS:
+            continue
         before = [other.place for other in entries[:index]]
         for code, key, more in (*_misplaced(each, units), *_misset(each)):
             raise _refusal(Message.of(code, name=each.code, **more), "built_in_alarm", index, key)

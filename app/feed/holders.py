@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from enum import Enum
 from math import inf
 
+from app.pipeline import OTHER_RELEASE
+from app.version import VERSION
 from bus.contract import CONTRACT_VERSION, Hello
 from bus.instants import Monotonic
 from bus.messages import Message
@@ -73,7 +75,8 @@ class Holder:
 def refusal(hello: Hello, credential: Credential, buses: Collection[str]) -> Message | None:
     """Why no bus is for this worker; None where there is one. ``buses``: those of the configuration."""
     if hello.version != CONTRACT_VERSION:
-        return Message.of("worker_version_differs", version=CONTRACT_VERSION, of_worker=hello.version)
+        versions = {"version": hello.version, "needed": CONTRACT_VERSION}
+        return Message.of(OTHER_RELEASE, of_worker=hello.software, release=VERSION, **versions)
     if hello.bus != credential.bus:
         return Message.of("worker_token_of_other_bus", bus=credential.bus)
     if hello.bus not in buses:

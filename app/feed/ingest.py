@@ -8,9 +8,8 @@ well-formed one only what is plausible (:mod:`app.feed.plausibility`).
 from __future__ import annotations
 
 import asyncio
-import math
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 from app.feed.channel import Channel, MessageSink
@@ -24,8 +23,6 @@ from bus.contract import (
     ClockSync,
     Delivered,
     Hello,
-    LeaseLeft,
-    LeaseRequest,
     MalformedMessageError,
     Progress,
     Result,
@@ -36,9 +33,6 @@ from bus.contract import (
 )
 from bus.instants import Clock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
-
-MAX_LEASE_S = 60.0
-"""What a worker is granted at most, also where its server has no lease."""
 
 
 @dataclass(slots=True)
@@ -62,8 +56,6 @@ class Ingest:
     _coverage: Coverage
     _now: Clock = unix_now
     _clock: WorkerClock = field(default_factory=WorkerClock)
-    lease_left_s: Callable[[], float] = lambda: math.inf
-    """For how long this server is the home of the bus without another renewal."""
     _snapshot_seq: int | None = None
     _snapshot_wanted: bool = False
     missed_ticks: int = 0
@@ -89,9 +81,6 @@ class Ingest:
                 await self._take_snapshot(snapshot)
             case Batch() as batch:
                 await self._take_batch(batch)
-            case LeaseRequest():
-                left_s = max(0.0, min(self.lease_left_s(), MAX_LEASE_S))
-                await self._connection.send(LeaseLeft(message.requested_at, left_s))
             case Hello():
                 raise MalformedMessageError("Hello is sent once, at the beginning")
         await self._hold_back(self._quota.pause_s(message, len(data), monotonic_now()))

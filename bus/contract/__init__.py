@@ -24,7 +24,6 @@ from bus.contract.actions import WriteOutput as WriteOutput
 from bus.contract.actions import WriteParameter as WriteParameter
 from bus.contract.bounds import BUFFER_AGE_S as BUFFER_AGE_S
 from bus.contract.bounds import CONTRACT_VERSION as CONTRACT_VERSION
-from bus.contract.bounds import MAX_EPOCH as MAX_EPOCH
 from bus.contract.bounds import MAX_FRAME as MAX_FRAME
 from bus.contract.bounds import MAX_MEANING as MAX_MEANING
 from bus.contract.bounds import MAX_MEANINGS as MAX_MEANINGS
@@ -43,8 +42,6 @@ from bus.contract.session import ClockSync as ClockSync
 from bus.contract.session import Command as Command
 from bus.contract.session import Delivered as Delivered
 from bus.contract.session import Hello as Hello
-from bus.contract.session import LeaseLeft as LeaseLeft
-from bus.contract.session import LeaseRequest as LeaseRequest
 from bus.contract.session import MalformedMessageError as MalformedMessageError
 from bus.contract.session import ReserveTurn as ReserveTurn
 from bus.contract.session import Snapshot as Snapshot

@@ -54,9 +54,6 @@ UnitScale = Annotated[dict[ParameterNumber, FourBytes | None], Meta(max_length=4
 OutputNumber = Annotated[int, Meta(ge=1, le=6)]
 BaudRate = Annotated[int, Meta(ge=300, le=9600)]
 Total = Annotated[int, Meta(ge=0, le=2**53)]
-MAX_EPOCH = 2**53 - 1
-Epoch = Annotated[int, Meta(ge=0, le=MAX_EPOCH)]
-"""Of the home of a bus; 0: none."""
 
 Stamp = Annotated[UnixTime, Meta(ge=0.0, le=32_503_680_000.0)]
 """Seconds since the epoch, to the year 3000; whether it is near enough to now, the receiver judges."""

@@ -12,11 +12,8 @@ from bus.contract.bounds import (
     MAX_UNITS,
     MAX_UPDATES,
     ClockDifference,
-    DurationSeconds,
-    Epoch,
     Id,
     LongText,
-    MonotonicSeconds,
     ShortText,
     Stamp,
     TaggedStruct,
@@ -37,8 +34,6 @@ class Hello(TaggedStruct, frozen=True, tag="hello"):
     software: ShortText
     port: LongText
     sent_at: Stamp
-    epoch: Epoch = 0
-    """The highest that this worker has seen of the home of its bus; 0: none yet."""
 
 
 class Snapshot(TaggedStruct, frozen=True, tag="snapshot"):
@@ -67,21 +62,13 @@ class Batch(TaggedStruct, frozen=True, tag="batch"):
     app_behind_s: ClockDifference | None = None
 
 
-class LeaseRequest(TaggedStruct, frozen=True, tag="lease_request"):
-    """How long may the port be used? ``requested_at``: on the worker's own clock, and only for the worker: a
-    response that was held up on its way counts from there."""
-
-    requested_at: MonotonicSeconds
-
-
-WorkerMessage = Hello | Snapshot | Batch | LeaseRequest
+WorkerMessage = Hello | Snapshot | Batch
 
 
 class Command(TaggedStruct, frozen=True, tag="command"):
     """An action with an id and a deadline. ``deadline``: on the app's clock, the last instant at which a
     frame that writes may leave (the worker knows that clock by ``Clock``). A worker carries out an id once; a
-    second request with it returns the same result. ``epoch``: of the home that sends it; a worker obeys the
-    highest that it has seen, and no other.
+    second request with it returns the same result.
 
     ``scales``: by unit, what its value was converted and bounded with. It is read again with the read-back
     and, where a person ``typed`` the value as the unit shows it, also before the write, which is then refused
@@ -91,7 +78,6 @@ class Command(TaggedStruct, frozen=True, tag="command"):
     id: Id
     deadline: Stamp
     action: Action
-    epoch: Epoch = 0
     scales: Annotated[dict[UnitId, UnitScale], Meta(max_length=MAX_UNITS)] = field(default_factory=dict)
     typed: bool = False
 
@@ -107,22 +93,13 @@ class Cancel(TaggedStruct, frozen=True, tag="cancel"):
 
 
 class Welcome(TaggedStruct, frozen=True, tag="welcome"):
-    """The app's response to Hello. ``seq``: the last batch it has of this very worker (0: none). ``epoch``:
-    of the home of the bus, where it is this app; else ``refused``, with the address of the ``home``."""
+    """The app's response to Hello. ``seq``: the last batch it has of this very worker (0: none).
+    ``refused``: why the app does not take this worker; empty where it does."""
 
     version: int
     seq: Total
     app_time: Stamp
     refused: LongText = ""
-    epoch: Epoch = 0
-    home: LongText = ""
-
-
-class LeaseLeft(TaggedStruct, frozen=True, tag="lease_left"):
-    """The app's response to LeaseRequest: the port may be used for ``left_s`` from ``requested_at`` on."""
-
-    requested_at: MonotonicSeconds
-    left_s: DurationSeconds
 
 
 class Delivered(TaggedStruct, frozen=True, tag="delivered"):
@@ -149,9 +126,7 @@ class WantSnapshot(TaggedStruct, frozen=True, tag="want_snapshot"):
     """A number was missing: request a complete snapshot."""
 
 
-AppMessage = (
-    Welcome | Delivered | ClockSync | Watch | WantSnapshot | ReserveTurn | Command | Cancel | LeaseLeft
-)
+AppMessage = Welcome | Delivered | ClockSync | Watch | WantSnapshot | ReserveTurn | Command | Cancel
 
 M = TypeVar("M")
 

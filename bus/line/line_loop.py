@@ -37,7 +37,6 @@ from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.link import Link
 from bus.line.exchange.send import ExchangeResult
 from bus.line.port.port import OpenPort
-from bus.line.port_lease import NO_LEASE, PortLease
 from bus.line.roster import Roster
 from bus.line.schedule.arbiter import Arbiter, NextRequest
 from bus.line.schedule.baud_search import BaudSearch
@@ -81,7 +80,6 @@ class LineLoop:
         clock: LineClock,
         report: Callable[[list[Update]], None],
         seed: int = 0,
-        lease: PortLease = NO_LEASE,
     ) -> None:
         self.bus = bus
         self.dialect = bus.dialect
@@ -90,8 +88,7 @@ class LineLoop:
         self.trace = Trace()
         self.roster = Roster((unit.id for unit in bus.unit), clock.epoch(clock.now()))
         self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatusRequest(1)), seed)
-        self.lease = lease
-        self.link = Link(self.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace, lease)
+        self.link = Link(self.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
         self.state = self._port_is("closed", NOT_OPENED)
         self._send_report = report
         self._events: list[Update] = []

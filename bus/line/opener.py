@@ -15,7 +15,6 @@ from bus.line.line_loop import LineLoop
 from bus.line.port.open_error import is_device, programs_of, users_of
 from bus.line.port.open_port import open_port
 from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
-from bus.line.port_lease import NOT_CONFIRMED
 from bus.messages import Message
 from bus.reconnect_delay import STABLE_S, ReconnectDelay, is_worth_logging
 
@@ -26,9 +25,6 @@ OTHERS_S = 60.0
 """Between two looks at who else has the port open; at once when a unit no longer responds."""
 REMARK_S = 600.0
 """How long the diagnosis has it that another program changed the settings of the port."""
-
-UNCONFIRMED_S = 0.1
-"""Between two looks whether the port may be opened."""
 
 OpenFunction = Callable[[str, int, Receiver], Awaitable[OpenPort]]
 
@@ -66,10 +62,6 @@ class Opener:
         """Open the port once and use it until it is lost; return in how many seconds to open it again."""
         clock = self._line.clock
         began = clock.now()
-        if not self._line.lease.holds():
-            self._log_closed(NOT_CONFIRMED)
-            self._line.still_closed(NOT_CONFIRMED)
-            return UNCONFIRMED_S
         self.opening = opening = _Opening(self, self._line)
         try:
             self._port = await self._open(self._line.bus.port, self._line.baud, opening)
@@ -83,13 +75,10 @@ class Opener:
         opened = clock.now()
         stable = asyncio.get_running_loop().call_later(STABLE_S, self._note_stable)
         checking = asyncio.create_task(self._check(self._port))
-        ending = asyncio.create_task(self._end_unconfirmed()) if self._line.lease.is_needed else None
         try:
             cause = await self._line.run(self._port)
         finally:
             checking.cancel()
-            if ending is not None:
-                ending.cancel()
         stable.cancel()
         self.close()
         pause_s = self._backoff.ended(clock.now() - opened, useful=self._line.link.has_responses)
@@ -136,14 +125,6 @@ class Opener:
         if programs:
             remark = Message.of("diagnosis_port_shared", programs=programs)
             self._line.note_port(remark, about=f"{remark}", lasts_s=OTHERS_S + 2 * CHECK_S)
-
-    async def _end_unconfirmed(self) -> None:
-        """Close the port when its lease runs out, also while nothing is sent."""
-        lease = self._line.lease
-        while lease.holds():
-            left_s = lease.left_s()
-            await asyncio.sleep(left_s)
-        self._line.lose_port(NOT_CONFIRMED)
 
     def _note_stable(self) -> None:
         """An opening that lasts is logged even where the ones before were not worth it."""

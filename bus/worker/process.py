@@ -30,11 +30,9 @@ def run(
     token: str,
     *,
     child: bool = False,
-    leased: bool = False,
     tls: UplinkTls | None = None,
 ) -> int:
-    """Run one worker until SIGTERM or SIGINT, a ``child`` also until its parent is gone; the exit code.
-    ``leased``: its port is used only while the app confirms that it is the home of the bus."""
+    """Run one worker until SIGTERM or SIGINT, a ``child`` also until its parent is gone; the exit code."""
     configure_log()
     if child:
         tie_to(named_parent() or os.getppid())
@@ -45,15 +43,13 @@ def run(
     gc.collect()
     gc.freeze()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-        runner.run(_until_stopped(bus, apps, token, tls, leased=leased))
+        runner.run(_until_stopped(bus, apps, token, tls))
     return 0
 
 
-async def _until_stopped(
-    bus: BusSettings, apps: Sequence[str], token: str, tls: UplinkTls | None, *, leased: bool
-) -> None:
+async def _until_stopped(bus: BusSettings, apps: Sequence[str], token: str, tls: UplinkTls | None) -> None:
     leave = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, leave.set)
-    await run_worker(bus, apps, token, leave=leave, tls=tls, leased=leased)
+    await run_worker(bus, apps, token, leave=leave, tls=tls)

@@ -34,7 +34,6 @@ from bus.line.commands.catalogue import command_run_of
 from bus.line.line_loop import LineLoop
 from bus.line.opener import Opener, OpenFunction
 from bus.line.port.open_port import open_port
-from bus.line.port_lease import NO_LEASE, PortLease
 from bus.messages import Message, in_english
 from bus.settings import BusSettings
 from bus.worker.addresses import is_encrypted
@@ -66,18 +65,14 @@ class BusWorker:
         clock: LineClock | None = None,
         open_function: OpenFunction = open_port,
         seed: int | None = None,
-        lease: PortLease = NO_LEASE,
     ) -> None:
         self.bus = bus
         self.clock = clock or RealClock()
         self.worker = uuid.uuid4().hex
         self.outbox = Outbox()
         self.app_clock = ClockOffset()
-        self.lease = lease
         seed = seed if seed is not None else uuid.uuid4().int
-        self.line = LineLoop(bus, self.clock, self._emit, seed, lease)
-        self.epoch = 0
-        """The highest that it has seen of the home of its bus."""
+        self.line = LineLoop(bus, self.clock, self._emit, seed)
         self._opener = Opener(self.line, open_function)
         self._started_at = self._epoch()
         self._figures = self.line.figures()
@@ -110,13 +105,7 @@ class BusWorker:
             software=f"lineside {version('lineside')}",
             port=self.bus.port,
             sent_at=self._epoch(),
-            epoch=self.epoch,
         )
-
-    def welcomed(self, epoch: int) -> bool:
-        """The app took this worker as the home of this epoch; False where it has seen a higher one."""
-        self.epoch, is_former = max(self.epoch, epoch), epoch < self.epoch
-        return not is_former
 
     def snapshot(self, seq: int) -> Snapshot:
         return Snapshot(
@@ -142,10 +131,6 @@ class BusWorker:
         """Carry it out once: a second request with its id returns the same result."""
         if isinstance(command.action, ReadTrace):
             self._traces.read(command.id, command.action)
-            return
-        if not self.welcomed(command.epoch):
-            former = Message.of("command_of_former_home", epoch=command.epoch, highest=self.epoch)
-            self._emit([Result(command.id, self._epoch(), "not_sent", former)])
             return
         if command.id in self._results:
             known = self._results[command.id]
@@ -231,15 +216,14 @@ async def run_worker(
     *,
     leave: asyncio.Event | None = None,
     tls: UplinkTls | None = None,
-    leased: bool = False,
 ) -> None:
-    """Poll ``bus`` and report to its home, one of the addresses ``apps``, until ``leave`` is set (by default
-    indefinitely). ``tls``: the files of addresses that begin with https; by default this machine's
-    authorities. ``leased``: the port is used only while the app confirms that it is the home of the bus.
+    """Poll ``bus`` and report to the first of the addresses ``apps`` that takes it, until ``leave`` is set
+    (by default indefinitely). ``tls``: the files of addresses that begin with https; by default this
+    machine's authorities.
 
     On leaving, a change in flight is finished or withdrawn first; that takes less than two seconds.
     """
-    worker = BusWorker(bus, lease=PortLease(is_needed=leased))
+    worker = BusWorker(bus)
     if tls is None and any(map(is_encrypted, apps)):
         from bus.worker.uplink_tls import UplinkTls
 

@@ -24,8 +24,6 @@ from bus.contract import (
     Command,
     Delivered,
     Hello,
-    LeaseLeft,
-    LeaseRequest,
     MalformedMessageError,
     ReserveTurn,
     Snapshot,
@@ -38,7 +36,6 @@ from bus.contract import (
 from bus.contract.clock_offset import ClockOffset
 from bus.errors import LinesideError
 from bus.instants import Clock, Monotonic
-from bus.line.port_lease import PortLease
 from bus.reconnect_delay import ReconnectDelay
 from bus.worker.addresses import AppAddresses, is_encrypted
 from bus.worker.outbox import Outbox
@@ -52,10 +49,9 @@ HURRY_S = 5.0
 """For this time after the start or a lost link the pause stays short: the app is probably starting."""
 REFUSED_PAUSE_S = 5.0
 NEXT_PAUSE_S = 1.0
-"""The same where there is another app, which may be the home of the bus by now."""
+"""The same where there is another app."""
 STALLED_S = 4.0
-"""An app sends its time every second. One that sends nothing for so long may have lost its homes."""
-LEASE_REQUEST_S = 0.5
+"""An app sends its time every second. One of several that sends nothing for so long is left for the next."""
 MESSAGES_PER_S, MAX_MESSAGES_AT_ONCE = 500.0, 2_000.0
 """Limits what is taken from the app; more waits in the socket, and polling continues."""
 OPEN_TIMEOUT_S = 5.0
@@ -75,13 +71,6 @@ class AppRequests(Protocol):
 
     def hello(self) -> Hello:
         """Return the first message, which names this worker."""
-
-    def welcomed(self, epoch: int) -> bool:
-        """The app took this worker as the home of this epoch; False where it has seen a higher one."""
-
-    @property
-    def lease(self) -> PortLease:
-        """Until when the port may be used."""
 
     def snapshot(self, seq: int) -> Snapshot:
         """Return everything that is known now."""
@@ -104,16 +93,11 @@ class _Problem(msgspec.Struct):
 
 
 class RefusedByAppError(Exception):
-    """The app does not want this worker; the text is the app's. ``home``: the address of the home of the bus,
-    where that is another server."""
-
-    def __init__(self, why: str, home: str = "") -> None:
-        super().__init__(why)
-        self.home = home
+    """The app does not want this worker; the text is the app's."""
 
 
 class Uplink:
-    """``run`` until cancelled. ``apps``: the addresses of the servers that may be the home of the bus;
+    """``run`` until cancelled. ``apps``: the addresses of the server and of its spare;
     ``tls``: of those that begin with https."""
 
     def __init__(
@@ -138,8 +122,6 @@ class Uplink:
         self._backoff = ReconnectDelay(random.random)
         self._accepted_at: float | None = None
         """When the app accepted the connection; None where it did not."""
-        self._home = ""
-        """The address that the app gave for the home of the bus, where it is not that itself."""
         self._is_stalled = False
         """The app sent nothing for too long, and another may have its place."""
 
@@ -147,16 +129,13 @@ class Uplink:
         loop = asyncio.get_running_loop()
         pause, linked_at = MIN_PAUSE_S, loop.time()
         while True:
-            self._accepted_at, self._home, self._is_stalled = None, "", False
+            self._accepted_at, self._is_stalled = None, False
             refused = await self._attempt()
-            is_home = False
-            if self._addresses.are_several and (refused or self._accepted_at is None or self._is_stalled):
-                is_home = self._addresses.leave(self._home)
+            if refused or self._accepted_at is None or self._is_stalled:
+                self._addresses.leave()
             self._outbox.disconnected()
             self._handler.watch(Watch(units=[]))
-            if is_home:
-                pause = MIN_PAUSE_S
-            elif refused:
+            if refused:
                 pause = NEXT_PAUSE_S if self._addresses.are_several else REFUSED_PAUSE_S
             elif self._accepted_at is not None:
                 pause = self._backoff.ended(loop.time() - self._accepted_at) or MIN_PAUSE_S
@@ -170,9 +149,7 @@ class Uplink:
         try:
             await self._connect_once()
         except RefusedByAppError as error:
-            self._home = error.home
-            named = f"; its home is {error.home}" if error.home else ""
-            self._log_unreachable(f"the dashboard refused this worker: {error}{named}")
+            self._log_unreachable(f"the dashboard refused this worker: {error}")
             return True
         except InvalidStatus as error:
             self._log_unreachable(f"{self._addresses.feed}: {_about_status(error.response)}")
@@ -210,8 +187,7 @@ class Uplink:
             self._outbox.resume(welcome.seq, oldest=self._epoch() - BUFFER_AGE_S)
             await socket.send(encode(self._handler.snapshot(self._outbox.seq)))
             self._linked()
-            works = (self._send(socket), self._confirm_lease(socket))
-            sending = asyncio.gather(*works, return_exceptions=True)
+            sending = asyncio.create_task(self._send(socket))
             try:
                 await self._receive(socket)
             except asyncio.CancelledError:
@@ -219,18 +195,9 @@ class Uplink:
                 raise
             finally:
                 sending.cancel()
-                with suppress(asyncio.CancelledError):
-                    await sending
-
-    async def _confirm_lease(self, socket: ClientConnection) -> None:
-        """Request for how long the port may be used, where it is on a lease."""
-        lease = self._handler.lease
-        while lease.is_needed:
-            await socket.send(encode(LeaseRequest(requested_at=float(lease.clock()))))
-            await asyncio.sleep(LEASE_REQUEST_S)
+                await asyncio.gather(sending, return_exceptions=True)
 
     def _linked(self) -> None:
-        self._addresses.linked()
         if self._backoff.is_worth_logging:
             self._logged = ""
             _log.info("linked to the dashboard", url=self._addresses.feed, kept=len(self._outbox))
@@ -242,14 +209,12 @@ class Uplink:
         if not isinstance(welcome, Welcome):
             raise RefusedByAppError("no welcome was received; is this a Lineside dashboard?")
         if welcome.refused:
-            raise RefusedByAppError(welcome.refused, welcome.home)
+            raise RefusedByAppError(welcome.refused)
         if welcome.version != CONTRACT_VERSION:
             raise RefusedByAppError(
                 f"it uses version {welcome.version} of the link and this worker {CONTRACT_VERSION}: "
                 "install the same release of lineside on both"
             )
-        if not self._handler.welcomed(welcome.epoch):
-            raise RefusedByAppError(f"it was the home of the bus before (epoch {welcome.epoch})")
         self._app_clock.observe(welcome.app_time, self._epoch())
         return welcome
 
@@ -291,8 +256,6 @@ class Uplink:
                 self._handler.cancel(command_id)
             case Watch():
                 self._handler.watch(message)
-            case LeaseLeft(requested_at=requested_at, left_s=left_s):
-                self._handler.lease.extend(Monotonic(requested_at), left_s)
             case WantSnapshot():
                 self._snapshot_wanted = True
                 self._outbox.filled.set()

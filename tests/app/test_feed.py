@@ -6,6 +6,7 @@ import asyncio
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 import websockets
 
@@ -13,6 +14,7 @@ from app.audit.queries import Filter
 from app.feed import bus_feed
 from app.feed.holders import Ending
 from app.feed.socket import GOING_AWAY
+from app.pipeline import OTHER_RELEASE
 from bus.contract import (
     CONTRACT_VERSION,
     Batch,
@@ -67,12 +69,22 @@ async def test_a_bus_that_is_not_configured_any_more_is_refused_in_words(stage: 
     await worker.gone()
 
 
-async def test_another_version_of_the_link_is_refused(stage: Stage) -> None:
+@pytest.mark.parametrize("version", [5, 99])
+async def test_a_worker_of_another_release_is_refused_with_the_command_that_upgrades_it(
+    stage: Stage, version: int
+) -> None:
     worker = await stage.connect()
-    await worker.send(hello(version=99))
+    # What version 0.2 sent; the epoch that it named is no field any more.
+    hello_of_other = msgspec.structs.asdict(hello(version=version)) | {"is": "hello", "epoch": 3}
+    await worker.send_raw(msgspec.msgpack.encode(hello_of_other))
     welcome = await worker.receive(Welcome)
     assert isinstance(welcome, Welcome)
-    assert "99" in welcome.refused
+    assert "pip install ./lineside-*.whl" in welcome.refused
+    await worker.gone()
+    bus = stage.live.buses["dry-end"]
+    assert bus.link.cause is not None
+    assert (bus.worker_connected, bus.link.link, bus.link.cause.code) == (False, "closed", OTHER_RELEASE)
+    assert bus.link.cause.params["version"] == version
 
 
 @pytest.mark.parametrize("noise", [b"\xff\x00", b"", "text", b"\x81\xa2is\xa4nope"])

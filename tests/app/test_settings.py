@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -140,48 +139,6 @@ def test_the_zone_of_a_machine_is_where_its_link_points(
     monkeypatch.setenv("TZ", f":{link}")
     machine_zone.cache_clear()
     assert Site().zone == "Europe/Berlin"
-
-
-def test_the_server_has_the_name_of_its_machine_and_may_be_the_home_of_all(tmp_path: Path) -> None:
-    server = load(write(tmp_path, BUSES)).server
-    assert server.id == socket.gethostname()
-    assert server.may_be_home("a")
-    assert server.own_url == "http://127.0.0.1:8000"
-
-
-def test_its_homes_and_its_url_are_settings(tmp_path: Path) -> None:
-    text = '[server]\nid = "app-1"\nhome = ["a"]\nurl = "https://app-1.plant.example/"\n'
-    server = load(write(tmp_path, text + BUSES)).server
-    assert (server.may_be_home("a"), server.may_be_home("b")) == (True, False)
-    assert server.own_url == "https://app-1.plant.example"
-    assert not load(write(tmp_path, "[server]\nhome = []\n" + BUSES)).server.may_be_home("a")
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ('[server]\nhome = ["a", "c"]\n', r"there is no bus c; name one of a, b, or leave home out for all"),
-        ('[server]\nid = "two words"\n', r"server\.id"),
-        ('[server]\nurl = "ftp://x"\n', r"begins with https:// or http://"),
-    ],
-)
-def test_a_home_that_cannot_be_is_named_with_its_line(tmp_path: Path, text: str, words: str) -> None:
-    with pytest.raises(ConfigurationError, match=words):
-        load(write(tmp_path, text + BUSES))
-
-
-def test_a_device_server_is_taken_over_and_a_local_port_is_not_unless_the_bus_states_it(
-    tmp_path: Path,
-) -> None:
-    def of(port: str, more: str = "") -> bool:
-        text = f'[[bus]]\nname = "a"\nport = "{port}"\n{more}'
-        return load(write(tmp_path, text)).bus[0].is_taken_over
-
-    assert of("socket://10.0.0.1:4001")
-    assert of("rfc2217://10.0.0.1:4001")
-    assert not of("/dev/ttyUSB0")
-    assert of("/dev/ttyUSB0", 'take_over = "automatic"\n')
-    assert not of("socket://10.0.0.1:4001", 'take_over = "manual"\n')
 
 
 def test_the_digest_of_pages_is_another_one_for_other_names_and_not_for_what_no_page_shows() -> None:

@@ -45,8 +45,6 @@ class FakeApp:
         self.messages: list[WorkerMessage] = []
         self.confirms = True
         self.refuses = ""
-        self.home = ""
-        self.epoch = 0
         self.version = CONTRACT_VERSION
         self.received: dict[str, int] = {}
         self._server: Server | None = None
@@ -85,7 +83,7 @@ class FakeApp:
             assert isinstance(hello, Hello)
             self._keep(hello)
             seq = self.received.setdefault(hello.worker, 0)
-            welcome = Welcome(self.version, seq, time.time(), self.refuses, self.epoch, self.home)
+            welcome = Welcome(self.version, seq, time.time(), self.refuses)
             await connection.send(encode(welcome))
             self._connection = connection
             while True:

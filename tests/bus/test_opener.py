@@ -8,7 +8,6 @@ from typing import Any, cast
 
 from bus.line.line_loop import LineLoop
 from bus.line.opener import Opener
-from bus.line.port_lease import NO_LEASE
 from bus.messages import Message
 from tests.bus.played_clock import PlayedClock
 
@@ -39,7 +38,6 @@ async def test_a_port_that_is_lost_in_the_turn_in_which_the_worker_ends_does_not
         baud=9600,
         clock=PlayedClock(),
         link=SimpleNamespace(has_responses=False),
-        lease=NO_LEASE,
         run=run,
     )
 

@@ -14,7 +14,6 @@ from bus.contract.clock_offset import ClockOffset
 from bus.errors import WireError
 from bus.line.opener import Opener
 from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
-from bus.line.port_lease import NO_LEASE
 from bus.messages import Message
 from bus.reconnect_delay import (
     JITTER,
@@ -100,7 +99,6 @@ class PlayedLoop:
         self.clock = SimpleNamespace(now=lambda: asyncio.get_running_loop().time())
         self.bus = SimpleNamespace(port="socket://box:4001")
         self.baud = 9600
-        self.lease = NO_LEASE
         self.roster = SimpleNamespace(unresponsive=frozenset())
         self.port_is_back = lambda: None
         self.link = SimpleNamespace(has_responses=responses > 0)

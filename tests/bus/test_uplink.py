@@ -27,7 +27,6 @@ from bus.contract import (
     Watch,
 )
 from bus.contract.clock_offset import ClockOffset
-from bus.line.port_lease import NO_LEASE
 from bus.worker.addresses import feed_url
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import GOING_AWAY, Uplink, _about_status
@@ -39,16 +38,10 @@ class FakeReceiver:
 
     def __init__(self) -> None:
         self.requests: list[object] = []
-        self.lease = NO_LEASE
-        self.epoch = 0
         self.news = asyncio.Event()
 
     def hello(self) -> Hello:
         return Hello(CONTRACT_VERSION, "b", "worker-1", 0.0, "test", "/dev/none", time.time())
-
-    def welcomed(self, epoch: int) -> bool:
-        self.epoch, is_former = max(self.epoch, epoch), epoch < self.epoch
-        return not is_former
 
     def snapshot(self, seq: int) -> Snapshot:
         return Snapshot(seq, time.time(), BusLink(0.0, "closed"), [])
@@ -225,26 +218,14 @@ async def test_an_address_without_a_host_is_logged_and_does_not_end_the_worker()
     assert "no dashboard at ws://a..b:8000/feed" in logs[0]["why"]
 
 
-async def test_a_worker_goes_to_the_home_that_is_among_its_apps() -> None:
+async def test_a_worker_goes_on_to_the_app_that_takes_it() -> None:
     async with FakeApp() as a, FakeApp() as b:
-        a.refuses, a.home = "not here", b.url
+        a.refuses = "not here"
         outbox, receiver = Outbox(), FakeReceiver()
         uplink = Uplink(
             [a.url, "http://127.0.0.1:9", b.url], TOKEN, outbox, receiver, ClockOffset(), time.time
         )
         running = asyncio.create_task(uplink.run())
         await b.until(b.snapshots)
-        assert len(a.messages) == 1, "it was not tried again"
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
-
-
-async def test_a_former_home_is_refused_by_the_worker() -> None:
-    with capture_logs() as logs:
-        async with FakeApp() as app:
-            receiver = FakeReceiver()
-            receiver.epoch, app.epoch = 9, 8
-            uplink = Uplink([app.url], TOKEN, Outbox(), receiver, ClockOffset(), time.time)
-            assert await uplink._attempt()
-            assert app.snapshots() == []
-    assert "it was the home of the bus before (epoch 8)" in logs[0]["why"]

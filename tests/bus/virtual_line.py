@@ -23,10 +23,8 @@ from bus.contract import (
     Update,
 )
 from bus.errors import WireError
-from bus.instants import Monotonic
 from bus.line.clock import Timer
 from bus.line.port.open_port import OpenPort, Receiver
-from bus.line.port_lease import PortLease
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line
@@ -173,12 +171,10 @@ class VirtualLine:
         seed: int = 1,
         script: bool = False,
         configured: int | None = None,
-        leased: bool = False,
         line: SimulatedLine | None = None,
         **bus: Any,
     ) -> None:
-        """``leased``: the port is used only while ``lease`` holds; its clock is ``suspended_s`` ahead.
-        ``line``: what is on the cable instead of simulated units."""
+        """``line``: what is on the cable instead of simulated units."""
         demo = demo_line(units, seed=seed, script=script)
         self.plant = demo.plant
         self.faults = Faults(seed=seed)
@@ -190,9 +186,7 @@ class VirtualLine:
         self.port: VirtualPort | None = None
         self.written: list[tuple[float, bytes]] = []
         self.updates: list[Update] = []
-        self.suspended_s = 0.0
-        self.lease = PortLease(is_needed=leased, clock=lambda: Monotonic(loop.time() + self.suspended_s))
-        self.worker = BusWorker(self.bus, VirtualClock(loop), self._open, seed, self.lease)
+        self.worker = BusWorker(self.bus, VirtualClock(loop), self._open, seed)
         self._results: defaultdict[str, list[Result]] = defaultdict(list)
         self._came = asyncio.Event()
         self.worker.outbox.put = self._put  # type: ignore[method-assign]
@@ -243,7 +237,6 @@ class VirtualLine:
         *,
         timeout_s: float = 2.0,
         command_id: str = "",
-        epoch: int = 0,
         typed_with: dict[int, UnitScale] | None = None,
     ) -> str:
         """Send the worker a command; return its id. ``typed_with``: by unit what its value, typed as the unit
@@ -251,9 +244,7 @@ class VirtualLine:
         self._count += 1
         command_id = command_id or f"c{self._count}"
         deadline = EPOCH + self.loop.time() + timeout_s
-        self.worker.command(
-            Command(command_id, deadline, action, epoch, typed_with or {}, typed_with is not None)
-        )
+        self.worker.command(Command(command_id, deadline, action, typed_with or {}, typed_with is not None))
         return command_id
 
     def result_of(self, command_id: str) -> Result | None:

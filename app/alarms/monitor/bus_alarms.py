@@ -18,7 +18,7 @@ from app.conditions.of_bus import BY_BUS, CONTROL_LEFT, SECOND_MASTER
 from app.conditions.of_unit import ESTOP_ACTIVE
 from app.history.intake.clock_watch import ClockWatch
 from app.live.diagnosis.links import bus_facts
-from app.live.state.bus_live import Audience, BusLive
+from app.live.state.bus_live import NO_WORKER, Audience, BusLive
 from app.live.state.scan_time import offline_after_s, scan_s_of
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Staged, UnitLink, Update
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
@@ -99,6 +99,9 @@ class BusAlarms:
         """The present value of what an alarm is about, where it is about one."""
         if alarm is self._control_left:
             return self._left_control()
+        if alarm.definition.code == "worker_lost":
+            cause = self._live.link.cause
+            return None if self._live.worker_connected or cause == NO_WORKER else cause
         monitor = self._monitors.get(alarm.definition.unit or 0)
         return None if monitor is None else monitor.present(alarm)
 

@@ -25,9 +25,7 @@ def worker(
     bus: Annotated[str, Option(help="Name of the bus in the configuration.")],
     app: Annotated[
         list[str],
-        Option(
-            help="Address of a dashboard that may be the home of the bus, http://host:port; may be repeated."
-        ),
+        Option(help="Address of the dashboard, http://host:port; may be repeated for that of its spare."),
     ],
     token: TokenOption = "",
     token_file: TokenFile = None,

@@ -21,7 +21,6 @@ from bus.line.completion import Completion
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.window import MARGIN_S, QUIET_BYTES, PortPace, Window
 from bus.line.port.port import OpenPort, PartlySent
-from bus.line.port_lease import NO_LEASE, NOT_CONFIRMED, PortLease
 from bus.line.roster import Roster
 from bus.line.statistics.counters import WireCounts
 from bus.line.statistics.second_master import SecondMaster
@@ -56,10 +55,8 @@ class Link:
         clock: LineClock,
         roster: Roster,
         trace: Trace,
-        lease: PortLease = NO_LEASE,
     ) -> None:
         self._dialect = dialect
-        self._lease = lease
         self._byte_s = wire_seconds(1, baud)
         self._turnaround_s = turnaround_s
         self._clock = clock
@@ -161,10 +158,6 @@ class Link:
         if self._port is None:
             return None
         began, loss = self._clock.now(), None
-        if not self._lease.holds():
-            # The last look before the byte: this process may have stood still since the one before.
-            self.lose(NOT_CONFIRMED)
-            return None
         try:
             self._port.write(exchange.sent)
         except PartlySent as error:
