@@ -118,7 +118,7 @@ def test_each_command_is_one_of_the_product() -> None:
 
 
 def test_the_data_are_kept_and_every_address_is_served(settings: Settings) -> None:
-    assert settings.server.data.parent == DATA, "the anchor of the audit log is beside the data"
+    assert settings.server.data.parent == DATA, "the audit key may have to be made beside the data"
     assert settings.server.host == "0.0.0.0", "what listens on 127.0.0.1 cannot be published"
 
 

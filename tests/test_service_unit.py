@@ -97,7 +97,7 @@ def test_its_folders_are_those_of_the_configuration() -> None:
     service, settings = Unit(UNITS["lineside.service"]).service, tomllib.loads(CONFIGURATIONS[0])
     state = f"{STATE}/{service['StateDirectory']}"
     assert Path(settings["server"]["data"]).parent == Path(state), (
-        "the anchor of the audit log is beside the data"
+        "the audit key may have to be made beside the data"
     )
     assert service["ReadWritePaths"] == CONFIGURATION
     made = {shlex.split(line)[-1] for line in COMMANDS if line.startswith(MAKE_FOLDER)}
