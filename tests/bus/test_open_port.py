@@ -8,6 +8,7 @@ import inspect
 import os
 import pty
 import socket
+import subprocess
 import sys
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
@@ -277,3 +278,31 @@ def _has_serialx() -> bool:
     except ImportError:
         return False
     return True
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounts the pseudo-terminals of a container")
+def test_the_terminal_of_a_container_is_another_one_of_the_same_name() -> None:
+    mount = "mount -t devpts -o newinstance,ptmxmode=666 devpts /dev/pts"
+    # Who has its other end too would be taken for the simulator of the line.
+    opens = """
+import os, pty, sys
+ends = [pty.openpty() for _ in range(1 + int(sys.argv[1].removeprefix("/dev/pts/")))]
+if not os.fork():
+    for master, _ in ends:
+        os.close(master)
+    print(os.ttyname(ends[-1][1]), os.getpid(), flush=True)
+sys.stdin.read()
+"""
+    with terminal() as name:
+        command = ["unshare", "--mount", "sh", "-c", f'{mount} && exec "$0" -c "$1" "$2"']
+        with subprocess.Popen(
+            [*command, sys.executable, opens, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        ) as container:
+            assert container.stdout is not None
+            opened, _, pid = container.stdout.readline().strip().partition(" ")
+            users = users_of(name)
+            container.communicate()
+        if not opened:
+            pytest.skip("nothing can be mounted here")
+        assert opened == name
+        assert int(pid) not in dict(users)

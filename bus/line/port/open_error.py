@@ -128,7 +128,16 @@ def _pids() -> Iterator[int]:
 
 
 def _has_open(pid: int, device: Path) -> bool:
-    return any(opened == device for _, opened in _open_files(pid))
+    return any(opened == device and _is_same(pid, number, device) for number, opened in _open_files(pid))
+
+
+def _is_same(pid: int, number: str, device: Path) -> bool:
+    """Whether a descriptor is of ``device``: each container has a pseudo-terminal 0 of its own."""
+    with suppress(OSError):
+        opened, wanted = (_PROC / str(pid) / "fd" / number).stat(), device.stat()
+        is_here = opened.st_dev == wanted.st_dev or not is_pseudo_terminal(str(device))
+        return is_here and opened.st_rdev == wanted.st_rdev
+    return False
 
 
 def _open_files(pid: int) -> Iterator[tuple[str, Path]]:
