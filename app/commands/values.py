@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
+import re
+from decimal import ROUND_HALF_UP, Decimal
+
 from app.live.state.bus_live import UnitLive, follower, setpoint_decimals
 from bus.catalogue import values
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.parameter import Parameter, Scale
 from bus.catalogue.values import parameter_unit
+from bus.errors import CallerError
 from bus.messages import Message, number, term
+
+_PERCENT = re.compile(r"([+\-\N{MINUS SIGN}]?)([0-9]{1,4}(?:[.,][0-9]{1,3})?)\s*%")
 
 
 def setpoint_message(raw: int | None, live: UnitLive) -> str | Message:
     """A setpoint as the unit shows it, marked while its decimals are not known; empty for None."""
     return "" if raw is None else values.speed_message(raw, setpoint_decimals(live))
+
+
+def raw_of_percent(text: str, present: int | None) -> int:
+    """``105 %`` or ``+5 %`` of a unit's present raw setpoint, rounded half up. Raises CallerError."""
+    found = _PERCENT.fullmatch(text.strip())
+    sign, size = (found[1], Decimal(found[2].replace(",", "."))) if found else ("", Decimal(0))
+    percent = {"": size, "+": 100 + size}.get(sign, 100 - size)
+    if found is None or percent < 0:
+        raise CallerError(Message.of("percent_malformed", text=text))
+    if present is None:
+        raise CallerError(Message("percent_of_unknown"))
+    return int((present * percent / 100).quantize(Decimal(1), ROUND_HALF_UP))
 
 
 def parameter_message(parameter: Parameter, raw: int, live: UnitLive) -> Message:

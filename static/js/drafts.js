@@ -45,7 +45,7 @@ const keyOf = (form) =>
 /** A form that only filters, or is part of a review, has none; nor has a field that is not sent or is a secret.
  * @param {HTMLFormElement} form */
 const canKeep = (form) =>
-  Boolean(account) && !form.closest("dialog") && (form.hasAttribute("hx-post") || form.method === "post");
+  Boolean(account) && !form.closest("dialog, [data-review-place]") && (form.hasAttribute("hx-post") || form.method === "post");
 
 /** @param {HTMLFormElement} form */
 const fieldsOf = (form) =>

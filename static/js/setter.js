@@ -91,6 +91,11 @@ export function changed(tool, [raw, decimals] = [], by = 0) {
   return TOOLS[tool](raw / 10 ** decimals, by).toFixed(decimals).replace(".", DECIMAL_SIGN);
 }
 
+/** What a tool does with a text: percent with a sign are a change, so ``+5`` is 105 % of each unit's own setpoint.
+ * @param {string} tool @param {string} text */
+export const amountOf = (tool, text) =>
+  numberOf(text) + (tool === "scale" && /^\s*[+\-−–]/.test(text) ? 100 : 0);
+
 /** Online and not in LOCAL; see the row in templates/setpoints/page.html.
  * @param {Element} element */
 const canBeSet = (element) => !element.closest("[inert]") && element.checkVisibility();
@@ -98,7 +103,7 @@ const canBeSet = (element) => !element.closest("[inert]") && element.checkVisibi
 /** @param {HTMLElement} form @param {string} tool */
 function fillIn(form, tool) {
   const source = /** @type {HTMLInputElement} */ (form.querySelector(`[data-together="${tool}"]`));
-  const by = numberOf(source.value);
+  const by = amountOf(tool, source.value);
   source.setAttribute("aria-invalid", Number.isNaN(by) ? "true" : "false");
   const fault = document.createElement("p");
   fault.className = "field__error";

@@ -67,6 +67,8 @@ async def test_for_who_may_not_write_the_wire_waits_never(stage: Stage, worker: 
         ("POST", "/units/1/speed", {"value": "1234,5"}, SetSpeed(unit=1, raw=12345)),
         ("POST", "/units/1/speed", {"value": 1234.5}, SetSpeed(unit=1, raw=12345)),
         ("POST", "/units/1/speed", {"value": 7}, SetSpeed(unit=1, raw=70)),
+        ("POST", "/units/1/speed", {"value": "105 %"}, SetSpeed(unit=1, raw=1050)),
+        ("POST", "/units/1/speed", {"value": "-5%"}, SetSpeed(unit=1, raw=950)),
         ("POST", "/units/1/execute", None, ExecuteSpeed(unit=1)),
         ("POST", "/units/1/execute", {}, ExecuteSpeed(unit=1)),
         ("POST", "/execute", None, ExecuteAll()),

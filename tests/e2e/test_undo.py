@@ -98,6 +98,19 @@ def test_what_was_typed_is_a_draft_on_the_next_page(page: Page) -> None:
     expect(page.locator("[data-draft]")).to_have_count(0)
 
 
+def test_what_was_staged_is_no_draft_any_more(site: Site, page: Page) -> None:
+    page.locator("#setpoint").fill("66.6")
+    page.get_by_role("button", name="Stage…").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    assert site.unit(UNIT)["staged"] == "66.6"
+    page.goto("/alarms")
+    page.goto(f"/units/line/{UNIT}")
+    expect(page.locator("#setpoint")).not_to_have_value("66.6")
+    expect(page.locator("[data-draft]")).to_have_count(0)
+    site.set_speed(UNIT, value="60.0")
+
+
 @pytest.mark.soak
 def test_setting_the_line_to_zero_ends_the_undo_before_it_and_has_none(site: Site, page: Page) -> None:
     before = [site.unit(number)["commanded"] for number in range(1, UNIT + 1)]

@@ -4,7 +4,7 @@ import { test } from "node:test";
 import { openPage } from "./page.js";
 
 openPage({ language: "de" });
-const { changed, numberOf } = await import("../../static/js/setter.js");
+const { amountOf, changed, numberOf } = await import("../../static/js/setter.js");
 
 test("a number has a comma or a point, and any sign that a keyboard has", () => {
   const typed = ["99,5", " 92.5 ", "-3", "−3", "–3", "+4", "007"];
@@ -20,6 +20,13 @@ test("a tool changes the setpoint that the server sends as a number, not its tex
   assert.equal(changed("scale", [1234, 1], 50), "61,7");
   assert.equal(changed("offset", [12000, 0], -0.4), "12000");
   assert.equal(changed("offset", [9995, 2], 0.1), "100,05");
+});
+
+test("percent are of the unit's own setpoint, and with a sign a change of it", () => {
+  const amounts = ["105", "+5", "-5", "−2,5", "50"].map((text) => amountOf("scale", text));
+  assert.deepEqual(amounts, [105, 105, 95, 97.5, 50]);
+  assert.equal(amountOf("offset", "-5"), -5);
+  assert.deepEqual([[1200, 1], [600, 1]].map((own) => changed("scale", own, 105)), ["126,0", "63,0"]);
 });
 
 test("a setpoint or decimals that are not known change nothing", () => {

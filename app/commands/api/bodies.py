@@ -29,7 +29,10 @@ class Quantity(StrictBody):
     """A raw integer of the wire, or the value as displayed; not both."""
 
     raw: Annotated[int | None, Field(description="Integer on the wire, 0 to 99999.")] = None
-    value: Annotated[TypedValue | None, Field(description="As the unit displays it, such as 1234.5.")] = None
+    value: Annotated[
+        TypedValue | None,
+        Field(description="As the unit displays it, such as 1234.5; of a setpoint also 105 % of its own."),
+    ] = None
 
     @model_validator(mode="after")
     def _is_given_once(self) -> Quantity:

@@ -107,7 +107,8 @@ class CommandCall:
 
     def typed(self, unit: int, deadline: Deadline) -> ValueConverter:
         """Conversion of typed values for a unit. Raises Problem 404."""
-        return ValueConverter(self.commands, self.person, unit_of_bus_or_404(self.bus, unit), deadline)
+        found = unit_of_bus_or_404(self.bus, unit)
+        return ValueConverter(self.commands, self.person, self.bus, found, deadline)
 
     async def setpoint(self, unit: int, given: Quantity, deadline: Deadline) -> tuple[int, Scales]:
         """The raw setpoint of a unit, and what it was converted with. Raises Problem 404."""

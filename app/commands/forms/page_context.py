@@ -167,7 +167,9 @@ class BusPage(PageContext):
 
     def typed(self, unit: int, deadline: Deadline | None = None) -> ValueConverter:
         """Converts what was typed for a unit."""
-        return ValueConverter(self.commands, self.person, self.bus.units[unit], deadline or self.deadline())
+        return ValueConverter(
+            self.commands, self.person, self.bus, self.bus.units[unit], deadline or self.deadline()
+        )
 
     def check(self, action: Action) -> None:
         """The checks of a command that need no reading. Raises Problem for what would not be sent."""

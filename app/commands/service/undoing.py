@@ -77,7 +77,7 @@ class Undoing:
             self._stack.undone(sender, request.undoes)
         elif request.can_be_undone and new and request.key is not None:
             known = before if before != new else {}
-            self._stack.push(sender, SentCommand(request.key, new, known, self._clock()))
+            self._stack.push(sender, SentCommand(request.key, new, known, self._clock(), _scale(request)))
 
     def refuse_over(self, request: CommandRequest) -> None:
         """Raises Problem 409 for the undo of a command of which something has changed since its review, or
@@ -121,3 +121,13 @@ class Undoing:
         found = self.values_now(places)
         known = {place: raw for place, raw in found.items() if raw is not None}
         return known if len(known) == len(found) else {}
+
+
+def _scale(request: CommandRequest) -> Values:
+    """What the values of a command were shown with, as far as the units have these parameters."""
+    return {
+        ValuePlace("parameter", unit, number): raw
+        for unit, scale in (request.scales or {}).items()
+        for number, raw in scale.items()
+        if raw is not None
+    }

@@ -5,9 +5,11 @@ Where those are not known yet, or may have changed, they are read first, within 
 
 from __future__ import annotations
 
+from app.commands.review import present_setpoint
 from app.commands.service.command_service import CommandService
+from app.commands.values import raw_of_percent
 from app.errors import Problem
-from app.live.state.bus_live import UnitLive
+from app.live.state.bus_live import BusLive, UnitLive
 from app.web.admission.access import Person
 from app.web.admission.arrival import Deadline
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
@@ -22,15 +24,21 @@ _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, FOLLOWER_MO
 class ValueConverter:
     """Converts for one unit within the time of the command. Raises CallerError for text that is no number."""
 
-    def __init__(self, commands: CommandService, person: Person, unit: UnitLive, deadline: Deadline) -> None:
+    def __init__(
+        self, commands: CommandService, person: Person, bus: BusLive, unit: UnitLive, deadline: Deadline
+    ) -> None:
         self._commands = commands
+        self._bus = bus
         self._person = person
         self._unit = unit
         self._deadline = deadline
 
     async def setpoint(self, text: str) -> int:
-        """A speed in display units, or a follower's ratio."""
+        """A speed in display units, or a follower's ratio; either in percent of the unit's own setpoint."""
         known = await self._known((DECIMALS, FOLLOWER_MODE))
+        if text.rstrip().endswith("%"):
+            is_known = self._unit.link.link == "online"
+            return raw_of_percent(text, present_setpoint(self._bus, self._unit) if is_known else None)
         if is_follower(known[FOLLOWER_MODE]):
             return ratio_raw(text)
         decimals = known[DECIMALS]

@@ -27,6 +27,8 @@ class SentCommand:
     new: Values
     before: Values
     at: Monotonic
+    scale: Values = field(default_factory=dict)
+    """The parameters that its values were shown with: with others the same numbers are other values."""
 
     def ends_at(self) -> Monotonic:
         return self.at + LASTS_S
@@ -77,6 +79,6 @@ class UndoStack:
         newer: set[ValuePlace] = set()
         for each in reversed(self._sent.get(sender, ())):
             is_open = newer.isdisjoint(each.new) and each.ends_at() > now
-            if is_open and each.before and self.holds(each.new):
+            if is_open and each.before and self.holds({**each.new, **each.scale}):
                 yield each
             newer |= each.new.keys()

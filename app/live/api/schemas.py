@@ -117,8 +117,16 @@ class UnitShown(TypedDict):
             "null: none is."
         ),
     ]
+    scale_current: Annotated[
+        bool,
+        Field(description="false: it was away or changed at its keypad; its decimals are being read again."),
+    ]
     staged_raw: Annotated[
         int | None, Field(description="Speed staged by 82h and not yet executed, 0 to 99999.")
+    ]
+    staged_unknown: Annotated[
+        bool,
+        Field(description="It was away after a speed was staged in it; what it holds is not known."),
     ]
     staged: DisplayedValue
 

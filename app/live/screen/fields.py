@@ -84,7 +84,7 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, translator: T
     fields |= {
         "at": f"{reading.at:.2f}",
         "state": state,
-        "state_text": translator.t(STATE_WORDS[state]),
+        "state_text": _state_text(unit, translator),
         "mode": mode,
         "mode_text": MODE_WORDS[mode],
         "inputs": _inputs(bits),
@@ -199,7 +199,15 @@ def _speed(raw: int | None, decimals: int | None, translator: Translator) -> str
     return translator.t("implausible") if raw is None else translator.formats.fixed(raw, decimals)
 
 
+def _state_text(unit: UnitLive, translator: Translator) -> str:
+    """How it moves, and that its numbers may be in another scale by now."""
+    state = translator.t(STATE_WORDS[unit.motion.state])
+    return f"{state} · {translator.t(Message('scale_being_read'))}" if unit.scale_is_old else state
+
+
 def _staged(unit: UnitLive, translator: Translator) -> str:
+    if unit.staged_unknown:
+        return "?"
     return "" if unit.staged is None else translator.formats.fixed(unit.staged, setpoint_decimals(unit))
 
 
