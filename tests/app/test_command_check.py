@@ -300,6 +300,16 @@ def test_only_the_step_that_was_noted_is_taken_back(moves: Moves) -> None:
     assert moves.within_a_minute(1, Monotonic(130.0)) == 42
 
 
+def test_limits_that_were_typed_for_another_display_are_refused_but_for_speed_zero() -> None:
+    bus = bus_with(parameter(1, 3, 1), parameter(1, 8, 0))
+    for decimals in (None, 1):
+        check(SetSpeed(1, 1100), circumstances(bus, limits=Limits(highest=1500, decimals=decimals)))
+    other = circumstances(bus, limits=Limits(highest=1500, decimals=0))
+    check(SetSpeed(1, 0), other)
+    with pytest.raises(Problem, match="since its limits were set"):
+        check(SetSpeed(1, 1100), other)
+
+
 def test_a_change_of_several_units_may_wait_for_its_stages_and_be_withdrawn_from_each() -> None:
     bus = bus_with()
     slow = bus_with(baud=300)

@@ -14,14 +14,22 @@ import pytest
 from app.audit.queries import Filter
 from app.commands.safeguards import service
 from app.commands.safeguards.control import LAPSES_AFTER_S
-from app.commands.safeguards.limits import NO_LIMITS, BlockStore, CommandBlock, Limits, LimitsStore
+from app.commands.safeguards.limits import (
+    NO_LIMITS,
+    BlockStore,
+    CommandBlock,
+    Limits,
+    LimitsStore,
+    Protection,
+    read_protection,
+)
 from app.commands.safeguards.read_only import ReadOnly, ReadOnlyStore
 from app.commands.service import command_service
-from app.database import Database
+from app.database import Database, StoreConnection
 from app.errors import Problem
 from app.web.admission.access import Person, Role
 from bus.contract import Command, Update
-from bus.instants import Monotonic, UnixTime
+from bus.instants import Monotonic, UnixTime, unix_now
 from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged, until
 
 
@@ -126,6 +134,29 @@ async def test_what_did_not_move_does_not_count(stage: Stage) -> None:
     await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
     assert await speed(stage, 1100) == (409, "refused")
     assert await speed(stage, 1100) == (409, "refused")
+
+
+async def test_limits_keep_the_decimals_they_were_typed_for(stage: Stage) -> None:
+    limits = Limits(highest=1500, decimals=1)
+    await stage.guards.limits.put(1, limits, "anna", unix_now())
+    again = LimitsStore(stage.database, "dry-end")
+    await again.load()
+    assert again.of(1) == limits
+    await stage.request("PUT", "/units/1/limits", {"highest": 1500})
+    await again.load()
+    assert again.of(1) == Limits(highest=1500), "given raw, they hold for every display"
+
+
+async def test_what_guards_a_store_of_an_earlier_version_is_read(stage: Stage) -> None:
+    await stage.guards.limits.put(1, Limits(highest=1500), "anna", unix_now())
+
+    def former(store: StoreConnection) -> Protection:
+        store.execute("DROP TABLE limits_scale")
+        return read_protection(store)
+
+    protection = await stage.database.write(former)
+    assert protection.keys() == {"blocks", "limits"}
+    assert len(protection["limits"]) == 1
 
 
 @pytest.mark.parametrize(

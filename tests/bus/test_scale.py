@@ -58,17 +58,23 @@ class KeypadUnit(Unit):
         super().__init__(address)
         self.commanded = self.actual = 500
         self.shown: list[tuple[float, str]] = [(0.0, self.display(self.commanded))]
-        self.tolerances: list[tuple[float, str]] = [(0.0, self.display(self.values[AT_SPEED_WINDOW]))]
+        self.tolerances: list[tuple[float, str]] = [(0.0, self.tolerance)]
 
     def display(self, raw: int) -> str:
-        """A setpoint or the tolerance as it stands there."""
+        """A setpoint as it stands there."""
         places = 4 if self.values[FOLLOWER_MODE] else self.values[DECIMALS]
         return f"{raw / 10**places:.{places}f}"
+
+    @property
+    def tolerance(self) -> str:
+        """As it stands there: of a speed, also in a follower."""
+        places = self.values[DECIMALS]
+        return f"{self.values[AT_SPEED_WINDOW] / 10**places:.{places}f}"
 
     def note(self, now: float) -> None:
         """What the display shows from ``now`` on."""
         self.shown.append((now, self.display(self.commanded)))
-        self.tolerances.append((now, self.display(self.values[AT_SPEED_WINDOW])))
+        self.tolerances.append((now, self.tolerance))
 
 
 def was_shown(texts: list[tuple[float, str]], text: str, since: float) -> bool:
@@ -139,7 +145,8 @@ def converted(text: str, scale: UnitScale) -> int:
 
 @dataclass(frozen=True)
 class Change:
-    """Somebody at the keypad of a unit: after how many seconds, which parameter, to what."""
+    """Somebody at the keypad of a unit: after how many seconds, which parameter, to what; or a fault of the
+    unit, which carries out a command without a response (MUTE) or acknowledges it without (DEAF)."""
 
     after_s: float
     unit: int
@@ -158,11 +165,15 @@ class Typed:
     wait_s: float
 
 
+MUTE, DEAF = 0, -1
+FAULTS = [(MUTE, 0), (MUTE, 0x81), (MUTE, 0x84), (MUTE, 0x85), (MUTE, 0x82), (DEAF, 0x84), (DEAF, 0x83)]
 CHANGES = st.builds(
     lambda after_s, unit, what: Change(after_s, unit, *what),
     st.floats(0.0, 0.3),
     st.integers(1, UNITS),
-    st.sampled_from([(3, 0), (3, 1), (3, 2), (8, 0), (8, 1), (2, 2000), (2, 20000), (2, 99999), (6, 77)]),
+    st.sampled_from(
+        [(3, 0), (3, 1), (3, 2), (8, 0), (8, 1), (2, 2000), (2, 20000), (2, 99999), (6, 77), *FAULTS]
+    ),
 )
 TYPED = st.builds(
     Typed,
@@ -192,10 +203,19 @@ class Judge:
         except CallerError:
             self.outcomes.append("not converted")
         await asyncio.sleep(typed.wait_s)
+        for unit in self.keypads.units:
+            unit.mute_on.clear()
+            unit.deaf_to.clear()
 
     def _press(self, change: Change) -> None:
         unit = self.keypads.units[change.unit - 1]
-        unit.values[change.number] = change.raw
+        if change.raw == 0 and change.number == MUTE:
+            unit.mute_on.clear()
+            unit.deaf_to.clear()
+        elif change.number in (MUTE, DEAF):
+            (unit.deaf_to if change.number == DEAF else unit.mute_on).add(change.raw)
+        else:
+            unit.values[change.number] = change.raw
         unit.note(self.line.loop.time())
 
     async def _enter(self, typed: Typed) -> None:

@@ -3,7 +3,6 @@ who set it."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Annotated, Literal
 
 from fastapi import APIRouter
@@ -150,7 +149,8 @@ Guards = Annotated[Safeguards, bus_service(Safeguards)]
 @router.get("/units/{unit:int}/limits")
 async def get_speed_limits(_: Viewer, guards: Guards, unit: UnitInPath) -> SpeedLimits:
     """Limits of the setpoint of this unit, set by an engineer."""
-    return SpeedLimits(**asdict(guards.limits.of(unit.settings.id)))
+    limits = guards.limits.of(unit.settings.id)
+    return SpeedLimits(**{name: getattr(limits, name) for name in SpeedLimits.model_fields})
 
 
 @router.put("/units/{unit:int}/limits")

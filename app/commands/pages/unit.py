@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Form
@@ -58,7 +59,8 @@ async def set_limits(
 ) -> Response:
     """All four at once; an empty field is no limit."""
     try:
-        limits = Limits(*(_raw(page.unit, text) for text in (lowest, highest, largest_step, per_minute)))
+        typed = (_raw(page.unit, text) for text in (lowest, highest, largest_step, per_minute))
+        limits = replace(Limits(*typed), decimals=setpoint_decimals(page.unit))
         if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
             raise CallerError(Message("limits_reversed"))
     except (CallerError, Problem) as error:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from app.commands.rules.objection import RuleContext, objection
 from app.commands.rules.setpoint_range import KIND_OF_PARAMETER, SetpointKind, kind_of, setpoint_range
 from app.commands.safeguards.limits import Limits
-from app.live.state.bus_live import BusLive, UnitLive, follower
+from app.live.state.bus_live import BusLive, UnitLive, follower, setpoint_decimals
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_text, speed_text
 from bus.contract import WriteParameter
@@ -55,6 +55,7 @@ def check_setpoint(unit: int, raw: int, now: RuleContext, kind: SetpointKind | N
     ``kind``: of the setpoint where it is not the unit's own, which is judged by its range alone.
     """
     live, limits = now.bus.units[unit], now.limits(unit)
+    _check_scale(live, raw, limits)
     _check_range(live, raw, limits, kind)
     if kind not in (None, kind_of(live)) or (raw == 0 and not follower(live)):
         return
@@ -70,6 +71,13 @@ def commanded_setpoint(live: UnitLive, bus: BusLive) -> int | None:
     if live.reading is None or (follower(live) and bus.settings.follower_speed == "speed"):
         return None
     return live.reading.commanded
+
+
+def _check_scale(live: UnitLive, raw: int, limits: Limits) -> None:
+    """Limits that were typed for another display are other limits by now; speed 0 needs none."""
+    if limits.decimals not in (None, setpoint_decimals(live)) and (raw or follower(live)):
+        unit = live.settings.id
+        raise objection("invalid", Message.of("limits_of_other_scale", unit=unit), unit=unit)
 
 
 def _check_range(live: UnitLive, raw: int, limits: Limits, kind: SetpointKind | None) -> None:

@@ -7,7 +7,7 @@ unit is a follower.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 from app.database import Database, StoreConnection
@@ -22,12 +22,14 @@ HIGHEST_SETPOINT = 99999
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of a unit; None is no limit. ``per_minute``: how far the setpoint may move within a minute."""
+    """Limits of a unit; None is no limit. ``per_minute``: how far the setpoint may move within a minute.
+    ``decimals``: of the display for which they were typed; None where they were given raw."""
 
     lowest: int | None = None
     highest: int | None = None
     largest_step: int | None = None
     per_minute: int | None = None
+    decimals: int | None = None
 
     @property
     def message(self) -> Message:
@@ -54,6 +56,7 @@ Protection = dict[str, list[Row]]
 _COLUMNS = {
     "blocks": "bus, unit, reason, set_by, set_at",
     "limits": "bus, unit, lowest, highest, largest_step, per_minute, set_by, set_at",
+    "limits_scale": "bus, unit, decimals",
 }
 
 
@@ -68,15 +71,24 @@ class LimitsStore:
     async def load(self) -> None:
         """Load from the database; once, before the first command."""
         rows = await self._database.read(lambda store: _rows(store, "limits", self._bus))
-        self._limits = {unit: Limits(*limits) for _, unit, *limits, _, _ in rows}
+        scales = await self._database.read(lambda store: _rows(store, "limits_scale", self._bus))
+        decimals = {unit: places for _, unit, places in scales}
+        self._limits = {
+            unit: replace(Limits(*limits), decimals=decimals.get(unit)) for _, unit, *limits, _, _ in rows
+        }
 
     def of(self, unit: int) -> Limits:
         """The limits of a unit; without any, all that the protocol allows."""
         return self._limits.get(unit, NO_LIMITS)
 
     async def put(self, unit: int, limits: Limits, set_by: str, set_at: UnixTime) -> None:
-        row = self._bus, unit, *astuple(limits), set_by, set_at
-        await self._database.write(lambda store: _replace(store, "limits", [row]))
+        *values, decimals = astuple(limits)
+
+        def write(store: StoreConnection) -> None:
+            _replace(store, "limits", [(self._bus, unit, *values, set_by, set_at)])
+            _replace(store, "limits_scale", [(self._bus, unit, decimals)])
+
+        await self._database.write(write)
         self._limits[unit] = limits
 
 
@@ -123,8 +135,9 @@ class BlockStore:
 
 
 def read_protection(store: StoreConnection) -> Protection:
-    """Every limit and block of a store. Raises StoreError for one that cannot be read."""
-    return {table: _rows(store, table) for table in _COLUMNS}
+    """Every limit and block of a store, of any version. Raises StoreError for one that cannot be read."""
+    tables = {name for (name,) in store.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    return {table: _rows(store, table) for table in _COLUMNS if table in tables}
 
 
 def keep_in_force(restored: StoreConnection, protection: Protection) -> None:
