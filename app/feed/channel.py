@@ -121,6 +121,10 @@ class Channel:
             self._watch = wanted
             await self._deliver(wanted)
 
+    def awaits(self, id: str) -> bool:
+        """Whether the result of this command is still to come."""
+        return id in self._open and not self._open[id].result.done()
+
     def on_update(self, update: Result | Progress, connection: MessageSink) -> None:
         """Take in the result or progress of a command. It counts only from the connection that the command
         went to; an unknown id belongs to a command that has ended."""

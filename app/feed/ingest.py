@@ -29,6 +29,7 @@ from bus.contract import (
     Snapshot,
     Update,
     WantSnapshot,
+    WorkerMessage,
     decode_from_worker,
 )
 from bus.instants import Clock, UnixTime, monotonic_now, unix_now
@@ -76,6 +77,7 @@ class Ingest:
         self.missed_ticks = 0
         self._channel.on_message()
         message = decode_from_worker(data)
+        size = 0 if self._is_requested(message) else len(data)
         match message:
             case Snapshot() as snapshot:
                 await self._take_snapshot(snapshot)
@@ -83,7 +85,15 @@ class Ingest:
                 await self._take_batch(batch)
             case Hello():
                 raise MalformedMessageError("Hello is sent once, at the beginning")
-        await self._hold_back(self._quota.pause_s(message, len(data), monotonic_now()))
+        await self._hold_back(self._quota.pause_s(message, size, monotonic_now()))
+
+    def _is_requested(self, message: WorkerMessage) -> bool:
+        """Whether it has a piece of the trace that the app has requested: an hour of it would use
+        up the quota, and what came after it would wait until the link is lost."""
+        return isinstance(message, Batch) and any(
+            isinstance(update, Result) and update.frames and self._channel.awaits(update.id)
+            for update in message.updates
+        )
 
     async def tick(self) -> None:
         """About once a second: send the app's time, and confirm what arrived a tick ago, as it is on disk by

@@ -12,6 +12,7 @@ import pytest
 
 from app.commands.api.trace_file import parse_trace_line
 from app.commands.service.command_service import MAX_AT_ONCE
+from app.feed.rates import FeedQuota
 from app.web.admission.access import Person, Role
 from app.web.admission.turns import Turns
 from app.web.api.shape import iso
@@ -33,6 +34,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
+from bus.instants import unix_now
 from bus.messages import term
 from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, snapshot, unit_state, until
 
@@ -395,6 +397,27 @@ async def test_a_refresh_that_breaks_off_is_no_list(stage: Stage, worker: Played
     response = await stage.request("GET", "/units/1/parameters?refresh=true")
     assert response.status_code == 504
     assert response.json()["code"] == "unverified"
+
+
+async def test_a_requested_trace_delays_nothing_else(
+    stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes: list[int] = []
+
+    def counted(_quota: FeedQuota, _message: object, size: int, _now: float) -> float:
+        sizes.append(size)
+        return 0.0
+
+    monkeypatch.setattr(FeedQuota, "pause_s", counted)
+    frame = Frame(at=unix_now(), direction="in", data=b"a" * 500, meanings=[])
+    worker.play = responding("verified", frames=[frame])
+    await stage.request("GET", "/trace", role="engineer")
+    assert 0 in sizes
+    sizes.clear()
+    worker.play = responding("verified", read_back=250)
+    await stage.request("POST", "/units/1/speed", {"raw": 250})
+    assert sizes
+    assert 0 not in sizes
 
 
 async def test_the_password_is_in_no_response_and_no_event(stage: Stage, worker: PlayedWorker) -> None:
