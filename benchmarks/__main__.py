@@ -15,7 +15,6 @@ TABLES = {
     "sets": "parameter sets: a backup on the wire",
     "history": "history: stored, packed, drawn",
     "history_kill": "history: killed fifty times",
-    "store": "history of 200 lines in SQLite and PostgreSQL: written, its size, read",
     "alarms": "alarms: 255 units with 20 each, and a flood",
     "alarm_flood": "alarms: a page that is used while 10,000 change within a minute",
     "tls": "TLS: what it costs the server with 200 browsers",

@@ -100,6 +100,19 @@ def test_a_server_killed_and_started_again_at_once_leaves_a_hole(shelf: Shelf, v
         shelf.fold()
 
 
+def test_journals_of_several_servers_are_taken_up_in_a_store_that_came_back(shelf: Shelf) -> None:
+    """Each server of a site in PostgreSQL had the rows of its journal from 2**40 times its number on."""
+    shelf.keep(polls(NOON, NOON + 5))
+    shelf.database.write_now(lambda c: c.execute("UPDATE journal SET seq = seq + ?", (2**40,)))
+    shelf.keep(polls(NOON + 5, NOON + 10))
+    shelf.database.write_now(lambda c: c.execute("UPDATE journal SET seq = 1 WHERE seq > ?", (2**40 + 1,)))
+    shelf.start_again()
+    for _ in range(2):
+        found = shelf.query("actual", NOON, NOON + 10).series.average
+        assert [value for value in found if value is not None] == [1000 + i % 7 for i in [*range(25)] * 2]
+        shelf.fold()
+
+
 def test_a_reported_gap_outlives_a_crash(shelf: Shelf) -> None:
     shelf.keep(polls(NOON, NOON + 5, lambda _: 1000))
     shelf.keep([BusLink(NOON + 5.1, "closed", "unplugged"), BusLink(NOON + 5.8, "open")])
