@@ -23,6 +23,10 @@ let timer = 0;
 const listeners = new Map();
 /** @type {Map<string, Map<string, Write[]>>} */
 let bound = new Map();
+/** @type {HTMLElement[]} */
+let elements = [];
+/** Whether a text was not as it had been written: a translation or an extension has changed it. */
+let isAltered = false;
 
 const UNKNOWN = "–";
 const STEPS = 48;
@@ -35,9 +39,14 @@ function textOf(element) {
   element.replaceChildren(text);
   const empty = element.dataset.empty ?? UNKNOWN;
   const width = Number(element.dataset.width ?? 0);
+  let written = text.data;
   return (value) => {
-    const next = (value === "" ? empty : value).padStart(width, FIGURE_SPACE);
-    if (text.data !== next) text.data = next;
+    if (text.data !== written || element.firstChild !== text || element.lastChild !== text) {
+      isAltered = true;
+      element.replaceChildren(text);
+    }
+    written = (value === "" ? empty : value).padStart(width, FIGURE_SPACE);
+    if (text.data !== written) text.data = written;
   };
 }
 
@@ -56,7 +65,7 @@ function variableOf(element, name) {
     if (value === "") element.dataset.none = "";
     else {
       if (element.dataset.none !== undefined) delete element.dataset.none;
-      element.style.setProperty(property, value);
+      if (element.style.getPropertyValue(property) !== value) element.style.setProperty(property, value);
     }
   };
 }
@@ -72,8 +81,8 @@ function titleOf(element) {
  * @param {HTMLElement} element @returns {Write} */
 function hrefOf(element) {
   return (value) => {
-    if (value) element.setAttribute("href", value);
-    else element.removeAttribute("href");
+    if (!value) element.removeAttribute("href");
+    else if (element.getAttribute("href") !== value) element.setAttribute("href", value);
   };
 }
 
@@ -86,13 +95,9 @@ function attributeOf(element, name) {
 
 /** @param {HTMLElement} element @returns {Write} */
 function stepOf(element) {
-  /** @type {string | null} */
-  let shown = null;
   return (value) => {
     const step = value === "" ? "" : String(Math.round(Number(value) * STEPS));
-    if (step === shown) return;
-    shown = step;
-    element.setAttribute("data-step", step);
+    if (element.dataset.step !== step) element.dataset.step = step;
   };
 }
 
@@ -133,9 +138,34 @@ const KINDS = {
 /** Bind every marked element of the document: once, and again after a fragment came in. */
 export function rebind() {
   bound = new Map();
+  elements = [];
   for (const [attribute, bind] of Object.entries(KINDS)) {
-    for (const element of document.querySelectorAll(`[${attribute}]`)) bind(element);
+    const found = document.querySelectorAll(`[${attribute}]`);
+    for (const element of found) bind(element);
+    elements.push(...found);
   }
+}
+
+/** Whether each element that is bound is in the document, and no other is marked. */
+function isComplete() {
+  const marked = Object.keys(KINDS).reduce((n, kind) => n + document.querySelectorAll(`[${kind}]`).length, 0);
+  return marked === elements.length && elements.every((element) => element.isConnected);
+}
+
+/** Show what is known wherever another program, such as a translation or an extension, has changed the page since.
+ * Return whether one has changed a text, or replaced what is bound by a copy. */
+export function verify() {
+  if (isComplete()) for (const [group, known] of values) write(group, known);
+  else {
+    const before = elements.length;
+    rebind();
+    // What this page removes itself leaves fewer.
+    isAltered ||= elements.length >= before;
+    document.dispatchEvent(new CustomEvent("lineside:changed"));
+  }
+  const wasAltered = isAltered;
+  isAltered = false;
+  return wasAltered;
 }
 
 /** @param {string} group @param {Fields} changed */

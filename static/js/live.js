@@ -1,7 +1,7 @@
 // The link to the server: a socket that only listens. First a complete snapshot, then numbered changes.
 // A timeout counts as loss: within two seconds the page shows it, and removes its controls.
 
-import { replace, show, value } from "./bind.js";
+import { replace, show, value, verify } from "./bind.js";
 import * as clock from "./clock.js";
 import { giveBack } from "./focus.js";
 import { language, span, word } from "./words.js";
@@ -13,6 +13,9 @@ const STILL_MS = 2 * CHECK_MS;
 /** Time to handle the messages that arrived while the page stood still. */
 const CATCH_UP_MS = 50;
 const SPEAK_MS = 10_000;
+const VERIFY_MS = 500;
+/** Another program that changes the texts again so often within so long cannot be kept from it. */
+const [ALTERED_TIMES, ALTERED_MS] = [4, 10_000];
 const RELOADED = "reloaded-for";
 const TOO_MANY = 429;
 const RETRY_MS = [200, 500, 1000, 2000];
@@ -159,6 +162,7 @@ function onLost(why) {
 
 function found() {
   tries = 0;
+  if (isAltered()) return;
   const was = body.dataset.link;
   body.dataset.link = "live";
   if (was !== "live") {
@@ -176,10 +180,36 @@ function describe() {
     timeout: "causeTimeout",
     offline: "causeOffline",
     sockets: "causeSockets",
+    altered: "causeAltered",
   };
-  document.querySelector("[data-gone-cause]").textContent = word(names[cause]);
+  document.querySelector("[data-gone-cause]").textContent = word(names[isAltered() ? "altered" : cause]);
   document.querySelector("[data-gone-since]").textContent = timeOfDay(lostSince);
   document.querySelector("[data-gone-for]").textContent = span(clock.now() - lostSince);
+}
+
+/** @type {number[]} */
+let alterations = [];
+const isAltered = () => "altered" in body.dataset;
+
+/** A page whose texts another program changes again and again would show an old state between two of them: it is covered
+ * until a person has loaded it again. */
+function verifyTexts() {
+  if (!isLive() || !verify()) return;
+  const now = performance.now();
+  alterations = [...alterations.filter((at) => now - at < ALTERED_MS), now];
+  if (alterations.length < ALTERED_TIMES) return;
+  body.dataset.altered = "";
+  onLost("altered");
+}
+
+/** A page that a browser has kept and shows again is of the time when it was left.
+ * @param {PageTransitionEvent} event */
+function shownAgain({ persisted }) {
+  if (persisted) {
+    onLost("closed");
+    if (socket) drop(socket);
+  }
+  awake();
 }
 
 /** Where the server responds and the next socket does not open either, a proxy between does not pass WebSockets. */
@@ -252,7 +282,9 @@ export function start() {
   setInterval(() => socket?.readyState === WebSocket.OPEN && sendInterest(), SPEAK_MS);
   document.addEventListener("visibilitychange", awake);
   document.addEventListener("resume", awake);
-  addEventListener("pageshow", awake);
+  addEventListener("pageshow", shownAgain);
+  addEventListener("beforeprint", verifyTexts);
+  setInterval(verifyTexts, VERIFY_MS);
   addEventListener("online", awake);
 }
 

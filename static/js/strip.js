@@ -32,9 +32,15 @@ function entry([key, level, name, text, since]) {
   return item;
 }
 
-/** @param {StripEntry[]} strip @param {number} abnormal */
-function draw(strip, abnormal) {
-  document.title = abnormal > 0 ? `(${abnormal}) ${title}` : title;
+/** A translation of the page writes a title, too.
+ * @param {number} abnormal */
+function entitle(abnormal) {
+  const present = abnormal > 0 ? `(${abnormal}) ${title}` : title;
+  if (document.title !== present) document.title = present;
+}
+
+/** @param {StripEntry[]} strip */
+function draw(strip) {
   for (const list of document.querySelectorAll("[data-strip]")) {
     const active = /** @type {HTMLAnchorElement} */ (document.activeElement);
     const focused = list.contains(active) ? active.href : null;
@@ -54,7 +60,8 @@ export function start() {
   /** @type {string | undefined} */
   let known;
   listen("line_summary", (fields, changed) => {
-    if ("strip" in changed) draw(fields.strip ?? [], Number(fields.abnormal));
+    entitle(Number(fields.abnormal));
+    if ("strip" in changed) draw(fields.strip ?? []);
     if (known !== undefined && fields.abnormal !== known) announce([fields.verdict, fields.counts].filter(Boolean).join(" · "));
     known = fields.abnormal ?? known;
   });

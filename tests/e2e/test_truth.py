@@ -5,6 +5,7 @@ was down is never sent.
 from __future__ import annotations
 
 import os
+import re
 import signal
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
@@ -18,6 +19,7 @@ from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import START_MS
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
+from tests.sizes import sizes
 
 PANEL = {"width": 1280, "height": 800}
 LOST = "body[data-link=lost]"
@@ -278,3 +280,112 @@ def test_the_offline_page_is_honest(own_site: Site, browser_page: OpensPages) ->
     page.goto("/offline")
     expect(page.locator("h1")).to_have_text("No connection to Lineside")
     eventually(lambda: page.locator(".gone__box").is_visible(), "the page is drawn")
+
+
+TEXTS = """
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  const texts = [];
+  while (walker.nextNode()) if (walker.currentNode.data.trim()) texts.push(walker.currentNode);
+"""
+TRANSLATED = f"""() => {{{TEXTS}
+  for (const text of texts) {{
+    const font = document.createElement("font");
+    font.append(document.createElement("font"));
+    font.firstChild.textContent = text.data;
+    text.replaceWith(font);
+  }}
+}}"""
+"""As the translation of Chrome: each text is in another node, in two elements."""
+WRITTEN_LATE = f"""() => {{{TEXTS}
+  const old = texts.map(({{data}}) => data);
+  setTimeout(() => texts.forEach((text, at) => {{ text.data = old[at]; }}), 3000);
+}}"""
+"""As an extension that puts other words into the same nodes, once it has them."""
+COPIED = """() => {
+  for (const one of document.querySelectorAll("main, .top")) one.replaceWith(one.cloneNode(true));
+}"""
+DOUBLED = """() => {
+  for (const one of document.querySelectorAll("[data-live]")) one.before(one.cloneNode(true));
+}"""
+STATES = {1: "Stopped: emergency stop", 2: "In LOCAL", 3: "No response"}
+
+
+def stop_all(site: Site) -> None:
+    """An e-stop, LOCAL, and a unit without power."""
+    site.line.remote.do("input", unit=1, input="estop", on=True)
+    site.line.remote.do("mode", unit=2, to="local")
+    site.line.remote.do("fault", kind="dead", rate=1, unit=3)
+
+
+def run_all(site: Site) -> None:
+    site.line.remote.do("clear")
+    site.line.remote.do("input", unit=1, input="estop", on=False)
+    site.line.remote.do("mode", unit=2, to="remote")
+
+
+@pytest.mark.parametrize("change", sizes(TRANSLATED, WRITTEN_LATE, COPIED, DOUBLED))
+@pytest.mark.parametrize("path", sizes("/?view=tiles", "/?view=rows", "/?view=matrix"))
+def test_a_program_that_changes_the_page_leaves_no_old_state(
+    own_site: Site, browser_page: OpensPages, path: str, change: str
+) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), path)
+    try:
+        page.evaluate(change)
+        stop_all(own_site)
+        for unit, text in STATES.items():
+            shown = page.locator(f'[data-unit="line/{unit}"]')
+            expect(shown).to_contain_text(text)
+            expect(shown.get_by_text("At speed")).to_have_count(0)
+        expect(page.locator('[data-unit="line/3"]')).to_have_attribute("data-quality", "offline")
+        expect(page.locator("h1")).to_contain_text(STATES[1])
+        expect(page).to_have_title(re.compile(r"^\(3\)"))
+    finally:
+        run_all(own_site)
+    for unit, text in STATES.items():
+        expect(page.locator(f'[data-unit="line/{unit}"]')).not_to_contain_text(text)
+
+
+def test_a_page_whose_texts_are_changed_again_and_again_is_covered(
+    own_site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+    page.evaluate(f"() => {{ setInterval({TRANSLATED}, 100); }}")
+    expect(page.locator(LOST)).to_be_attached()
+    cover = page.locator(".gone__box")
+    title = "Another program changes the texts of this page"
+    expect(cover.get_by_role("heading", name=title, exact=True)).to_be_visible()
+    expect(cover).to_contain_text("Turn off the translation")
+    expect(cover.get_by_text("does not respond")).to_be_hidden()
+    cover.get_by_role("link", name="Reload page").click()
+    expect(page.locator(LIVE)).to_be_attached()
+
+
+def test_a_page_that_a_browser_kept_is_covered_until_it_has_a_snapshot(
+    own_site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+    link = page.evaluate("""() => {
+      dispatchEvent(new PageTransitionEvent("pageshow", {persisted: true}));
+      return document.body.dataset.link;
+    }""")
+    assert link == "lost"
+    expect(page.locator(LIVE)).to_be_attached()
+
+
+@pytest.mark.provokes("WebSocket")
+def test_values_that_are_not_live_are_not_printed(own_site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+    page.emulate_media(media="print")
+    expect(page.locator(".tile").first).to_be_visible()
+    page.context.set_offline(True)
+    expect(page.locator(LOST)).to_be_attached()
+    expect(page.locator(".gone__box")).to_be_visible()
+    expect(page.locator(".tile").first).to_be_hidden()
+
+
+def test_a_browser_is_told_not_to_translate(own_site: Site, browser_page: OpensPages) -> None:
+    page = browser_page(site=own_site)
+    for path in ("/", "/wallboard", "/login"):
+        page.goto(path)
+        assert page.evaluate("document.documentElement.translate") is False
+        expect(page.locator("meta[name=google][content=notranslate]")).to_have_count(1)
