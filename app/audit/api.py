@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
+from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query
@@ -16,23 +17,29 @@ from app.audit.entry import EventKind, is_moment
 from app.audit.log import Event, EventLog
 from app.audit.proof import AuditVerification
 from app.audit.queries import Filter
+from app.messages import Language
 from app.web.admission.access import Admin, Viewer
 from app.web.admission.turns import DOWNLOAD, SEARCH
 from app.web.api.route import ApiRoute
-from app.web.api.shape import Instant, MaybeInstant, ZonedTime, csv_cell, csv_text, iso, json_response
+from app.web.api.shape import Instant, MaybeInstant, ZonedTime, iso, json_response
+from app.web.rendering.csv_file import CSV, Cell, Column, CsvForm, WantedCsv, number_or_text
 from app.web.services import service
 from bus.instants import UnixTime
+from bus.messages import term
 from bus.text import TypedText
 
 router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)
 MAX_EVENTS = 1000
 """How many events one page may hold."""
 
-CSV: dict[int | str, dict[str, Any]] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
-COLUMNS = (
-    *("id", "time", "kind", "who", "origin", "bus", "unit", "what"),
-    *("old", "new", "old_raw", "new_raw", "outcome", "message", "count"),
+CSV_COLUMNS = (
+    *(Column("id", term("Number")), Column("time", term("Time"), is_time=True), Column("kind", term("Kind"))),
+    *(Column("who", term("Who")), Column("origin", term("Origin")), Column("bus", term("Bus"))),
+    *(Column("unit", term("Unit")), Column("what", term("What")), Column("old", term("Old"))),
+    *(Column("new", term("New")), Column("old_raw", term("Old, raw")), Column("new_raw", term("New, raw"))),
+    *(Column("outcome", term("Result")), Column("message", term("Note")), Column("count", term("Times"))),
 )
+COLUMNS = tuple(column.name for column in CSV_COLUMNS)
 
 
 class EventMessage(BaseModel):
@@ -139,18 +146,33 @@ async def verify_audit_log(
 
 
 @router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])
-async def export_events(_: Viewer, events: Events, wanted: Wanted) -> StreamingResponse:
+async def export_events(_: Viewer, events: Events, wanted: Wanted, form: WantedCsv) -> StreamingResponse:
     """Every event of the filter of GET /events, as CSV with a line of headings."""
     headers = {"Content-Disposition": 'attachment; filename="events.csv"'}
-    return StreamingResponse(_csv(events, wanted), headers=headers, media_type="text/csv; charset=utf-8")
+    return StreamingResponse(
+        _csv(events, wanted, form), headers=headers, media_type="text/csv; charset=utf-8"
+    )
 
 
-async def _csv(events: EventLog, wanted: Filter) -> AsyncIterator[str]:
-    yield csv_text([COLUMNS])
+async def _csv(events: EventLog, wanted: Filter, form: CsvForm) -> AsyncIterator[str]:
+    yield form.head(CSV_COLUMNS)
     async for chunk in events.every(wanted):
-        yield await asyncio.to_thread(_chunk_text, chunk)
+        yield await asyncio.to_thread(
+            form.rows, CSV_COLUMNS, [list(_cells(event, form.language)) for event in chunk]
+        )
 
 
-def _chunk_text(chunk: list[Event]) -> str:
-    rows = (shown(event) for event in chunk)
-    return csv_text([csv_cell(row[name]) for name in COLUMNS] for row in rows)
+def _cells(event: Event, language: Language | None) -> Iterator[Cell]:
+    """An event in a row; for a reader as the page of the events shows it."""
+    event = {**event, "count": event["count"] or 1}
+    for name in COLUMNS:
+        if name == "time":
+            yield datetime.fromtimestamp(event["time"], UTC) if is_moment(event["time"]) else None
+        elif language is None or event[name] is None:
+            yield event[name]
+        elif name in event["messages"]:
+            yield number_or_text(language.t(event["messages"][name]))
+        elif name in ("kind", "origin", "outcome"):
+            yield language.t(event[name].replace("_", " ") if name == "kind" else event[name])
+        else:
+            yield number_or_text(event[name]) if name in ("old", "new") else event[name]

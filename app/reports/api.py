@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 from fastapi import APIRouter, Depends, Query
 from starlette.responses import Response
@@ -17,20 +16,19 @@ from app.history.service import seconds
 from app.reports.document import ReportDocuments, file_name
 from app.reports.report import SpanReport
 from app.reports.service import Reports
-from app.reports.tables import stop_rows, unit_rows
+from app.reports.tables import stops_text, units_text
 from app.web.admission.access import Viewer
 from app.web.admission.turns import DOWNLOAD, SEARCH
 from app.web.api.route import ApiRoute
-from app.web.api.shape import csv_text, json_response
+from app.web.api.shape import json_response
+from app.web.rendering.csv_file import CSV, WantedCsv
 from app.web.services import service
 from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/report", tags=["reports"], route_class=ApiRoute)
 
-CSV: dict[int | str, dict[str, Any]] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
 ReportsOf = Annotated[Reports, service(Reports)]
 DocumentsOf = Annotated[ReportDocuments, service(ReportDocuments)]
-Rows = Callable[[Mapping[str, Any]], Iterator[tuple[str, ...]]]
 
 
 class WantedReport(NamedTuple):
@@ -62,15 +60,17 @@ async def get_report(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery) -> Re
 
 
 @router.get("/units.csv", response_class=Response, responses=CSV, dependencies=[DOWNLOAD])
-async def get_report_units(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery) -> Response:
+async def get_report_units(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery, form: WantedCsv) -> Response:
     """The units of a report, one in a row."""
-    return await _csv(reports, wanted, "units", unit_rows)
+    report = await reports.report(wanted.span, wanted.scope)
+    return _csv(units_text(report, form), f"{file_name(report, wanted.scope)}-units.csv")
 
 
 @router.get("/stops.csv", response_class=Response, responses=CSV, dependencies=[DOWNLOAD])
-async def get_report_stops(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery) -> Response:
+async def get_report_stops(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery, form: WantedCsv) -> Response:
     """The stops of a report, one in a row: unit, began, ended, seconds, reason."""
-    return await _csv(reports, wanted, "stops", stop_rows)
+    report = await reports.report(wanted.span, wanted.scope)
+    return _csv(stops_text(report, form), f"{file_name(report, wanted.scope)}-stops.csv")
 
 
 @router.get("/report.html", response_class=Response, responses=HTML, dependencies=[DOWNLOAD])
@@ -84,10 +84,8 @@ async def get_report_document(
     return Response(text, media_type="text/html; charset=utf-8", headers=headers)
 
 
-async def _csv(reports: Reports, wanted: WantedReport, what: str, rows: Rows) -> Response:
-    report = await reports.report(wanted.span, wanted.scope)
-    headers = _attachment(f"{file_name(report, wanted.scope)}-{what}.csv")
-    return Response(csv_text(rows(report)), media_type="text/csv; charset=utf-8", headers=headers)
+def _csv(text: str, name: str) -> Response:
+    return Response(text, media_type="text/csv; charset=utf-8", headers=_attachment(name))
 
 
 def _attachment(name: str) -> dict[str, str]:

@@ -70,7 +70,7 @@ export function showControls(root, view) {
   document.getElementById("trend-compare").value = view.compare;
   document.getElementById("trend-marks").checked = view.marks;
   document.getElementById("trend-save").elements.query.value = String(view.query());
-  for (const file of ["csv", "parquet"]) {
+  for (const file of ["csv", "data", "parquet"]) {
     const link = /** @type {HTMLAnchorElement | null} */ (document.getElementById(`export-${file}`));
     if (link) link.href = exportAddress(view.series, [from, to], file);
   }

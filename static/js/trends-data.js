@@ -46,10 +46,14 @@ export async function fetchRecipeRuns(bus, at) {
   return { name: found.name, loaded: Date.parse(found.loaded) / 1000, before: Date.parse(found.before) / 1000 };
 }
 
-/** @param {string[]} names @param {Span} range @param {string} file */
+/** `file`: "csv" for a spreadsheet, "data" for programs, or "parquet".
+ * @param {string[]} names @param {Span} range @param {string} file */
 export function exportAddress(names, range, file) {
-  const query = new URLSearchParams({ ...spanOf(range), format: file });
-  if (file === "csv") query.set("layout", "table");
+  const query = new URLSearchParams({ ...spanOf(range), format: file === "data" ? "csv" : file });
+  if (file === "csv") {
+    query.set("layout", "table");
+    query.set("form", "reader");
+  }
   for (const name of names) query.append("series", name);
   return `${HISTORY}/export?${query}`;
 }

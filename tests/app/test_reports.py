@@ -66,9 +66,9 @@ def fill(folder: Path) -> None:
 
 
 @asynccontextmanager
-async def mill(folder: Path, more: str = "") -> AsyncIterator[House]:
+async def mill(folder: Path, more: str = "", zone: str = "UTC") -> AsyncIterator[House]:
     config = folder / "lineside.toml"
-    config.write_text(CONFIGURATION + more)
+    config.write_text(CONFIGURATION.replace("UTC", zone) + more)
     fill(folder)
     async with complete_app(folder, config=config) as house:
         yield house

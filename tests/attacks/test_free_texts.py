@@ -14,7 +14,7 @@ import httpx
 import pytest
 
 from app.web.admission.access import Role
-from app.web.api.shape import csv_cell
+from app.web.rendering.csv_file import guarded
 from tests.app.complete_app import House
 from tests.app.played_line import BUS, PlayedLine
 
@@ -103,10 +103,12 @@ async def test_a_text_of_any_script_is_shown_as_it_was_written(
         ("\uff1d1", "'\uff1d1"),
         ("a = b; c", "a = b; c"),
         ("-12.5", "-12.5"),
+        ("\t=1+1", "'\t'=1+1"),
+        ("\rNip", "'\rNip"),
     ],
 )
 def test_no_separator_of_a_spreadsheet_begins_a_formula(text: str, cell: str) -> None:
-    assert csv_cell(text) == cell
+    assert guarded(text) == cell
 
 
 async def test_a_formula_in_a_reason_is_text_in_the_events(house: House, line: PlayedLine) -> None:

@@ -94,7 +94,7 @@ test("events are requested once for each unit", async () => {
 
 test("an export is of what is shown, and never of an empty span", () => {
   const address = exportAddress(["line/1/actual"], RANGE, "csv");
-  assert.equal(address, `/api/v1/history/export?from=${FROM}&to=${TO}&format=csv&layout=table&series=line%2F1%2Factual`);
+  assert.equal(address, `/api/v1/history/export?from=${FROM}&to=${TO}&format=csv&layout=table&form=reader&series=line%2F1%2Factual`);
   const moment = new URLSearchParams(exportAddress([], [RANGE[0], RANGE[0]], "csv").split("?")[1]);
   assert.equal(Date.parse(moment.get("to")) - Date.parse(moment.get("from")), 1);
 });

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from dataclasses import asdict
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query
@@ -14,20 +11,25 @@ from starlette.responses import Response
 from app.alarms.api import Alarms
 from app.alarms.journal.performance import AlarmPerformance, measure
 from app.alarms.rules.performance import DAY_S
-from app.audit.api import CSV
 from app.errors import Problem
 from app.web.admission.access import Viewer
 from app.web.admission.bounds import refuse_year
 from app.web.api.route import ApiRoute
-from app.web.api.shape import ZonedTime, iso
+from app.web.api.shape import ZonedTime
+from app.web.rendering.csv_file import CSV, Column, WantedCsv
 from bus.instants import UnixTime, unix_now
-from bus.messages import Message
+from bus.messages import Message, term
 
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
 
 MAX_DAYS = 31
 USUAL_DAYS = 7
-COLUMNS = ("code", "value", "at_most", "at_least", "met", "from", "to", "observed_s")
+COLUMNS = (
+    *(Column("code", term("Figure")), Column("value", term("Value")), Column("at_most", term("At most"))),
+    *(Column("at_least", term("At least")), Column("met", term("Target met"))),
+    *(Column("from", term("From"), is_time=True), Column("to", term("To"), is_time=True)),
+    Column("observed_s", term("Observed (s)")),
+)
 
 
 def month_at_most(since: datetime | None, until: datetime | None) -> tuple[UnixTime, UnixTime]:
@@ -63,12 +65,15 @@ async def get_alarm_performance(_: Viewer, performance: WantedPerformance) -> Al
 
 
 @router.get("/performance.csv", response_class=Response, responses=CSV)
-async def get_alarm_performance_csv(_: Viewer, performance: WantedPerformance) -> Response:
+async def get_alarm_performance_csv(_: Viewer, performance: WantedPerformance, form: WantedCsv) -> Response:
     """The same figures, a row for each."""
-    text = io.StringIO()
-    rows = csv.DictWriter(text, COLUMNS)
-    rows.writeheader()
-    span = {"from": iso(performance.start), "to": iso(performance.end), "observed_s": performance.observed_s}
-    rows.writerows({**asdict(figure), **span} for figure in performance.figures)
+    start, end = (datetime.fromtimestamp(float(at), UTC) for at in (performance.start, performance.end))
+    rows = (
+        (
+            *(figure.code if form.language is None else Message(f"alarm_figure_{figure.code}"), figure.value),
+            *(figure.at_most, figure.at_least, figure.met, start, end, performance.observed_s),
+        )
+        for figure in performance.figures
+    )
     name = {"Content-Disposition": 'attachment; filename="alarm-performance.csv"'}
-    return Response(text.getvalue(), media_type="text/csv", headers=name)
+    return Response(form.head(COLUMNS) + form.rows(COLUMNS, rows), media_type="text/csv", headers=name)

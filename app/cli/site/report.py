@@ -23,9 +23,10 @@ from app.history.query.unit_report import UnitReport, stored_tail
 from app.history.service import FILE as HISTORY
 from app.reports.report import ReportedUnit, reported_buses, span_report
 from app.reports.rules.spans import DAY_S, MAX_DAYS
-from app.reports.tables import stop_rows, unit_rows
+from app.reports.tables import stops_text, units_text
 from app.settings import Settings, load
-from app.web.api.shape import csv_text, iso
+from app.web.api.shape import iso
+from app.web.rendering.csv_file import FOR_PROGRAMS
 from app.web.rendering.formats import lasting
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
@@ -71,7 +72,7 @@ def report(
         click.echo(json.dumps(found, ensure_ascii=False))
         return
     if as_csv or stops:
-        click.echo(csv_text((stop_rows if stops else unit_rows)(found)), nl=False)
+        click.echo((stops_text if stops else units_text)(found, FOR_PROGRAMS), nl=False)
         return
     for line in _lines(found, ZoneInfo(settings.site.zone)):
         click.echo(line)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal
+from zoneinfo import ZoneInfo
 
 from fastapi import APIRouter, Query, Response
 from starlette.requests import Request
@@ -25,6 +26,7 @@ from app.web.admission.access import Viewer
 from app.web.admission.turns import DOWNLOAD, SEARCH
 from app.web.api.route import ApiRoute
 from app.web.api.shape import iso, json_response
+from app.web.rendering.csv_file import CsvForm, WantedCsv
 from app.web.rendering.templating import templates_of
 from bus.messages import Message
 
@@ -151,16 +153,20 @@ async def export_history(
     file: Annotated[Format, Query(alias="format")] = "csv",
     resolution: ExportResolution = "auto",
     layout: Layout = "readings",
+    *,
+    form: WantedCsv,
 ) -> StreamingResponse:
     """CSV or Parquet of any span, streamed: ``series`` may be repeated, each ``bus/unit/value``. Of a draw
     the file has the two speeds that it is made of.
 
     ``resolution`` auto: values if they are stored for the complete span, else minutes. ``layout=table``, of
     CSV: one row a time (a second, or longer over a long span) with every value in force then, in local time,
-    under the names of units in the reader's language.
+    under the names of units in the reader's language; ``form=reader``: also with the separator and the
+    decimal sign of that language.
     """
     requested = spans.series_queries(history, series, Span(span.start, span.end), 1)
     stored = [stored for each in requested for stored in stored_queries(each)]
     once = {(each.bus.name, each.unit, each.value.name): each for each in stored}
-    named_in = templates_of(request).language_of(request) if layout == "table" else None
-    return await download.response(history, list(once.values()), file, resolution, named_in)
+    if layout == "table" and form.language is None:
+        form = CsvForm(templates_of(request).language_of(request), ZoneInfo(history.time_zone))
+    return await download.response(history, list(once.values()), file, resolution, form, layout)

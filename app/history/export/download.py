@@ -12,22 +12,21 @@ from starlette.responses import StreamingResponse
 
 from app.errors import Problem
 from app.history.export import parquet_file
-from app.history.export.rows import Cell, ExportRow, Table, pieces
+from app.history.export.rows import ExportRow, Table, pieces
 from app.history.export.together import Together, step_of
 from app.history.intake.tail import Tail
 from app.history.query.query import Resolution, SeriesQuery, has_raw
 from app.history.series.runs import SECOND
 from app.history.service import History
 from app.history.store import tables
-from app.messages import Language
-from app.web.api.shape import csv_cell, csv_text
-from bus.messages import Message
+from app.web.rendering.csv_file import FOR_PROGRAMS, Column, CsvForm, Number
+from app.web.rendering.csv_file import Cell as CsvCell
+from bus.messages import Message, term
 
 Format = Literal["csv", "parquet"]
 ExportResolution = Literal["auto", Resolution]
 Layout = Literal["readings", "table"]
 """A row for each reading, or for each time with every value filled in."""
-BYTE_ORDER_MARK = "\ufeff"
 
 
 async def response(
@@ -35,19 +34,20 @@ async def response(
     queries: Sequence[SeriesQuery],
     file: Format,
     resolution: ExportResolution,
-    named_in: Language | None = None,
+    form: CsvForm = FOR_PROGRAMS,
+    layout: Layout = "readings",
 ) -> StreamingResponse:
-    """Streamed, so that it takes no more memory for a year. ``named_in``: the language of the columns of a
-    CSV with one row a time; None: a row for each reading. Raises StoreError or Problem before it begins."""
+    """Stream an export, so that it takes no more memory for a year. ``form`` and ``layout`` are those of CSV.
+    Raises StoreError or Problem before it begins."""
     if file == "parquet" and not await parquet_file.is_usable():
         raise Problem(501, "no_parquet", Message("no_parquet"))
     fineness = await _fineness(history, queries, resolution)
-    table = Table(queries, fineness, history.time_zone, carries=named_in is not None)
+    table = Table(queries, fineness, history.time_zone, carries=layout == "table")
     name = f"lineside-{_stamp(queries[0].start, table)}-{_stamp(queries[0].end, table)}.{file}"
     headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-store"}
     rows = pieces(history, table)
     if file == "csv":
-        text = stream_csv(table, rows) if named_in is None else stream_table(table, rows, named_in)
+        text = (stream_csv if layout == "readings" else stream_table)(table, rows, form)
         return StreamingResponse(text, 200, headers, "text/csv; charset=utf-8")
     media = "application/vnd.apache.parquet"
     return StreamingResponse(parquet_file.stream(table, rows), 200, headers, media)
@@ -70,28 +70,33 @@ async def _fineness(
     return "readings" if await history.read(all_raw) else "minutes"
 
 
-async def stream_csv(table: Table, pieces: AsyncIterator[list[ExportRow]]) -> AsyncIterator[str]:
-    """Text, piece by piece. Times are ISO 8601 with the offset of the site's time zone."""
+async def stream_csv(
+    table: Table, pieces: AsyncIterator[list[ExportRow]], form: CsvForm
+) -> AsyncIterator[str]:
+    """Text, piece by piece: one row for each reading, by the clock of the site."""
     site = ZoneInfo(table.time_zone)
-    yield csv_text([[f"time [{site}]", *table.columns, "note"]])
+    texts = table.columns if form.language is None else table.named(form.language)
+    values = map(Column, table.columns, texts)
+    columns = [Column(f"time [{site}]", term("Time"), is_time=True), *values, Column("note", term("Note"))]
+    yield form.head(columns)
     async for rows in pieces:
-        yield await asyncio.to_thread(csv_text, (_line(row, site) for row in rows))
+        yield await asyncio.to_thread(form.rows, columns, ([*_cells(row, site), row.note] for row in rows))
 
 
 async def stream_table(
-    table: Table, pieces: AsyncIterator[list[ExportRow]], language: Language
+    table: Table, pieces: AsyncIterator[list[ExportRow]], form: CsvForm
 ) -> AsyncIterator[str]:
-    """One row a time, text, piece by piece: local time as a spreadsheet reads it, the offset from UTC, and
-    every value under the name of its unit."""
+    """Text, piece by piece: one row a time with every value, for people, under the name of its unit."""
+    assert form.language is not None
     site = ZoneInfo(table.time_zone)
     start, end = table.queries[0].start, table.queries[0].end
     together = Together(len(table.columns), step_of(start, end)) if table.fineness == "readings" else None
-    # Spreadsheets take text for UTF-8 by this mark alone.
-    names = map(csv_cell, table.named(language))
-    yield BYTE_ORDER_MARK + csv_text([[language.t("Time"), language.t("UTC offset"), *names]])
+    values = (Column(name, name) for name in table.named(form.language))
+    columns = [Column("time", term("Time"), is_time=True), *values]
+    yield form.head(columns)
 
     def text(rows: Iterable[ExportRow]) -> str:
-        return csv_text(_table_line(row, site) for row in rows)
+        return form.rows(columns, (_cells(row, site) for row in rows))
 
     async for rows in pieces:
         yield await asyncio.to_thread(text, rows if together is None else together.rows(rows))
@@ -99,17 +104,10 @@ async def stream_table(
         yield text(together.end(end))
 
 
-def _table_line(row: ExportRow, site: tzinfo) -> list[str]:
-    at = datetime.fromtimestamp(row.at / SECOND, site)
-    return [f"{at:%Y-%m-%d %H:%M:%S}", at.isoformat(timespec="minutes")[16:], *map(_text, row.cells)]
+def _cells(row: ExportRow, site: tzinfo) -> list[CsvCell]:
+    values = (None if cell is None else _number(cell.value, cell.decimals) for cell in row.cells)
+    return [datetime.fromtimestamp(row.at / SECOND, site), *values]
 
 
-def _line(row: ExportRow, site: tzinfo) -> list[str]:
-    at = datetime.fromtimestamp(row.at / SECOND, site).isoformat(timespec="milliseconds")
-    return [at, *map(_text, row.cells), row.note]
-
-
-def _text(cell: Cell | None) -> str:
-    if cell is None:
-        return ""
-    return repr(cell.value) if cell.decimals is None else f"{cell.value:.{cell.decimals}f}"
+def _number(value: float, decimals: int | None) -> Number:
+    return Number(repr(value) if decimals is None else f"{value:.{decimals}f}")

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import csv
-import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from datetime import UTC, datetime
-from io import StringIO
 from typing import Annotated, Any
 
 import msgspec
@@ -27,11 +24,6 @@ from typing_extensions import TypedDict
 
 from bus.instants import UnixTime
 from bus.messages import ENGLISH, Message, shown
-
-_NUMBER = re.compile(r"-?[\d.,]+")
-_FORMULA = re.compile(r"(?:^|(?<=[;\t\r\n]))(?=[ \"]*[=+\-@\uff1d\uff0b\uff0d\uff20])")
-"""Where a spreadsheet takes what follows for a formula: where a cell begins, by a semicolon, which separates
-cells in most of Europe, too; the wide signs count in Japanese."""
 
 
 class StrictBody(BaseModel):
@@ -97,19 +89,6 @@ async def json_response(content: Callable[[], object]) -> Response:
     """Long content as JSON, made in a thread so that the event loop goes on."""
     body = await asyncio.to_thread(lambda: msgspec.json.encode(content()))
     return Response(body, media_type="application/json")
-
-
-def csv_text(rows: Iterable[Iterable[str]]) -> str:
-    """Rows as CSV (RFC 4180)."""
-    buffer = StringIO()
-    csv.writer(buffer).writerows(rows)
-    return buffer.getvalue()
-
-
-def csv_cell(value: object) -> str:
-    """Text that a spreadsheet would take for a formula is kept text (OWASP, CSV injection)."""
-    text = "" if value is None else str(value)
-    return text if _NUMBER.fullmatch(text) else _FORMULA.sub("'", text)
 
 
 class MessageShown(TypedDict):
