@@ -31,7 +31,6 @@ from bus.settings import BusSettings, UnitSettings
 from tests.administrator import BY
 from tests.app.complete_app import House, settings_in
 from tests.app.played_line import BUS, played_line
-from tests.app.test_lines_page import report
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 LINES = (2, 3)
@@ -73,6 +72,7 @@ NEEDS_MORE = {
     "/configuration/versions/{number}": "a change of the configuration",
     "/notifications/acknowledge": "the link of a mail",
     "/offline": "no link: the service worker",
+    "/live": "no link: a script, where no socket opens",
 }
 DEFINES = (nodes.Assign, nodes.AssignBlock, nodes.Import, nodes.FromImport, nodes.Macro)
 SCOPES = (nodes.With, nodes.For, nodes.Macro, nodes.CallBlock, nodes.FilterBlock, nodes.AssignBlock)
@@ -82,7 +82,7 @@ SCOPES = (nodes.With, nodes.For, nodes.Macro, nodes.CallBlock, nodes.FilterBlock
 async def house(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> AsyncIterator[House]:
-    """As many lines here, of which one has a worker, and one at another server."""
+    """As many lines, of which one has a worker."""
     settings = settings_in(tmp_path_factory.mktemp("site"), control=True)
     more = [
         BusSettings(name=f"line-{n}", port=f"/dev/null{n}", unit=(UnitSettings(id=7, name="Couch roll"),))
@@ -93,7 +93,6 @@ async def house(
     house = House(app, app.state.services)
     async with house.services.lifespan.running():
         await played_line(house.services)
-        report(house, "wet-end")
         database = house.services[Database]
         recipe = Recipe(BUS, "Tissue", "", "anna", unix_now(), (RecipeSetpoint(1, 100, "speed"),))
         await RecipeStore(database).save(recipe)
