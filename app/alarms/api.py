@@ -30,8 +30,7 @@ Alarms = Annotated[LineAlarms, service(LineAlarms)]
 
 
 class AlarmsShown(TypedDict):
-    """Alarms: active before cleared, those that wait for an acknowledgement before acknowledged ones, then by
-    priority, the newest first; hidden ones last."""
+    """Alarms: active before cleared, then by priority, the newest first; hidden ones last."""
 
     alarms: list[AlarmShown]
 

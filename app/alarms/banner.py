@@ -30,10 +30,11 @@ class AlarmBanner:
 
     def banner(self, translator: Translator, now: UnixTime) -> Fields:
         """The first alarm with its state, and how many more there are: of those that are active or, while
-        none is, of those that have cleared and wait for an acknowledgement."""
+        none is, of those that have cleared. The head has the button to acknowledge it, so one that waits for
+        that comes first."""
         found = self._alarms.annunciated()
         shown = [alarm for alarm in found if alarm.facts.active] or found
-        first = min(shown, key=rank, default=None)
+        first = min(shown, key=lambda alarm: (not alarm.is_unacknowledged, *rank(alarm)), default=None)
         return {
             "mark": first.mark if first else "",
             "place": self._alarms.place(first.definition.bus, first.definition.unit) if first else "",

@@ -11,7 +11,7 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.alarms.journal.store import JournalEntry
-from app.alarms.shown import AlarmTransition, transition_json
+from app.alarms.shown import AlarmStateShown, AlarmTransition, transition_json
 from app.database import StoreConnection
 from app.handover.notes.notes import MAX_OF_SPAN
 from app.handover.rules.scope import Scope
@@ -32,7 +32,14 @@ PER_S = {"s": 1, "sec": 1, "min": 60, "h": 3600}
 """Seconds in the time of a unit of speed, such as m/min."""
 DIGITS = 3
 _COLUMNS = ", ".join(field.name for field in fields(JournalEntry))
-_RISEN = "FROM alarm_journal WHERE trigger = 'rise' AND at >= ? AND at < ?"
+_AT_END = """(
+    SELECT l.after FROM alarm_journal l WHERE l.alarm = j.alarm AND l.at < ? AND l.id < COALESCE((
+        SELECT n.id FROM alarm_journal n WHERE n.alarm = j.alarm AND n.id > j.id AND n.trigger = 'rise'
+        ORDER BY n.id LIMIT 1
+    ), 9223372036854775807) ORDER BY l.id DESC LIMIT 1
+)"""
+"""The state of an occurrence at the end of a span."""
+_RISEN = "FROM alarm_journal j WHERE trigger = 'rise' AND at >= ? AND at < ?"
 _COMMANDS = "FROM events WHERE about IS NULL AND kind = 'command' AND time >= ? AND time < ?"
 
 
@@ -90,12 +97,18 @@ class ReportedUnit(TypedDict):
     ]
 
 
+class ReportedAlarm(AlarmTransition):
+    """That an alarm came."""
+
+    at_end: Annotated[AlarmStateShown, Field(description="Its state at the end of the span.")]
+
+
 class SpanReport(SignedShiftSheet):
     """What the units did in a span up to ``until``, and what people have to know of it."""
 
     signed: Annotated[ShiftSignatures | None, Field(description="Where the span is a shift that was signed.")]
     units: Annotated[list[ReportedUnit], Field(description="Empty where there is no history.")]
-    alarms: Annotated[list[AlarmTransition], Field(description="That came: the first 200, oldest first.")]
+    alarms: Annotated[list[ReportedAlarm], Field(description="That came: the first 200, oldest first.")]
 
 
 class CountsByUnit(NamedTuple):
@@ -132,7 +145,8 @@ def span_report(
     until, signed = min(span.end, now), signed_sheet(connection, span.start)
     where, values = scope.conditions()
     came = connection.execute(
-        f"SELECT {_COLUMNS} {_RISEN}{where} ORDER BY at, id LIMIT ?", (span.start, until, *values, MAX_ALARMS)
+        f"SELECT {_AT_END}, {_COLUMNS} {_RISEN}{where} ORDER BY at, id LIMIT ?",
+        (until, span.start, until, *values, MAX_ALARMS),
     )
     counts = CountsByUnit(*(_counts(connection, what, span.start, until) for what in (_RISEN, _COMMANDS)))
     sheet = write_sheet(connection, settings, span, now, scope)
@@ -141,7 +155,7 @@ def span_report(
         "notes": sheet["notes"][-MAX_OF_SPAN:],
         "signed": signed_json(signed if signed and signed.shift == span and not scope.bus else None),
         "units": [_unit(bus, each, counts, round(until - span.start, DIGITS)) for bus, each in found],
-        "alarms": [transition_json(JournalEntry(*row)) for row in came],
+        "alarms": [{**transition_json(JournalEntry(*entry)), "at_end": at_end} for at_end, *entry in came],
     }
 
 

@@ -62,8 +62,9 @@ function stateOf(element, place) {
 function variableOf(element, name) {
   const property = `--${name}`;
   return (value) => {
-    if (value === "") element.dataset.none = "";
-    else {
+    if (value === "") {
+      if (element.dataset.none === undefined) element.dataset.none = "";
+    } else {
       if (element.dataset.none !== undefined) delete element.dataset.none;
       if (element.style.getPropertyValue(property) !== value) element.style.setProperty(property, value);
     }

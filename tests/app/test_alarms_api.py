@@ -70,6 +70,37 @@ async def test_an_alarm_comes_is_acknowledged_and_goes(house: House) -> None:
     ]
 
 
+async def test_an_acknowledgement_moves_no_active_alarm(house: House) -> None:
+    operator = await house.program(Role.OPERATOR)
+    for unit in (1, 2):
+        estop(house, active=True, unit=unit)
+    before = [alarm["id"] for alarm in await present(operator)]
+    assert len(before) == 2
+    await act(operator, before[0], "acknowledge")
+    assert [alarm["id"] for alarm in await present(operator)] == before
+
+
+async def test_sheet_report_and_list_have_the_same_times_and_states(house: House) -> None:
+    operator = await house.program(Role.OPERATOR)
+    for unit in (1, 2):
+        estop(house, active=True, unit=unit)
+    await act(operator, f"{BUS}.1.estop_active.1", "acknowledge")
+    estop(house, active=False, unit=2)
+    await house.services[LineAlarms].write()
+    listed = {alarm["id"]: (alarm["came"], alarm["state"]) for alarm in await present(operator)}
+    assert {state for _, state in listed.values()} == {"ack_active", "rtn_unack"}
+    report = (await operator.get("/api/v1/report")).json()
+    standing = {each["alarm"]: (each["came"], each["after"]) for each in report["standing"] if each["bus"]}
+    assert standing == listed
+    assert {each["alarm"]: (each["time"], each["at_end"]) for each in report["alarms"]} == listed
+    page = (await operator.get("/reports")).text
+    for title in ("alarms", "standing"):
+        section = page.partition(f'<h2 id="{title}">')[2].partition("</section>")[0]
+        assert "active, acknowledged" in section
+        assert "cleared, not acknowledged" in section
+        assert "active, not acknowledged" not in section
+
+
 async def test_came_cleared_and_acknowledged_are_three_times(house: House) -> None:
     operator = await house.program(Role.OPERATOR)
 

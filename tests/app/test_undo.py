@@ -17,6 +17,7 @@ from bus.contract import (
     ParameterValue,
     SetLine,
     SetSpeed,
+    Staged,
     Update,
     WriteAnalogOutput,
     WriteOutput,
@@ -75,6 +76,14 @@ async def send(stage: Stage, action: Action, id: str, person: Person = ANNA, **m
 async def test_undo_is_the_command_back(stage: Stage, action: Action, undo: Action | None) -> None:
     assert await send(stage, action, "first-id") == undo
     assert stage.commands.undo.offer(BEN, "first-id") is None
+
+
+@pytest.mark.usefixtures("obeying")
+async def test_a_change_of_several_has_its_undo_while_another_unit_holds_a_staged_value(stage: Stage) -> None:
+    """That unit keeps its speed and its staged value (bus/line/commands/staging.py)."""
+    stage.live.buses["dry-end"].apply([Staged(unit=16, at=time.time(), raw=700)])
+    undo = await send(stage, SetLine(setpoints={1: 900, 2: 800}), "first-id")
+    assert undo == SetLine(setpoints={1: 1000, 2: 1000})
 
 
 @pytest.mark.usefixtures("obeying")

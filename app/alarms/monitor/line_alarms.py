@@ -219,14 +219,13 @@ def _not_in_state(alarm: Alarm) -> Problem:
     return Problem(409, "not_in_state", message, state=state, id=alarm.id)
 
 
-def rank(alarm: Alarm) -> tuple[bool, bool, bool, int, float]:
-    """The order of alarms on every surface: active before cleared, those that wait for an acknowledgement
-    before acknowledged ones, then by priority, the newest first; hidden ones last."""
+def rank(alarm: Alarm) -> tuple[bool, bool, int, float]:
+    """The order of alarms on every surface: active before cleared, then by priority, the newest first; hidden
+    ones last. To acknowledge one moves none."""
     facts = alarm.facts
     return (
         facts.is_hidden,
         not facts.active,
-        facts.acknowledged,
         PRIORITIES.index(alarm.definition.priority),
         -float(facts.came or UnixTime(0.0)),
     )

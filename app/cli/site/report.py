@@ -199,7 +199,7 @@ def _unit_lines(unit: ReportedUnit, clock: Callable[[str], str]) -> Iterator[Mes
 
 def _alarm(each: dict[str, Any], clock: Any) -> str:
     place = f"{each['bus']}/{each['unit']} " if each["unit"] is not None else f"{each['bus'] or ''} ".lstrip()
-    return f"{clock(each['time'])} {place}{each['name']} ({each['priority']})"
+    return f"{clock(each.get('came') or each['time'])} {place}{each['name']} ({each['priority']})"
 
 
 def _change(event: dict[str, Any], clock: Any) -> str:

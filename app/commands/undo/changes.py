@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 from app.commands.review import present_setpoint
-from app.commands.rules.setpoint import staged_setpoints
 from app.live.state.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import output_is_on
@@ -40,7 +39,8 @@ Values = Mapping[ValuePlace, int]
 
 
 def values_set(action: Action, bus: BusLive) -> Values | None:
-    """What the command sets, its broadcast included. None for one that changes more, or something else."""
+    """What the command sets. A unit outside a change of several keeps its speed and what it holds staged
+    (``bus/line/commands/staging.py``). None for a command that changes more, or something else."""
     match action:
         case SetSpeed(unit=unit, raw=raw, execute=True):
             return {ValuePlace("setpoint", unit): raw}
@@ -48,10 +48,7 @@ def values_set(action: Action, bus: BusLive) -> Values | None:
             staged = bus.units[unit].staged
             return None if staged is None else {ValuePlace("setpoint", unit): staged}
         case SetLine(setpoints=setpoints):
-            return {
-                ValuePlace("setpoint", unit): raw
-                for unit, raw in {**staged_setpoints(bus), **setpoints}.items()
-            }
+            return {ValuePlace("setpoint", unit): raw for unit, raw in setpoints.items()}
         case WriteOutput(unit=unit, number=number, on=on):
             return {ValuePlace("output", unit, number): int(on)}
         case WriteAnalogOutput(unit=unit, raw=raw):

@@ -26,7 +26,7 @@ APART = {
     )
 }
 """For files with what people have written: they are never a page of this site."""
-INSTANTS = frozenset({"start", "end", "until", "made_at", "time", "written_at"})
+INSTANTS = frozenset({"start", "end", "until", "made_at", "time", "came", "written_at"})
 _PICTURE = re.compile(r'(?<=<img src=")sha256:([0-9a-f]{64})(?=")')
 """How the page of a sheet names a picture. What people write cannot: it is escaped."""
 
@@ -56,7 +56,7 @@ def _texts_of(transition: Mapping[str, Any]) -> dict[str, str | Message]:
     """The name of an alarm, of a built-in one as a message; and its state."""
     alarm, code = transition["alarm"].rpartition(".")[0], transition["code"]
     title = Message(f"alarm_{code}") if alarm.endswith(f".{code}") else transition["name"]
-    return {"title": title, "state": Message(f"alarm_state_{transition['after']}")}
+    return {"title": title, "state": Message(f"alarm_state_{transition.get('at_end', transition['after'])}")}
 
 
 class SheetDocuments:

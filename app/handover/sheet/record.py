@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import fields
-from typing import Annotated, cast
+from dataclasses import dataclass, fields
+from typing import Annotated, NotRequired, cast
 
 from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.alarms.journal.store import JournalEntry
+from app.alarms.shown import AlarmTransition, transition_json
 from app.audit import queries
 from app.audit.api import EventShown, shown
 from app.audit.log import Event
@@ -19,6 +20,7 @@ from app.database import StoreConnection
 from app.database.connection import json_member
 from app.handover.rules.scope import EVERYTHING, Scope
 from app.handover.rules.shift_times import Shift
+from app.web.api.shape import MaybeInstant, iso
 from bus.instants import UnixTime
 
 MAX_EVENTS = 200
@@ -28,9 +30,12 @@ STARTING_S = 60.0
 _OUTCOME = "COALESCE(f.outcome, e.outcome, '')"
 _ENTRY = ", ".join(f"j.{field.name}" for field in fields(JournalEntry))
 _LAST_TRANSITIONS = f"""
-SELECT {_ENTRY} FROM alarm_facts known JOIN alarm_journal j ON j.id = (
+SELECT {_ENTRY}, (
+    SELECT r.at FROM alarm_journal r WHERE r.alarm = j.alarm AND r.id <= j.id AND r.trigger = 'rise'
+    ORDER BY r.id DESC LIMIT 1
+) AS came FROM alarm_facts known JOIN alarm_journal j ON j.id = (
     SELECT id FROM alarm_journal WHERE alarm = known.alarm AND at < ? ORDER BY id DESC LIMIT 1
-) WHERE j.after <> 'normal' ORDER BY j.at, j.id
+) WHERE j.after <> 'normal' ORDER BY COALESCE(came, j.at), j.id
 """
 _LAST_OF_EACH = """
 SELECT max(id) FROM events WHERE about IS NULL AND kind = ? AND time < ? GROUP BY bus, unit ORDER BY 1
@@ -108,9 +113,31 @@ def event_json(event: Event) -> EventShown:
     return cast(EventShown, shown({**event, "frames": "[]"}))
 
 
-def alarms_at(connection: StoreConnection, at: UnixTime) -> list[JournalEntry]:
+@dataclass(frozen=True, slots=True)
+class AlarmThen(JournalEntry):
+    """The last transition of an alarm before a moment, and when the alarm came; None: it never has."""
+
+    came: UnixTime | None = None
+
+
+class ShiftAlarm(AlarmTransition):
+    """An alarm as it was at the end, by its last transition."""
+
+    came: NotRequired[
+        Annotated[
+            MaybeInstant,
+            Field(description="When it came; absent from sheets that an earlier version signed."),
+        ]
+    ]
+
+
+def alarm_json(alarm: AlarmThen) -> ShiftAlarm:
+    return {**transition_json(alarm), "came": None if alarm.came is None else iso(alarm.came)}
+
+
+def alarms_at(connection: StoreConnection, at: UnixTime) -> list[AlarmThen]:
     """The last transition before a moment of each alarm that was not normal then."""
-    return [JournalEntry(*row) for row in connection.execute(_LAST_TRANSITIONS, (at,))]
+    return [AlarmThen(*row) for row in connection.execute(_LAST_TRANSITIONS, (at,))]
 
 
 def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> list[Event]:

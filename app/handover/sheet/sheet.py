@@ -9,17 +9,18 @@ from zoneinfo import ZoneInfo
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.alarms.journal.store import JournalEntry
 from app.alarms.rules.states import AlarmState
-from app.alarms.shown import AlarmTransition, transition_json
 from app.audit.api import EventShown
 from app.database import StoreConnection
 from app.handover.notes.notes import Note, notes_of
 from app.handover.rules.scope import EVERYTHING, Scope
 from app.handover.rules.shift_times import Shift, site_time
 from app.handover.sheet.record import (
+    AlarmThen,
+    ShiftAlarm,
     ShiftEvents,
     ShiftEventsShown,
+    alarm_json,
     alarms_at,
     event_json,
     first_event_at,
@@ -70,18 +71,18 @@ class SignedShiftSheet(TypedDict):
     site: str
     time_zone: Annotated[str, Field(description="IANA name.")]
     standing: Annotated[
-        list[AlarmTransition],
+        list[ShiftAlarm],
         Field(description="Alarms that were not normal, each with its last transition; nothing hides them."),
     ]
-    shelved: list[AlarmTransition]
+    shelved: list[ShiftAlarm]
     suppressed: NotRequired[
         Annotated[
-            list[AlarmTransition],
+            list[ShiftAlarm],
             Field(description="Suppressed by design; absent from sheets that an earlier version signed."),
         ]
     ]
-    out_of_service: list[AlarmTransition]
-    drift: Annotated[list[AlarmTransition], Field(description="Differences from the golden sets.")]
+    out_of_service: list[ShiftAlarm]
+    drift: Annotated[list[ShiftAlarm], Field(description="Differences from the golden sets.")]
     blocked: Annotated[list[EventShown], Field(description="Units closed to commands, as they were blocked.")]
     limits: ShiftEventsShown
     recipes: ShiftEventsShown
@@ -147,9 +148,9 @@ def write_sheet(
         "made_at": iso(now),
         "site": settings.site.name,
         "time_zone": settings.site.zone,
-        "standing": [transition_json(entry) for entry in alarms if entry.after not in HIDDEN],
-        **{state: [transition_json(entry) for entry in alarms if entry.after == state] for state in HIDDEN},
-        "drift": [transition_json(entry) for entry in alarms if entry.code == DRIFT],
+        "standing": [alarm_json(entry) for entry in alarms if entry.after not in HIDDEN],
+        **{state: [alarm_json(entry) for entry in alarms if entry.after == state] for state in HIDDEN},
+        "drift": [alarm_json(entry) for entry in alarms if entry.code == DRIFT],
         "blocked": [event_json(each) for each in blocked],
         **{name: events.of(kinds) for name, kinds in SECTIONS.items()},
         "control_before": [event_json(each) for each in before],
@@ -159,7 +160,7 @@ def write_sheet(
 
 
 def _omissions(
-    connection: StoreConnection, settings: Settings, shift: Shift, alarms: Sequence[JournalEntry]
+    connection: StoreConnection, settings: Settings, shift: Shift, alarms: Sequence[AlarmThen]
 ) -> Iterator[Message]:
     begins = first_event_at(connection)
     if begins is None or begins > shift.start:
