@@ -354,7 +354,7 @@ def test_a_page_whose_texts_are_changed_again_and_again_is_covered(
     cover = page.locator(".gone__box")
     title = "Another program changes the texts of this page"
     expect(cover.get_by_role("heading", name=title, exact=True)).to_be_visible()
-    expect(cover).to_contain_text("Turn off the translation")
+    expect(cover).to_contain_text("Turn off the browser extension or the translation")
     expect(cover.get_by_text("does not respond")).to_be_hidden()
     cover.get_by_role("link", name="Reload page").click()
     expect(page.locator(LIVE)).to_be_attached()
