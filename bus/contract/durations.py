@@ -19,17 +19,14 @@ _LONG_VALUE_BYTES = 7
 
 
 def stage_s(baud: int, reads: int = 0) -> float:
-    """82h to one unit and its acknowledgement at best, seconds, after so many ``reads`` of parameters: the
-    link polls the unit between two of them, as one response to 85h looks like another."""
-    fences = max(0, reads - 1)
-    return wire_seconds(_STAGE_BYTES + _ACK_BYTES + reads * _READ_BYTES + fences * POLL_BYTES, baud)
+    """82h to one unit of several and its acknowledgement at best, seconds, after so many ``reads``."""
+    return wire_seconds(_STAGE_BYTES + _ACK_BYTES + reads * _READ_BYTES, baud)
 
 
 def longest_stage_s(baud: int, turnaround_s: float, reads: int = 0) -> float:
     """The same at worst, without a retry. ``turnaround_s``: what a unit may take to begin its response."""
     stage = wire_seconds(_STAGE_BYTES + _DOUBLED_BYTES + _ACK_BYTES, baud) + turnaround_s
-    read = wire_seconds(_READ_BYTES + _LONG_VALUE_BYTES, baud) + turnaround_s
-    return stage + reads * read + max(0, reads - 1) * (wire_seconds(2 * POLL_BYTES, baud) + turnaround_s)
+    return stage + reads * (wire_seconds(_READ_BYTES + _LONG_VALUE_BYTES, baud) + turnaround_s)
 
 
 def change_s(units: int, baud: int) -> float:

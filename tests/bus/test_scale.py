@@ -115,15 +115,15 @@ class Keypads:
         self._sent.clear()
 
 
-def play(scene: Callable[[VirtualLine, Keypads], object]) -> None:
+def play(scene: Callable[[VirtualLine, Keypads], object], units: int = UNITS) -> None:
     """Run a scene with keypads on a virtual clock, once all that is needed was read."""
-    keypads = Keypads([KeypadUnit(address) for address in range(1, UNITS + 1)])
+    keypads = Keypads([KeypadUnit(address) for address in range(1, units + 1)])
 
     async def begin(line: VirtualLine) -> None:
         await line.until(lambda: all(known(line, unit, SCALE) for unit in line.units))
         await cast("asyncio.Future[None]", scene(line, keypads))
 
-    run(begin, UNITS, configured=UNITS, line=cast("SimulatedLine", keypads))
+    run(begin, units, configured=units, line=cast("SimulatedLine", keypads))
 
 
 def known(line: VirtualLine, unit: int, numbers: tuple[int, ...]) -> UnitScale:
@@ -336,9 +336,20 @@ def test_a_group_stops_before_the_unit_whose_scale_is_another() -> None:
         assert result.outcome == "refused"
         assert [unit.commanded for unit in keypads.units] == [500] * UNITS
         assert not any(command == 0x83 for unit in keypads.units for command, _, _ in unit.writes)
-        assert [unit.staged for unit in keypads.units] == [500, 500, None], "withdrawn where it was staged"
+        assert [unit.staged for unit in keypads.units] == [None] * UNITS, "every scale is read before any stage"
 
     play(scene)
+
+
+def test_a_typed_group_of_24_units_is_executed_within_the_two_seconds_of_a_command() -> None:
+    """At 9600 baud; the line's clock is virtual."""
+
+    async def scene(line: VirtualLine, _keypads: Keypads) -> None:
+        scales = {unit: known(line, unit, SCALE) for unit in line.units}
+        result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), timeout_s=2.0, typed_with=scales)
+        assert (result.outcome, {unit.outcome for unit in result.units}) == ("verified", {"verified"})
+
+    play(scene, units=24)
 
 
 def test_what_was_given_raw_is_sent_before_any_scale_is_read() -> None:

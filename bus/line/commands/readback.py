@@ -56,21 +56,46 @@ def read_parameter(unit: int, number: int) -> Subprocedure[tuple[int | None, Sen
     return (sent.reply.raw if isinstance(sent.reply, ParameterReply) else None), sent
 
 
-def scale_differs(unit: int, scale: UnitScale) -> Subprocedure[tuple[Outcome, Message] | None]:
-    """Read what a value was converted with, all of it so that the next one is converted right. None where the
-    unit has the same, else what that makes of a command of which nothing was sent, and why."""
-    changes: list[str | Message] = []
-    for number, expected in scale.items():
-        raw, sent = yield from read_parameter(unit, number)
+class ScaleReading:
+    """The parameters that the value for one unit was converted with, read again one by one and compared."""
+
+    def __init__(self, unit: int, scale: UnitScale) -> None:
+        self.unit = unit
+        self.remaining = list(scale.items())
+        """Number and raw of the parameters that are still to be read."""
+        self._changes: list[str | Message] = []
+        self._failure: tuple[Outcome, Message] | None = None
+
+    @property
+    def difference(self) -> tuple[Outcome, Message] | None:
+        """What the parameters read so far make of a command of which nothing was sent, and why; None where
+        they are as expected."""
+        if self._failure is None and self._changes:
+            return "refused", Message.of("scale_changed", unit=self.unit, changes=self._changes)
+        return self._failure
+
+    def read_next(self) -> Subprocedure[None]:
+        """Read the next parameter. One that cannot be read is the last."""
+        if not self.remaining:
+            return
+        number, expected = self.remaining.pop(0)
+        raw, sent = yield from read_parameter(self.unit, number)
         if sent.status is SendStatus.PORT_CLOSED:
-            return "bus_closed", Message("bus_link_lost")
-        if raw is None and sent.refusal != UnitErrorCode.ILLEGAL_PARAMETER_NUMBER:
-            return "unverified", Message.of("scale_unread", unit=unit, number=parameter_name(number))
-        if raw != expected:
+            self._failure = "bus_closed", Message("bus_link_lost")
+        elif raw is None and sent.refusal != UnitErrorCode.ILLEGAL_PARAMETER_NUMBER:
+            message = Message.of("scale_unread", unit=self.unit, number=parameter_name(number))
+            self._failure = "unverified", message
+        elif raw != expected:
             old, new = ("none" if value is None else value for value in (expected, raw))
             change = Message.of("scale_change", number=parameter_name(number), old=old, new=new)
-            changes.append(change)
-    return ("refused", Message.of("scale_changed", unit=unit, changes=changes)) if changes else None
+            self._changes.append(change)
+        if self._failure is not None:
+            self.remaining.clear()
+
+    def read_all(self) -> Subprocedure[None]:
+        """Read what remains, also after a difference, so that the next value is converted right."""
+        while self.remaining:
+            yield from self.read_next()
 
 
 def follows(record: UnitRecord, bits: StatusBits) -> Subprocedure[bool]:

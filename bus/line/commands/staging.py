@@ -3,8 +3,8 @@
 ===========  ==========================================================================================
 suspend      a unit outside the change that holds a staged speed would execute it too: it is given its
              present speed first, and its staged speed back at the end
-stage        82h to each, in whose turn the scale of a typed value is read; the first that refuses, times
-             out, comes too late or has another scale ends the change
+stage        82h to each, after its scale where its value was typed; the first that refuses, times out, comes
+             too late or has another scale ends the change
 broadcast    one 83h to unit 0, only when every 82h *of this very change* was acknowledged
 verify       81h to each, and its scale again; one that missed the broadcast gets a single 83h, once, within
              the deadline
@@ -33,14 +33,15 @@ from bus.line.commands.procedure import (
     Unstage,
     send,
 )
-from bus.line.commands.readback import present_setpoint, verify_speed, verify_unchanged
+from bus.line.commands.readback import ScaleReading, present_setpoint, verify_speed, verify_unchanged
 from bus.line.commands.writes import (
+    SUCCEEDED,
     not_sent,
+    outcome_before_write,
+    outcome_in_scale,
     outcome_of,
     outcome_with_readback,
     outcome_without_readback,
-    scale_refused,
-    still_scaled,
 )
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import Roster, UnitRecord
@@ -51,6 +52,7 @@ ALL_UNITS = 0
 EXECUTED_SINGLY = Message("executed_singly")
 
 Failure = tuple[Outcome, Message]
+CANCELED: Failure = ("not_sent", Message("canceled_before_execute"))
 Suspended = dict[int, tuple[int, UnitScale]]
 """By unit a staged speed, and what that was converted with."""
 
@@ -120,9 +122,9 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
         for record in records
     ]
     knew = {member.unit for member in members if member.record.staged is not None}
-    for member in members:
-        if member.unit in knew and (failure := (yield from _rescaled(member))) is not None:
-            return _stopped(members, *failure)
+    failure = yield from _read_scales([member for member in members if member.unit in knew], context)
+    if failure is not None:
+        return _stopped(members, *failure)
     sent = yield from send(Send(ExecuteSpeedRequest(ALL_UNITS)))
     if sent.status is not SendStatus.SENT:
         return ProcedureResult(*not_sent(ALL_UNITS, sent))
@@ -132,6 +134,7 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
             yield from _verify(member, sent, context)
         else:
             yield from _verify_unchanged(member, sent)
+    yield from _verify_scales([member for member in members if member.unit in knew])
     return _executed(members, sent, [] if knew else [Message("nothing_staged_here")])
 
 
@@ -176,28 +179,40 @@ def _suspend_others(
 
 def _stage_all(members: list[Member], context: CommandContext) -> Subprocedure[Failure | None]:
     """None when every unit acknowledged, else how the change ended and why."""
+    if (failure := (yield from _read_scales(members, context))) is not None:
+        return failure
     for done, member in enumerate(members):
         yield ReportProgress("sent", member.unit, done, len(members))
-        if (failure := (yield from _rescaled(member))) is not None:
-            return failure
         member.sent = yield from send(Send(StageSpeedRequest(member.unit, member.raw)))
         if not member.sent.acknowledged:
             return _why_stopped(member, member.sent)
         if member.guarded:
             yield NoteStagedScale(member.unit, member.scale)
         if context.cancelled:
-            return "not_sent", Message("canceled_before_execute")
+            return CANCELED
     yield ReportProgress("acknowledged", None, len(members), len(members))
     return None
 
 
-def _rescaled(member: Member) -> Subprocedure[Failure | None]:
-    """How a change ends before a unit that has another scale than its typed value was converted with."""
-    if not member.guarded or (refusal := (yield from scale_refused(member.unit, member.scale))) is None:
-        return None
-    assert refusal.message is not None
-    member.outcome = refusal
-    return refusal.outcome, refusal.message
+def _read_scales(members: list[Member], context: CommandContext) -> Subprocedure[Failure | None]:
+    """Read what the typed values were converted with; how the change ends where a unit has another scale.
+
+    One parameter of each unit in turn: the link polls a unit between two reads of it in a row, as their
+    responses look alike (``bus.wire.fence``), and 24 units would take longer than the 2 s of a command.
+    """
+    readings = {member.unit: ScaleReading(member.unit, member.scale) for member in members if member.guarded}
+    while any(reading.remaining for reading in readings.values()):
+        for member in members:
+            if (reading := readings.get(member.unit)) is None:
+                continue
+            yield from reading.read_next()
+            if reading.difference is not None:
+                yield from reading.read_all()
+                member.outcome = outcome_before_write(member.unit, reading.difference)
+                return member.outcome.outcome, reading.difference[1]
+            if context.cancelled:
+                return CANCELED
+    return None
 
 
 def _why_stopped(member: Member, sent: SendResult) -> Failure:
@@ -269,6 +284,7 @@ def _verify_all(
     for done, member in enumerate(members):
         yield ReportProgress("proving", member.unit, done, len(members))
         yield from _verify(member, broadcast, context)
+    yield from _verify_scales(members)
     for member in members:
         if member.missed_broadcast:
             yield from _execute_singly(member, context)
@@ -287,14 +303,25 @@ def _verify(member: Member, broadcast: SendResult, context: CommandContext) -> S
         assert readback.why is not None
         message = Message.of("unit_may_hold", unit=member.unit, reason=readback.why, raw=member.raw)
     member.missed_broadcast = not readback.shown
-    outcome = replace(
+    member.outcome = replace(
         outcome_with_readback(member.unit, broadcast, readback),
         message=message,
         sent_at=staging.sent_at if staging is not None else broadcast.sent_at,
         acknowledged_at=staging.responded_at if staging is not None else None,
         attempts=staging.attempts if staging is not None else 1,
     )
-    member.outcome = yield from still_scaled(outcome, member.scale, guarded=member.guarded)
+
+
+def _verify_scales(members: Sequence[Member]) -> Subprocedure[None]:
+    """Read the scale of each unit that was verified again, one parameter of each unit in turn."""
+    succeeded = [each for each in members if each.outcome is not None and each.outcome.outcome in SUCCEEDED]
+    readings = {member.unit: ScaleReading(member.unit, member.scale) for member in succeeded}
+    while any(reading.remaining for reading in readings.values()):
+        for reading in readings.values():
+            yield from reading.read_next()
+    for member in succeeded:
+        assert member.outcome is not None
+        member.outcome = outcome_in_scale(member.outcome, readings[member.unit], guarded=member.guarded)
 
 
 def _verify_unchanged(member: Member, broadcast: SendResult) -> Subprocedure[None]:
@@ -313,6 +340,7 @@ def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[Non
     if not sent.may_have_acted:
         return
     yield from _verify(member, sent, context)
+    yield from _verify_scales([member])
     if member.outcome is not None and member.outcome.outcome == "verified":
         member.outcome = replace(member.outcome, message=EXECUTED_SINGLY)
 

@@ -11,7 +11,6 @@ from bus.contract import (
     Outcome,
     SetSpeed,
     UnitOutcome,
-    UnitScale,
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
@@ -29,8 +28,8 @@ from bus.line.commands.procedure import (
 from bus.line.commands.readback import (
     REREADS,
     Readback,
+    ScaleReading,
     Verification,
-    scale_differs,
     verify_output,
     verify_parameter,
     verify_speed,
@@ -62,31 +61,34 @@ def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext
         if record.staged_unknown:
             return ProcedureResult("refused", Message.of("staged_unknown", unit=unit))
         scale, guarded = {**scale, **record.staged_scale}, guarded or bool(record.staged_scale)
-    if guarded and (refusal := (yield from scale_refused(unit, scale))) is not None:
-        return _result_of_one(refusal)
+    before = ScaleReading(unit, scale if guarded else {})
+    yield from before.read_all()
+    if before.difference is not None:
+        return _result_of_one(outcome_before_write(unit, before.difference))
     outcome = yield from _write_unscaled(record, action, context)
     if isinstance(action, SetSpeed) and not action.execute and outcome.outcome == "acknowledged" and guarded:
         yield NoteStagedScale(unit, scale)
-    return _result_of_one((yield from still_scaled(outcome, scale, guarded=guarded)))
+    after = ScaleReading(unit, scale)
+    if outcome.outcome in SUCCEEDED:
+        yield from after.read_all()
+    return _result_of_one(outcome_in_scale(outcome, after, guarded=guarded))
 
 
-def scale_refused(unit: int, scale: UnitScale) -> Subprocedure[UnitOutcome | None]:
-    """The outcome at a unit that is not written, as its scale is another or cannot be read; else None."""
-    if (change := (yield from scale_differs(unit, scale))) is None:
-        return None
-    outcome, reason = change
+SUCCEEDED = ("verified", "acknowledged")
+
+
+def outcome_before_write(unit: int, difference: tuple[Outcome, Message]) -> UnitOutcome:
+    """Return the outcome at a unit that is not written, as its scale is another or cannot be read."""
+    outcome, reason = difference
     return UnitOutcome(unit, outcome, Message.of("scale_changed_nothing_sent", reason=reason))
 
 
-def still_scaled(outcome: UnitOutcome, scale: UnitScale, *, guarded: bool) -> Subprocedure[UnitOutcome]:
-    """``outcome`` of a write that succeeded; *unverified* where the unit shows its value in another scale by
-    now, unless the value was given raw (not ``guarded``)."""
-    if outcome.outcome not in ("verified", "acknowledged"):
+def outcome_in_scale(outcome: UnitOutcome, after: ScaleReading, *, guarded: bool) -> UnitOutcome:
+    """Return ``outcome``, or *unverified* where the unit shows a typed value (``guarded``) in another scale
+    by now: what it shows is then not what was typed."""
+    if outcome.outcome not in SUCCEEDED or not guarded or after.difference is None:
         return outcome
-    change = yield from scale_differs(outcome.unit, scale)
-    if change is None or not guarded:
-        return outcome
-    message = Message.of("scale_changed_since", reason=change[1])
+    message = Message.of("scale_changed_since", reason=after.difference[1])
     return replace(outcome, outcome="unverified", message=message, proven_at=None)
 
 
