@@ -6,10 +6,11 @@ import errno
 import io
 
 import pytest
+from pydantic import TypeAdapter
 from structlog.dev import ConsoleRenderer
 from structlog.typing import EventDict
 
-from bus.text import check_one_line
+from bus.text import OneLine
 from bus.worker.log import BestEffortStream, without_escapes
 
 
@@ -46,7 +47,7 @@ def test_a_terminal_obeys_nothing_that_a_client_has_sent(sent: str) -> None:
     event = without_escapes(None, "warning", {"event": "request refused", "request": sent})
     line = ConsoleRenderer(colors=False)(None, "warning", event)
     assert len(line.splitlines()) == 1
-    assert check_one_line(line) == line
+    assert TypeAdapter(OneLine).validate_python(line) == line
 
 
 def test_a_text_of_any_script_stays() -> None:

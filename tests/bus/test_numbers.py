@@ -53,7 +53,7 @@ PRINTED = {
     "At Speed Source": "AT_SPEED_SOURCE",
 }
 """In the order of the printed list, which begins with 1."""
-NAMED = {name: value for name, value in vars(numbers).items() if name.isupper()}
+NAMED = {name: value for name, value in vars(numbers).items() if name.isupper() and isinstance(value, int)}
 
 
 def test_every_name_stands_for_the_number_of_its_printed_title() -> None:

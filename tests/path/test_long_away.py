@@ -16,7 +16,6 @@ import httpx
 from bus import contract
 from bus.contract import CONTRACT_VERSION, BusLink, Hello, Reading, Snapshot, Watch
 from bus.contract.clock_offset import ClockOffset
-from bus.line.port_lease import NO_LEASE
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 from tests import fork_server
@@ -33,15 +32,9 @@ EACH_S = 25 * 10 / 9600
 class Polling:
     """A worker with a simulated line, and a real buffer and link."""
 
-    lease = NO_LEASE
-
     def __init__(self) -> None:
         self.since = time.time() - AWAY_S
         self.app_clock = ClockOffset()
-
-    def welcomed(self, epoch: int) -> bool:
-        """At every home."""
-        return epoch >= 0
 
     def hello(self) -> Hello:
         """Who speaks."""
