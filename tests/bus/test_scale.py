@@ -336,7 +336,7 @@ def test_a_group_stops_before_the_unit_whose_scale_is_another() -> None:
         assert result.outcome == "refused"
         assert [unit.commanded for unit in keypads.units] == [500] * UNITS
         assert not any(command == 0x83 for unit in keypads.units for command, _, _ in unit.writes)
-        assert [unit.staged for unit in keypads.units] == [None] * UNITS, "every scale is read before any stage"
+        assert [unit.staged for unit in keypads.units] == [None] * UNITS, "all scales before any stage"
 
     play(scene)
 
