@@ -13,7 +13,7 @@ from app.alarms import feature as alarms
 from app.audit import feature as audit
 from app.audit.log import EventLog
 from app.auth import feature as auth
-from app.auth.oidc.pages import CALLBACK
+from app.auth.pages import CALLBACK
 from app.auth.rights.access import Identify, RecordRefusals
 from app.auth.rights.identity import Identity
 from app.auth.rights.lasting import Rechecks

@@ -8,7 +8,6 @@ from app.audit.log import EventLog
 from app.auth import api, pages, users
 from app.auth.accounts import Accounts
 from app.auth.acts import ACTS
-from app.auth.oidc import pages as oidc_pages
 from app.auth.oidc.single_sign_on import SingleSignOn
 from app.auth.rights import notices
 from app.auth.rights.identity import Identity
@@ -57,4 +56,4 @@ async def _listen(database: Database, rights: Rights, sign_in: SignIn) -> None:
     database.listen(notices.CHANNEL, sign_in.on_notice)
 
 
-FEATURE = Feature(make, (api.router, pages.router, oidc_pages.router, users.router), ACTS)
+FEATURE = Feature(make, (api.router, pages.router, users.router), ACTS)

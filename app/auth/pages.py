@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Annotated
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Form
 from pydantic import AfterValidator
@@ -13,7 +14,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from app.auth import rules
 from app.auth.accounts import Accounts, check_has_own_password
 from app.auth.acts import CHANGE_OWN_PASSWORD, LOG_OUT
-from app.auth.oidc.refusal import refusal_shown
+from app.auth.oidc.login import MAX_AGE_S, NotAdmittedError, attempt_of, refusal_shown
 from app.auth.oidc.single_sign_on import SingleSignOn
 from app.auth.sign_in.first_admin import FirstAdmin, WrongCodeError
 from app.auth.sign_in.signin import SignedIn, SignIn, WrongSecretError
@@ -22,6 +23,7 @@ from app.web.admission.access import Person, Viewer, address_of, person_of, publ
 from app.web.admission.cookies import (
     SESSION,
     cookie_of,
+    forget_cookie,
     is_encrypted,
     session_name,
     set_cookie,
@@ -38,6 +40,7 @@ router = APIRouter(include_in_schema=False)
 SignInService = Annotated[SignIn, service(SignIn)]
 FirstAdminService = Annotated[FirstAdmin, service(FirstAdmin)]
 AccountsService = Annotated[Accounts, service(Accounts)]
+SingleSignOnService = Annotated[SingleSignOn, service(SingleSignOn)]
 MAX_NAME = 64
 """The stored part of a typed name; no user has one so long."""
 FormText = Annotated[str, Form()]
@@ -48,6 +51,9 @@ TypedName = Annotated[
 DEVICE_COOKIE = "lineside_device"
 """Distinguishes a browser with an earlier sign-in from those of strangers; it signs no one in."""
 DEVICE_KNOWN_S = 365 * rules.DAY
+CALLBACK = "/login/oidc/callback"
+ATTEMPT_COOKIE = "lineside_login"
+"""What a browser keeps of a login by a company account that is under way."""
 REAUTHENTICATE_COOKIE = "lineside_reauthenticate"
 """Of a browser in which someone has logged out: the next company account signs in at its provider again."""
 
@@ -88,6 +94,47 @@ async def log_panel_in(
 ) -> Response:
     """A panel on the wall, by PIN."""
     return await _sign_in(request, sign_in, name, pin, next, panel=True)
+
+
+@router.get("/login/oidc", dependencies=[Depends(public)])
+async def begin_login(request: Request, single_sign_on: SingleSignOnService, next: str = "/") -> Response:
+    """Redirect to the provider; a signed-in user to the page. After a log-out here the person signs in there
+    again: a panel or a PC may be shared, and the provider may know the last one still."""
+    if person_of(request):
+        return RedirectResponse(own_path(next), 303)
+    has_logged_out = bool(cookie_of(request, REAUTHENTICATE_COOKIE))
+    try:
+        url, attempt = single_sign_on.begin(next, _callback_url(request), reauthenticate=has_logged_out)
+    except NotAdmittedError as refused:
+        return _back_to_login(refused, next)
+    response = RedirectResponse(url, 303)
+    set_cookie(request, response, ATTEMPT_COOKIE, attempt.to_cookie(), MAX_AGE_S)
+    return response
+
+
+@router.get(CALLBACK, dependencies=[Depends(public)])
+async def finish_login(
+    request: Request, single_sign_on: SingleSignOnService, sign_in: SignInService
+) -> Response:
+    """Begin the session of a browser that the provider sends back. What was refused is shown by the login
+    page: this address has a code in it, and is not to be loaded again."""
+    attempt = attempt_of(cookie_of(request, ATTEMPT_COOKIE))
+    try:
+        begun = await single_sign_on.finish(
+            attempt,
+            dict(request.query_params),
+            _callback_url(request),
+            address=address_of(request),
+            device=device_of(request),
+        )
+    except NotAdmittedError as refused:
+        response = _back_to_login(refused, "/" if attempt is None else attempt.next)
+    else:
+        assert attempt is not None
+        response = await signed_in(request, sign_in, begun, attempt.next)
+        forget_cookie(request, response, REAUTHENTICATE_COOKIE)
+    forget_cookie(request, response, ATTEMPT_COOKIE)
+    return response
 
 
 @router.get("/setup", dependencies=[Depends(public)])
@@ -237,6 +284,18 @@ async def _login_form(
         no_users=await sign_in.has_no_users(),
         has_code=bool(service_of(request, FirstAdmin).code),
     )
+
+
+def _callback_url(request: Request) -> str:
+    """As the browser reaches this server, which the provider compares with those it knows."""
+    return f"{request.url.scheme}://{request.url.netloc}{CALLBACK}"
+
+
+def _back_to_login(refused: NotAdmittedError, next_page: str) -> Response:
+    query: dict[str, str] = {"company_account": refused.reason}
+    if own_path(next_page) != "/":
+        query["next"] = next_page
+    return RedirectResponse(f"/login?{urlencode(query)}", 303)
 
 
 def _setup_form(

@@ -11,9 +11,9 @@ import pytest
 from starlette.types import Message
 
 from app.auth.accounts import Accounts
-from app.auth.oidc.pages import ATTEMPT_COOKIE
 from app.auth.oidc.provider import Provider
 from app.auth.oidc.single_sign_on import SingleSignOn
+from app.auth.pages import ATTEMPT_COOKIE
 from app.auth.rights.lasting import NO_LONGER_SIGNED_IN
 from app.web.admission.access import Role
 from app.web.admission.cookies import SESSION

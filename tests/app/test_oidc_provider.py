@@ -12,7 +12,7 @@ from urllib.parse import urljoin
 import httpx
 import pytest
 
-from app.auth.oidc.pages import ATTEMPT_COOKIE
+from app.auth.pages import ATTEMPT_COOKIE
 from app.auth.settings import OidcSettings
 from tests.app.complete_app import HOST, House, complete_app
 from tests.app.played_provider import CALLBACK, CLIENT, GROUPS, SECRET, known, reason_of, sent

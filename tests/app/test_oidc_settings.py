@@ -80,7 +80,7 @@ from app.main import create_app
 from app.settings import load
 create_app(load(Path(sys.argv[1])))
 loaded = {name.partition(".")[0] for name in sys.modules}
-print(json.dumps(sorted(loaded & {"joserfc", "cryptography", "httpx"})))
+print(json.dumps(sorted(loaded & {"authlib", "joserfc", "cryptography", "httpx", "httpx2"})))
 """
     command = [sys.executable, "-c", program, str(written(tmp_path, "[site]\n"))]
     assert json.loads(subprocess.run(command, capture_output=True, check=True, timeout=120).stdout) == []

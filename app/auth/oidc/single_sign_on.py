@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections import OrderedDict
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
@@ -13,11 +12,18 @@ import structlog
 
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
-from app.auth.oidc.groups import name_of, role_of
-from app.auth.oidc.login_attempt import LoginAttempt, new_attempt
-from app.auth.oidc.refusal import COUNTED, NotAdmittedError
+from app.auth.oidc.login import (
+    COUNTED,
+    LoginAttempt,
+    NotAdmittedError,
+    name_of,
+    new_attempt,
+    printable,
+    role_of,
+)
 from app.auth.settings import OidcSettings
 from app.auth.sign_in.signin import SignedIn, SignIn, count_refusal
+from app.auth.sign_in.throttle import MAX_KEPT, Bounded
 from app.auth.store import CompanyAccount, User
 from app.server.admission.addresses import source_of
 from app.server.admission.fair_queue import FairQueue, TooManyWaitingError
@@ -35,15 +41,14 @@ ALL_S = 10.0
 """How long a browser that is back from the provider waits, for its turn and for the provider."""
 FAILURES, FAILURES_PER_S = 10, 0.2
 """Of one address: at once, and in the long run. Only a browser that makes up codes fails so often."""
-MAX_PLACES = 10_000
 MAX_CODE = 4096
 
 _log = structlog.get_logger()
 
 
 def require_package() -> None:
-    """Raises LinesideError where the package that verifies signatures is not installed."""
-    if find_spec("joserfc") is None:
+    """Raises LinesideError where the package that speaks OpenID Connect is not installed."""
+    if find_spec("authlib") is None:
         raise LinesideError(Message("oidc_lacks_package"))
 
 
@@ -68,7 +73,9 @@ class SingleSignOn:
     _turns: FairQueue[str] = field(
         default_factory=lambda: FairQueue(MAX_AT_ONCE, 1, MAX_WAITING_OF_PLACE, 2 * MAX_WAITING)
     )
-    _failures: OrderedDict[str, Bucket] = field(default_factory=OrderedDict)
+    _failures: Bounded[str, Bucket] = field(
+        default_factory=lambda: Bounded(MAX_KEPT, lambda: Bucket(FAILURES_PER_S, FAILURES))
+    )
 
     @property
     def fault(self) -> Message | None:
@@ -76,7 +83,7 @@ class SingleSignOn:
         return None if self.provider is None else self.provider.fault
 
     async def start(self) -> None:
-        """Load what verifies signatures, in another thread. Raises LinesideError where it is missing."""
+        """Load what speaks OpenID Connect, in another thread. Raises LinesideError where it is missing."""
         if self.settings is not None:
             require_package()
             await asyncio.to_thread(import_module, "app.auth.oidc.provider")
@@ -131,8 +138,7 @@ class SingleSignOn:
             raise NotAdmittedError("token", "the response is of another issuer")
         error = response.get("error")
         if error is not None:
-            printable = "".join(each for each in error[:80] if each.isascii() and each.isprintable())
-            raise NotAdmittedError("canceled" if error == "access_denied" else "provider", printable)
+            raise NotAdmittedError("canceled" if error == "access_denied" else "provider", printable(error))
         code = response.get("code", "")
         if not 0 < len(code) <= MAX_CODE:
             raise NotAdmittedError("provider", "no code")
@@ -142,7 +148,7 @@ class SingleSignOn:
         assert self.provider is not None
         assert self.settings is not None
         place = source_of(address)
-        if not self._failures_of(place).has_room(self._monotonic()):
+        if not self._failures.get(place).has_room(self._monotonic()):
             raise NotAdmittedError("busy", "too many failures of this address")
         try:
             async with asyncio.timeout(ALL_S), self._turns.turn(place, known=False):
@@ -153,7 +159,7 @@ class SingleSignOn:
             raise NotAdmittedError("away", "it took too long") from None
         except NotAdmittedError as refused:
             if refused.reason != "away":
-                self._failures_of(place).pour(1, self._monotonic())
+                self._failures.kept(place).pour(1, self._monotonic())
             raise
         account = CompanyAccount(self.settings.issuer, claims["sub"])
         name, role = name_of(claims, self.settings), role_of(claims, self.settings)
@@ -166,13 +172,6 @@ class SingleSignOn:
         if user.disabled:
             raise NotAdmittedError("disabled", "the user is disabled", user.name)
         return user
-
-    def _failures_of(self, place: str) -> Bucket:
-        bucket = self._failures.setdefault(place, Bucket(FAILURES_PER_S, FAILURES))
-        self._failures.move_to_end(place)
-        while len(self._failures) > MAX_PLACES:
-            self._failures.popitem(last=False)
-        return bucket
 
     async def _note(self, refused: NotAdmittedError, address: str) -> None:
         _log.info("company account not admitted", reason=refused.reason, detail=refused.detail)

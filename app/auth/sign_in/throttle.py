@@ -48,7 +48,7 @@ class _Failures:
         return self.count if now - self.at < FORGOTTEN_AFTER_S else 0
 
 
-class _Bounded(Generic[K, V]):
+class Bounded(Generic[K, V]):
     """Values by key, no more than ``most``; ``new`` makes the value of a new key."""
 
     def __init__(self, most: int, new: Callable[[], V]) -> None:
@@ -102,12 +102,12 @@ class Throttle:
     """What failed in the last quarter of an hour."""
 
     def __init__(self, most: int = MAX_KEPT) -> None:
-        self._pairs: _Bounded[tuple[str, str], _Failures] = _Bounded(most, _Failures)
-        self._places: _Bounded[str, Bucket] = _Bounded(
+        self._pairs: Bounded[tuple[str, str], _Failures] = Bounded(most, _Failures)
+        self._places: Bounded[str, Bucket] = Bounded(
             most, lambda: Bucket(OF_ADDRESS / OF_ADDRESS_WINDOW_S, OF_ADDRESS)
         )
-        self._names: _Bounded[str, Bucket] = _Bounded(most, lambda: Bucket(1 / OF_NAME_EVERY_S, OF_NAME))
-        self._panels: _Bounded[str, Bucket] = _Bounded(most, lambda: Bucket(1 / OF_PANEL_EVERY_S, OF_NAME))
+        self._names: Bounded[str, Bucket] = Bounded(most, lambda: Bucket(1 / OF_NAME_EVERY_S, OF_NAME))
+        self._panels: Bounded[str, Bucket] = Bounded(most, lambda: Bucket(1 / OF_PANEL_EVERY_S, OF_NAME))
 
     def wait_s(self, attempt: Attempt, now: Monotonic) -> float:
         """For how many seconds an attempt must wait; 0.0: not at all."""
@@ -138,7 +138,7 @@ class Throttle:
         if not attempt.known:
             self._names_of(attempt).kept(attempt.name).pour(-1, now)
 
-    def _names_of(self, attempt: Attempt) -> _Bounded[str, Bucket]:
+    def _names_of(self, attempt: Attempt) -> Bounded[str, Bucket]:
         return self._panels if attempt.panel else self._names
 
     def _wait_of_pair(self, attempt: Attempt, now: Monotonic) -> float:
