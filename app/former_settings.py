@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +41,10 @@ def former_notices(text: str, file: str, folder: Path) -> list[Message]:
         Message.of("ignored_key", file=file, line=lines.of(path), key=_name(path))
         for path in former_keys(tomllib.loads(text))
     ]
-    if (accounts := folder / BREAK_GLASS).exists():
-        notices.append(Message.of("break_glass_of_former_version", file=str(accounts)))
+    # Whether the folder can be used at all is judged by `check` and by the start.
+    with suppress(OSError):
+        if (accounts := folder / BREAK_GLASS).exists():
+            notices.append(Message.of("break_glass_of_former_version", file=str(accounts)))
     return notices
 
 

@@ -53,7 +53,8 @@ CODES = {
     *("CommandResult.reason", "Problem.reason", "UnitResult.reason"),
     *("HistoryStatus.put_aside", "ShiftNote.alarm", "ShiftNote.pictures", "time_zone"),
     *("ShiftSignatures.digest", "ShiftSignatures.page_digest"),
-    *("AlarmTransition.alarm", "ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
+    *("AlarmTransition.alarm", "ReportedAlarm.alarm", "ReportedAlarm.at_end", "ShiftAlarm.alarm"),
+    *("ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
     *(
         "NotificationDelivery.alarms",
         "NotificationDelivery.endpoint",
@@ -66,7 +67,8 @@ CODES = {
 TYPED_BY_PEOPLE = {
     *("analog", "analog_unit", "bus", "comment", "group", "id", "input", "measure", "name", "output", "port"),
     *("CommandBlock.reason", "site", "unit", "who", "by", "changed_by", "holder"),
-    *("Alarm.hidden_by", "Alarm.reason", "AlarmTransition.reason"),
+    *("Alarm.hidden_by", "Alarm.reason"),
+    *("AlarmTransition.reason", "ReportedAlarm.reason", "ShiftAlarm.reason"),
     *(f"OwnAlarm.{name}" for name in ("cause", "consequence", "response")),
     *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
     *("ConfigurationVersion.reason", "ReportedUnit.length_unit", "ReportedUnit.speed_unit"),
@@ -86,6 +88,7 @@ TIMES = {
         "unknown_since",
         "Alarm.came",
         "Alarm.cleared",
+        "ShiftAlarm.came",
         "RecipeRuns.loaded",
         "RecipeRuns.before",
     ),
@@ -192,7 +195,7 @@ def test_every_time_is_an_instant_in_one_format(schemas: dict[str, Any]) -> None
         for field, described in schema.get("properties", {}).items()
         if (NAMED_SO.search(field) or {field, f"{name}.{field}"} & TIMES)
         and described.get("type") != "boolean"
-        and not {field, f"{name}.{field}"} & (LOCAL_TIMES | {"HandOverRequest.to"})
+        and not {field, f"{name}.{field}"} & (LOCAL_TIMES | {"HandOverRequest.to", "ReportedAlarm.at_end"})
     }
     assert len(times) > 60
     assert [place for place, described in times.items() if not is_instant(described)] == []

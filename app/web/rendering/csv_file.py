@@ -124,7 +124,7 @@ def number_or_text(text: str | None) -> Cell:
 FOR_PROGRAMS = CsvForm()
 
 
-def wanted_form(
+async def wanted_form(
     request: Request,
     form: Annotated[Literal["data", "reader"], Query()] = "data",
 ) -> CsvForm:
