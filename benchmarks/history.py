@@ -18,14 +18,14 @@ from typing import Any
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from app.database import Database
-from app.history.intake.folding import compact
-from app.history.intake.recorder import Recorder
-from app.history.intake.tail import Tail
-from app.history.intake.writer import MIGRATIONS
-from app.history.query.query import SeriesQuery, run_query
+from app.history import tables
+from app.history.folding import compact
+from app.history.query import SeriesQuery, run_query
+from app.history.recorder import Recorder
 from app.history.series.runs import DAY, micros
 from app.history.series.values import VALUES
-from app.history.store import tables
+from app.history.tail import Tail
+from app.history.writer import MIGRATIONS
 from benchmarks.history_store import build, readings
 from benchmarks.tables import median, milliseconds, quantile, show
 from bus.contract import Reading

@@ -14,9 +14,9 @@ from pathlib import Path
 from app.audit.keys import open_keys
 from app.audit.proof import heads_of, prove
 from app.database import Database
-from app.history.intake.recorder import Recorder
-from app.history.intake.tail import Tail
-from app.history.intake.writer import MIGRATIONS
+from app.history.recorder import Recorder
+from app.history.tail import Tail
+from app.history.writer import MIGRATIONS
 from benchmarks.history_victim import KEY_FILE
 from benchmarks.tables import median, show
 

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from app.database import Database
-from app.history.intake.writer import MIGRATIONS
+from app.history import tables
 from app.history.series.rollup import combine, pack_rollups, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_runs
 from app.history.series.values import ParameterStep
-from app.history.store import tables
+from app.history.writer import MIGRATIONS
 from bus.contract import Reading
 
 POLL = 208_333

@@ -43,3 +43,19 @@ else:
 
 Clock = Callable[[], UnixTime]
 MonotonicClock = Callable[[], Monotonic]
+
+MIN_STEP_S = 1.0
+
+
+class ClockWatch:
+    """Notices when the wall clock was set, by comparing it with the clock that only runs. A slow correction
+    is no step."""
+
+    def __init__(self, wall: UnixTime, running: Monotonic) -> None:
+        self._difference = float(wall) - float(running)
+
+    def step(self, wall: UnixTime, running: Monotonic) -> float:
+        """Return the seconds by which the wall clock was set since the last call; 0.0 when it was not."""
+        before, self._difference = self._difference, float(wall) - float(running)
+        moved = self._difference - before
+        return moved if abs(moved) >= MIN_STEP_S else 0.0

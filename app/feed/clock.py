@@ -15,10 +15,9 @@ from typing import TypeVar
 
 import msgspec
 
-from app.history.intake.clock_watch import ClockWatch
 from bus.contract import TaggedStruct
 from bus.contract.clock_offset import ClockOffset
-from bus.instants import Monotonic, UnixTime
+from bus.instants import ClockWatch, Monotonic, UnixTime
 
 SAME_CLOCK_S = 0.05
 """Clocks this near are one clock: most workers run on the app's own machine."""

@@ -7,9 +7,9 @@ from functools import partial
 
 from app.database import Database
 from app.feature import Feature, Services
+from app.history import api as routes
 from app.history import pages
 from app.history.acts import ACTS
-from app.history.api import routes
 from app.history.service import History
 from app.history.views import TrendViews
 from app.web.rendering.assets import Assets

@@ -13,12 +13,12 @@ from starlette.responses import RedirectResponse, Response
 
 from app.audit.api import Events
 from app.errors import Problem, StoreError
-from app.history.api.spans import HistoryOf, Span, series_queries
-from app.history.export import parquet_file
+from app.history import parquet_file
 from app.history.series import values
 from app.history.series.runs import DAY, micros
 from app.history.series.values import VALUES
 from app.history.service import History
+from app.history.spans import HistoryOf, Span, series_queries
 from app.history.status import store_notice
 from app.history.views import MAX_QUERY, TrendView, TrendViews
 from app.settings import Settings

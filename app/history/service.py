@@ -12,15 +12,15 @@ import structlog
 from app.audit.entry import EventKind
 from app.database.connection import is_intact
 from app.errors import DamagedStoreError, StoreError
-from app.history.intake.tail import Tail
-from app.history.intake.upkeep import TABLES, damaged_blocks
-from app.history.intake.writer import Writer
-from app.history.query.query import QueryResult, SeriesQuery, run_query
+from app.history import tables
+from app.history.query import QueryResult, SeriesQuery, run_query
 from app.history.series.runs import SECOND, micros
 from app.history.series.values import Interval
 from app.history.status import HistoryStatus
-from app.history.store import tables
-from app.history.store.tables import BlockKey
+from app.history.tables import BlockKey
+from app.history.tail import Tail
+from app.history.upkeep import TABLES, damaged_blocks
+from app.history.writer import Writer
 from app.settings import Settings
 from bus.contract import Update
 from bus.instants import UnixTime, unix_now

@@ -11,8 +11,8 @@ from app.handover.api import HTML
 from app.handover.rules.scope import Scope
 from app.handover.rules.shift_times import Shift
 from app.handover.sheet.document import APART
-from app.history.api.spans import SpanOf
 from app.history.service import seconds
+from app.history.spans import SpanOf
 from app.reports.document import ReportDocuments, file_name
 from app.reports.report import SpanReport
 from app.reports.service import Reports

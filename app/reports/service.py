@@ -11,8 +11,8 @@ from app.database.connection import snapshot
 from app.errors import Problem
 from app.handover.rules.scope import EVERYTHING, Scope
 from app.handover.rules.shift_times import Shift
-from app.history.query.unit_report import UnitReport
 from app.history.service import History
+from app.history.unit_report import UnitReport
 from app.reports.report import reported_buses, span_report
 from app.reports.rules.spans import SpanName, named_span, span_fault
 from app.settings import Settings

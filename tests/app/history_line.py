@@ -7,16 +7,16 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from app.database import Database
-from app.history.intake.folding import compact
-from app.history.intake.recorder import Recorder
-from app.history.intake.tail import Tail
-from app.history.intake.upkeep import DiskReserve
-from app.history.intake.writer import MIGRATIONS, Writer
-from app.history.query.query import QueryResult, SeriesQuery, run_query
+from app.history import tables
+from app.history.folding import compact
+from app.history.query import QueryResult, SeriesQuery, run_query
+from app.history.recorder import Recorder
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
 from app.history.settings import HistorySettings
-from app.history.store import tables
+from app.history.tail import Tail
+from app.history.upkeep import DiskReserve
+from app.history.writer import MIGRATIONS, Writer
 from bus.contract import ParameterValue, Reading, Update
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings

@@ -12,9 +12,9 @@ from typing import cast
 
 import pyarrow.parquet
 
-from app.history.api.spans import Span, series_queries
-from app.history.export.download import Format, response
+from app.history.export import Format, response
 from app.history.service import History
+from app.history.spans import Span, series_queries
 from app.settings import ServerSettings, Settings
 from bus.settings import BusSettings, UnitSettings
 

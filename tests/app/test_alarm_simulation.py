@@ -16,9 +16,9 @@ from app.alarms.simulation.outcome import Annunciations
 from app.alarms.simulation.replay import Replay, extremes
 from app.alarms.simulation.stored import StoredHour
 from app.database import Database
+from app.history import tables
 from app.history.series.rollup import rollup
 from app.history.series.runs import HOUR, MINUTE, micros, plain_run, runs_of
-from app.history.store import tables
 from bus.contract import Reading
 from bus.instants import UnixTime
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus

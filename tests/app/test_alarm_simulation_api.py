@@ -16,9 +16,9 @@ from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.simulation.simulator import Simulator
 from app.errors import Problem
+from app.history import tables
 from app.history.series.runs import micros
 from app.history.service import History
-from app.history.store import tables
 from app.settings import load
 from app.web.admission.access import Role
 from bus.contract import ParameterValue, Reading

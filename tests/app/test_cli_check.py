@@ -20,7 +20,7 @@ from app.cli.findings import machine as findings
 from app.cli.options import command_of
 from app.database import Database
 from app.database.migration import COPYING
-from app.history.intake.writer import MIGRATIONS
+from app.history.writer import MIGRATIONS
 from tests.mounted import mounted
 
 cli = command_of(check.check)

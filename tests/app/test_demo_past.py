@@ -18,10 +18,10 @@ from app.cli.simulated.demo import configuration
 from app.cli.simulated.past import write_past
 from app.cli.simulated.past.story import PHASES, past_of
 from app.database import Database
-from app.history.intake.writer import MIGRATIONS
+from app.history import tables
 from app.history.series.runs import HOUR
 from app.history.service import FILE
-from app.history.store import tables
+from app.history.writer import MIGRATIONS
 from app.sets.store import SetStore
 from app.settings import Settings, load
 from bus.catalogue.numbers import ACCELERATION

@@ -21,13 +21,12 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.audit.log import EventLog
 from app.database import Database
-from app.history.api.routes import router
-from app.history.export import rows as export_rows
-from app.history.intake.recorder import Recorder
-from app.history.intake.tail import Tail
+from app.history import export_rows, tables
+from app.history.api import router
+from app.history.recorder import Recorder
 from app.history.series.runs import Run
 from app.history.service import History
-from app.history.store import tables
+from app.history.tail import Tail
 from app.settings import ServerSettings, Settings, Site
 from app.web.admission.access import Person, Role
 from app.web.admission.turns import Turns

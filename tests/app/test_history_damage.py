@@ -12,17 +12,17 @@ from pathlib import Path
 
 import pytest
 
-from app.history.intake import writer as writing
-from app.history.intake.folding import compact
-from app.history.intake.upkeep import DiskReserve, Upkeep
-from app.history.intake.writer import Writer
-from app.history.query.query import SeriesQuery, run_query
+from app.history import writer as writing
+from app.history.folding import compact
+from app.history.query import SeriesQuery, run_query
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.series.values import VALUES
 from app.history.service import FILE, History
 from app.history.settings import HistorySettings
 from app.history.status import store_notice
-from app.history.store.tables import BlockKey, StoredTier
+from app.history.tables import BlockKey, StoredTier
+from app.history.upkeep import DiskReserve, Upkeep
+from app.history.writer import Writer
 from app.settings import ServerSettings, Settings
 from app.web.rendering.formats import Formats
 from bus.instants import unix_now

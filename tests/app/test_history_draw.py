@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from app.history.query.query import SeriesQuery, run_query, stored_queries
+from app.history.query import SeriesQuery, run_query, stored_queries
 from app.history.series.downsampling import Series
 from app.history.series.draw import draw_series
 from app.history.series.runs import SECOND, micros

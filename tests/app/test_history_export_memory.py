@@ -12,11 +12,11 @@ import pytest
 from pyarrow import parquet
 
 from app.database import Database
-from app.history.intake.writer import MIGRATIONS
+from app.history import tables
 from app.history.series.rollup import Rollup, combine, pack_rollups
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.service import FILE
-from app.history.store import tables
+from app.history.writer import MIGRATIONS
 from tests.app import measured_export
 from tests.sizes import sizes
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from app.history.export.rows import Cell, ExportRow
-from app.history.export.together import MAX_ROWS, STEPS, Together, step_of
+from app.history.export_rows import Cell, ExportRow
 from app.history.series.runs import DAY, SECOND
+from app.history.together import MAX_ROWS, STEPS, Together, step_of
 
 S = SECOND
 

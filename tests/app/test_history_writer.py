@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from app.errors import StoreError
-from app.history.intake.upkeep import DiskReserve
-from app.history.intake.writer import Writer
-from app.history.query.query import SeriesQuery, run_query
+from app.history import tables
+from app.history.query import SeriesQuery, run_query
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
-from app.history.store import tables
+from app.history.upkeep import DiskReserve
+from app.history.writer import Writer
 from tests.app.history_line import BUS, NOON, Shelf, opened, parameter, polls, until
 
 ENDLESS = 10**18
@@ -42,7 +42,7 @@ def test_readers_see_readings_soon(tmp_path: Path) -> None:
 def test_what_cannot_be_written_waits_and_the_oldest_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.history.intake.writer.MAX_WAITING", 100)
+    monkeypatch.setattr("app.history.writer.MAX_WAITING", 100)
     (tmp_path / "history.db").mkdir()
     writer = opened(tmp_path)
     for second in range(40):
@@ -81,7 +81,7 @@ def test_a_full_disk_pauses_history_for_the_sake_of_events(tmp_path: Path) -> No
 def test_a_disk_that_fails_while_running_is_reported_and_stored_values_stay_readable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.history.intake.writer.RETRY_S", 0.0)
+    monkeypatch.setattr("app.history.writer.RETRY_S", 0.0)
     writer = opened(tmp_path)
     writer.take((BUS.name, polls(NOON, NOON + 10)))
     until(lambda: writer.status.waiting == 0)
@@ -116,7 +116,7 @@ def test_a_damaged_store_is_reported_and_nothing_else_fails(
     tmp_path: Path, content: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The first commit would replace the store.
-    monkeypatch.setattr("app.history.intake.writer.COMMIT_EVERY_S", 3600.0)
+    monkeypatch.setattr("app.history.writer.COMMIT_EVERY_S", 3600.0)
     (tmp_path / "history.db").write_bytes(content)
     writer = opened(tmp_path)
     assert writer.status.state == "failed"

@@ -178,7 +178,7 @@ async def test_a_name_in_a_csv_for_people_is_no_formula(
 ) -> None:
     viewer = await house.program(Role.VIEWER)
     monkeypatch.setattr(
-        "app.history.export.rows.Table.named", lambda *_: ['=HYPERLINK("x") actual', "Nip actual"]
+        "app.history.export_rows.Table.named", lambda *_: ['=HYPERLINK("x") actual', "Nip actual"]
     )
     query = {"series": [f"{BUS}/1/actual", f"{BUS}/2/actual"], "layout": "table"}
     response = await viewer.get("/api/v1/history/export", params=query)

@@ -18,7 +18,7 @@ import httpx
 import pytest
 
 from app.database.connection import examining
-from app.history.query.forecast import growth_of_history
+from app.history.forecast import growth_of_history
 from app.history.series.runs import micros
 from benchmarks.processes import cpu_seconds, memory_mib
 from bus.instants import UnixTime

@@ -15,10 +15,10 @@ from app.feed.holders import Credential
 from app.feed.late import FIRST_S
 from app.feed.rates import MAX_VALUES_AT_ONCE
 from app.feed.workers import Workers
-from app.history.intake.tail import Tail
+from app.history import tables
 from app.history.series.runs import HOUR, Run, merge, micros
 from app.history.service import History
-from app.history.store import tables
+from app.history.tail import Tail
 from app.live.change_recorder import ChangeRecorder
 from app.live.state.bus_live import LiveState
 from bus.contract import MAX_UPDATES, Batch, Reading, Snapshot, UnitState, encode

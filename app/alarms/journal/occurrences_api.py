@@ -14,8 +14,8 @@ from app.alarms.api import Alarms
 from app.alarms.journal.occurrences import MAX_OCCURRENCES, Occurrence, occurrences
 from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.shown import AlarmPriorityShown
-from app.history.api.spans import SpanOf
 from app.history.service import seconds
+from app.history.spans import SpanOf
 from app.web.admission.access import Viewer
 from app.web.admission.turns import SEARCH
 from app.web.api.route import ApiRoute

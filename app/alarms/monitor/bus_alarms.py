@@ -16,12 +16,11 @@ from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings
 from app.conditions.catalogue import BUS_ALARMS, CONDITIONS, UNIT_ALARMS
 from app.conditions.of_bus import BY_BUS, CONTROL_LEFT, SECOND_MASTER
 from app.conditions.of_unit import ESTOP_ACTIVE
-from app.history.intake.clock_watch import ClockWatch
 from app.live.diagnosis.links import bus_facts
 from app.live.state.bus_live import NO_WORKER, Audience, BusLive
 from app.live.state.scan_time import offline_after_s, scan_s_of
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Staged, UnitLink, Update
-from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.instants import Clock, ClockWatch, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 
 

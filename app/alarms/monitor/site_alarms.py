@@ -14,9 +14,8 @@ from app.alarms.settings import BuiltInAlarmSettings
 from app.audit.anchor import AnchorStatus
 from app.conditions import of_server
 from app.conditions.catalogue import SERVER_ALARMS
-from app.history.intake.clock_watch import ClockWatch
 from app.history.status import HistoryStatus
-from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.instants import Clock, ClockWatch, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, number
 
 SiteCondition = Callable[[], Message | bool | None]

@@ -18,7 +18,7 @@ from app.alarms.simulation.outcome import AlarmSimulation
 from app.alarms.simulation.proposal import proposed
 from app.alarms.simulation.simulator import Simulator
 from app.conditions.priority import AlarmPriority
-from app.history.api.spans import HistoryOf
+from app.history.spans import HistoryOf
 from app.web.admission.access import Engineer, Person
 from app.web.api.route import ApiRoute, RequestKey
 from app.web.api.shape import InstantObject, StrictBody, ZonedTime

@@ -21,9 +21,9 @@ from app.alarms.simulation.outcome import AlarmSimulation
 from app.alarms.simulation.proposal import proposed
 from app.alarms.summary import places_of
 from app.errors import Problem
-from app.history.api.spans import HistoryOf
 from app.history.series import values
 from app.history.series.values import VALUES
+from app.history.spans import HistoryOf
 from app.settings import Settings
 from app.web.admission.access import Engineer, Person
 from app.web.api.shape import parse_integer

@@ -11,12 +11,12 @@ from app.alarms.simulation.outcome import AlarmSimulation, Annunciations
 from app.alarms.simulation.proposal import in_toml
 from app.alarms.simulation.replay import Replay
 from app.alarms.simulation.stored import StoredHour
-from app.history.intake.tail import Tail
-from app.history.query.unit_history import StoredUnit, minutes_of
+from app.history import tables
 from app.history.series.runs import HOUR, MINUTE, SECOND, micros
 from app.history.series.values import ParameterStep
 from app.history.service import History
-from app.history.store import tables
+from app.history.tail import Tail
+from app.history.unit_history import StoredUnit, minutes_of
 from app.server.admission.fair_queue import FairQueue
 from bus.instants import UnixTime
 from bus.settings import BusSettings

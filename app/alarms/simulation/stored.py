@@ -7,12 +7,11 @@ from itertools import groupby
 from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.replay import Replay
 from app.alarms.simulation.rest import AtRest, ZeroStep, rest_of
-from app.history.intake.tail import Tail
-from app.history.query import unit_history
-from app.history.query.unit_history import StoredUnit, minutes_of
+from app.history import tables, unit_history
 from app.history.series.runs import MINUTE, Run
 from app.history.series.values import VALUES
-from app.history.store import tables
+from app.history.tail import Tail
+from app.history.unit_history import StoredUnit, minutes_of
 from bus.settings import BusSettings
 
 

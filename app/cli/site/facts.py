@@ -17,7 +17,7 @@ from app.database.connection import examining
 from app.database.migration import COMPANIONS
 from app.database.reserve import free_bytes
 from app.errors import StoreError
-from app.history.query.forecast import MAX_DAYS, days_left, growth_of_events, growth_of_history
+from app.history.forecast import MAX_DAYS, days_left, growth_of_events, growth_of_history
 from app.history.series.runs import micros
 from app.history.service import FILE as HISTORY
 from app.settings import STORE_FILE, Settings

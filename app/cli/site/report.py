@@ -19,8 +19,8 @@ from app.database.connection import examining, snapshot
 from app.handover.rules.scope import EVERYTHING
 from app.handover.rules.shift_times import Shift, shift_at, site_time
 from app.handover.signing.signatures import signed_between
-from app.history.query.unit_report import UnitReport, stored_tail
 from app.history.service import FILE as HISTORY
+from app.history.unit_report import UnitReport, stored_tail
 from app.reports.report import ReportedUnit, reported_buses, span_report
 from app.reports.rules.spans import DAY_S, MAX_DAYS
 from app.reports.tables import stops_text, units_text

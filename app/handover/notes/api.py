@@ -13,8 +13,8 @@ from app.handover.acts import WRITE_NOTE
 from app.handover.api import NoteText, Shifts
 from app.handover.service import NewNote
 from app.handover.sheet.sheet import ShiftNote, notes_json
-from app.history.api.spans import SpanOf
 from app.history.service import seconds
+from app.history.spans import SpanOf
 from app.web.admission.access import Person, Viewer
 from app.web.admission.turns import SEARCH
 from app.web.api.route import ApiRoute, RequestKey

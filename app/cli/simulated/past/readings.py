@@ -9,13 +9,12 @@ from itertools import groupby
 
 from app.cli.simulated.past.story import MAX_UNITS, Past, Stretch, setpoint_of
 from app.database import Database, StoreConnection
-from app.history.intake import folding
-from app.history.intake.writer import MIGRATIONS
+from app.history import folding, tables
 from app.history.series.rollup import combine, minute_rollups
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, micros
 from app.history.series.values import DECIDING, Marks, ParameterStep, intervals
 from app.history.service import FILE
-from app.history.store import tables
+from app.history.writer import MIGRATIONS
 from app.settings import Settings
 from bus.simulator.section import TENSION_AT_REST, TENSION_RUNNING
 from bus.simulator.unit import Unit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.history.intake.clock_watch import ClockWatch
+from bus.instants import ClockWatch
 
 
 def test_a_running_clock_has_no_step() -> None:

@@ -14,15 +14,14 @@ from itertools import groupby
 from typing import Literal, NamedTuple
 
 from app.database.connection import snapshot
-from app.history.intake.tail import Tail
-from app.history.query import unit_history
-from app.history.query.query import Resolution, SeriesQuery, scale_of
+from app.history import tables, unit_history
+from app.history.query import Resolution, SeriesQuery, scale_of
 from app.history.series import values
 from app.history.series.runs import DAY, HOUR, MINUTE, Run, micros
 from app.history.series.values import LinearScale, holes, long_gap, usual_interval
 from app.history.service import History
-from app.history.store import tables
-from app.history.store.tables import BlockKey
+from app.history.tables import BlockKey
+from app.history.tail import Tail
 from app.messages import Language
 from bus.instants import unix_now
 

@@ -11,14 +11,13 @@ from zoneinfo import ZoneInfo
 from starlette.responses import StreamingResponse
 
 from app.errors import Problem
-from app.history.export import parquet_file
-from app.history.export.rows import ExportRow, Table, pieces
-from app.history.export.together import Together, step_of
-from app.history.intake.tail import Tail
-from app.history.query.query import Resolution, SeriesQuery, has_raw
+from app.history import parquet_file, tables
+from app.history.export_rows import ExportRow, Table, pieces
+from app.history.query import Resolution, SeriesQuery, has_raw
 from app.history.series.runs import SECOND
 from app.history.service import History
-from app.history.store import tables
+from app.history.tail import Tail
+from app.history.together import Together, step_of
 from app.web.rendering.csv_file import FOR_PROGRAMS, Column, CsvForm, Number
 from app.web.rendering.csv_file import Cell as CsvCell
 from bus.messages import Message, term

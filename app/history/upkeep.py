@@ -13,12 +13,12 @@ from datetime import UTC, datetime
 
 from app.database import Database
 from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
-from app.history.intake.folding import compact
+from app.history import tables
+from app.history.folding import compact
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, micros
 from app.history.settings import HistorySettings
 from app.history.status import StoreState
-from app.history.store import tables
-from app.history.store.tables import BlockKey, DamagedBlock, StoredTier, sound
+from app.history.tables import BlockKey, DamagedBlock, StoredTier, sound
 from bus.instants import Monotonic, monotonic_now, unix_now
 from bus.messages import Message
 

@@ -5,15 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from app.history.intake.tail import Tail
-from app.history.query.query import SeriesQuery, has_raw, scale_of
-from app.history.query.unit_history import (
-    StoredUnit,
-    estimate,
-    minutes_of,
-    runs_between,
-    stored_unit,
-)
+from app.history import tables
+from app.history.query import SeriesQuery, has_raw, scale_of
 from app.history.series.draw import DrawFigures, SpeedStretch, draw_figures
 from app.history.series.run_time import (
     RunFigures,
@@ -24,7 +17,14 @@ from app.history.series.run_time import (
 )
 from app.history.series.runs import MINUTE, Run
 from app.history.series.values import VALUES, ParameterStep, Scaling
-from app.history.store import tables
+from app.history.tail import Tail
+from app.history.unit_history import (
+    StoredUnit,
+    estimate,
+    minutes_of,
+    runs_between,
+    stored_unit,
+)
 from bus.catalogue.numbers import FOLLOWER_MODE
 from bus.settings import BusSettings
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from app.history.export.rows import ExportRow, Table
+from app.history.export_rows import ExportRow, Table
 
 if TYPE_CHECKING:
     import pyarrow

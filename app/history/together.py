@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from app.history.export.rows import Cell, ExportRow
+from app.history.export_rows import Cell, ExportRow
 from app.history.series.runs import MINUTE, SECOND
 
 STEPS = (SECOND, 5 * SECOND, 15 * SECOND, MINUTE)

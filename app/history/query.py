@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from app.database.connection import snapshot
-from app.history.intake.tail import Tail
-from app.history.query import unit_history
+from app.history import tables, unit_history
 from app.history.series import draw
 from app.history.series.downsampling import Points, Series, downsample, grid, holes_in, series
 from app.history.series.runs import HOUR, MINUTE
 from app.history.series.values import VALUES, Marks, Scaling, Value, scaling
-from app.history.store import tables
-from app.history.store.tables import BlockKey
+from app.history.tables import BlockKey
+from app.history.tail import Tail
 from bus.settings import BusSettings
 
 MAX_READINGS = 100_000

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.history.query.query import Resolution
+from app.history.query import Resolution
 from app.web.api.schema import problems
 from app.web.api.shape import Instant, MessageShown
 

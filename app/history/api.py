@@ -11,16 +11,16 @@ from starlette.responses import StreamingResponse
 
 from app.audit.api import Events
 from app.errors import Problem
-from app.history.api import spans
-from app.history.api.marks import marks_of, shown_mark, time_shown
-from app.history.api.schemas import EXPORT, HistoryMarks, HistorySeries, Sparkline, json_of
-from app.history.api.spans import HistoryOf, PointsOf, Span, SpanOf
-from app.history.export import download
-from app.history.export.download import ExportResolution, Format, Layout
-from app.history.query.query import QueryResult, SeriesQuery, stored_queries
+from app.history import export as download
+from app.history import spans
+from app.history.export import ExportResolution, Format, Layout
+from app.history.marks import marks_of, shown_mark, time_shown
+from app.history.query import QueryResult, SeriesQuery, stored_queries
+from app.history.schemas import EXPORT, HistoryMarks, HistorySeries, Sparkline, json_of
 from app.history.series import values
 from app.history.series.runs import SECOND
 from app.history.service import seconds
+from app.history.spans import HistoryOf, PointsOf, Span, SpanOf
 from app.history.status import HistoryStatus
 from app.web.admission.access import Viewer
 from app.web.admission.turns import DOWNLOAD, SEARCH

@@ -1,6 +1,6 @@
 """Writes updates to the disk: commits about twice a second, and folds complete minutes.
 
-Everything here runs on the one thread that writes (:mod:`app.history.intake.writer`).
+Everything here runs on the one thread that writes (:mod:`app.history.writer`).
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from app.database import Database
-from app.history.intake.folding import Minute, fold_minutes, next_to_fold
-from app.history.intake.tail import Tail
-from app.history.intake.upkeep import FoundDamage, set_aside
+from app.history import tables
+from app.history.folding import Minute, fold_minutes, next_to_fold
 from app.history.series.runs import MINUTE, SECOND, PlainRun, micros, plain_run
 from app.history.series.values import DECIDING, ParameterStep
-from app.history.store import tables
-from app.history.store.tables import DamagedBlock
+from app.history.tables import DamagedBlock
+from app.history.tail import Tail
+from app.history.upkeep import FoundDamage, set_aside
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
 from bus.instants import Monotonic, monotonic_now
 from bus.messages import Message, in_english

@@ -20,17 +20,16 @@ from app.database.migration import put_aside
 from app.database.presence import proves_intact
 from app.database.reserve import free_bytes
 from app.errors import DamagedStoreError, StoreError, system_error
-from app.history.intake.clock_watch import ClockWatch
-from app.history.intake.recorder import Delivery, Recorder
-from app.history.intake.tail import Tail
-from app.history.intake.upkeep import DiskReserve, FoundDamage, Upkeep, set_aside, space
+from app.history import tables
+from app.history.recorder import Delivery, Recorder
 from app.history.series.runs import DAY, SECOND, micros
 from app.history.settings import HistorySettings
 from app.history.status import NOTICES, HistoryStatus, StoreState, damage_message, store_message
-from app.history.store import tables
-from app.history.store.tables import BlockKey
+from app.history.tables import BlockKey
+from app.history.tail import Tail
+from app.history.upkeep import DiskReserve, FoundDamage, Upkeep, set_aside, space
 from app.web.api.shape import iso
-from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
+from bus.instants import ClockWatch, Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number
 
 COMMIT_EVERY_S = 0.5
@@ -51,7 +50,7 @@ REPLACE_EVERY_S = 86_400.0
 SHOWN_FOR = 7 * DAY
 """How long damage is shown on the pages; in the events it stays."""
 
-MIGRATIONS = Path(__file__).parents[1] / "migrations"
+MIGRATIONS = Path(__file__).parent / "migrations"
 log = structlog.get_logger()
 OnFault = Callable[[EventKind, Message], None]
 """Called from the writer's thread with the kind of event that it becomes."""

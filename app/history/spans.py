@@ -11,7 +11,7 @@ from fastapi import Depends, Query
 from pydantic import Field, WithJsonSchema
 
 from app.errors import Problem
-from app.history.query.query import SeriesQuery
+from app.history.query import SeriesQuery
 from app.history.series.runs import HOUR, micros
 from app.history.series.values import VALUES
 from app.history.service import History

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from app.database.connection import upsert
-from app.history.intake.tail import Tail
+from app.history import tables
 from app.history.series.rollup import Rollup, combine, minute_rollups, replace_rows, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, PlainRun, are_apart, merge_plain
 from app.history.series.values import Interval, Marks, splice
-from app.history.store import tables
-from app.history.store.tables import INSERT_RAW, LOST_STATES, StoreConnection, block_runs, raw_row
+from app.history.tables import INSERT_RAW, LOST_STATES, StoreConnection, block_runs, raw_row
+from app.history.tail import Tail
 
 _NONE = -1
 """The key of no unit."""

@@ -10,7 +10,7 @@ from itertools import chain, compress, groupby, pairwise
 from statistics import median_low
 from typing import Any, TypeVar
 
-from app.history.intake.tail import Tail
+from app.history import tables
 from app.history.series import columns
 from app.history.series.downsampling import Points, in_order
 from app.history.series.rollup import (
@@ -24,8 +24,8 @@ from app.history.series.rollup import (
 )
 from app.history.series.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_runs
 from app.history.series.values import Interval, Marks, Value, intervals, usual_interval
-from app.history.store import tables
-from app.history.store.tables import BlockKey, StoredTier
+from app.history.tables import BlockKey, StoredTier
+from app.history.tail import Tail
 
 T = TypeVar("T")
 Unpacking = Callable[[bytes, int], list[T]]

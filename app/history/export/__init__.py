@@ -1,1 +1,0 @@
-"""Any span of history as a file."""

@@ -1,1 +1,0 @@
-"""Writes updates to the disk: one thread writes, packs and removes by age."""

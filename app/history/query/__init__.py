@@ -1,1 +1,0 @@
-"""Reads the points of a chart from the store."""

@@ -1,1 +1,0 @@
-"""The history store: its rows, and how damage is found, repaired and salvaged."""
