@@ -19,9 +19,8 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from app.database import Database
 from app.history import tables
-from app.history.folding import compact
 from app.history.query import SeriesQuery, run_query
-from app.history.recorder import Recorder
+from app.history.recorder import Recorder, compact
 from app.history.series.runs import DAY, micros
 from app.history.series.values import VALUES
 from app.history.tail import Tail

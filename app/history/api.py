@@ -2,33 +2,195 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from datetime import datetime
+from operator import attrgetter
+from typing import Annotated, Any, Literal, NamedTuple
 from zoneinfo import ZoneInfo
 
 from fastapi import APIRouter, Query, Response
+from pydantic import Field
 from starlette.requests import Request
 from starlette.responses import StreamingResponse
+from typing_extensions import TypedDict
 
 from app.audit.api import Events
+from app.audit.log import Event, EventLog
+from app.audit.queries import Filter
 from app.errors import Problem
-from app.history import export as download
 from app.history import spans
-from app.history.export import ExportResolution, Format, Layout
-from app.history.marks import marks_of, shown_mark, time_shown
-from app.history.query import QueryResult, SeriesQuery, stored_queries
-from app.history.schemas import EXPORT, HistoryMarks, HistorySeries, Sparkline, json_of
+from app.history.export import ExportResolution, Format, Layout, export_response
+from app.history.query import QueryResult, Resolution, SeriesQuery, stored_queries
 from app.history.series import values
 from app.history.series.runs import SECOND
 from app.history.service import seconds
 from app.history.spans import HistoryOf, PointsOf, Span, SpanOf
 from app.history.status import HistoryStatus
+from app.messages import Language
 from app.web.admission.access import Viewer
 from app.web.admission.turns import DOWNLOAD, SEARCH
 from app.web.api.route import ApiRoute
-from app.web.api.shape import iso, json_response
+from app.web.api.schema import problems
+from app.web.api.shape import Instant, MessageShown, iso, json_response, message_shown
 from app.web.rendering.csv_file import CsvForm, WantedCsv
 from app.web.rendering.templating import templates_of
+from bus.instants import UnixTime
 from bus.messages import Message
+
+Column = Annotated[list[float | None], Field(description="In display units; null: a gap.")]
+TimeList = Annotated[
+    list[Instant | float], Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
+]
+
+HistorySeries = TypedDict(
+    "HistorySeries",
+    {
+        "bus": str,
+        "unit": Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")],
+        "value": Annotated[str, Field(description="Its name, such as actual or output.1.")],
+        "measure": Annotated[str, Field(description="Unit of measurement; empty: none is configured.")],
+        "decimals": Annotated[int | None, Field(description="Of the newest point; null: not known.")],
+        "from": Annotated[Instant, Field(description="Start of the span, ISO 8601 in UTC.")],
+        "to": Annotated[Instant, Field(description="End of the span, ISO 8601 in UTC.")],
+        "resolution": Resolution,
+        "bucket_s": Annotated[float, Field(description="Seconds that a point stands for; 0: one reading.")],
+        "t": TimeList,
+        "min": Column,
+        "max": Column,
+        "avg": Column,
+    },
+)
+
+
+class Sparkline(TypedDict):
+    """The columns of a sparkline."""
+
+    t: TimeList
+    avg: Column
+
+
+class HistoryMarkText(TypedDict, total=False):
+    """The texts of a mark in the reader's language."""
+
+    what: str
+    old: str
+    new: str
+
+
+class HistoryMark(TypedDict):
+    """One event to be drawn into a chart."""
+
+    t: Annotated[
+        Instant | float, Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
+    ]
+    until: Annotated[
+        Instant | float | None,
+        Field(description="Of readings that came late, which are those from t on: their end; else null."),
+    ]
+    id: Annotated[int, Field(description="Number of the event.")]
+    kind: str
+    what: str
+    who: str
+    bus: str | None
+    unit: Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255.")]
+    old: str | None
+    new: str | None
+    outcome: str | None
+    messages: Annotated[
+        dict[str, MessageShown],
+        Field(description="what, old and new as data, by field; empty: older."),
+    ]
+    shown: HistoryMarkText
+
+
+class HistoryMarks(TypedDict):
+    """Events of a span, oldest first."""
+
+    marks: list[HistoryMark]
+    more: Annotated[bool, Field(description="Whether there are more than the newest 500.")]
+
+
+def json_of(model: Any) -> dict[int | str, dict[str, Any]]:
+    """For ``responses=`` of an endpoint that writes its JSON itself."""
+    return {200: {"model": model, "description": "Successful Response"}, **problems(404)}
+
+
+EXPORT: dict[int | str, dict[str, Any]] = {
+    200: {
+        "content": {
+            "text/csv": {"schema": {"type": "string"}},
+            "application/vnd.apache.parquet": {"schema": {"type": "string", "format": "binary"}},
+        }
+    },
+    **problems(404, 501),
+}
+"""The response of an export."""
+
+
+MAX_MARKS = 500
+MARK_KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
+"""Events that explain a curve; sign-ins do not."""
+LATE = ("event_history_follows", "event_readings_late")
+"""Events about readings that came late: the message has the span of these."""
+_TEXTS = ("what", "old", "new")
+"""The fields of a mark that may be messages."""
+_OF_MARK = ("id", "kind", "who", "bus", "unit", "outcome", *_TEXTS)
+
+
+class Mark(NamedTuple):
+    """An event and its place in a chart; ``until``: the end of a span, None for a moment."""
+
+    at: UnixTime
+    until: UnixTime | None
+    event: Event
+
+
+async def marks_of(
+    events: EventLog, start: UnixTime, end: UnixTime, units: Sequence[str] | None
+) -> tuple[list[Mark], bool]:
+    """The marks of a span, oldest first, and whether there were more events. ``units``: the site and these,
+    each ``bus/unit``; empty: all. Raises StoreError."""
+    found, after = await events.page(Filter(since=start, until=end), MAX_MARKS)
+    marks = [Mark(event["time"], None, event) for event in found if _explains(event, units)]
+    for code in LATE:
+        # Readings come after their time, perhaps long after.
+        late, _ = await events.page(Filter(since=start, code=code), MAX_MARKS)
+        spans = (Mark(_time(event, "since"), _time(event, "until"), event) for event in late)
+        marks += [mark for mark in spans if mark.at < end and start <= (mark.until or mark.at)]
+    return sorted(marks, key=attrgetter("at")), after is not None
+
+
+def shown_mark(mark: Mark, times: str, language: Language) -> dict[str, Any]:
+    """A mark as the API returns it; ``times``: iso or epoch."""
+    event = mark.event
+    messages = {name: event["messages"][name] for name in _TEXTS if name in event["messages"]}
+    texts = {name: event[name] for name in _TEXTS if event[name]}
+    return {
+        **{name: event[name] for name in _OF_MARK},
+        "t": time_shown(mark.at, times),
+        "until": None if mark.until is None else time_shown(mark.until, times),
+        "messages": {name: message_shown(message) for name, message in messages.items()},
+        "shown": texts | {name: language.t(messages[name]) for name in messages.keys() & texts},
+    }
+
+
+def time_shown(at: UnixTime, times: str) -> str | UnixTime:
+    """A time as ISO 8601 or, with ``times`` epoch, in seconds."""
+    return at if times == "epoch" else iso(at)
+
+
+def _explains(event: Event, units: Sequence[str] | None) -> bool:
+    is_of_chosen = event["unit"] is None or not units or f"{event['bus']}/{event['unit']}" in units
+    return event["kind"] in MARK_KINDS and is_of_chosen and not _is_late(event)
+
+
+def _is_late(event: Event) -> bool:
+    return "what" in event["messages"] and event["messages"]["what"].code in LATE
+
+
+def _time(event: Event, name: str) -> UnixTime:
+    return UnixTime(datetime.fromisoformat(str(event["messages"]["what"].params[name])).timestamp())
+
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
@@ -169,4 +331,4 @@ async def export_history(
     once = {(each.bus.name, each.unit, each.value.name): each for each in stored}
     if layout == "table" and form.language is None:
         form = CsvForm(templates_of(request).language_of(request), ZoneInfo(history.time_zone))
-    return await download.response(history, list(once.values()), file, resolution, form, layout)
+    return await export_response(history, list(once.values()), file, resolution, form, layout)

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import importlib.util
+import io
 from collections.abc import AsyncIterator, Iterable, Sequence
 from datetime import datetime, tzinfo
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 from zoneinfo import ZoneInfo
 
+import structlog
 from starlette.responses import StreamingResponse
 
 from app.errors import Problem
-from app.history import parquet_file, tables
-from app.history.export_rows import ExportRow, Table, pieces
+from app.history import tables
+from app.history.export_rows import ExportRow, Table, Together, pieces, step_of
 from app.history.query import Resolution, SeriesQuery, has_raw
 from app.history.series.runs import SECOND
 from app.history.service import History
 from app.history.tail import Tail
-from app.history.together import Together, step_of
 from app.web.rendering.csv_file import FOR_PROGRAMS, Column, CsvForm, Number
 from app.web.rendering.csv_file import Cell as CsvCell
 from bus.messages import Message, term
@@ -28,7 +30,7 @@ Layout = Literal["readings", "table"]
 """A row for each reading, or for each time with every value filled in."""
 
 
-async def response(
+async def export_response(
     history: History,
     queries: Sequence[SeriesQuery],
     file: Format,
@@ -38,7 +40,7 @@ async def response(
 ) -> StreamingResponse:
     """Stream an export, so that it takes no more memory for a year. ``form`` and ``layout`` are those of CSV.
     Raises StoreError or Problem before it begins."""
-    if file == "parquet" and not await parquet_file.is_usable():
+    if file == "parquet" and not await _parquet_is_usable():
         raise Problem(501, "no_parquet", Message("no_parquet"))
     fineness = await _fineness(history, queries, resolution)
     table = Table(queries, fineness, history.time_zone, carries=layout == "table")
@@ -49,7 +51,7 @@ async def response(
         text = (stream_csv if layout == "readings" else stream_table)(table, rows, form)
         return StreamingResponse(text, 200, headers, "text/csv; charset=utf-8")
     media = "application/vnd.apache.parquet"
-    return StreamingResponse(parquet_file.stream(table, rows), 200, headers, media)
+    return StreamingResponse(_stream_parquet(table, rows), 200, headers, media)
 
 
 def _stamp(at: int, table: Table) -> str:
@@ -110,3 +112,76 @@ def _cells(row: ExportRow, site: tzinfo) -> list[CsvCell]:
 
 def _number(value: float, decimals: int | None) -> Number:
     return Number(repr(value) if decimals is None else f"{value:.{decimals}f}")
+
+
+if TYPE_CHECKING:
+    import pyarrow
+
+log = structlog.get_logger()
+GROUP_ROWS = 20_000
+"""Rows in memory before they are written as one row group."""
+
+
+def has_parquet() -> bool:
+    """Whether pyarrow, an extra, is installed."""
+    return importlib.util.find_spec("pyarrow") is not None
+
+
+async def _parquet_is_usable() -> bool:
+    """Whether pyarrow can be imported, too, with everything that it needs."""
+    return has_parquet() and await asyncio.to_thread(_can_import)
+
+
+def _can_import() -> bool:
+    try:
+        importlib.import_module("pyarrow.parquet")
+    except Exception as error:  # a library that does not fit raises anything
+        log.warning("pyarrow cannot be used", error=repr(error))
+        return False
+    return True
+
+
+async def _stream_parquet(table: Table, pieces: AsyncIterator[list[ExportRow]]) -> AsyncIterator[bytes]:
+    """Bytes, row group by row group."""
+    import pyarrow
+    from pyarrow import parquet
+
+    schema = _schema(pyarrow, table)
+    sink = io.BytesIO()
+    with parquet.ParquetWriter(sink, schema, compression="zstd") as writer:
+        waiting: list[ExportRow] = []
+        async for rows in pieces:
+            waiting += rows
+            if len(waiting) >= GROUP_ROWS:
+                await asyncio.to_thread(_write, pyarrow, writer, waiting)
+                waiting = []
+                yield _taken(sink)
+        if waiting:
+            await asyncio.to_thread(_write, pyarrow, writer, waiting)
+    yield _taken(sink)
+
+
+def _schema(arrow: Any, table: Table) -> pyarrow.Schema:
+    fields = [("time", arrow.timestamp("us", tz=table.time_zone))]
+    fields += [(name, arrow.float64()) for name in table.columns]
+    fields.append(("note", arrow.string()))
+    return arrow.schema(fields, metadata={"time_zone": table.time_zone, "resolution": table.fineness})
+
+
+def _write(arrow: Any, writer: Any, rows: Sequence[ExportRow]) -> None:
+    cells = zip(*(row.cells for row in rows), strict=True)
+    columns: list[Sequence[Any]] = [
+        [row.at for row in rows],
+        *([None if cell is None else cell.value for cell in column] for column in cells),
+        [row.note or None for row in rows],
+    ]
+    arrays = [arrow.array(column, field.type) for column, field in zip(columns, writer.schema, strict=True)]
+    writer.write_table(arrow.Table.from_arrays(arrays, schema=writer.schema))
+
+
+def _taken(sink: io.BytesIO) -> bytes:
+    """Take the bytes that were written since the last call; the writer counts where in the file it is."""
+    written = sink.getvalue()
+    sink.seek(0)
+    sink.truncate()
+    return written

@@ -7,11 +7,9 @@ from functools import partial
 
 from app.database import Database
 from app.feature import Feature, Services
-from app.history import api as routes
-from app.history import pages
-from app.history.acts import ACTS
+from app.history import api, pages
 from app.history.service import History
-from app.history.views import TrendViews
+from app.history.views import ACTS, TrendViews
 from app.web.rendering.assets import Assets
 from app.web.rendering.templating import Templates
 
@@ -24,9 +22,9 @@ def make(services: Services) -> None:
     async def start() -> None:
         history.start()
 
-    lifespan.add("history", history.inspect_daily, start=start, end=partial(asyncio.to_thread, history.close))
+    lifespan.add("history", start=start, end=partial(asyncio.to_thread, history.close))
     warm = partial(pages.warm, history, services[Templates], services[Assets], language)
     lifespan.add("warming", once=warm)
 
 
-FEATURE = Feature(make, (routes.router, pages.router), ACTS)
+FEATURE = Feature(make, (api.router, pages.router), ACTS)

@@ -13,7 +13,7 @@ from starlette.responses import RedirectResponse, Response
 
 from app.audit.api import Events
 from app.errors import Problem, StoreError
-from app.history import parquet_file
+from app.history.export import has_parquet
 from app.history.series import values
 from app.history.series.runs import DAY, micros
 from app.history.series.values import VALUES
@@ -44,7 +44,7 @@ async def trends(request: Request, person: Viewer, history: HistoryOf, views: Sa
         "trends/page.html",
         catalogue=_catalogue(history),
         words={name: values.text(value, language.t) for name, value in VALUES.items()},
-        has_parquet=parquet_file.is_installed(),
+        has_parquet=has_parquet(),
         memory=store_notice(history.status, templates.formats(language.tag), unix_now()),
         shift_starts=service_of(request, Settings).shift.minutes,
         views=await _views_seen(views, person),

@@ -8,8 +8,8 @@ from typing import Literal
 
 from app.database.connection import snapshot
 from app.history import tables, unit_history
-from app.history.series import draw
 from app.history.series.downsampling import Points, Series, downsample, grid, holes_in, series
+from app.history.series.figures import STORED_DECIMALS, draw_series
 from app.history.series.runs import HOUR, MINUTE
 from app.history.series.values import VALUES, Marks, Scaling, Value, scaling
 from app.history.tables import BlockKey
@@ -74,9 +74,9 @@ def _run_draw(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery
     half = replace(query, most=max(1, query.most // 2))
     before, section = (run_query(connection, tail, each) for each in stored_queries(half))
     coarser = max(before, section, key=lambda each: each.bucket)
-    made = draw.draw_series(before.series, section.series, coarser.bucket)
+    made = draw_series(before.series, section.series, coarser.bucket)
     damaged = [*before.damaged, *section.damaged]
-    return QueryResult(made, coarser.resolution, coarser.bucket, draw.STORED_DECIMALS, damaged)
+    return QueryResult(made, coarser.resolution, coarser.bucket, STORED_DECIMALS, damaged)
 
 
 def _run(source: unit_history.StoredUnit, query: SeriesQuery) -> QueryResult:

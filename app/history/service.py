@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 from typing import TypeVar
 
 import structlog
 
 from app.audit.entry import EventKind
-from app.database.connection import is_intact
-from app.errors import DamagedStoreError, StoreError
+from app.errors import StoreError
 from app.history import tables
 from app.history.query import QueryResult, SeriesQuery, run_query
 from app.history.series.runs import SECOND, micros
@@ -19,7 +17,6 @@ from app.history.series.values import Interval
 from app.history.status import HistoryStatus
 from app.history.tables import BlockKey
 from app.history.tail import Tail
-from app.history.upkeep import TABLES, damaged_blocks
 from app.history.writer import Writer
 from app.settings import Settings
 from bus.contract import Update
@@ -27,8 +24,6 @@ from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 FILE = "history.db"
-FIRST_INSPECTION_S = 600.0
-DAY_S = 86_400.0
 T = TypeVar("T")
 log = structlog.get_logger()
 
@@ -102,28 +97,6 @@ class History:
         """Blocks that could not be read: the writer sets them aside and reports them."""
         self._writer.report(damaged)
 
-    async def inspect_daily(self) -> None:
-        """Look for damage, soon after the start and then once a day."""
-        await asyncio.sleep(FIRST_INSPECTION_S)
-        while True:
-            await self.inspect()
-            await asyncio.sleep(DAY_S)
-
-    async def inspect(self) -> None:
-        """Check everything that is kept; damage is reported."""
-        try:
-            database = self._writer.database
-            for table in TABLES:
-                if not await database.read(partial(is_intact, table=table)):
-                    self._writer.report_torn()
-                    return
-            async for block in damaged_blocks(database):
-                self.report([block])
-        except DamagedStoreError:
-            self._writer.report_torn()
-        except StoreError as error:
-            log.warning("history could not be inspected", why=str(error))
-
     async def read(self, work: Callable[[tables.StoreConnection, Tail], T], *, costly: bool = False) -> T:
         """``work`` on a read-only connection and the tail, in a thread; what is ``costly`` apart from all
         others. Raises StoreError."""
@@ -131,9 +104,6 @@ class History:
         try:
             read = database.read_costly if costly else database.read
             return await read(lambda connection: work(connection, tail))
-        except DamagedStoreError:
-            self._writer.report_torn()
-            raise
         except ValueError as error:
             raise StoreError(Message.of("store_damaged", path=str(self.path), error=str(error))) from error
 

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 
 from app.history import tables
 from app.history.query import SeriesQuery, has_raw, scale_of
-from app.history.series.draw import DrawFigures, SpeedStretch, draw_figures
-from app.history.series.run_time import (
+from app.history.series.figures import (
+    DrawFigures,
     RunFigures,
     RunStretch,
+    SpeedStretch,
+    draw_figures,
     run_figures,
     runs_of_minutes,
     stretches,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from urllib.parse import parse_qsl, urlencode
 
+from app.audit.acts import Act
 from app.audit.log import EventLog
 from app.database import Database, StoreConnection
 from app.database.connection import upsert
 from app.errors import Problem
-from app.history.acts import DELETE_SHARED, SHARE
-from app.web.admission.access import Person
+from app.web.admission.access import Person, Role
 from bus.instants import unix_now
 from bus.messages import Message
 
@@ -120,3 +120,9 @@ def _refuse_full(connection: StoreConnection, sender: str, name: str, *, shared:
         raise Problem(409, "too_many", Message.of("views_of_person_full", n=MAX_OF_PERSON))
     if (shared and count("shared = 1") >= MAX_SHARED) or count("1 = 1") >= MAX_OF_SITE:
         raise Problem(409, "too_many", Message("views_of_site_full"))
+
+
+SHARE = Act("share_view", Role.OPERATOR, "configuration", "event_view_shared")
+DELETE_SHARED = Act("delete_shared_view", Role.ENGINEER, "configuration", "event_view_deleted")
+"""Of another person; each deletes their own."""
+ACTS = (SHARE, DELETE_SHARED)

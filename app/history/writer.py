@@ -21,13 +21,20 @@ from app.database.presence import proves_intact
 from app.database.reserve import free_bytes
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.history import tables
-from app.history.recorder import Delivery, Recorder
-from app.history.series.runs import DAY, SECOND, micros
+from app.history.recorder import Delivery, FoundDamage, Recorder, compact, set_aside
+from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, micros
 from app.history.settings import HistorySettings
-from app.history.status import NOTICES, HistoryStatus, StoreState, damage_message, store_message
-from app.history.tables import BlockKey
+from app.history.status import (
+    NOTICES,
+    DiskReserve,
+    HistoryStatus,
+    StoreState,
+    damage_message,
+    space,
+    store_message,
+)
+from app.history.tables import BlockKey, DamagedBlock
 from app.history.tail import Tail
-from app.history.upkeep import DiskReserve, FoundDamage, Upkeep, set_aside, space
 from app.web.api.shape import iso
 from bus.instants import ClockWatch, Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number
@@ -56,6 +63,89 @@ OnFault = Callable[[EventKind, Message], None]
 """Called from the writer's thread with the kind of event that it becomes."""
 
 
+SETTLED_S = 3600.0
+"""After a start or a clock step nothing is given up for its age for so long: the clock may be wrong."""
+LATE = 10 * MINUTE
+"""How long workers buffer while the app is away: an hour that ended longer ago is complete."""
+MAX_DROPPED = 50
+"""Blocks given up in one transaction."""
+MAX_PAGES = 2000
+"""Given back to the disk at a time."""
+
+
+class Upkeep:
+    """Called by the writer's thread between commits, for a short while each time."""
+
+    def __init__(
+        self,
+        database: Database,
+        kept: HistorySettings,
+        reserve: DiskReserve,
+        on_damage: FoundDamage,
+    ) -> None:
+        self._database = database
+        self._kept = kept
+        self._reserve = reserve
+        self._on_damage = on_damage
+        self._settled_at = monotonic_now() + SETTLED_S
+        self._to_sweep = True
+
+    def clock_stepped(self, now: int) -> None:
+        """Old readings are uncertain for a while; ``now`` in µs, by the clock as it was set."""
+        self._settled_at = monotonic_now() + SETTLED_S
+        self._database.write_now(lambda c: tables.correct_raw_from(c, now))
+
+    def look(self) -> tuple[int, StoreState]:
+        """Free bytes where the store is, and what they mean."""
+        free = free_bytes(self._database.path.parent)
+        return free, space(free, self._reserve)
+
+    def compact(self, now: int, deadline: Monotonic) -> None:
+        """Pack hours that are over until ``deadline`` (monotonic seconds)."""
+        before = now - now % HOUR
+        if now - before < LATE:
+            before -= HOUR
+        while monotonic_now() < deadline:
+            found = self._database.read_now(lambda c: tables.next_to_compact(c, before))
+            if found is None:
+                return
+            try:
+                self._database.write_now(lambda c, found=found: compact(c, *found))  # type: ignore[misc]
+            except DamagedBlock as damaged:
+                set_aside(self._database, damaged.block, self._on_damage)
+
+    def give_up_old(self, now: int) -> None:
+        """Choose the readings past their retention; :meth:`sweep` then deletes them."""
+        if monotonic_now() < self._settled_at:
+            return
+        horizon = now - self._kept.raw_days * DAY
+        self._give_up_before(horizon - horizon % HOUR)
+        self._database.write_now(lambda c: tables.drop_rollups(c, now - self._kept.years * 365 * DAY))
+
+    def trim(self, now: int) -> None:
+        """Give up the oldest hour of readings, since the disk is short; the last hour is worth more than
+        the little space it takes."""
+        oldest = self._database.read_now(tables.oldest_packed)
+        if oldest is not None and oldest - oldest % HOUR + HOUR <= now - HOUR:
+            self._give_up_before(oldest - oldest % HOUR + HOUR)
+
+    def sweep(self, deadline: Monotonic) -> None:
+        """Take away what was given up, until ``deadline`` (monotonic seconds)."""
+        while self._to_sweep and monotonic_now() < deadline:
+            dropped = self._database.write_now(lambda c: tables.drop_raw(c, tables.raw_from(c), MAX_DROPPED))
+            self._to_sweep = dropped == MAX_DROPPED
+            self._database.give_back(MAX_PAGES)
+
+    def _give_up_before(self, horizon: int) -> None:
+        def move(connection: tables.StoreConnection) -> bool:
+            further = horizon > tables.raw_from(connection)
+            if further:
+                tables.write_raw_from(connection, horizon)
+            return further
+
+        self._to_sweep = self._database.write_now(move) or self._to_sweep
+
+
 @dataclass(slots=True)
 class OpenStore:
     """The store, and what writes into it."""
@@ -81,7 +171,8 @@ class Writer:
         self._on_fault = on_fault
         self._on_damage: FoundDamage = partial(on_fault, "server")
         self._reported: deque[BlockKey] = deque(maxlen=MAX_REPORTED)
-        self._torn = False
+        self._is_torn = False
+        """Pages are damaged, and the store is to be replaced."""
         self._replaced_at = Monotonic(-math.inf)
         self.tail = Tail()
         self._queue: deque[Delivery] = deque()
@@ -123,10 +214,6 @@ class Writer:
         """Blocks that a reader could not read; any thread calls it."""
         self._reported.extend(damaged)
 
-    def report_torn(self) -> None:
-        """A reader met pages that SQLite cannot follow; any thread calls it."""
-        self._torn = True
-
     @property
     def status(self) -> HistoryStatus:
         message = self._status.message or damage_message(self._status, iso)
@@ -155,7 +242,7 @@ class Writer:
             work()
         except DamagedStoreError as error:
             log.error("history", damaged=str(error))
-            self._torn = True
+            self._is_torn = monotonic_now() - self._replaced_at >= REPLACE_EVERY_S
             self._fail(error.message)
         except StoreError as error:
             self._fail(error.message)
@@ -167,10 +254,8 @@ class Writer:
 
     def _tick(self) -> None:
         self._watch_clock()
-        if self._torn and not self._ending.is_set():
-            self._replace_store()
         if not self._writable:
-            if monotonic_now() < self._retry_at:
+            if monotonic_now() < self._retry_at and not self._is_torn:
                 return
             self._open_store()
         self._watch_disk()
@@ -220,13 +305,16 @@ class Writer:
                 self._open.database.close()
 
     def _open_store(self) -> None:
-        """Open the store, with its journal in the tail. Raises StoreError."""
+        """Open the store and load its journal into the tail. Raises StoreError."""
+        aside = self._put_aside_if_torn()
         database = Database(self._path, MIGRATIONS)
         recorder = Recorder(database, self.tail, self._on_damage)
         try:
             # The first row shows whether the store can be written.
             database.write_now(lambda c: tables.correct_raw_from(c, micros(unix_now())))
             recorder.replay()
+            if aside:
+                database.write_now(lambda c: tables.note_replaced(c, aside, micros(unix_now())))
         except BaseException:
             database.close()
             raise
@@ -235,25 +323,20 @@ class Writer:
         self._writable, self._look_at = True, Monotonic(0.0)
         if before is not None:
             before.database.close()
+        if aside:
+            self._on_damage(Message.of("event_history_put_aside", file=aside))
 
-    def _replace_store(self) -> None:
-        """Put a store with damaged pages aside, and go on in a new one. A second look decides: the first may
-        have met an error of the memory or of the disk that passed."""
-        self._torn = False
-        if monotonic_now() - self._replaced_at < REPLACE_EVERY_S:
-            return
-        self._replaced_at = monotonic_now()
-        opened, self._writable, self._open = self._open, False, None
+    def _put_aside_if_torn(self) -> str:
+        """Rename a store whose pages SQLite cannot follow, and return its new name; empty where it is well. A
+        second look decides: the first may have met an error of the memory or of the disk that passed."""
+        if not self._is_torn:
+            return ""
+        self._is_torn, self._replaced_at = False, monotonic_now()
+        opened, self._open = self._open, None
         if opened is not None:
             opened.database.close()
         # The end of the server does not wait for a look at all pages.
-        if proves_intact(self._path, self._ending.is_set):
-            self._open_store()
-            return
-        file = put_aside(self._path).name
-        self._open_store()
-        self.database.write_now(lambda c: tables.note_replaced(c, file, micros(unix_now())))
-        self._on_damage(Message.of("event_history_put_aside", file=file))
+        return "" if proves_intact(self._path, self._ending.is_set) else put_aside(self._path).name
 
     def _fail(self, cause: Message) -> None:
         """Stored history can still be read, until the store is opened again."""

@@ -18,8 +18,7 @@ from app.handover.rules.scope import Scope
 from app.handover.rules.shift_times import Shift
 from app.handover.sheet.sheet import ShiftSignatures, SignedShiftSheet, signed_json, write_sheet
 from app.handover.signing.signatures import signed_sheet
-from app.history.series.draw import DrawFigures
-from app.history.series.run_time import RunFigures, StopCause
+from app.history.series.figures import DrawFigures, RunFigures, StopCause
 from app.history.series.runs import SECOND, micros
 from app.history.unit_report import MAX_READINGS, BusReport, UnitReport
 from app.settings import Settings

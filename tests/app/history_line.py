@@ -8,14 +8,13 @@ from pathlib import Path
 
 from app.database import Database
 from app.history import tables
-from app.history.folding import compact
 from app.history.query import QueryResult, SeriesQuery, run_query
-from app.history.recorder import Recorder
+from app.history.recorder import Recorder, compact
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
 from app.history.settings import HistorySettings
+from app.history.status import DiskReserve
 from app.history.tail import Tail
-from app.history.upkeep import DiskReserve
 from app.history.writer import MIGRATIONS, Writer
 from bus.contract import ParameterValue, Reading, Update
 from bus.messages import Message

@@ -12,7 +12,7 @@ from typing import cast
 
 import pyarrow.parquet
 
-from app.history.export import Format, response
+from app.history.export import Format, export_response
 from app.history.service import History
 from app.history.spans import Span, series_queries
 from app.settings import ServerSettings, Settings
@@ -31,7 +31,7 @@ async def main(folder: Path, file: Format, span: Span) -> None:
     history.start()
     queries = series_queries(history, ["line/1/actual", "line/1/analog", "line/1/run"], span, 1)
     before = peak_mb()
-    exported = await response(history, queries, file, "minutes")
+    exported = await export_response(history, queries, file, "minutes")
     with (folder / "export").open("wb") as out:
         async for part in exported.body_iterator:
             out.write(part.encode() if isinstance(part, str) else part)

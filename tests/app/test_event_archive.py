@@ -34,7 +34,7 @@ from app.audit.queries import Filter
 from app.database import Database, StoreConnection
 from app.database.migration import MIGRATIONS
 from app.errors import ConstraintError
-from app.history.forecast import growth_of_events
+from app.history.status import growth_of_events
 from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.intents import intend

@@ -12,20 +12,21 @@ from pathlib import Path
 
 import pytest
 
+from app.errors import DamagedStoreError
 from app.history import writer as writing
-from app.history.folding import compact
 from app.history.query import SeriesQuery, run_query
+from app.history.recorder import Recorder, compact
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.series.values import VALUES
 from app.history.service import FILE, History
 from app.history.settings import HistorySettings
-from app.history.status import store_notice
+from app.history.status import DiskReserve, store_notice
 from app.history.tables import BlockKey, StoredTier
-from app.history.upkeep import DiskReserve, Upkeep
-from app.history.writer import Writer
+from app.history.writer import Upkeep, Writer
 from app.settings import ServerSettings, Settings
 from app.web.rendering.formats import Formats
 from bus.instants import unix_now
+from bus.messages import Message
 from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
 from tests.app.stage import until as arrived
 
@@ -121,7 +122,7 @@ def test_an_hour_with_a_damaged_minute_is_packed_without_it(shelf: Shelf) -> Non
     assert (len(found.series.at), found.damaged) == (601, [])
 
 
-async def test_the_daily_check_finds_it_and_reports_it_once(
+async def test_a_damaged_block_that_is_read_is_a_gap_and_reported_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writing, "LOOK_EVERY_S", 0.0)
@@ -134,12 +135,12 @@ async def test_the_daily_check_finds_it_and_reports_it_once(
     history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
     history.on_fault(lambda _kind, what, _at: words.append(str(what)))
     history.start()
+    query = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 180), 1000)
     try:
-        await history.inspect()
-        until(lambda: history.status.damaged == 1)
+        for _ in range(2):
+            assert len((await history.query([query]))[0].series.at) == 600
+            until(lambda: history.status.damaged == 1)
         assert "stored values were damaged" in str(history.status.message)
-        await history.inspect()
-        until(lambda: history.status.state == "ok")
     finally:
         history.close()
     await asyncio.sleep(0)
@@ -149,26 +150,24 @@ async def test_the_daily_check_finds_it_and_reports_it_once(
 
 @pytest.mark.parametrize("seed", range(6))
 async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: Path, seed: int) -> None:
-    """Half of the store is overwritten at once; recording continues in a new one."""
-    words: list[str] = []
-    writer = opened(tmp_path, on_damage=lambda what: words.append(str(what)))
+    """Half of the store is overwritten at once; recording continues, in a new store where it has to."""
+    writer = opened(tmp_path)
     writer.take((BUS.name, polls(NOON, NOON + 900, NOISE.__getitem__)))
     writer.close()
     history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
-    history.on_fault(lambda _kind, what, _at: words.append(str(what)))
     history.start()
     try:
         overwrite_pages(tmp_path / FILE, random.Random(seed))
-        await history.inspect()
-        await arrived(lambda: bool(words), "the damage")
+        history.append(BUS.name, polls(NOON, NOON + 900))
         history.append(BUS.name, polls(NOON + 1200, NOON + 1260))
-        until(lambda: history.status.state == "ok" and history.status.waiting == 0)
-        query = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON + 1200), micros(NOON + 1260), 1000)
+        await arrived(lambda: history.status.waiting == 0 and len(history._writer.tail) == 0, "folding")
+        await arrived(lambda: history.status.state == "ok", "a store that can be written")
+        history.append(BUS.name, polls(NOON + 1300, NOON + 1360))
+        await arrived(lambda: history.status.waiting == 0, "recording")
+        query = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON + 1300), micros(NOON + 1360), 1000)
         assert len((await history.query([query]))[0].series.at) == 300
     finally:
         history.close()
-    with closing(sqlite3.connect(tmp_path / FILE)) as connection:
-        assert connection.execute("PRAGMA quick_check").fetchone() == ("ok",)
 
 
 def overwrite_pages(path: Path, chance: random.Random) -> None:
@@ -207,7 +206,7 @@ def test_a_torn_store_is_put_aside_and_history_begins_again(
     size = torn(tmp_path)
     words: list[str] = []
     writer = opened(tmp_path, on_damage=lambda what: words.append(str(what)))
-    writer.report_torn()
+    meet_damage(writer)
     until(lambda: bool(words) and writer.status.put_aside != "")
     [aside] = tmp_path.glob(f"{FILE}.damaged-*Z")
     assert aside.stat().st_size >= size
@@ -230,29 +229,46 @@ def test_a_torn_store_is_put_aside_and_history_begins_again(
     writer.close()
 
 
-def test_a_store_that_is_torn_again_within_a_day_is_not_replaced(tmp_path: Path) -> None:
+def test_a_store_that_is_torn_again_within_a_day_is_not_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "RETRY_S", 0.1)
     torn(tmp_path)
     writer = opened(tmp_path)
-    for _ in range(2):
-        writer.report_torn()
-        until(lambda: not writer._torn)
-    writer.take((BUS.name, polls(NOON + 2400, NOON + 2460)))
+    meet_damage(writer)
+    until(lambda: bool(list(tmp_path.glob(f"{FILE}.damaged-*Z"))) and writer.status.state == "ok")
+    with monkeypatch.context() as damaged:
+        damaged.setattr(Recorder, "commit", fail_damaged)
+        writer.take((BUS.name, polls(NOON + 2400, NOON + 2460)))
+        until(lambda: writer.status.state == "failed")
     until(lambda: writer.status.waiting == 0)
+    assert readings_of(writer) == 300
     writer.close()
     assert len(list(tmp_path.glob(f"{FILE}.damaged-*Z"))) == 1
 
 
-def test_a_store_that_proves_intact_is_not_put_aside(tmp_path: Path) -> None:
+def test_a_store_that_proves_intact_is_not_put_aside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As after an error of the memory, which a second look does not meet."""
+    monkeypatch.setattr(writing, "RETRY_S", 0.1)
     writer = opened(tmp_path)
-    writer.take((BUS.name, polls(NOON, NOON + 60)))
-    until(lambda: writer.status.waiting == 0)
     before = writer._open
-    writer.report_torn()
-    until(lambda: writer._open not in (None, before))
+    with monkeypatch.context() as damaged:
+        damaged.setattr(Recorder, "commit", fail_damaged)
+        writer.take((BUS.name, polls(NOON, NOON + 60)))
+        until(lambda: writer._open not in (None, before))
+    until(lambda: writer.status.waiting == 0)
     assert readings_of(writer) == 300
     writer.close()
     assert not list(tmp_path.glob(f"{FILE}.damaged-*"))
+
+
+def fail_damaged(*_: object) -> None:
+    raise DamagedStoreError(Message("store_is_damaged"))
+
+
+def meet_damage(writer: Writer) -> None:
+    """Store late readings of the minute that lies on the page that :func:`tear` overwrites."""
+    writer.take((BUS.name, polls(NOON + 900, NOON + 930)))
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.001, 0.3, 0.9])

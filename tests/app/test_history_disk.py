@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.history.status import StoreState
-from app.history.upkeep import DiskReserve, space
+from app.history.status import DiskReserve, StoreState, space
 
 RESERVE = DiskReserve(announce=1000, trim=500, pause=100)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from app.history.query import SeriesQuery, run_query, stored_queries
 from app.history.series.downsampling import Series
-from app.history.series.draw import draw_series
+from app.history.series.figures import draw_series
 from app.history.series.runs import SECOND, micros
 from app.history.series.values import LONG_GAP, VALUES
 from bus.settings import BusSettings, UnitSettings

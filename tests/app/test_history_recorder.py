@@ -10,13 +10,14 @@ from pathlib import Path
 import pytest
 
 from app.history import tables, unit_history
-from app.history.folding import compact
+from app.history.recorder import compact
 from app.history.series.downsampling import Points
 from app.history.series.runs import HOUR, micros
 from app.history.series.values import VALUES
 from app.history.settings import HistorySettings
+from app.history.status import DiskReserve
 from app.history.unit_history import StoredUnit
-from app.history.upkeep import SETTLED_S, DiskReserve, Upkeep
+from app.history.writer import SETTLED_S, Upkeep
 from bus.contract import BusLink, UnitLink
 from tests.app.history_line import BUS, NOON, Shelf, parameter, polls, reading
 
@@ -285,7 +286,7 @@ def test_readings_are_stored_after_a_clock_was_ahead_for_long(
 ) -> None:
     """What was given up was before a time of the next year, and new readings were given up, too."""
     running = [0.0]
-    monkeypatch.setattr("app.history.upkeep.monotonic_now", lambda: running[0])
+    monkeypatch.setattr("app.history.writer.monotonic_now", lambda: running[0])
     upkeep = Upkeep(shelf.database, HistorySettings(), DiskReserve(), lambda _: None)
     shelf.keep(polls(NOON, NOON + 60))
     shelf.fold()

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from app.history.export_rows import Cell, ExportRow
+from app.history.export_rows import MAX_ROWS, STEPS, Cell, ExportRow, Together, step_of
 from app.history.series.runs import DAY, SECOND
-from app.history.together import MAX_ROWS, STEPS, Together, step_of
 
 S = SECOND
 

@@ -13,7 +13,7 @@ from app.history import tables
 from app.history.query import SeriesQuery, run_query
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
-from app.history.upkeep import DiskReserve
+from app.history.status import DiskReserve
 from app.history.writer import Writer
 from tests.app.history_line import BUS, NOON, Shelf, opened, parameter, polls, until
 

@@ -22,9 +22,15 @@ from app.database import Database
 from app.handover.notes.notes import Note
 from app.handover.notes.notes import add as add_note
 from app.handover.rules.shift_times import Shift
-from app.history.series.draw import SpeedStretch, draw_figures
+from app.history.series.figures import (
+    RunFigures,
+    SpeedStretch,
+    draw_figures,
+    run_figures,
+    runs_of_minutes,
+    stretches,
+)
 from app.history.series.rollup import rollup
-from app.history.series.run_time import RunFigures, run_figures, runs_of_minutes, stretches
 from app.history.series.runs import MINUTE, SECOND, Run
 from app.history.series.values import Marks
 from bus.contract import Reading

@@ -18,8 +18,8 @@ from app.cli.site.facts import backup_facts, certificate_facts, disk_facts
 from app.database import Database
 from app.database.connection import open_unchanged
 from app.database.reserve import MIN_FREE_OF_OTHERS
-from app.history.forecast import MAX_DAYS, days_left, growth_of_history
 from app.history.series.runs import DAY, HOUR, micros
+from app.history.status import MAX_DAYS, days_left, growth_of_history
 from app.settings import load
 from bus.instants import UnixTime, unix_now
 from tests.app.history_line import NOON, Shelf, polls

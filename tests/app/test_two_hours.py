@@ -18,8 +18,8 @@ import httpx
 import pytest
 
 from app.database.connection import examining
-from app.history.forecast import growth_of_history
 from app.history.series.runs import micros
+from app.history.status import growth_of_history
 from benchmarks.processes import cpu_seconds, memory_mib
 from bus.instants import UnixTime
 from tests.e2e.site import add_people, command, end, eventually, free_port, unit_tables

@@ -13,7 +13,7 @@ from app.database.connection import examining
 from app.database.migration import is_store, refuse_newer, refuse_unfinished
 from app.database.presence import presence_of, refusal_to_start
 from app.errors import StoreError, TooCostlyError
-from app.history.upkeep import DiskReserve, space
+from app.history.status import DiskReserve, space
 from app.settings import STORE_FILE, Settings
 from bus.instants import monotonic_now
 from bus.messages import Message, number

@@ -17,9 +17,9 @@ from app.database.connection import examining
 from app.database.migration import COMPANIONS
 from app.database.reserve import free_bytes
 from app.errors import StoreError
-from app.history.forecast import MAX_DAYS, days_left, growth_of_events, growth_of_history
 from app.history.series.runs import micros
 from app.history.service import FILE as HISTORY
+from app.history.status import MAX_DAYS, days_left, growth_of_events, growth_of_history
 from app.settings import STORE_FILE, Settings
 from bus.certificate import Certificate, MalformedCertificateError, certificates_in
 from bus.instants import UnixTime

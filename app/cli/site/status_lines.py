@@ -17,7 +17,7 @@ from app.cli.site.facts import (
     disk_facts,
 )
 from app.handover.rules.shift_times import site_time
-from app.history.forecast import MAX_DAYS
+from app.history.status import MAX_DAYS
 from app.settings import Settings
 from app.version import VERSION
 from app.web.api.shape import iso

@@ -9,7 +9,7 @@ from itertools import groupby
 
 from app.cli.simulated.past.story import MAX_UNITS, Past, Stretch, setpoint_of
 from app.database import Database, StoreConnection
-from app.history import folding, tables
+from app.history import recorder, tables
 from app.history.series.rollup import combine, minute_rollups
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, micros
 from app.history.series.values import DECIDING, Marks, ParameterStep, intervals
@@ -71,7 +71,7 @@ def _write_blocks(connection: StoreConnection, key: int, runs: list[PlainRun], m
             rollups.append(combine(rows, hour))
         tables.write_rollups(connection, "hours", key, day, rollups)
     bits = intervals(((run[0], run[1], run[6]) for run in runs), marks, MINUTE)
-    folding.replace_bits(connection, {key: ()}, {key: bits})
+    recorder.replace_bits(connection, {key: ()}, {key: bits})
 
 
 def _is_online(stretch: Stretch) -> bool:
