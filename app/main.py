@@ -16,7 +16,7 @@ from app.auth import feature as auth
 from app.auth.pages import CALLBACK
 from app.auth.rights.access import Identify, RecordRefusals
 from app.auth.rights.identity import Identity
-from app.auth.rights.lasting import Rechecks
+from app.auth.rights.rights import Rights
 from app.backup import feature as backup
 from app.commands import feature as commands
 from app.configuration import feature as configuration
@@ -113,7 +113,7 @@ def create_app(
     app.add_middleware(HeadAsGet)
     # What waits for the provider of company accounts takes no turn from the login page.
     app.add_middleware(AnonymousLimiter, exempt=(HEALTH, CALLBACK))
-    app.add_middleware(Identify, identity=services[Identity], rechecks=services[Rechecks], demo=demo)
+    app.add_middleware(Identify, identity=services[Identity], rights=services[Rights], demo=demo)
     app.add_middleware(RequestRules, allowed_hosts=settings.server.allowed_hosts)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)

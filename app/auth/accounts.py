@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Collection
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 
 from app.audit.acts import Act
 from app.audit.log import EventLog
 from app.auth import acts, rules, store
-from app.auth.rights import notices
-from app.auth.rights.notices import Kind, RightsNotice
 from app.auth.sign_in import strength
 from app.auth.sign_in.passwords import hash_secret
 from app.auth.store import CompanyAccount, Token, User
 from app.database import Database, StoreConnection
 from app.errors import ConstraintError, Problem
-from app.web.admission.access import AccountSubscriber, Person, Role, account_of, name_of
+from app.web.admission.access import Person, Role, account_of, name_of
 from bus.errors import CallerError
 from bus.instants import Clock, unix_now
 from bus.messages import Message, ParamValue, term
@@ -36,11 +34,10 @@ class Accounts:
     _clock: Clock = unix_now
     buses: Collection[str] = ()
     site: str = ""
-    _subscribers: list[AccountSubscriber] = field(default_factory=list)
+    _subscribers: list[Callable[[], Awaitable[None]]] = field(default_factory=list)
 
-    def on_changed(self, subscriber: AccountSubscriber) -> None:
-        """Call ``subscriber`` after each change. It gets the account of a user who chose another password and
-        stays signed in, else an empty text."""
+    def on_changed(self, subscriber: Callable[[], Awaitable[None]]) -> None:
+        """Call ``subscriber`` after each change."""
         self._subscribers.append(subscriber)
 
     async def users(self) -> list[User]:
@@ -95,7 +92,6 @@ class Accounts:
             if there.disabled or there.role is role:
                 return there, None
             store.set_role(connection, there.name, role)
-            notices.announce(connection, RightsNotice("changed", there.name))
             what = Message.of("event_role_followed", name=there.name, role=term(role))
             return replace(there, role=role), what
 
@@ -103,7 +99,7 @@ class Accounts:
         if what is not None:
             await self._events.record(kind="user", what=what, who=user.name, origin=address)
             for subscriber in self._subscribers:
-                await subscriber("")
+                await subscriber()
         return user
 
     async def set_role(self, name: str, role: Role, *, by: Person) -> None:
@@ -140,7 +136,7 @@ class Accounts:
     async def change_own_password(self, password: str, *, by: Person, keep: bytes) -> None:
         """Set the password of the user who requests it. The session with the hash ``keep`` stays, every other
         one of the user ends. Raises CallerError."""
-        async with self._performing(acts.CHANGE_OWN_PASSWORD, by, kept=by.name, name=by.name):
+        async with self._performing(acts.CHANGE_OWN_PASSWORD, by, name=by.name):
             check_has_own_password(by)
             await self._set_password(by.name, password, keep)
 
@@ -172,15 +168,13 @@ class Accounts:
     async def revoke_token(self, name: str, *, by: Person) -> None:
         """Raises CallerError for one that is not there."""
         async with self._performing(acts.REVOKE_TOKEN, by, name=name):
-            if not await self._database.write(lambda connection: _revoke(connection, name)):
+            if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
                 raise CallerError(Message.of("no_such_token", name=name[:80]))
 
     @asynccontextmanager
-    async def _performing(
-        self, act: Act, by: Person, *, kept: str = "", **params: ParamValue
-    ) -> AsyncIterator[None]:
+    async def _performing(self, act: Act, by: Person, **params: ParamValue) -> AsyncIterator[None]:
         """Check the role of ``by`` before an act; record the act once it is done, with ``params``, and call
-        the subscribers with ``kept``."""
+        the subscribers."""
         act.check(by)
         yield
         performed = act.by(by, **params)
@@ -188,7 +182,7 @@ class Accounts:
         performed["who"], performed["origin"] = by.name or by.address, by.address
         await self._events.record(**performed)
         for subscriber in self._subscribers:
-            await subscriber(kept)
+            await subscriber()
 
     async def _add(self, user: User, secret: str, *, is_first: bool = False) -> None:
         rules.check_name(user.name)
@@ -235,26 +229,17 @@ class Accounts:
             raise CallerError(Message.of("no_password_of_company_account", name=name))
         strength.check_secret(password, user=name, panel=found[0].panel, site=self.site)
         hashed = await hash_secret(password)
-        kind: Kind = "kept" if keep else "changed"
-        await self._change(name, lambda c: store.set_secret(c, name, hashed, keep), kind)
+        await self._change(name, lambda c: store.set_secret(c, name, hashed, keep))
 
-    async def _change(
-        self, name: str, change: Callable[[StoreConnection], bool], kind: Kind = "changed"
-    ) -> None:
+    async def _change(self, name: str, change: Callable[[StoreConnection], bool]) -> None:
         def guarded(connection: StoreConnection) -> None:
             before = store.admins_left(connection)
             if not change(connection):
                 raise CallerError(Message.of("no_such_user", name=name[:80]))
             if before and not store.admins_left(connection):
                 raise CallerError(Message.of("last_admin", name=name))
-            notices.announce(connection, RightsNotice(kind, name))
 
         await self._database.write(guarded)
-
-
-def _revoke(connection: StoreConnection, name: str) -> bool:
-    notices.announce(connection, RightsNotice("changed", account_of(name, token=True)))
-    return store.revoke_token(connection, name)
 
 
 def check_is_user(person: Person) -> None:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from app.audit.log import EventLog
 from app.auth import api, pages, users
 from app.auth.accounts import Accounts
 from app.auth.acts import ACTS
 from app.auth.oidc.single_sign_on import SingleSignOn
-from app.auth.rights import notices
 from app.auth.rights.identity import Identity
-from app.auth.rights.lasting import Rechecks
 from app.auth.rights.rights import Rights
 from app.auth.sign_in.first_admin import FirstAdmin
 from app.auth.sign_in.signin import SignIn
@@ -23,20 +19,11 @@ from app.server.admission.refusal_log import RefusalLog
 def make(services: Services) -> None:
     settings, database, events = services.settings, services[Database], services[EventLog]
     site, buses = settings.site.name, list(services.buses)
-    rechecks = services.add(Rechecks())
     accounts = services.add(Accounts(database, events, buses=buses, site=site))
-    rights = services.add(Rights(database, accounts.on_changed, rechecks))
+    rights = services.add(Rights(database))
+    accounts.on_changed(rights.apply)
     services.lifespan.add("rights", rights.watch)
-    sessions = settings.server.sessions
-    sign_in = services.add(
-        SignIn(
-            database,
-            events,
-            sessions,
-            site=site,
-            rechecks=rechecks,
-        )
-    )
+    sign_in = services.add(SignIn(database, events, settings.server.sessions, rights, site=site))
     single_sign_on = services.add(SingleSignOn(settings.oidc, accounts, sign_in, events))
     if settings.oidc is not None:
         services.lifespan.add(
@@ -45,15 +32,8 @@ def make(services: Services) -> None:
     first_admin = services.add(FirstAdmin(accounts, sign_in, events))
     if not services.demo:
         services.lifespan.add("first admin", start=first_admin.start)
-    services.lifespan.add("notices of rights", start=partial(_listen, database, rights, sign_in))
     services.add(RefusalLog())
     services.add(Identity(database, sign_in, services.worker_tokens))
-
-
-async def _listen(database: Database, rights: Rights, sign_in: SignIn) -> None:
-    """Before the first request: no change is missed."""
-    database.listen(notices.CHANNEL, rights.on_notice)
-    database.listen(notices.CHANNEL, sign_in.on_notice)
 
 
 FEATURE = Feature(make, (api.router, pages.router, users.router), ACTS)

@@ -99,8 +99,6 @@ _USER = (
 )
 _TOKEN = "id, name, role, created_by, created_at, used_at, bus, expires_at"
 
-_TOKENS_BY_HASH = f"SELECT {_TOKEN}, hash FROM tokens"
-
 
 def _user(row: StoreRow) -> User:
     """The user in the columns `_USER`, the first of a row."""
@@ -266,34 +264,19 @@ def session(connection: StoreConnection, hash_: bytes) -> Session | None:
     return Session(_user(row), row["begun_at"], row["used_at"], row["expires_at"])
 
 
-def sessions(connection: StoreConnection, limit: int) -> dict[bytes, Session]:
-    """The sessions that were used last, by their hash."""
-    query = (
-        f"SELECT {_USER}, s.hash, s.created_at AS begun_at, s.used_at, s.expires_at "
-        "FROM sessions s JOIN users u USING (name) ORDER BY s.used_at DESC LIMIT ?"
-    )
-    rows = connection.execute(query, (limit,))
-    return {
-        bytes(row["hash"]): Session(_user(row), row["begun_at"], row["used_at"], row["expires_at"])
-        for row in rows
-    }
-
-
 def prolong_session(connection: StoreConnection, hash_: bytes, now: UnixTime, ends: UnixTime) -> None:
     change = "UPDATE sessions SET used_at = ?, expires_at = ? WHERE hash = ?"
     connection.execute(change, (now, ends, hash_))
 
 
-def end_session(connection: StoreConnection, hash_: bytes, name: str, now: UnixTime) -> bool:
-    """Sign out. Whether it was the user's last session."""
+def end_session(connection: StoreConnection, hash_: bytes) -> None:
     connection.execute("DELETE FROM sessions WHERE hash = ?", (hash_,))
-    return not has_session(connection, name, now)
 
 
-def has_session(connection: StoreConnection, name: str, now: UnixTime) -> bool:
-    """Whether a user is signed in anywhere."""
-    query = "SELECT 1 FROM sessions WHERE name = ? AND expires_at > ?"
-    return connection.execute(query, (name, now)).fetchone() is not None
+def signed_in(connection: StoreConnection, now: UnixTime) -> set[str]:
+    """Return the names of the users with a session."""
+    query = "SELECT DISTINCT name FROM sessions WHERE expires_at > ?"
+    return {row["name"] for row in connection.execute(query, (now,))}
 
 
 def end_sessions_of(connection: StoreConnection, name: str, keep: bytes = b"") -> None:
@@ -308,11 +291,6 @@ def tokens(connection: StoreConnection) -> list[Token]:
 def token(connection: StoreConnection, hash_: bytes) -> Token | None:
     row = connection.execute(f"SELECT {_TOKEN} FROM tokens WHERE hash = ?", (hash_,)).fetchone()
     return _token(row) if row else None
-
-
-def tokens_by_hash(connection: StoreConnection) -> dict[bytes, Token]:
-    """Every token by its hash."""
-    return {bytes(row["hash"]): _token(row) for row in connection.execute(_TOKENS_BY_HASH)}
 
 
 def add_token(connection: StoreConnection, hash_: bytes, token: Token) -> None:

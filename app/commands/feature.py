@@ -5,7 +5,6 @@ from __future__ import annotations
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
 from app.auth.rights.rights import Rights
-from app.auth.sign_in.signin import SignIn
 from app.commands.acts import ACTS
 from app.commands.api import commands, safeguards, trace
 from app.commands.catalogue import ROLES_BY_COMMAND
@@ -50,7 +49,6 @@ def make(services: Services) -> None:
             control_required=services.settings.site.control,
             find=services[Accounts].find,
             rights=rights,
-            sessions=services[SignIn],
         )
         services.lifespan.add(f"safeguards of {name}", start=of_bus.add(guards).load)
         live, channel = of_bus[BusLive], of_bus[Channel]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar
 
 from app.database.private import make_file, make_folder, refuse_link
 from app.database.words import in_words
@@ -21,22 +21,11 @@ STEPS = 20_000
 BUSY_S = 5.0
 
 
-class WritingConnection(sqlite3.Connection):
-    """The one connection of a store that writes."""
-
-    def __init__(self, *place: Any, **options: Any) -> None:
-        super().__init__(*place, **options)
-        self.notices: list[tuple[str, str]] = []
-        """Channels and texts that the present transaction notifies, once it is committed."""
-
-
-def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> WritingConnection:
+def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.Connection:
     """Open the one connection that writes (and checkpoints). Autocommit: transactions are begun by hand."""
     make_folder(path.parent)
     make_file(path)
-    connection = sqlite3.connect(
-        path, timeout=BUSY_S, isolation_level=None, check_same_thread=False, factory=WritingConnection
-    )
+    connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
     connection.row_factory = sqlite3.Row
     # Only in a new store; in one with tables it changes nothing.
     connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
@@ -117,12 +106,6 @@ def upsert(table: str, key: Sequence[str], values: Sequence[str]) -> str:
     columns, replaced = (*key, *values), ", ".join(f"{name} = excluded.{name}" for name in values)
     row = f"({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
     return f"INSERT INTO {table} {row} ON CONFLICT ({', '.join(key)}) DO UPDATE SET {replaced}"
-
-
-def notify(connection: sqlite3.Connection, channel: str, text: str) -> None:
-    """Pass a text to every listener of a channel, once this transaction is committed."""
-    if isinstance(connection, WritingConnection):
-        connection.notices.append((channel, text))
 
 
 def has_column(connection: sqlite3.Connection, table: str, column: str) -> bool:

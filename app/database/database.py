@@ -22,7 +22,6 @@ from bus.messages import Message
 P = ParamSpec("P")
 T = TypeVar("T")
 Work = Callable[[sqlite3.Connection], T]
-Listener = Callable[[str], None]
 READERS = 4
 COSTLY_READERS = 2
 COSTLY_S = 3.0
@@ -60,7 +59,6 @@ class Database:
         self._costly = ThreadPoolExecutor(COSTLY_READERS, thread_name_prefix=f"{path.stem}-costly")
         self._local = threading.local()
         self._opened: list[sqlite3.Connection] = []
-        self._listeners: list[tuple[str, asyncio.AbstractEventLoop, Listener]] = []
 
     async def write(self, work: Work[T]) -> T:
         """Run ``work`` in one transaction on the writer's thread; it is on disk when this returns."""
@@ -78,24 +76,13 @@ class Database:
         """Run ``work`` in one transaction on this thread: the command line's, or the writer's own."""
         if self._reserve is not None:
             self._reserve.keep()
-        connection = self._connection
-        try:
-            with in_words(self.path):
-                result = transact(connection, work)
-            if connection.notices:
-                self._deliver(connection.notices)
-        finally:
-            connection.notices.clear()
-        return result
+        with in_words(self.path):
+            return transact(self._connection, work)
 
     def read_now(self, work: Work[T]) -> T:
         """Run ``work`` on a read-only connection of this thread."""
         with in_words(self.path):
             return work(self._reader())
-
-    def listen(self, channel: str, callback: Listener) -> None:
-        """Call ``callback`` on the running event loop with each text that is notified by a transaction."""
-        self._listeners.append((channel, asyncio.get_running_loop(), callback))
 
     def give_back(self, pages: int) -> None:
         """Return so many pages of deleted rows to the disk. For the writer's own thread."""
@@ -108,12 +95,6 @@ class Database:
             pool.shutdown()
         for connection in (*self._opened, self._connection):
             connection.close()
-
-    def _deliver(self, notices: list[tuple[str, str]]) -> None:
-        for noticed, text in notices:
-            for channel, loop, callback in self._listeners:
-                if channel == noticed and not loop.is_closed():
-                    loop.call_soon_threadsafe(callback, text)
 
     def _read_within(self, work: Work[T]) -> T:
         connection, end = self._reader(), time.thread_time() + COSTLY_S

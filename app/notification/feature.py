@@ -29,7 +29,6 @@ def make(services: Services) -> None:
             services[ReportAttachments],
         )
     )
-    services.lifespan.add("outbox", start=notification.listen)
     services.lifespan.add("notification", notification.dispatcher.follow, start=notification.load)
     for name, bus in services.buses.items():
         alarms = bus[BusAlarms]

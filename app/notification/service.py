@@ -99,10 +99,6 @@ class Notification:
         self._key = await self.store.link_key()
         await self.maintenance.load()
 
-    async def listen(self) -> None:
-        """Look at the outbox where any server put something into it; once at start."""
-        self.outbox.listen(self.dispatcher.wake)
-
     def present(self) -> tuple[list[QuietSpan], UnixTime, datetime]:
         """When nothing is notified, the present, and the present by the clock of the site."""
         return self.maintenance.spans(), self._clock(), self.local_time()

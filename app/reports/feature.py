@@ -8,7 +8,7 @@ from app.feature import Feature, Services
 from app.find.finders import Finders, FixedPlace
 from app.history.service import History
 from app.notification.message.attachment import ReportAttachments
-from app.notification.outbox.outbox import NotificationOutbox
+from app.notification.service import Notification
 from app.reports import api, pages
 from app.reports.document import ReportDocuments
 from app.reports.schedule import ReportSchedule
@@ -26,7 +26,8 @@ def make(services: Services) -> None:
     services.add(ReportAttachments(documents.attachment))
     services[Finders].add_links("find_actions", [FixedPlace(Message("find_report"), "/reports")])
     if settings.report:
-        schedule = ReportSchedule(settings, NotificationOutbox(database))
+        # Notification is made later: it needs the attachments.
+        schedule = ReportSchedule(settings, lambda items: services[Notification].dispatcher.add(items))
         services.lifespan.add("reports", schedule.follow)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from zoneinfo import ZoneInfo
 
 import structlog
@@ -11,13 +11,13 @@ import structlog
 from app.errors import StoreError
 from app.handover.rules.shift_times import site_time
 from app.notification.message.notice import OutboxItem, ReportNotice
-from app.notification.outbox.outbox import NotificationOutbox
 from app.notification.sending.endpoints import NotificationEndpoint
 from app.reports.rules.spans import last_due
 from app.settings import Settings
 from bus.instants import Clock, UnixTime, unix_now
 
 CHECK_S = 20.0
+Send = Callable[[list[OutboxItem]], Awaitable[None]]
 log = structlog.get_logger()
 
 
@@ -25,9 +25,9 @@ class ReportSchedule:
     """The outbox takes each report once for each of its addresses: a server that was off sends the report
     that it missed, and none twice."""
 
-    def __init__(self, settings: Settings, outbox: NotificationOutbox, clock: Clock = unix_now) -> None:
+    def __init__(self, settings: Settings, send: Send, clock: Clock = unix_now) -> None:
         self._settings = settings
-        self._outbox = outbox
+        self._send = send
         self._clock = clock
 
     async def follow(self) -> None:
@@ -43,7 +43,7 @@ class ReportSchedule:
         """Put the reports that are due now into the outbox."""
         items = list(self._due(self._clock()))
         if items:
-            await self._outbox.add(items)
+            await self._send(items)
 
     def _due(self, now: UnixTime) -> Iterator[OutboxItem]:
         starts, zone = self._settings.shift.minutes, ZoneInfo(self._settings.site.zone)

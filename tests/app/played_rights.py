@@ -23,6 +23,3 @@ class PlayedRights:
 
     def on_withdrawn(self, _subscriber: AccountSubscriber) -> None:
         """Do nothing: subscribers are not notified of what a test withdraws."""
-
-    def on_signed_out(self, _subscriber: AccountSubscriber) -> None:
-        """Everyone stays signed in."""

@@ -249,7 +249,6 @@ class Stage:
             control_required=control,
             find=find,
             rights=self.rights,
-            sessions=self.rights,
         )
         self.commands = self.commands_after_restart()
         self.app = FastAPI()

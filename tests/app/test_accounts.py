@@ -211,11 +211,12 @@ async def test_a_user_of_the_machine_without_a_name_is_recorded_as_the_command_l
     assert (events[0]["who"], (await accounts.tokens())[0].created_by) == (str(line), str(line))
 
 
-async def test_subscribers_get_each_change_and_the_session_that_is_kept(accounts: Accounts) -> None:
-    received: list[str] = []
+async def test_subscribers_get_each_change(accounts: Accounts) -> None:
+    received = 0
 
-    async def receive(kept: str) -> None:
-        received.append(kept)
+    async def receive() -> None:
+        nonlocal received
+        received += 1
 
     accounts.on_changed(receive)
     await accounts.add_user("ann", Role.VIEWER, PASSWORD, **BY)
@@ -223,7 +224,7 @@ async def test_subscribers_get_each_change_and_the_session_that_is_kept(accounts
     await accounts.change_own_password("another good one", keep=b"session", by=ANN)
     await accounts.create_token("plc", Role.VIEWER, **BY)
     await accounts.revoke_token("plc", **BY)
-    assert received == ["", "", "ann", "", ""]
+    assert received == 5
 
 
 async def test_every_way_to_a_password_or_pin_has_the_same_rules(accounts: Accounts) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from app.audit import acts
 from app.auth import pages, rules, store
-from app.auth.rights import lasting, rights
+from app.auth.rights import rights
 from app.auth.sign_in import signin, strength, throttle
 from app.live.api import line_stream
 from app.server.admission import addresses
@@ -118,7 +118,7 @@ def test_every_limit_of_signing_in_is_documented_with_its_value() -> None:
         signin.MAX_WAITING,
         pages.DEVICE_KNOWN_S / rules.DAY,
         store.MAX_PLACES,
-        lasting.RECHECK_S,
+        rights.RECHECK_S,
         rights.WATCH_EVERY_S * 1000,
     ]
     assert len(rows) == table.count("\n|") - 1, "a row without a number"

@@ -14,7 +14,8 @@ from starlette.types import Send
 from starlette.websockets import WebSocketDisconnect
 
 from app.auth.accounts import Accounts
-from app.auth.rights.lasting import NO_LONGER_SIGNED_IN, Rechecks, run_while_allowed
+from app.auth.rights.access import NO_LONGER_SIGNED_IN, run_while_allowed
+from app.auth.rights.rights import Rights
 from app.main import create_app
 from app.web.admission.access import Role
 from tests.administrator import BY
@@ -44,7 +45,7 @@ class Socket:
 class Right:
     """Of one connection; a test takes it away. ``looks``: how often it was looked up."""
 
-    rechecks: Rechecks = field(default_factory=Rechecks)
+    rights: Rights = field(default_factory=lambda: Rights(None))  # type: ignore[arg-type]
     is_good: bool = True
     looks: int = 0
     on_look: Callable[[], None] = lambda: None
@@ -56,11 +57,11 @@ class Right:
         return found
 
     async def withdrawn(self, every_s: float = NEVER_S) -> None:
-        await self.rechecks.until_withdrawn("ann", self.is_allowed, 0, every_s)
+        await self.rights.until_withdrawn(self.is_allowed, 0, every_s)
 
     def withdraw(self) -> None:
         self.is_good = False
-        self.rechecks.now("ann")
+        self.rights.announce()
 
 
 async def settled() -> None:
@@ -116,7 +117,7 @@ async def test_a_right_that_cannot_be_looked_up_ends_it_with_the_failure() -> No
     right.on_look = fail
     task = asyncio.ensure_future(run_while_allowed(socket.work, right.withdrawn, socket.send, is_socket=True))
     await settled()
-    right.rechecks.now()
+    right.rights.announce()
     with pytest.raises(ZeroDivisionError):
         await ended(task)
     assert socket.ended
@@ -134,21 +135,19 @@ async def test_a_server_that_ends_takes_it_along() -> None:
     assert socket.ended
 
 
-async def test_it_is_looked_at_when_rights_of_its_account_change_and_not_of_another() -> None:
+async def test_it_is_looked_at_when_rights_change() -> None:
     right = Right()
     task = asyncio.ensure_future(right.withdrawn())
     await settled()
-    right.rechecks.now("bob")
-    await settled()
     assert right.looks == 0
-    for number, account in enumerate(("ann", None), 1):
-        right.rechecks.now(account)
+    for number in (1, 2):
+        right.rights.announce()
         await settled()
         assert right.looks == number
     assert not task.done()
     right.withdraw()
     await ended(task)
-    right.rechecks.now("ann")
+    right.rights.announce()
 
 
 async def test_a_change_before_it_was_followed_is_looked_at_too() -> None:
@@ -163,7 +162,7 @@ async def test_a_change_during_a_look_is_looked_at_too() -> None:
     task = asyncio.ensure_future(right.withdrawn())
     await settled()
     right.on_look = right.withdraw
-    right.rechecks.now("ann")
+    right.rights.announce()
     await ended(task)
     assert right.looks == 2
 
@@ -194,7 +193,7 @@ async def test_a_response_in_pieces_ends_with_its_right(waits_in: str) -> None:
 
     task = asyncio.ensure_future(run_while_allowed(respond, right.withdrawn, slow))
     await waiting.wait()
-    right.rechecks.now("ann")
+    right.rights.announce()
     await settled()
     assert not task.done(), "its right is good"
     right.withdraw()

@@ -14,7 +14,7 @@ from app.auth.accounts import Accounts
 from app.auth.oidc.provider import Provider
 from app.auth.oidc.single_sign_on import SingleSignOn
 from app.auth.pages import ATTEMPT_COOKIE
-from app.auth.rights.lasting import NO_LONGER_SIGNED_IN
+from app.auth.rights.access import NO_LONGER_SIGNED_IN
 from app.web.admission.access import Role
 from app.web.admission.cookies import SESSION
 from tests.administrator import BY

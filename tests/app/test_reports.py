@@ -201,7 +201,7 @@ async def test_a_day_is_sent_once_to_each_address_as_a_page(tmp_path: Path, mail
     at = datetime.now(UTC).strftime("%H:%M")
     async with mill(tmp_path, MAIL.format(port=mail.port, at=at)) as house:
         notification = house.services[Notification]
-        schedule = ReportSchedule(house.services.settings, notification.outbox)
+        schedule = ReportSchedule(house.services.settings, notification.dispatcher.add)
         await schedule.look()
         await schedule.look()
         received = [await mail.mail(count) for count in (1, 2, 3)]

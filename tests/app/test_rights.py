@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -60,13 +60,8 @@ class Scene:
     withdrawn: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.rights = Rights(
-            self.database, self.on_changed, clock=lambda: self.now, monotonic=lambda: self.now
-        )
+        self.rights = Rights(self.database, clock=lambda: self.now, monotonic=lambda: self.now)
         self.rights.on_withdrawn(self._note)
-
-    def on_changed(self, _subscriber: Callable[[str], Awaitable[None]]) -> None:
-        """This process changes no account."""
 
     async def _note(self, account: str) -> None:
         self.withdrawn.append(account)

@@ -12,7 +12,7 @@ from app.auth import rules
 from app.auth.accounts import Accounts
 from app.auth.rights.rights import Rights
 from app.database import Database
-from app.web.admission.access import Person, Role
+from app.web.admission.access import Role
 from tests.administrator import BY
 
 PASSWORD = "correct horse"
@@ -27,7 +27,8 @@ class House:
         self.here, self.elsewhere = (
             Accounts(each, EventLog(each), lambda: self.now, buses=("dry-end",)) for each in self.stores
         )
-        self.rights = Rights(self.stores[0], self.here.on_changed, clock=lambda: self.now)
+        self.rights = Rights(self.stores[0], clock=lambda: self.now)
+        self.here.on_changed(self.rights.apply)
         self.notified: list[str] = []
 
         async def receive(account: str) -> None:
@@ -65,7 +66,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
     ],
 )
 async def test_a_change_by_another_process_is_reported(house: House, change: str, account: str) -> None:
-    there, looked = house.elsewhere, house.rights.rechecks.count
+    there, looked = house.elsewhere, house.rights.changes
     match change:
         case "revoke":
             await there.revoke_token("plc", **BY)
@@ -84,7 +85,7 @@ async def test_a_change_by_another_process_is_reported(house: House, change: str
     assert house.notified == []
     await house.rights.refresh()
     assert house.notified == [account]
-    assert house.rights.rechecks.count > looked, "open connections look again"
+    assert house.rights.changes > looked, "open connections look again"
     await house.rights.refresh()
     assert house.notified == [account]
 
@@ -94,17 +95,6 @@ async def test_a_change_that_ends_no_rights_is_not_reported(house: House) -> Non
     await house.elsewhere.create_token("hmi", Role.VIEWER, **BY)
     await house.rights.refresh()
     await house.stores[0].write(lambda c: c.execute("UPDATE users SET seen_at = 5"))
-    await house.rights.refresh()
-    assert house.notified == []
-
-
-async def test_an_own_new_password_withdraws_nothing(house: House) -> None:
-    """A password that its owner changes keeps the session, and with it control of a line."""
-    keep = rules.secret_hash("session")
-    ann = Person("ann", Role.ENGINEER, "session")
-    await house.here.change_own_password("another good one", keep=keep, by=ann)
-    await house.rights.refresh()
-    await house.elsewhere.create_token("hmi", Role.VIEWER, **BY)
     await house.rights.refresh()
     assert house.notified == []
 

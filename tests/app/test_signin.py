@@ -38,8 +38,9 @@ class House:
         self.database = database
         self.log = EventLog(database, lambda: self.now)
         self.accounts = Accounts(database, self.log, lambda: self.now, buses=OWN)
+        self.rights = Rights(database, lambda: self.now)
         self.sign_in = SignIn(
-            database, self.log, Sessions(), lambda: self.now, lambda: self.running, site="Mill 7"
+            database, self.log, Sessions(), self.rights, lambda: self.now, lambda: self.running, site="Mill 7"
         )
         self.identity = Identity(database, self.sign_in, OWN, lambda: self.now)
 
@@ -239,14 +240,14 @@ async def test_a_replaced_hash_withdraws_no_rights(house: House) -> None:
     await house.add()
     cookie = await house.enter()
     await hashed_by_an_earlier_version(house)
-    person, rights = await house.identity.by_cookie(cookie), Rights(house.database, house.accounts.on_changed)
+    person = await house.identity.by_cookie(cookie)
     assert person is not None
     await house.enter()
-    await rights.check(person)
+    await house.rights.check(person)
     assert await house.identity.by_cookie(cookie) == person
     await house.accounts.set_password("ann", "another good one", **BY)
     with pytest.raises(Problem, match="the password was changed"):
-        await Rights(house.database, house.accounts.on_changed).check(person)
+        await Rights(house.database).check(person)
 
 
 async def test_a_password_that_was_changed_meanwhile_is_not_put_back(house: House) -> None:
@@ -415,7 +416,7 @@ def gone(house: House) -> list[str]:
     async def notify(name: str) -> None:
         notified.append(name)
 
-    house.sign_in.on_signed_out(notify)
+    house.rights.on_withdrawn(notify)
     return notified
 
 
@@ -434,4 +435,31 @@ async def test_a_session_that_is_over_is_reported_once(house: House, gone: list[
     cookie = await house.enter()
     house.now += LIFETIME.idle_s + 1
     assert [await house.identity.by_cookie(cookie) for _ in range(2)] == [None, None]
+    assert gone == ["ann"]
+
+
+async def test_a_session_that_no_one_uses_is_over_without_a_request(house: House, gone: list[str]) -> None:
+    await house.add()
+    await house.enter()
+    house.now += LIFETIME.idle_s - 1
+    await house.rights.refresh()
+    assert gone == []
+    house.now += 1
+    for _ in range(2):
+        await house.rights.refresh()
+    assert gone == ["ann"]
+
+
+async def test_an_own_new_password_withdraws_nothing(house: House, gone: list[str]) -> None:
+    """Whichever look at the store comes first: the session of the browser goes on, and control of a line."""
+    await house.add()
+    cookie, _ = await house.enter(), await house.enter()
+    person = await house.identity.by_cookie(cookie)
+    assert person is not None
+    new = "another good one"
+    await house.accounts.change_own_password(new, by=person, keep=rules.secret_hash(cookie))
+    await house.rights.refresh()
+    assert gone == []
+    await house.accounts.set_password("ann", f"x{new}", **BY)
+    await house.rights.refresh()
     assert gone == ["ann"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from app.database.connection import (
     has_column,
     is_intact,
     json_member,
-    notify,
     open_for_reading,
     open_for_writing,
     size_of,
@@ -86,23 +84,3 @@ def test_a_snapshot_sees_one_instant(store: Database) -> None:
 def test_intact_pages_of_a_table_and_of_the_store(store: Database) -> None:
     assert store.read_now(is_intact)
     assert store.read_now(lambda connection: is_intact(connection, "events"))
-
-
-async def test_what_a_transaction_notifies_is_passed_on_once_it_is_committed(store: Database) -> None:
-    texts: asyncio.Queue[str] = asyncio.Queue()
-
-    def announce(connection: StoreConnection, text: str) -> None:
-        notify(connection, "rights", text)
-        notify(connection, "other", "for others")
-        if text == "never":
-            raise ValueError("midway")
-
-    store.listen("rights", texts.put_nowait)
-    with pytest.raises(ValueError, match="midway"):
-        await store.write(lambda connection: announce(connection, "never"))
-    async with asyncio.timeout(10):
-        while texts.empty():
-            await store.write(lambda connection: announce(connection, "anna"))
-            await asyncio.sleep(0.05)
-        assert await texts.get() == "anna"
-    await asyncio.to_thread(store.close)

@@ -17,8 +17,9 @@ import pytest
 
 from app.auth.accounts import Accounts
 from app.auth.rights import rights
+from app.auth.rights.access import NO_LONGER_SIGNED_IN
 from app.auth.rights.identity import Identity
-from app.auth.rights.lasting import NO_LONGER_SIGNED_IN, Rechecks
+from app.auth.rights.rights import Rights
 from app.live.state.bus_live import LiveState
 from app.web.admission.access import Role
 from tests.administrator import BY
@@ -33,7 +34,7 @@ PATHS = ["/live", "/api/v1/stream", "/api/v1/stream?bus=dry-end"]
 @pytest.fixture
 async def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[House]:
     """Nothing is looked at by time, neither by a connection nor by the server."""
-    monkeypatch.setattr(Rechecks.until_withdrawn, "__defaults__", (NEVER_S,))
+    monkeypatch.setattr(Rights.until_withdrawn, "__defaults__", (NEVER_S,))
     monkeypatch.setattr(rights, "WATCH_EVERY_S", NEVER_S)
     async with complete_app(tmp_path) as house:
         house.services[LiveState].buses["dry-end"].take_snapshot(snapshot())
@@ -174,7 +175,7 @@ async def test_it_ends_after_a_change_by_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: str
 ) -> None:
     """Another process: the server looks at its store twice a second, the connection at nothing."""
-    monkeypatch.setattr(Rechecks.until_withdrawn, "__defaults__", (NEVER_S,))
+    monkeypatch.setattr(Rights.until_withdrawn, "__defaults__", (NEVER_S,))
     async with complete_app(tmp_path) as house:
         house.services[LiveState].buses["dry-end"].take_snapshot(snapshot())
         client = await house.signed_in(Role.OPERATOR, "ann")

@@ -17,7 +17,8 @@ from starlette.websockets import WebSocketDisconnect
 from app.audit.log import CHUNK, EventLog
 from app.auth.accounts import Accounts
 from app.auth.pages import DEVICE_COOKIE
-from app.auth.rights.lasting import NO_LONGER_SIGNED_IN, Rechecks
+from app.auth.rights.access import NO_LONGER_SIGNED_IN
+from app.auth.rights.rights import Rights
 from app.auth.rules import SECRET_LENGTH
 from app.auth.sign_in import passwords
 from app.auth.sign_in.signin import SignIn
@@ -326,7 +327,7 @@ def test_a_token_that_the_command_line_revokes_stops_soon(
     tmp_path: Path, path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It was looked at every 20 s only, which is never here; and a command line is another process."""
-    monkeypatch.setattr(Rechecks.until_withdrawn, "__defaults__", (1e6,))
+    monkeypatch.setattr(Rights.until_withdrawn, "__defaults__", (1e6,))
     role, bus = (Role.WORKER, "dry-end") if path == "/feed" else (Role.VIEWER, "")
     app = create_app(settings_in(tmp_path))
     accounts = app.state.services[Accounts]

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable, Coroutine
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import Any
 from urllib.parse import quote, urlsplit
 
 from starlette.datastructures import Headers
@@ -16,7 +19,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from app.audit.log import EventLog
 from app.auth.rights.identity import ExpiredTokenError, Identity
-from app.auth.rights.lasting import Rechecks, run_while_allowed
+from app.auth.rights.rights import Rights
 from app.auth.sign_in.signin import count_refusal
 from app.errors import Problem, StoreError
 from app.server.admission.handshakes import Handshakes
@@ -44,6 +47,10 @@ PUBLIC_PATHS = frozenset(
     }
 )
 PUBLIC_PREFIX = "/static/"
+NO_LONGER_SIGNED_IN = 4401
+"""Close code: 4000 and the HTTP status of the same refusal."""
+
+Withdrawal = Callable[[], Coroutine[Any, Any, None]]
 
 
 class Identify:
@@ -51,10 +58,10 @@ class Identify:
     that is not valid is refused even where the demo needs none. A WebSocket or a
     response in pieces ends with the rights of its person."""
 
-    def __init__(self, app: ASGIApp, identity: Identity, rechecks: Rechecks, *, demo: bool = False) -> None:
+    def __init__(self, app: ASGIApp, identity: Identity, rights: Rights, *, demo: bool = False) -> None:
         self._app = app
         self._identity = identity
-        self._rechecks = rechecks
+        self._rights = rights
         self._demo = demo
         self._handshakes = Handshakes()
 
@@ -62,7 +69,7 @@ class Identify:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        connection, seen = HTTPConnection(scope), self._rechecks.count
+        connection, seen = HTTPConnection(scope), self._rights.changes
         try:
             person = await self._person(connection)
         except Problem as problem:
@@ -82,9 +89,8 @@ class Identify:
             return
         scope["person"] = replace(person, address=address_of(connection))
         client_connection(scope).identify(person.account)
-        withdrawal = partial(
-            self._rechecks.until_withdrawn, person.account, partial(self._is_still, connection, person), seen
-        )
+        is_still = partial(self._is_still, connection, person)
+        withdrawal = partial(self._rights.until_withdrawn, is_still, seen)
         is_socket = scope["type"] == "websocket"
         if is_socket:
             await asyncio.sleep(self._handshakes.wait_s(person.account, monotonic_now()))
@@ -112,6 +118,49 @@ class Identify:
         if person is None and self._demo and _is_loopback(connection):
             return Person("demo", Role.ADMIN, "demo")
         return person
+
+
+async def run_while_allowed(
+    run: Callable[[Send], Awaitable[None]], withdrawal: Withdrawal, send: Send, *, is_socket: bool = False
+) -> None:
+    """Run ``run``, which sends a response or has a WebSocket open, and end it when it is allowed no longer: a
+    WebSocket by its close, a response in pieces where it is, also while it waits for its next piece or for a
+    slow reader. A response that is sent at once costs nothing. ``withdrawal`` returns once it is allowed no
+    longer."""
+    running, watch, is_over = asyncio.current_task(), None, False
+    assert running is not None
+
+    def end(_: asyncio.Task[None]) -> None:
+        if not is_over:
+            running.cancel()
+
+    async def sending(message: AsgiMessage) -> None:
+        nonlocal watch
+        if watch is None and message.get("more_body"):
+            watch = _follow(withdrawal, end)
+        await send(message)
+
+    if is_socket:
+        watch = _follow(withdrawal, end)
+    try:
+        await run(sending)
+    except asyncio.CancelledError:
+        if watch is None or not watch.done() or running.uncancel():
+            raise
+        if is_socket:
+            with suppress(RuntimeError, OSError):
+                await send({"type": "websocket.close", "code": NO_LONGER_SIGNED_IN})
+        watch.result()  # raises where the right could not be looked up
+    finally:
+        is_over = True
+        if watch is not None:
+            watch.cancel()
+
+
+def _follow(withdrawal: Withdrawal, end: Callable[[asyncio.Task[None]], None]) -> asyncio.Task[None]:
+    watch = asyncio.create_task(withdrawal())
+    watch.add_done_callback(end)
+    return watch
 
 
 async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -> None:

@@ -38,7 +38,7 @@ class Identity:
             return None
         lifetime = self._sign_in.lifetime_of(session.user)
         if min(session.expires_at, lifetime.ends_at(session.created_at, session.used_at)) <= now:
-            await self._sign_in.end(hash_, session.user.name)
+            await self._sign_in.end(hash_)
             return None
         if is_use and now - session.used_at >= rules.USE_NOTED_EVERY_S:
             ends = lifetime.ends_at(session.created_at, now)

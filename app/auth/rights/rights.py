@@ -1,21 +1,20 @@
 """What every account may do now, in memory: looked up before each command of work that lasts.
 
-A request is authorized when it comes. A restore, a batch or a change of the baud rate goes on for minutes
-after that, and its account may be disabled meanwhile, also by the command line in another process.
+A request is authorized when it comes. A restore, a batch, a change of the baud rate or an open page goes on
+after that, and its account may be disabled meanwhile, also by the command line in another process. All of it
+follows from one look at the store: twice a second, and after each change that this process makes.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
-from dataclasses import InitVar, dataclass, field
+from dataclasses import dataclass, field
 
 import structlog
 
 from app.auth import store
-from app.auth.rights import notices
-from app.auth.rights.lasting import Rechecks
 from app.database import Database, StoreConnection
 from app.errors import Problem, StoreError
 from app.web.admission.access import AccountSubscriber, Person, Role, account_of
@@ -25,6 +24,8 @@ from bus.messages import Message
 WATCH_EVERY_S = 0.5
 FRESH_S = 1.0
 """What was read longer ago permits nothing before the store has been read again."""
+RECHECK_S = 20.0
+"""How often an open connection looks up a right that ends without a change, as the idle time of a session."""
 
 USER_ENDED = Message("rights_user_ended")
 TOKEN_ENDED = Message("rights_token_ended")
@@ -36,10 +37,12 @@ _log = structlog.get_logger()
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """The rights of one account. ``credential`` distinguishes it from an earlier one of the same name."""
+    """The rights of one account. ``credential`` distinguishes it from an earlier one of the same name;
+    ``signed_in``: whether it is a user with a session."""
 
     role: Role
     credential: str
+    signed_in: bool = False
 
 
 def why_withdrawn(person: Person, standing: Standing | None) -> Message | None:
@@ -54,25 +57,19 @@ def why_withdrawn(person: Person, standing: Standing | None) -> Message | None:
 
 @dataclass(eq=False, repr=False)
 class Rights:
-    """Holds the rights of every account. ``on_changed`` takes what is called after each change that this
-    process makes to accounts. ``rechecks``: makes open connections check theirs again."""
+    """Holds the rights of every account. ``changes``: how often one of them has changed."""
 
     _database: Database
-    on_changed: InitVar[Callable[[AccountSubscriber], None]]
-    rechecks: Rechecks = field(default_factory=Rechecks)
     clock: Clock = unix_now
     monotonic: MonotonicClock = monotonic_now
+    changes: int = 0
+    _changed: asyncio.Event = field(default_factory=asyncio.Event)
     _standings: Mapping[str, Standing] = field(default_factory=dict)
     _read_at: Monotonic = Monotonic(float("-inf"))
     _withdrawn: list[AccountSubscriber] = field(default_factory=list)
-    _noticed: asyncio.Event = field(default_factory=asyncio.Event)
-    _kept: str = ""
-
-    def __post_init__(self, on_changed: Callable[[AccountSubscriber], None]) -> None:
-        on_changed(self._on_account_change)
 
     def on_withdrawn(self, subscriber: AccountSubscriber) -> None:
-        """Call ``subscriber`` with each account that may do less than before."""
+        """Call ``subscriber`` with each account that may do less than before, or is signed in no more."""
         self._withdrawn.append(subscriber)
 
     async def check(self, person: Person) -> None:
@@ -86,63 +83,69 @@ class Rights:
         if reason:
             raise Problem(403, "rights_withdrawn", reason, outcome="rights_withdrawn")
 
-    async def refresh(self, kept: str = "") -> None:
-        """Read the store now. ``kept``: the account of a user who has just chosen another password, which
-        ends nothing. Raises StoreError."""
+    def announce(self) -> None:
+        """Have each open connection look up again whether it is allowed."""
+        self.changes += 1
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    async def apply(self) -> None:
+        """Apply what this process has just changed of an account, or the end of a session. Raises
+        StoreError."""
+        # First: what acts on a withdrawal may wait for the disk.
+        self.announce()
+        await self.refresh()
+
+    async def refresh(self) -> None:
+        """Read the store now. Raises StoreError."""
         began = self.monotonic()
         standings = await self._database.read(self._read)
         if began < self._read_at:
             return  # another read began later and is here already
         before, self._standings, self._read_at = self._standings, standings, began
-        for account in before.keys() | standings.keys():
-            if before.get(account) != standings.get(account):
-                self.rechecks.now(account)
+        if before != standings:
+            self.announce()
         lessened = [
-            account
-            for account, standing in before.items()
-            if account != kept and _is_less(standing, standings.get(account))
+            account for account, standing in before.items() if _is_less(standing, standings.get(account))
         ]
         # Together: a store that cannot record what one subscriber did keeps no other from acting.
         await asyncio.gather(*(withdrawn(account) for account in lessened for withdrawn in self._withdrawn))
 
-    async def _on_account_change(self, kept: str) -> None:
-        # First: what acts on a withdrawal may wait for the disk. Of all: a change may end sessions alone.
-        self.rechecks.now()
-        await self.refresh(kept)
-
-    def on_notice(self, text: str) -> None:
-        """Another server, or this one, has changed an account: look again at once."""
-        notice = notices.read(text)
-        self.rechecks.now(notice.account or None)
-        if notice.kind == "kept":
-            self._kept = notice.account
-        self._noticed.set()
-
     async def watch(self) -> None:
-        """Run until canceled: apply what the command line and other servers change in the store, by their
-        notices or, where none comes, by looking twice a second."""
+        """Run until canceled: apply what the command line changes in the store, and what ends by itself."""
         fault = ""
         while True:
             try:
-                kept, self._kept = self._kept, ""
-                await self.refresh(kept)
+                await self.refresh()
                 fault = ""
             except StoreError as error:
                 if str(error) != fault:
                     _log.error("rights not read", error=str(error))
                 fault = str(error)
-            with suppress(TimeoutError):
-                async with asyncio.timeout(WATCH_EVERY_S):
-                    await self._noticed.wait()
-            self._noticed.clear()
+            await asyncio.sleep(WATCH_EVERY_S)
+
+    async def until_withdrawn(
+        self, is_allowed: Callable[[], Awaitable[bool]], seen: int, every_s: float = RECHECK_S
+    ) -> None:
+        """Return once ``is_allowed`` denies, which is called at each change and every ``every_s``. ``seen``:
+        the `changes` before it was allowed."""
+        while True:
+            if self.changes == seen:
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(every_s):
+                        await self._changed.wait()
+            seen = self.changes
+            if not await is_allowed():
+                return
 
     def _why_withdrawn(self, person: Person) -> Message | None:
         return why_withdrawn(person, self._standings.get(person.account))
 
     def _read(self, connection: StoreConnection) -> dict[str, Standing]:
         now = self.clock()
+        signed_in = store.signed_in(connection, now)
         return {
-            user.name: Standing(user.role, user.credential)
+            user.name: Standing(user.role, user.credential, user.name in signed_in)
             for user in store.users(connection)
             if not user.disabled
         } | {
@@ -153,6 +156,8 @@ class Rights:
 
 
 def _is_less(before: Standing, now: Standing | None) -> bool:
-    if now is None or now.credential != before.credential:
+    """Whether an account lost something. A user who has chosen another password keeps a session, and with it
+    everything."""
+    if now is None or not now.role.includes(before.role):
         return True
-    return not now.role.includes(before.role)
+    return not now.signed_in and (before.signed_in or now.credential != before.credential)

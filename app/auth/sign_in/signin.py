@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import ceil
@@ -11,9 +10,7 @@ from app.audit.entry import EventKind
 from app.audit.log import EventLog
 from app.auth import rules, store
 from app.auth.acts import LOG_OUT
-from app.auth.rights import notices
-from app.auth.rights.lasting import Rechecks
-from app.auth.rights.notices import RightsNotice
+from app.auth.rights.rights import Rights
 from app.auth.settings import Sessions
 from app.auth.sign_in import strength
 from app.auth.sign_in.passwords import hash_secret, is_outdated, verify_secret
@@ -23,10 +20,10 @@ from app.database import Database, StoreConnection
 from app.errors import Problem, StoreError
 from app.server.admission.addresses import source_of
 from app.server.admission.fair_queue import FairQueue, TooManyWaitingError
-from app.web.admission.access import AccountSubscriber, Person
+from app.web.admission.access import Person
 from app.web.admission.rate_limit import RateLimit
 from bus.errors import CallerError
-from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.instants import Clock, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message, term
 
 _WRONG = {False: Message("name_or_password_wrong"), True: Message("name_or_pin_wrong")}
@@ -53,28 +50,21 @@ class SignedIn:
 
 @dataclass(eq=False, repr=False)
 class SignIn:
-    """The sessions of people and panels, from their beginning to their end. ``rechecks``: makes the open
-    connections of a session that ended check their rights."""
+    """The sessions of people and panels, from their beginning to their end."""
 
     _database: Database
     _events: EventLog
     sessions: Sessions
+    _rights: Rights
     _clock: Clock = unix_now
     _monotonic: MonotonicClock = monotonic_now
     site: str = ""
-    rechecks: Rechecks = field(default_factory=Rechecks)
     _throttle: Throttle = field(default_factory=Throttle)
     _has_users: bool = False
     """Once true it stays so: the last admin with a password cannot be removed."""
     _hashing: FairQueue[str] = field(
         default_factory=lambda: FairQueue(MAX_HASHED_AT_ONCE, 1, MAX_WAITING_OF_PLACE, MAX_WAITING)
     )
-    _signed_out: list[AccountSubscriber] = field(default_factory=list)
-    _following: set[asyncio.Task[None]] = field(default_factory=set)
-
-    def on_signed_out(self, subscriber: AccountSubscriber) -> None:
-        """Call ``subscriber`` with the name of a user whose last session has ended."""
-        self._signed_out.append(subscriber)
 
     async def sign_in(
         self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
@@ -119,7 +109,7 @@ class SignIn:
     async def sign_out(self, cookie: str, person: Person) -> None:
         """End the session of a cookie, which is of this person. Raises Problem 403."""
         LOG_OUT.check(person)
-        await self.end(rules.secret_hash(cookie), person.name)
+        await self.end(rules.secret_hash(cookie))
         performed = LOG_OUT.by(person)
         performed["origin"] = person.address
         await self._events.record(**performed)
@@ -130,31 +120,10 @@ class SignIn:
             self._has_users = await self._database.read(store.has_own_users)
         return not self._has_users
 
-    async def end(self, hash_: bytes, name: str) -> None:
-        """End the session with this hash, of this user."""
-        now = self._clock()
-        was_last = await self._database.write(lambda c: _end_session(c, hash_, name, now))
-        self.rechecks.now(name)
-        if was_last:
-            await self._notify_signed_out(name)
-
-    def on_notice(self, text: str) -> None:
-        """Another server, or this one, has ended the last session of a user."""
-        notice = notices.read(text)
-        if notice.kind == "signed-out":
-            task = asyncio.create_task(self._follow_sign_out(notice.account))
-            self._following.add(task)
-            task.add_done_callback(self._following.discard)
-
-    async def _follow_sign_out(self, name: str) -> None:
-        """Unless the user has signed in again meanwhile."""
-        now = self._clock()
-        with suppress(StoreError):
-            if not await self._database.read(lambda connection: store.has_session(connection, name, now)):
-                await self._notify_signed_out(name)
-
-    async def _notify_signed_out(self, name: str) -> None:
-        await asyncio.gather(*(subscriber(name) for subscriber in self._signed_out))
+    async def end(self, hash_: bytes) -> None:
+        """End the session with this hash."""
+        await self._database.write(lambda connection: store.end_session(connection, hash_))
+        await self._rights.apply()
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""
@@ -239,6 +208,7 @@ class SignIn:
             store.note_places(connection, user.name, places, now)
 
         await self._database.write(begin)
+        await self._rights.refresh()
         await self._events.record(kind="login", what=what, who=user.name, origin=address)
         return SignedIn(session, device, user)
 
@@ -257,12 +227,6 @@ class SignIn:
         # A password typed into the field for the name must not end up in the log.
         who = name if known else Message("unknown_name")
         await count_refusal(self._events, "login_refused", Message("event_sign_in_refused"), who, address)
-
-
-def _end_session(connection: StoreConnection, hash_: bytes, name: str, now: UnixTime) -> bool:
-    was_last = store.end_session(connection, hash_, name, now)
-    notices.announce(connection, RightsNotice("signed-out" if was_last else "changed", name))
-    return was_last
 
 
 async def count_refusal(

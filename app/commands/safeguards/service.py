@@ -11,7 +11,6 @@ from dataclasses import InitVar, dataclass, field
 from app.audit.acts import Act
 from app.audit.log import EventLog
 from app.auth.rights.rights import Rights
-from app.auth.sign_in.signin import SignIn
 from app.commands.acts import (
     BLOCK,
     END_CONTROL_REQUEST,
@@ -57,7 +56,6 @@ class Safeguards:
     control_required: InitVar[bool]
     find: AccountLookup
     rights: Rights
-    sessions: InitVar[SignIn]
     _block_subscribers: list[UnitSubscriber] = field(default_factory=list)
     _control_subscribers: list[Callable[[], None]] = field(default_factory=list)
     _read_only_ends: asyncio.TimerHandle | None = None
@@ -66,13 +64,12 @@ class Safeguards:
     )
     """By account."""
 
-    def __post_init__(self, database: Database, control_required: bool, sessions: SignIn) -> None:
+    def __post_init__(self, database: Database, control_required: bool) -> None:
         self.limits = LimitsStore(database, self._bus)
         self.blocks = BlockStore(database, self._bus)
         self.read_only = ReadOnlyStore(database, self._bus)
         self.control = Control(required=control_required)
         self.rights.on_withdrawn(self.revoke_control)
-        sessions.on_signed_out(self.revoke_control)
 
     async def load(self) -> None:
         """Read limits and blocks, and free control."""

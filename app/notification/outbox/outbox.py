@@ -9,14 +9,11 @@ from dataclasses import asdict, dataclass, fields
 import msgspec
 
 from app.database import Database, StoreConnection
-from app.database.connection import notify
 from app.notification.message.notice import AlarmNotice, OutboxItem, ReportNotice
 from app.notification.rules.delivery import FLOOD_WINDOW_S, DeliveryState, EndpointLoad, Retry
 from bus.instants import UnixTime
 from bus.messages import Message
 
-CHANNEL = "outbox"
-"""Notified of new items: the server that delivers may be another one."""
 MAX_ITEMS = 200
 """Items in one message."""
 MAX_AGE_S = 90 * 86_400.0
@@ -60,10 +57,6 @@ class NotificationOutbox:
 
     def __init__(self, database: Database) -> None:
         self._database = database
-
-    def listen(self, callback: Callable[[], None]) -> None:
-        """Call ``callback`` on this event loop where items are new."""
-        self._database.listen(CHANNEL, lambda _: callback())
 
     async def add(self, items: Iterable[OutboxItem]) -> None:
         """Put items into the outbox that are not there yet."""
@@ -217,10 +210,7 @@ class NotificationOutbox:
 
 def put(connection: StoreConnection, how: str, items: Iterable[OutboxItem]) -> None:
     """Put items into the outbox; ``how`` is `ADD`, `ADD_NEW` or `ADD_TO_NOTIFIED`."""
-    rows = [_row(item) for item in items]
-    connection.executemany(how, rows)
-    if rows:
-        notify(connection, CHANNEL, "new")
+    connection.executemany(how, [_row(item) for item in items])
 
 
 def _row(item: OutboxItem) -> dict[str, object]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
@@ -67,6 +67,11 @@ class Dispatcher:
         for each in self._wakes.values():
             each.set()
 
+    async def add(self, items: Iterable[OutboxItem]) -> None:
+        """Put items into the outbox that are not there yet, and deliver them."""
+        await self._outbox.add(items)
+        self.wake()
+
     async def follow(self) -> None:
         """Deliver what there is, without end."""
         if not self.plan.endpoints:
@@ -83,8 +88,7 @@ class Dispatcher:
         """Send a test message on the way of all others; its delivery after the first attempt, None where that
         takes longer than a person waits."""
         key = f"test:{secrets.token_hex(8)}"
-        await self._outbox.add([OutboxItem(key, endpoint.key, "test", self._clock())])
-        self.wake()
+        await self.add([OutboxItem(key, endpoint.key, "test", self._clock())])
         with suppress(TimeoutError):
             async with asyncio.timeout(TEST_S):
                 while True:
@@ -184,8 +188,7 @@ class Dispatcher:
             if day:
                 at = self._clock()
                 keys = self.plan.present(now)
-                await self._outbox.add(OutboxItem(f"heartbeat:{day}", key, "heartbeat", at) for key in keys)
-                self.wake()
+                await self.add(OutboxItem(f"heartbeat:{day}", key, "heartbeat", at) for key in keys)
                 await self._outbox.prune(at)
             before = now
 
