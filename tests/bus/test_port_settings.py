@@ -18,13 +18,16 @@ import pytest
 from app.live.changes import Changes
 from bus.contract import BusFigures, BusLink
 from bus.line import opener
+from bus.line.port.device import open_device
 from bus.line.port.port_settings import PortSettings, differences
-from bus.settings import BusSettings, UnitSettings
+from bus.messages import Message
+from bus.settings import BusSettings, Dialect, UnitSettings
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
 from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
+from bus.wire.framing import FrameDecoder, ReceivedFrame, encode_frame
 from bus.worker import service
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
@@ -97,9 +100,13 @@ async def further(app: FakeApp) -> None:
 
 
 async def stty(line: LineServer, words: str) -> None:
+    await stty_of(line.port.name, words)
+
+
+async def stty_of(name: str, words: str) -> None:
     """Its exit code means nothing: the settings may be put back before it verifies them."""
     process = await asyncio.create_subprocess_exec(
-        *("stty", "-F", line.port.name, *words.split()), stderr=asyncio.subprocess.DEVNULL
+        *("stty", "-F", name, *words.split()), stderr=asyncio.subprocess.DEVNULL
     )
     await process.wait()
 
@@ -175,6 +182,45 @@ async def test_a_program_that_has_the_port_open_is_named_once(line: LineServer) 
 def terminal() -> Iterator[int]:
     master, slave = os.openpty()
     yield slave
+    os.close(master)
+    os.close(slave)
+
+
+class Received(bytearray):
+    """What a port gave to its receiver."""
+
+    def data_received(self, data: bytes) -> None:
+        self.extend(data)
+
+    def connection_lost(self, cause: Message) -> None:
+        raise AssertionError(cause)
+
+
+@pytest.mark.parametrize("looks", ["none", "at what is beside it", "before the next request"])
+async def test_what_came_in_under_foreign_settings_is_dropped(looks: str) -> None:
+    """Without the highest bits of an even number of bytes, the checksum of a false speed is right."""
+    master, slave = os.openpty()
+    response = encode_frame(bytes.fromhex("02 06 00 00 1B 4E 00 00 1A CE 00 80 01"), Dialect())
+    stripped = bytes(byte & 0x7F for byte in response)
+    (event,) = FrameDecoder(Dialect()).feed(stripped)
+    assert isinstance(event, ReceivedFrame)
+    received = Received()
+    port = await open_device(os.ttyname(slave), 9600, received)
+    await stty_of(os.ttyname(slave), "istrip")
+    os.write(master, response)
+    changed = []
+    if looks == "at what is beside it":
+        changed = port.check()
+    elif looks == "before the next request":
+        port.write(b"request")
+    await asyncio.sleep(0.05)
+    assert received == b""
+    os.write(master, response)
+    while len(received) < len(response):
+        await asyncio.sleep(0.01)
+    assert received == response
+    assert [*changed, *port.check()] == ["istrip"]
+    port.close()
     os.close(master)
     os.close(slave)
 

@@ -31,7 +31,7 @@ class DevicePort:
     def __init__(self, instance: GatedSerial, transport: Any, protocol: PortProtocol, name: str) -> None:
         self._serial = instance
         self._descriptor = instance.device
-        self._settings = PortSettings(instance.device)
+        self._settings = instance.settings = PortSettings(instance.device)
         self._is_silent, self._compared_at = False, time.monotonic()
         self._transport = transport
         self._protocol = protocol
@@ -138,6 +138,8 @@ class GatedSerial(serial.Serial):
         assert self.fd is not None
         self.device: int = self.fd
         self._gate.register(self.device, select.EPOLLIN)
+        self.settings: PortSettings | None = None
+        """Until a DevicePort has it, nothing is requested."""
 
     def fileno(self) -> int:
         """What becomes readable when there is something that is wanted, or the port is gone."""
@@ -148,13 +150,17 @@ class GatedSerial(serial.Serial):
             self._gate.modify(self.device, select.EPOLLIN if now else 0)
 
     def read(self, size: int = 1) -> bytes:
-        """Return the available bytes. The loop has seen that there are some, so this is not checked again."""
+        """Return the available bytes, none that came in under foreign settings. The loop has seen that there are
+        some, so this is not checked again."""
         try:
             data = os.read(self.device, size)
+            if self.settings is not None and self.settings.restore():
+                return b""
         except BlockingIOError:
             return b""
-        except OSError as error:
-            raise serial.SerialException(error.errno, os.strerror(error.errno or 0)) from error
+        except (termios.error, OSError) as error:
+            number = error.args[0] or 0
+            raise serial.SerialException(number, os.strerror(number)) from error
         if not data and select.select([self.device], [], [], 0)[0]:
             raise serial.SerialException("the port is ready but has no device: the adapter was unplugged")
         return data

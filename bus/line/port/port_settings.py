@@ -2,7 +2,7 @@
 
 Every program that may open the device can change them for all others: a terminal, a getty, a modem prober.
 With foreign settings responses vanish for good, and with *echo* the kernel sends each response back onto the
-wire. Comparing them costs 5 microseconds, so that is done before each request.
+wire. Comparing them costs 5 microseconds, so that is done before each request and after each read.
 """
 
 from __future__ import annotations
@@ -116,15 +116,19 @@ class PortSettings:
             controls[_MODEM_LINES] = None
         self._controls = {each: value for each, value in controls.items() if value is not None}
 
-    def restore(self) -> None:
-        """Put back what another program changed. Raises termios.error where the port is gone."""
+    def restore(self) -> bool:
+        """Put back what another program changed; return whether there was anything. What has come in and was not
+        read is dropped then: a changed response can have the right checksum, as *istrip* takes the highest bits
+        of several bytes. Raises termios.error where the port is gone."""
         found = termios.tcgetattr(self._descriptor)
         if found == self._wanted:
-            return
+            return False
         self._changed |= dict.fromkeys(differences(self._wanted, found))
         termios.tcsetattr(self._descriptor, termios.TCSANOW, self._wanted)
         termios.tcflow(self._descriptor, termios.TCOON)
+        termios.tcflush(self._descriptor, termios.TCIFLUSH)
         self.restore_controls()
+        return True
 
     def restore_controls(self) -> None:
         """Put back what is beside the settings of termios; with a USB adapter each may take a millisecond."""
