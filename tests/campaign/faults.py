@@ -7,67 +7,49 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-Kind = Literal["kill", "stop", "kill_worker", "stop_worker", "cut", "separate", "clock", "fail_over"]
-SETTLE_S = 8.0
-"""Least time after a fault until the next: a server that is back has watched a lease for five seconds."""
-TAKE_OVER_S = 14.0
-"""How long a server is gone whose lines another has to take over within ten seconds."""
+Kind = Literal["kill", "stop", "kill_worker", "stop_worker", "cut", "separate", "clock"]
+SERVER, DEVICE = "app", "device"
+SETTLE_S = 6.0
+"""Least time after a fault until the next."""
+LONGEST_S = 8.0
+_CHOICES: tuple[tuple[int, Kind, str], ...] = (
+    (3, "kill", SERVER),
+    (3, "cut", SERVER),
+    (3, "stop", SERVER),
+    (3, "kill_worker", SERVER),
+    (3, "stop_worker", SERVER),
+    (2, "separate", SERVER),
+    (1, "clock", SERVER),
+    (2, "kill", DEVICE),
+    (2, "stop", DEVICE),
+)
+"""How often relative to the others, what, to which machine."""
 
 
 @dataclass(frozen=True)
 class Fault:
     """``kind`` happens to ``target`` for ``lasts_s``, once the fault before it has been over for ``after_s``.
 
-    ``other``: from which machine ``separate`` separates it. ``step_s``: how far ``clock`` moves its clock.
-    ``fail_over`` is of the machine that has the primary database then.
+    ``step_s``: how far ``clock`` moves its clock. ``separate`` separates the server from the device server.
     """
 
     after_s: float
     kind: Kind
     target: str
     lasts_s: float
-    other: str = ""
     step_s: float = 0.0
 
-    @property
-    def takes_a_holder(self) -> bool:
-        """Whether the other server has to take over what this one has, in the time that it lasts."""
-        return self.kind in ("kill", "cut") and self.target in SERVERS and self.lasts_s >= TAKE_OVER_S
 
-
-SERVERS = frozenset(("app-1", "app-2"))
-DEVICE = frozenset(("device",))
-LONG, SHORT = (TAKE_OVER_S, 20.0), (0.5, 8.0)
-_CHOICES: tuple[tuple[int, Kind, frozenset[str], tuple[float, float]], ...] = (
-    (4, "kill", SERVERS, LONG),
-    (2, "cut", SERVERS, LONG),
-    (3, "stop", SERVERS, SHORT),
-    (2, "cut", SERVERS, SHORT),
-    (2, "kill_worker", SERVERS, SHORT),
-    (2, "stop_worker", SERVERS, SHORT),
-    (2, "separate", SERVERS, SHORT),
-    (1, "clock", SERVERS, SHORT),
-    (1, "kill", DEVICE, SHORT),
-    (1, "stop", DEVICE, SHORT),
-)
-"""How often relative to the others, what, to one of these, for how long."""
-_SEPARATED_FROM = frozenset(("device", "app-1", "app-2"))
-
-
-def schedule(seed: int, count: int, machines: frozenset[str]) -> Iterator[Fault]:
-    """``count`` faults of these machines, one after the other; the same seed gives the same ones."""
+def schedule(seed: int, count: int) -> Iterator[Fault]:
+    """``count`` faults, one after the other; the same seed gives the same ones."""
     chance = random.Random(seed)
-    choices = [choice for choice in _CHOICES if machines & choice[2]]
-    weights = [weight for weight, *_ in choices]
+    weights = [weight for weight, *_ in _CHOICES]
     for _ in range(count):
-        ((_, kind, targets, lasts),) = chance.choices(choices, weights)
-        target = chance.choice(sorted(targets & machines))
-        others = sorted(_SEPARATED_FROM & machines - {target}) if kind == "separate" else [""]
+        ((_, kind, target),) = chance.choices(_CHOICES, weights)
         yield Fault(
-            round(chance.uniform(SETTLE_S, 1.5 * SETTLE_S), 2),
+            round(chance.uniform(SETTLE_S, 2 * SETTLE_S), 2),
             kind,
             target,
-            round(chance.uniform(*lasts), 2),
-            chance.choice(others),
+            round(chance.uniform(0.5, LONGEST_S), 2),
             chance.choice((-3600.0, -40.0, -3.0, 3.0, 40.0, 3600.0)) if kind == "clock" else 0.0,
         )

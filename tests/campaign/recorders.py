@@ -1,6 +1,6 @@
 """The two recorders of a campaign, each a process on the machine of the device server.
 
-``wire`` is between device server and units, as a tap on the cable: it gives the device server a
+``wire`` is between port and units, as a tap on the cable: it gives the device server, or the bus worker, a
 pseudo-terminal and passes what it reads to the units. ``connections`` sees what arrives for a port of the
 device server, by the peer that sent it. Neither changes a byte.
 """
@@ -13,14 +13,17 @@ import select
 import socket
 import struct
 import sys
+import termios
 import time
 import tty
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
 READ_BYTES = 4096
+BAUD, OSPEED = termios.B9600, 5
 ALL_PROTOCOLS = 0x0003
 ETHERNET_BYTES, OUTGOING = 14, 4
 IPV4, TCP = 0x0800, 6
@@ -36,10 +39,18 @@ def write(log: IO[str], **row: object) -> None:
 
 
 def wire(link: Path, units_port: int, log: IO[str]) -> None:
-    """Pass bytes between a pseudo-terminal behind ``link`` and the units, and record them."""
+    """Pass bytes between a pseudo-terminal behind ``link`` and the units, and record them.
+
+    At another speed than that of the units the host sends and receives nothing legible, as on a real port.
+    """
     master, slave = os.openpty()
     tty.setraw(slave)
+    attributes = termios.tcgetattr(slave)
+    attributes[4] = attributes[5] = BAUD
+    termios.tcsetattr(slave, termios.TCSANOW, attributes)
     units = socket.create_connection(("127.0.0.1", units_port))
+    # What the host has no room for is lost, as in a UART.
+    os.set_blocking(master, False)
     units.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     link.unlink(missing_ok=True)
     link.symlink_to(os.ttyname(slave))
@@ -47,14 +58,17 @@ def wire(link: Path, units_port: int, log: IO[str]) -> None:
         ready, _, _ = select.select([master, units], [], [])
         if master in ready:
             data = os.read(master, READ_BYTES)
-            write(log, direction="request", data=data.hex())
-            units.sendall(data)
+            if termios.tcgetattr(slave)[OSPEED] == BAUD:
+                write(log, direction="request", data=data.hex())
+                units.sendall(data)
         if units in ready:
             data = units.recv(READ_BYTES)
             if not data:
                 return
             write(log, direction="response", data=data.hex())
-            os.write(master, data)
+            if termios.tcgetattr(slave)[OSPEED] == BAUD:
+                with suppress(BlockingIOError):
+                    os.write(master, data)
 
 
 def connections(port: int, log: IO[str]) -> None:

@@ -16,14 +16,15 @@ from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from tests.campaign.checker.records import CLIENTS, CONNECTIONS, FAULTS, lines
-from tests.campaign.faults import SERVERS, Fault, schedule
+from tests.campaign.checker.records import CLIENTS, FAULTS, lines
+from tests.campaign.faults import DEVICE, SERVER, Fault, schedule
 from tests.campaign.network import Machine, Network
-from tests.campaign.site import BUS, ROOT, UNITS, AppServer, Device, signal_all, started
+from tests.campaign.site import BUSES, ROOT, UNITS, AppServer, Device, signal_all, started
 
+PEOPLE = "people"
 PASSWORD = "collect house bakery stable"
-QUIET_S = 15.0
-"""After the last fault: what is open concludes."""
+QUIET_S = 40.0
+"""After the last fault: what is open concludes, and every unit has to be live again."""
 PATIENCE_S = 60.0
 RESUME_S = 0.5
 """What a process that was halted takes to pass on what has come meanwhile."""
@@ -37,70 +38,65 @@ class Campaign:
     seed: int
     network: Network = field(init=False)
     device: Device = field(init=False)
-    apps: dict[str, AppServer] = field(default_factory=dict)
+    server: AppServer = field(init=False)
 
     def __post_init__(self) -> None:
-        self.network = Network([*sorted(SERVERS)[:1], "device", "people"])
-
-    @property
-    def store(self) -> str:
-        """What the checker reads in the end."""
-        return str(self.apps["app-1"].folder / "data" / "lineside.db")
+        self.network = Network([SERVER, DEVICE, PEOPLE])
 
     def run(self, count: int) -> int:
         """Run ``count`` faults; return the exit code of the checker."""
         with ExitStack() as opened:
             opened.enter_context(self.network)
             self._start()
-            for fault in schedule(self.seed, count, frozenset(self.network.machines)):
+            for fault in schedule(self.seed, count):
                 time.sleep(fault.after_s)
                 self._inject(fault)
             time.sleep(QUIET_S)
-            self.machine("people").signal(signal.SIGTERM)
+            self.machine(PEOPLE).signal(signal.SIGTERM)
+            self._wait_for_the_last_look()
             return self._judge()
 
     def machine(self, name: str) -> Machine:
         return self.network.machines[name]
 
     def _start(self) -> None:
-        self.device = Device(self.folder, self.machine("device"))
+        self.device = Device(self.folder, self.machine(DEVICE))
         self.device.start(self.seed)
-        for name in sorted(SERVERS)[:1]:
-            server = self.apps[name] = AppServer(self.folder / name, self.machine(name))
-            server.configure(self.machine("device"))
-        first = self.apps["app-1"]
-        first.command("user", "add", "admin", "--role", "admin", "--password-stdin", text=PASSWORD)
-        token = first.command("token", "create", "people", "--role", "operator").split()[-1]
-        for server in self.apps.values():
-            server.start()
-            server.wait_until_it_serves()
-        urls = [server.url for server in self.apps.values()]
-        clients = (sys.executable, "-m", "tests.campaign.clients", self.folder / CLIENTS, token, BUS, UNITS)
-        started(self.machine("people"), *clients, *urls, log=self.folder / "people.log")
-        self._wait_for_a_live_value()
+        server = self.server = AppServer(self.folder / SERVER, self.machine(SERVER))
+        server.configure(self.device)
+        server.command("user", "add", "admin", "--role", "admin", "--password-stdin", text=PASSWORD)
+        token = server.command("token", "create", "people", "--role", "operator").split()[-1]
+        server.start()
+        server.wait_until_it_serves()
+        clients = (sys.executable, "-m", "tests.campaign.clients", self.folder / CLIENTS, token, UNITS)
+        for bus in BUSES:
+            log = self.folder / f"people-{bus}.log"
+            started(self.machine(PEOPLE), *clients, bus, server.url, self.seed, log=log)
+        self._wait_for_live_values()
+        self.device.meddle(self.seed)
 
-    def _wait_for_a_live_value(self) -> None:
+    def _wait_for_live_values(self) -> None:
         end = time.monotonic() + PATIENCE_S
-        while not any(row["kind"] == "live" for row in lines(self.folder / CLIENTS)):
-            assert time.monotonic() < end, "no server shows a live value"
+        while {row["bus"] for row in lines(self.folder / CLIENTS) if row["kind"] == "live"} != {*BUSES}:
+            assert time.monotonic() < end, "the server shows no live value of a bus"
             time.sleep(0.2)
 
-    def holder(self) -> str:
-        """The machine that wrote to the device server last."""
-        rows = list(lines(self.folder / CONNECTIONS.format(bus=BUS)))
-        address = rows[-1]["peer"].partition(":")[0]
-        return next(name for name, machine in self.network.machines.items() if machine.address == address)
+    def _wait_for_the_last_look(self) -> None:
+        """At their end the clients read what is stored."""
+        end = time.monotonic() + PATIENCE_S
+        while self.machine(PEOPLE).processes():
+            assert time.monotonic() < end, "the clients do not end"
+            time.sleep(0.2)
 
     def _inject(self, fault: Fault) -> None:
-        row = {"kind": "fault", "now": time.time(), "fault": asdict(fault), "holder": self.holder()}
-        self._record(**row)
         begin, end = self._acts(fault)
-        begun = time.time()
+        began = time.time()
         begin()
         time.sleep(fault.lasts_s)
-        if (fault.kind, fault.target) == ("stop", "device"):
-            self._record(kind="device_halt", begin=begun, end=time.time() + RESUME_S)
+        if (fault.kind, fault.target) == ("stop", DEVICE):
+            self._record(kind="device_halt", begin=began, end=time.time() + RESUME_S)
         end()
+        self._record(kind="fault", began=began, ended=time.time(), fault=asdict(fault))
 
     def _record(self, **row: object) -> None:
         with (self.folder / FAULTS).open("a") as log:
@@ -109,26 +105,26 @@ class Campaign:
 
     def _acts(self, fault: Fault) -> tuple[Callable[[], object], Callable[[], object]]:
         """How the fault begins and how it ends."""
-        name, other, network = fault.target, fault.other, self.network
-        server, machine = self.apps.get(name), self.machine(name)
+        name, network, server = fault.target, self.network, self.server
+        machine = self.machine(name)
         match fault.kind:
             case "cut":
                 return lambda: network.cut(name), lambda: network.join(name)
             case "separate":
-                return lambda: network.separate(name, other), lambda: network.reunite(name, other)
-            case "clock" if server:
+                return lambda: network.separate(name, DEVICE), lambda: network.reunite(name, DEVICE)
+            case "clock":
                 return lambda: server.set_clock(fault.step_s), lambda: server.set_clock(0.0)
-            case "kill_worker" if server:
+            case "kill_worker":
                 return lambda: signal_all(server.workers(), signal.SIGKILL), lambda: None
-            case "stop_worker" if server:
+            case "stop_worker":
                 stopped = server.workers()
                 return (
                     lambda: signal_all(stopped, signal.SIGSTOP),
                     lambda: signal_all(stopped, signal.SIGCONT),
                 )
             case "kill":
-                return lambda: self._signal(machine, signal.SIGKILL), lambda: self._begin_again(machine)
-            case _:
+                return lambda: self._signal(machine, signal.SIGKILL), lambda: self._begin_again(name)
+            case "stop":
                 return (
                     lambda: self._signal(machine, signal.SIGSTOP),
                     lambda: self._signal(machine, signal.SIGCONT),
@@ -136,23 +132,23 @@ class Campaign:
 
     def _signal(self, machine: Machine, number: signal.Signals) -> None:
         """Of the machine of the device server only the device server: the units go on."""
-        if machine.name == "device":
+        if machine.name == DEVICE:
             self.device.signal(number)
         else:
             machine.signal(number)
 
-    def _begin_again(self, machine: Machine) -> None:
-        if machine.name == "device":
+    def _begin_again(self, name: str) -> None:
+        if name == DEVICE:
             self.device.start_server()
-        elif machine.name in self.apps:
-            self.apps[machine.name].start()
-            self.apps[machine.name].wait_until_it_serves()
+        else:
+            self.server.start()
+            self.server.wait_until_it_serves()
 
     def _judge(self) -> int:
-        checker = (sys.executable, "-m", "tests.campaign.checker", self.folder, self.store, BUS)
-        inside = self.machine("people").inside
+        store = self.server.folder / "data" / "lineside.db"
+        checker = (sys.executable, "-m", "tests.campaign.checker", self.folder, store, *BUSES)
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        return subprocess.run([*inside, *map(str, checker)], env=environment).returncode
+        return subprocess.run([*map(str, checker)], env=environment).returncode
 
 
 def main(folder: str, seed: str, count: str) -> int:

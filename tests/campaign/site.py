@@ -1,4 +1,4 @@
-"""The site of a campaign: the device server in front of simulated units, and the app servers."""
+"""The site of a campaign: the server, its two lines of simulated units, and the device server of one."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests import unpacked
-from tests.campaign.checker.records import CONNECTIONS, WIRE
+from tests.campaign.checker.records import CONNECTIONS, KEYPADS, WIRE
 from tests.campaign.network import Machine, call
 
 LINESIDE = Path(sys.executable).with_name("lineside")
 ROOT = Path(__file__).resolve().parents[2]
-BUS, UNITS = "line", 8
-DEVICE_PORT, UNITS_PORT, SERVER_PORT = 4001, 4100, 8000
+LINE, CABLE = "line", "cable"
+"""The bus behind the device server, and the one at a port of the server itself."""
+BUSES, UNITS = (LINE, CABLE), 8
+DEVICE_PORT, SERVER_PORT = 4001, 8000
+UNITS_PORTS, CONTROL_PORTS = {LINE: 4100, CABLE: 4101}, {LINE: 4200, CABLE: 4201}
 TURNAROUND_MS = 200
 """A response passes a device server, a network and recorders, on a computer that runs everything else."""
 INACTIVITY_S = 3
@@ -41,26 +44,46 @@ def started(machine: Machine, *words: object, log: Path, **environment: str) -> 
 
 @dataclass
 class Device:
-    """ser2net with one port, the recorders, and the units behind it."""
+    """The units of both buses with their recorders, those who meddle with them, and ser2net with one port.
+
+    The recorder of the cable gives a pseudo-terminal, which exists for all machines.
+    """
 
     folder: Path
     machine: Machine
     server: subprocess.Popen[bytes] | None = None
 
+    def link(self, bus: str) -> Path:
+        """The port of a bus."""
+        return self.folder / f"tty-{bus}"
+
     def start(self, seed: int) -> None:
-        log, link = self.folder / "device.log", self.folder / "tty"
-        units = ("--units", UNITS, "--tcp", UNITS_PORT, "--seed", seed, "--turnaround-ms", 5)
-        started(self.machine, LINESIDE, "simulate", *units, log=log)
-        _wait_for(lambda: "socket://" in log.read_text(), log)
+        log = self.folder / "device.log"
         recorder = (sys.executable, "-m", "tests.campaign.recorders")
-        wire, connections = (self.folder / name.format(bus=BUS) for name in (WIRE, CONNECTIONS))
-        started(self.machine, *recorder, "wire", wire, link, UNITS_PORT, log=log)
-        started(self.machine, *recorder, "connections", connections, DEVICE_PORT, log=log)
-        _wait_for(link.is_symlink, log)
+        for bus in BUSES:
+            simulated, link, wire = self.folder / f"{bus}.log", self.link(bus), WIRE.format(bus=bus)
+            ports = ("--tcp", UNITS_PORTS[bus], "--control", CONTROL_PORTS[bus])
+            units = ("--units", UNITS, *ports, "--seed", seed, "--turnaround-ms", 5)
+            started(self.machine, LINESIDE, "simulate", *units, log=simulated)
+            _wait_for(lambda simulated=simulated: "control" in simulated.read_text(), simulated)
+            started(self.machine, *recorder, "wire", self.folder / wire, link, UNITS_PORTS[bus], log=log)
+            _wait_for(link.is_symlink, log)
+        arrivals = self.folder / CONNECTIONS.format(bus=LINE)
+        started(self.machine, *recorder, "connections", arrivals, DEVICE_PORT, log=log)
         (self.folder / "ser2net.yaml").write_text(
-            SER2NET.format(bus=BUS, port=DEVICE_PORT, device=link, inactivity=INACTIVITY_S)
+            SER2NET.format(bus=LINE, port=DEVICE_PORT, device=self.link(LINE), inactivity=INACTIVITY_S)
         )
         self.start_server()
+
+    def meddle(self, seed: int) -> None:
+        """Let others change scales at the keypads, and the settings of the port."""
+        meddling = (sys.executable, "-m", "tests.campaign.meddling")
+        log = self.folder / "device.log"
+        for bus in BUSES:
+            keypads = (self.folder / KEYPADS.format(bus=bus), bus, CONTROL_PORTS[bus], UNITS, seed)
+            started(self.machine, *meddling, "keypad", *keypads, log=log)
+        port = (self.folder / "stty.jsonl", CABLE, self.link(CABLE), seed)
+        started(self.machine, *meddling, "stty", *port, log=log)
 
     def start_server(self) -> None:
         """Start ser2net, also after it was killed."""
@@ -92,15 +115,18 @@ class AppServer:
     def config(self) -> Path:
         return self.folder / "lineside.toml"
 
-    def configure(self, device: Machine) -> None:
+    def configure(self, device: Device) -> None:
         """Write its lineside.toml."""
         self.folder.mkdir()
         units = "".join(f'[[bus.unit]]\nid = {unit}\nname = "Unit {unit}"\n' for unit in range(1, UNITS + 1))
-        host = self.machine.address
+        ports = {LINE: f"socket://{device.machine.address}:{DEVICE_PORT}", CABLE: device.link(CABLE)}
         self.config.write_text(
-            f'[site]\nname = "Campaign"\n[server]\nhost = "{host}"\nport = {SERVER_PORT}\n'
-            f'data = "data"\n[[bus]]\nname = "{BUS}"\nport = "socket://{device.address}:{DEVICE_PORT}"\n'
-            f"turnaround_ms = {TURNAROUND_MS}\n{units}"
+            f'[site]\nname = "Campaign"\n[server]\nhost = "{self.machine.address}"\nport = {SERVER_PORT}\n'
+            'data = "data"\n'
+            + "".join(
+                f'[[bus]]\nname = "{bus}"\nport = "{port}"\nturnaround_ms = {TURNAROUND_MS}\n{units}'
+                for bus, port in ports.items()
+            )
         )
         self.environment = self._movable_clock()
 

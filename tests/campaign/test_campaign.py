@@ -1,4 +1,4 @@
-"""A campaign of faults against a site of its machines, judged by the checker. Root only; needs ser2net."""
+"""A campaign of faults against a server and its lines, judged by the checker. Root only; needs ser2net."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests import unpacked
-from tests.campaign.faults import SERVERS, SETTLE_S, schedule
+from tests.campaign.faults import SETTLE_S, schedule
 from tests.campaign.network import Network, call, unusable
 from tests.campaign.run import Campaign
-
-MACHINES = SERVERS | {"device", "people"}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -21,19 +19,11 @@ def namespaces() -> None:
 
 
 def test_a_seed_gives_one_schedule() -> None:
-    faults = list(schedule(7, 100, MACHINES))
-    assert faults == list(schedule(7, 100, MACHINES))
-    assert faults != list(schedule(8, 100, MACHINES))
+    faults = list(schedule(7, 100))
+    assert faults == list(schedule(7, 100))
+    assert faults != list(schedule(8, 100))
     assert all(fault.after_s >= SETTLE_S for fault in faults)
-    assert len({(fault.kind, fault.target in SERVERS) for fault in faults}) > 8
-    assert sum(fault.takes_a_holder for fault in faults) > 10
-
-
-def test_faults_concern_machines_that_there_are() -> None:
-    machines = frozenset(("app-1", "device"))
-    faults = list(schedule(7, 100, machines))
-    assert {fault.target for fault in faults} == machines
-    assert {fault.other for fault in faults} <= {"", *machines}
+    assert len({(fault.kind, fault.target) for fault in faults}) == 9
 
 
 def test_machines_reach_each_other_until_they_are_cut_or_separated() -> None:
@@ -59,4 +49,4 @@ def test_machines_reach_each_other_until_they_are_cut_or_separated() -> None:
 @pytest.mark.soak
 def test_one_server_keeps_what_it_acknowledged(tmp_path: Path) -> None:
     unpacked.program("ser2net")
-    assert Campaign(tmp_path, seed=1).run(10) == 0
+    assert Campaign(tmp_path, seed=1).run(20) == 0

@@ -11,24 +11,24 @@ from typing import Any
 
 import pytest
 
-from app.audit.entry import new_entry
-from bus.instants import UnixTime
-from bus.messages import Message
 from tests.campaign.checker.__main__ import main, violations
 from tests.campaign.checker.frames import Piece, Stray, WireFrame, decode
 from tests.campaign.recorders import Streams
 
 CHECKER = Path(__file__).with_name("checker")
 VECTORS = Path(__file__).parents[1] / "vectors" / "frames.json"
-READ, WRITE, ACK, SHOWN = (
+READ, WRITE, ACK, SHOWN, READ_SCALE, SCALE = (
     bytes.fromhex(text)
     for text in (
         "10 02 01 81 10 03 7E",
         "10 02 01 84 00 00 03 E8 10 03 90",
         "10 02 01 06 10 03 F9",
         "10 02 01 06 00 00 03 E8 00 00 03 E7 80 C1 03 10 03 E0",
+        "10 02 01 85 03 10 03 77",
+        "10 02 01 06 01 10 03 F8",
     )
 )
+STATUS = [1000, 999, 128]
 A, B = "10.77.0.11:40001", "10.77.0.12:40002"
 Logs = dict[str, list[dict[str, Any]]]
 
@@ -45,15 +45,27 @@ def came(at: float, data: bytes) -> list[tuple[str, dict[str, Any]]]:
 
 
 def command(**changed: Any) -> dict[str, Any]:
-    usual = {"kind": "command", "sent_at": 99.9, "responded_at": 100.5, "bus": "line", "unit": 1, "raw": 1000}
-    return {**usual, "timeout_s": 2.0, "outcome": "verified", **changed}
+    usual = {"kind": "command", "sent_at": 99.9, "responded_at": 100.7, "bus": "line", "unit": 1, "digits": 1}
+    return {**usual, "typed": "100.0", "timeout_s": 2.0, "outcome": "verified", "unit_error": None, **changed}
+
+
+def live(at: float, age_ms: int = 100, **changed: Any) -> dict[str, Any]:
+    unit = {"id": 1, "link": "online", "age_ms": age_ms, "raw": STATUS, "texts": ["100.0", "99.9"], **changed}
+    return {"kind": "live", "bus": "line", "at": at, "units": [unit]}
+
+
+def keypad(number: int, raw: int, began: float = 0.0, ended: float = 0.0) -> dict[str, Any]:
+    return {"kind": "keypad", "bus": "line", "unit": 1, "number": number, "raw": raw} | {
+        "began": began,
+        "ended": ended,
+    }
 
 
 def good() -> Logs:
-    """A write by one server, its proof, the death of that server, the first value by the other."""
+    """A typed write, its proof and the scale after it, the death of the worker, values of the next."""
     rows = [*sent(100.0, WRITE), *came(100.1, ACK), *sent(100.2, READ), *came(100.3, SHOWN)]
-    rows += [*sent(107.0, READ, B), *came(107.1, SHOWN)]
-    logs: Logs = {"wire-line": [], "connections-line": [], "clients": [], "faults": []}
+    rows += [*sent(100.4, READ_SCALE), *came(100.5, SCALE), *sent(107.0, READ, B), *came(107.1, SHOWN)]
+    logs: Logs = {"wire-line": [], "connections-line": [], "clients": [], "faults": [], "keypads-line": []}
     for name, row in rows:
         logs[name].append(row)
     journal = {"bus": "line", "alarm": "line/1.deviation", "occurrence": 1}
@@ -61,18 +73,22 @@ def good() -> Logs:
         command(),
         {"kind": "acknowledged", **journal, "trigger": "acknowledge", "after": ""},
         {"kind": "transition", **journal, "trigger": "rise", "after": "unack_active"},
-        {"kind": "live", "at": 107.2, "read_at": 107.1, "bus": "line", "server": "app-2"},
-        {"kind": "live", "at": 100.2, "read_at": 100.1, "bus": "line", "server": "app-1"},
+        live(100.4),
+        live(107.2),
+        live(140.0),
+        {"kind": "stored", "bus": "line", "unit": 1, "value": "commanded", "numbers": [100.0]},
+        {"kind": "stored", "bus": "line", "unit": 1, "value": "actual", "numbers": [99.9]},
     ]
-    logs["faults"] = [{"kind": "holder_death", "at": 101.0, "bus": "line", "server": "app-1"}]
+    logs["faults"] = [{"kind": "fault", "began": 101.0, "ended": 106.0}]
+    logs["keypads-line"] = [keypad(3, 1), keypad(8, 0)]
     return logs
 
 
 def store(folder: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(folder / "store.db", isolation_level=None)
-    connection.execute("CREATE TABLE events (id, about, kind, bus, unit, new_raw, outcome, messages)")
-    connection.execute("INSERT INTO events VALUES (1, NULL, 'command', 'line', 1, 1000, NULL, NULL)")
-    connection.execute("INSERT INTO events VALUES (2, 1, 'result', 'line', 1, 1000, 'verified', NULL)")
+    connection.execute("CREATE TABLE events (id, about, kind, bus, unit, new_raw, outcome)")
+    connection.execute("INSERT INTO events VALUES (1, NULL, 'command', 'line', 1, 1000, NULL)")
+    connection.execute("INSERT INTO events VALUES (2, 1, 'result', 'line', 1, 1000, 'verified')")
     connection.execute("CREATE TABLE alarm_journal (alarm, occurrence, trigger, after, bus)")
     for trigger, after in (("rise", "unack_active"), ("acknowledge", "ack_active")):
         row = ("line/1.deviation", 1, trigger, after, "line")
@@ -95,14 +111,17 @@ def test_a_good_record_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     folder = write(tmp_path, good())
     assert found(folder) == []
     assert main(str(folder), str(folder / "store.db"), "line") == 0
-    assert "3 requests of 2 connections; commands: 1 verified" in capsys.readouterr().out
+    assert (
+        "4 requests of 2 connections; 1 commands: 1 verified (1 typed and verified)"
+        in capsys.readouterr().out
+    )
 
 
 def add(*rows: tuple[str, dict[str, Any]]) -> Callable[[Logs], None]:
     def forge(logs: Logs) -> None:
         for name, row in rows:
             logs[name].append(row)
-            logs[name].sort(key=lambda row: row.get("at", 0.0))
+            logs[name].sort(key=lambda row: row["at"])
 
     return forge
 
@@ -126,10 +145,25 @@ def held(*, halted: bool = True, late_s: float = 0.0) -> Callable[[Logs], None]:
         for row in logs["connections-line"][:2]:
             row["at"] += late_s
         logs["clients"][0]["outcome"] = None
+        logs["clients"][3] = live(106.5)
         if halted:
             logs["faults"].append({"kind": "device_halt", "begin": 99.0, "end": 106.1})
 
     return forge
+
+
+def scale(number: int, raw: int, at: float) -> Callable[[Logs], None]:
+    """The parameter was changed at the keypad."""
+    return lambda logs: logs["keypads-line"].append(keypad(number, raw, at, at + 0.01))
+
+
+def shown(**values: Any) -> Callable[[Logs], None]:
+    return lambda logs: logs["clients"][3]["units"][0].update(values)
+
+
+def scale_shown_early(logs: Logs) -> None:
+    scale(3, 2, 103.0)(logs)
+    shown(texts=["10.00", "9.99"])(logs)
 
 
 FORGED: dict[str, tuple[Callable[[Logs], None], str]] = {
@@ -148,18 +182,24 @@ FORGED: dict[str, tuple[Callable[[Logs], None], str]] = {
     ),
     "by two": (add(*sent(107.5, WRITE, B)), "written by two connections"),
     "reported as not sent": (changed(0, outcome="not_sent"), "reported as not_sent"),
+    "refused for its scale, and sent": (changed(0, outcome="refused"), "reported as refused"),
     "verified before it was shown": (changed(0, responded_at=100.2), "verified, never shown"),
-    "verified without a write": (changed(0, raw=1001), "verified, never written"),
+    "verified without a write": (changed(0, digits=1001), "verified, never written"),
+    "verified beside ten times what was typed": (scale(3, 0, 50.0), "verified, the unit displays 1000"),
+    "the scale changed before it was read again": (scale(3, 2, 100.35), "verified, the unit displays 10.00"),
+    "a speed that became a ratio": (scale(8, 1, 100.35), "verified, the unit displays 0.1000"),
     "another outcome than stored": (changed(0, outcome="unverified"), "not in the database"),
     "a lost acknowledgement": (changed(1, occurrence=2), "not in the database"),
     "a lost transition": (changed(2, after="rtn_unack"), "not in the database"),
-    "a late take-over": (changed(3, at=112.0), "11.0 s to the first live value"),
-    "no take-over": (changed(3, server="app-1"), "no other server showed a live value"),
-    "a long break": (
-        add(("clients", {"kind": "live", "at": 128.0, "read_at": 128.0, "bus": "line", "server": "app-2"})),
-        "no live value on any server for 20.8 s",
-    ),
-    "a value from before": (changed(3, read_at=100.9), "no other server showed a live value"),
+    "a value without its highest bits": (shown(raw=[1000, 999, 0]), "which it had not sent"),
+    "a value that is sent later": (changed(3, at=100.2), "which it had not sent"),
+    "a speed in decimals that the unit never had": (shown(texts=["10.00", "9.99"]), "shown with 10.00"),
+    "a speed in decimals that the unit has later": (scale_shown_early, "shown with 10.00"),
+    "a stored value that no unit sent": (changed(6, numbers=[100.0, 104.0]), "stored with commanded 104.0"),
+    "a stored value in another scale": (changed(7, numbers=[999.0]), "stored with actual 999.0"),
+    "no value after a fault": (lambda logs: logs["clients"].pop(4), "not live 30 s after a fault"),
+    "a value from before": (changed(4, **live(107.2, age_ms=3000)), "not live 30 s after a fault"),
+    "a value that is not live": (changed(4, **live(107.2, link="stale")), "not live 30 s after a fault"),
 }
 
 
@@ -187,14 +227,25 @@ def test_an_event_that_the_database_lost_fails(tmp_path: Path) -> None:
     assert "not in the database" in line
 
 
-def test_an_outcome_that_came_after_the_next_home_had_concluded_is_kept(tmp_path: Path) -> None:
-    events = store(tmp_path)
-    events.execute("UPDATE events SET outcome = 'unverified' WHERE about = 1")
-    assert "not in the database" in found(write(tmp_path, good()))[0]
-    what = Message.of("event_outcome_came_late", event=1, outcome="verified")
-    late = new_entry(kind="audit", time=UnixTime(1.0), what=what)["messages"]
-    events.execute("INSERT INTO events VALUES (3, NULL, 'audit', NULL, NULL, NULL, NULL, ?)", (late,))
-    assert found(write(tmp_path, good())) == []
+@pytest.mark.parametrize(
+    ("number", "raw", "began", "ended"),
+    [(3, 2, 100.45, 100.55), (3, 2, 100.6, 100.61), (2, 200, 50.0, 50.01)],
+)
+def test_a_scale_that_changed_afterwards_or_meanwhile_does_not_make_it_false(
+    tmp_path: Path, number: int, raw: int, began: float, ended: float
+) -> None:
+    store(tmp_path)
+    logs = good()
+    logs["keypads-line"].append(keypad(number, raw, began, ended))
+    assert found(write(tmp_path, logs)) == []
+
+
+def test_a_port_of_the_server_has_no_connections(tmp_path: Path) -> None:
+    store(tmp_path)
+    logs = good()
+    del logs["connections-line"]
+    add(("wire-line", {"at": 103.0, "direction": "request", "data": SHOWN[3:].hex()}))(logs)
+    assert found(write(tmp_path, logs)) == []
 
 
 def test_a_port_that_is_used_again_is_another_connection() -> None:

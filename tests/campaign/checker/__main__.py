@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,34 +22,35 @@ def violations(folder: Path, store: str, bus: str) -> Iterator[str]:
     ownership = attribute(found.requests, found.connections)
     yield from ownership.violations
     yield from rules.commands_on_the_wire(found.commands, ownership.owners, found.halts, SLACK_S)
-    yield from rules.verified_commands(found.commands, ownership.owners, found.responses)
+    yield from rules.verified_commands(found.commands, ownership.owners, found.responses, found.keypads)
+    yield from rules.values_reported(found.values, found.stored, found.responses, found.keypads)
     yield from rules.events_kept(found.commands, stored.commands(store, bus))
     yield from rules.transitions_kept([*found.acknowledged, *found.shown], stored.journal(store, bus))
-    yield from rules.late_take_overs(found.deaths, found.live)
-    yield from rules.long_breaks(found.live)
+    yield from rules.missing_returns(found.faults, found.values)
 
 
 def summary(folder: Path, bus: str) -> str:
     """How much was judged: a campaign without commands proves nothing."""
     found = records.read(folder, bus)
     frames = attribute(found.requests, found.connections).owners
-    waits = [seconds for _, seconds in rules.take_overs(found.deaths, found.live) if seconds is not None]
     held = sum(
         rules.is_held(owned, owned.arrived, found.halts) and owned.frame.command == SET_AND_EXECUTE
         for owned in frames
     )
-    outcomes = ", ".join(
-        f"{sum(command.outcome == outcome for command in found.commands)} {outcome or 'without a response'}"
-        for outcome in sorted({command.outcome for command in found.commands}, key=str)
-    )
-    longest = f", the longest {max(waits):.1f} s" if waits else ""
+    outcomes = Counter(command.outcome or "without a response" for command in found.commands)
+    typed = sum(command.typed is not None and command.outcome == "verified" for command in found.commands)
     latest = rules.latest_s(found.commands, frames)
     margin = "" if latest is None else f", the latest left {latest:+.2f} s from its deadline"
+    changes = sum(change.began > 0 for change in found.keypads)
+    stored_count = sum(len(value.numbers) for value in found.stored)
     return (
         f"{bus}: {len(frames)} requests of {len({owned.owner for owned in frames})} connections; "
-        f"commands: {outcomes or 'none'}{margin}; {len(found.acknowledged)} acknowledged alarms, "
-        f"{len(found.shown)} transitions; {held} commands held by a halted device server; "
-        f"{len(waits)} take-overs{longest}"
+        f"{len(found.commands)} commands: "
+        f"{', '.join(f'{count} {outcome}' for outcome, count in sorted(outcomes.items())) or 'none'} "
+        f"({typed} typed and verified){margin}; {held} held by a halted device server; "
+        f"{len(found.faults)} faults, {changes} changes at keypads; "
+        f"{len(found.values)} values shown, {stored_count} stored; "
+        f"{len(found.acknowledged)} acknowledged alarms, {len(found.shown)} transitions"
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 DLE, STX, ETX, ACK = 0x10, 0x02, 0x03, 0x06
-READ_STATUS, EXECUTE, SET_AND_EXECUTE = 0x81, 0x83, 0x84
+SET_AND_EXECUTE, READ_PARAMETER = 0x84, 0x85
 STATUS_BYTES = 13
 """UID, ACK and the eleven bytes of the response to 81h."""
 
@@ -41,10 +41,18 @@ class WireFrame:
         return int.from_bytes(self.body[2:6], "big")
 
     @property
-    def commanded(self) -> int | None:
-        """The commanded speed, where this is a response to 81h."""
-        is_status = len(self.body) == STATUS_BYTES and self.body[1] == ACK
-        return int.from_bytes(self.body[2:6], "big") if is_status else None
+    def shown(self) -> int | None:
+        """The commanded speed of a response to 81h, or the value of one to 85h; None: it has neither."""
+        if self.command != ACK or len(self.body) == 2:
+            return None
+        return int.from_bytes(self.body[2 : 6 if self.status else None], "big")
+
+    @property
+    def status(self) -> tuple[int, int, int] | None:
+        """Commanded and actual speed and the analog input, where this is a response to 81h."""
+        if self.command != ACK or len(self.body) != STATUS_BYTES:
+            return None
+        return int.from_bytes(self.body[2:6], "big"), int.from_bytes(self.body[6:10], "big"), self.body[10]
 
 
 @dataclass(frozen=True)

@@ -10,29 +10,49 @@ from typing import Any
 
 from tests.campaign.checker.frames import Piece
 
-WIRE, CONNECTIONS, CLIENTS, FAULTS = (
-    "wire-{bus}.jsonl",
-    "connections-{bus}.jsonl",
-    "clients.jsonl",
-    "faults.jsonl",
-)
+WIRE, CONNECTIONS, KEYPADS = "wire-{bus}.jsonl", "connections-{bus}.jsonl", "keypads-{bus}.jsonl"
+CLIENTS, FAULTS = "clients.jsonl", "faults.jsonl"
+
+
+def digits(raw: int) -> int:
+    """``raw`` without its final zeros: what a typed number has in common with the raw of every scale."""
+    while raw and raw % 10 == 0:
+        raw //= 10
+    return raw
+
+
+NOTHING_SENT = {"not_sent", "bus_closed", "refused_here"}
 
 
 @dataclass(frozen=True)
 class SentCommand:
-    """A speed that a client requested, and the response that it got; ``outcome`` None: it got none.
+    """A speed or ratio that a client requested, and the response that it got; ``outcome`` None: it got none.
 
-    ``raw`` is given once to a unit, so that a frame on the wire names its command.
+    ``digits`` are given once to a unit, so that a frame on the wire names its command in whatever scale.
+    ``typed``: the number in display units; None: it was given raw.
     """
 
     sent_at: float
     responded_at: float
     bus: str
     unit: int
-    raw: int
+    digits: int
+    typed: str | None
     timeout_s: float
     outcome: str | None
+    unit_error: int | None = None
     reason: str = ""
+
+    @property
+    def name(self) -> str:
+        """How a violation names it."""
+        return f"unit {self.unit} = {self.typed or self.digits}"
+
+    @property
+    def is_unsent(self) -> bool:
+        """Whether its outcome states that nothing was sent; ``refused_here``: any refusal before sending."""
+        refused_by_unit = self.unit_error is not None
+        return self.outcome in NOTHING_SENT or (self.outcome == "refused" and not refused_by_unit)
 
     @property
     def deadline(self) -> float:
@@ -50,22 +70,37 @@ class JournalRow:
 
 
 @dataclass(frozen=True)
-class LiveValue:
-    """A value that a server showed as live: when it was shown, and when it was read."""
+class ShownValue:
+    """What the server showed of a unit at a time, and when it had read that by its own statement."""
 
     at: float
     read_at: float
-    bus: str
-    server: str
+    unit: int
+    link: str
+    raw: tuple[int, int, int]
+    """Commanded and actual speed, analog input."""
+    texts: tuple[str | None, str | None]
+    """The two speeds in display units."""
 
 
 @dataclass(frozen=True)
-class HolderDeath:
-    """The home of a bus died, and with it everything on its machine; another could take over."""
+class StoredValue:
+    """What the history has of a value of a unit, in display units."""
 
-    at: float
-    bus: str
-    server: str
+    unit: int
+    value: str
+    numbers: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class KeypadChange:
+    """A parameter of a unit was changed between two moments."""
+
+    unit: int
+    number: int
+    raw: int
+    began: float
+    ended: float
 
 
 @dataclass(frozen=True)
@@ -79,8 +114,11 @@ class Records:
     commands: list[SentCommand]
     acknowledged: list[JournalRow]
     shown: list[JournalRow]
-    live: list[LiveValue]
-    deaths: list[HolderDeath]
+    values: list[ShownValue]
+    stored: list[StoredValue]
+    keypads: list[KeypadChange]
+    faults: list[tuple[float, float]]
+    """Begin and end of each."""
     halts: list[tuple[float, float]]
     """When the device server was halted: begin and end."""
 
@@ -111,14 +149,27 @@ def read(folder: Path, bus: str) -> Records:
         [SentCommand(**_without_kind(row)) for row in clients if row["kind"] == "command"],
         [_journal(row) for row in clients if row["kind"] == "acknowledged"],
         [_journal(row) for row in clients if row["kind"] == "transition"],
-        [LiveValue(**_without_kind(row)) for row in clients if row["kind"] == "live"],
+        [value for row in clients if row["kind"] == "live" for value in _values(row)],
         [
-            HolderDeath(row["at"], bus, row["server"])
-            for row in lines(folder / FAULTS)
-            if row["kind"] == "holder_death" and row["bus"] == bus
+            StoredValue(row["unit"], row["value"], tuple(row["numbers"]))
+            for row in clients
+            if row["kind"] == "stored"
         ],
+        [
+            KeypadChange(*(row[name] for name in ("unit", "number", "raw", "began", "ended")))
+            for row in lines(folder / KEYPADS.format(bus=bus))
+        ],
+        [(row["began"], row["ended"]) for row in lines(folder / FAULTS) if row["kind"] == "fault"],
         [(row["begin"], row["end"]) for row in lines(folder / FAULTS) if row["kind"] == "device_halt"],
     )
+
+
+def _values(row: dict[str, Any]) -> Iterator[ShownValue]:
+    for unit in row["units"]:
+        read_at = row["at"] - unit["age_ms"] / 1000
+        yield ShownValue(
+            row["at"], read_at, unit["id"], unit["link"], tuple(unit["raw"]), tuple(unit["texts"])
+        )
 
 
 def _piece(row: dict[str, Any]) -> Piece:

@@ -48,7 +48,14 @@ class Ownership:
 
 
 def attribute(requests: Iterable[Piece], connections: Mapping[str, list[Piece]]) -> Ownership:
-    """Find the writer of every frame. A connection that another has followed may write nothing more."""
+    """Find the writer of every frame. A connection that another has followed may write nothing more.
+
+    Without connections it is a port of the server itself: one process has it, and what foreign settings of it
+    make of the bytes is not judged.
+    """
+    if not connections:
+        frames = (item for item in decode(requests) if isinstance(item, WireFrame))
+        return Ownership([OwnedFrame(frame, "port", frame.began) for frame in frames])
     writers = {peer: _Writer(peer, list(_frames(pieces))) for peer, pieces in connections.items()}
     result, current = Ownership(), ""
     ended: set[str] = set()
