@@ -1,4 +1,4 @@
-"""The files of docs/containers.md and docs/scale.md name paths, ports and commands that there are."""
+"""The files of docs/containers.md name paths, ports and commands that there are."""
 
 from __future__ import annotations
 
@@ -139,12 +139,3 @@ def test_the_worker_outside_goes_to_the_published_port(settings: Settings) -> No
     address = f"http://127.0.0.1:{settings.server.port}"
     assert command == usual.replace("http://server:8000", address)
     assert parsed(shlex.split(command)[1:])["bus"] == settings.bus[0].name
-
-
-def test_two_servers_get_the_password_and_a_name_each() -> None:
-    services = yaml.safe_load(text_of(DEPLOY / "compose-two-servers.yaml"))["services"]
-    servers = {name: service for name, service in services.items() if service["image"] == "lineside"}
-    assert len(servers) == 2
-    for name, server in servers.items():
-        assert server["secrets"] == services["db-1"]["secrets"]
-        assert server["hostname"] == name, "the one of a container is a number that changes with it"

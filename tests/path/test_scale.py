@@ -1,4 +1,4 @@
-"""The other examples of ``docs/scale.md``: configuration, systemd drop-ins, device server, compose file."""
+"""The examples of ``docs/scale.md``: the systemd drop-in of a worker, and the device server."""
 
 from __future__ import annotations
 
@@ -12,12 +12,9 @@ import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
-import yaml
 
-from app.cli import COMMANDS
 from bus.settings import Dialect
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from tests import unpacked
@@ -27,7 +24,6 @@ from tests.test_architecture import ROOT, text_of
 from tests.test_service_unit import INSTALLED, LINESIDE, UNITS
 
 TEXT = text_of(ROOT / "docs" / "scale.md")
-DEPLOY = ROOT / "docs" / "deploy"
 DROP_INS = re.findall(r"`/etc/systemd/system/(\S+?\.service)\.d/(\S+?)[`;].*?```ini\n(.*?)```", TEXT, re.S)
 READ = bytes.fromhex("10 02 01 81 10 03 7E")
 
@@ -59,7 +55,7 @@ def test_systemd_accepts_a_drop_in(tmp_path: Path, unit: str, name: str, text: s
 def test_systemd_reads_the_drop_ins(tmp_path: Path) -> None:
     if shutil.which("systemd-analyze") is None:
         pytest.skip("systemd-analyze is not installed: apt-get install systemd, and run this again")
-    ((unit, name, text), _) = DROP_INS
+    ((unit, name, text),) = DROP_INS
     assert faults(tmp_path, unit, name, f"{text}Nonsense=1\n") != []
 
 
@@ -136,27 +132,3 @@ def test_a_device_server_serves_one_and_gives_up_who_falls_still(tmp_path: Path)
             assert time.monotonic() - began > 1, "not at once"
         with eventually(holding, "the next one has the port"):
             assert os.read(units, 64).endswith(READ)
-
-
-# --- the compose file -------------------------------------------------------------------------------
-
-
-def test_the_compose_file_names_only_what_there_is() -> None:
-    compose: dict[str, Any] = yaml.safe_load(text_of(DEPLOY / "compose-two-servers.yaml"))
-    services = compose["services"]
-    assert set(services) == {"db-1", "app-1", "app-2", "balancer"}
-    for service in services.values():
-        assert set(service.get("depends_on", ())) <= set(services)
-        for volume in service["volumes"]:
-            source = volume.partition(":")[0]
-            assert source.startswith("./") or source in compose["volumes"]
-    addresses = {
-        name: service["networks"]["plant"]["ipv4_address"]
-        for name, service in services.items()
-        if "networks" in service
-    }
-    for name in ("app-1", "app-2"):
-        assert services[name]["command"][0] in COMMANDS
-        for config in ("haproxy.cfg", "Caddyfile"):
-            assert f"{addresses[name]}:8443" in text_of(DEPLOY / config)
-    assert addresses["balancer"] == "10.0.0.10"

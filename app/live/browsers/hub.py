@@ -113,7 +113,7 @@ class Hub:
         return screen
 
     def _faults(self, translator: Translator, now: UnixTime) -> dict[str, str]:
-        """Faults of the records, and lines of other servers and their alarms."""
+        """Faults of the records."""
         return {
             "memory": self._sources.notices(translator, now),
         }
