@@ -189,8 +189,20 @@ def terminal() -> Iterator[int]:
 class Received(bytearray):
     """What a port gave to its receiver."""
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._came = asyncio.Event()
+
     def data_received(self, data: bytes) -> None:
         self.extend(data)
+        self._came.set()
+
+    async def complete(self, expected: bytes) -> None:
+        """Wait for ``expected``, and nothing before it."""
+        while self != expected:
+            await self._came.wait()
+            self._came.clear()
+            assert expected.startswith(self)
 
     def connection_lost(self, cause: Message) -> None:
         raise AssertionError(cause)
@@ -216,9 +228,8 @@ async def test_what_came_in_under_foreign_settings_is_dropped(looks: str) -> Non
     await asyncio.sleep(0.05)
     assert received == b""
     os.write(master, response)
-    while len(received) < len(response):
-        await asyncio.sleep(0.01)
-    assert received == response
+    async with asyncio.timeout(10):
+        await received.complete(response)
     assert [*changed, *port.check()] == ["istrip"]
     port.close()
     os.close(master)

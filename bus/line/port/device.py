@@ -150,8 +150,10 @@ class GatedSerial(serial.Serial):
             self._gate.modify(self.device, select.EPOLLIN if now else 0)
 
     def read(self, size: int = 1) -> bytes:
-        """Return the available bytes, none that came in under foreign settings. The loop has seen that there are
-        some, so this is not checked again."""
+        """Return the available bytes, none that came in under foreign settings.
+
+        The loop has seen that there are some, so this is not checked again.
+        """
         try:
             data = os.read(self.device, size)
             if self.settings is not None and self.settings.restore():

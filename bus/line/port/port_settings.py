@@ -117,9 +117,11 @@ class PortSettings:
         self._controls = {each: value for each, value in controls.items() if value is not None}
 
     def restore(self) -> bool:
-        """Put back what another program changed; return whether there was anything. What has come in and was not
-        read is dropped then: a changed response can have the right checksum, as *istrip* takes the highest bits
-        of several bytes. Raises termios.error where the port is gone."""
+        """Put back what another program changed; return whether there was anything.
+
+        What came in meanwhile is dropped: *istrip* takes the highest bits of bytes, and an even number of
+        them leaves the checksum right. Raises termios.error where the port is gone.
+        """
         found = termios.tcgetattr(self._descriptor)
         if found == self._wanted:
             return False

@@ -201,8 +201,7 @@ def transitions_kept(shown: Iterable[JournalRow], stored: set[JournalRow]) -> It
 
 
 def missing_returns(faults: Sequence[Span], values: Sequence[ShownValue]) -> Iterator[str]:
-    """After a fault that no other one follows meanwhile, every unit is shown live again, with a value that was
-    read after it."""
+    """After a fault that no other follows meanwhile, every unit is live again, with a value read after it."""
     live = [value for value in values if value.link == "online"]
     last = max((value.at for value in values), default=0.0)
     began = [begin for begin, _ in faults]
