@@ -227,38 +227,15 @@ def load(path: Path) -> Settings:
 
 def parse(text: str, path: Path) -> Settings:
     """The text of a file, or one that it may become. Raises ConfigurationError."""
-    settings = configuration.parse(text, path, Settings)
-    folder, audit = path.resolve().parent, settings.audit
-    data = (folder / settings.server.data.expanduser()).resolve()
-    key_file = _absolute(folder, audit.key_file)
+    written = configuration.parse(text, path, Settings)
+    settings = written.in_folder(path.resolve().parent)
+    server, key_file = settings.server, settings.audit.key_file
+    data = server.data.resolve()
     if key_file is not None and key_file.resolve().is_relative_to(data):
         raise ConfigurationError(
-            Message.of("configuration_key_in_data", file=str(path), path=str(audit.key_file))
+            Message.of("configuration_key_in_data", file=str(path), path=str(written.audit.key_file))
         )
-    tls = settings.server.tls and settings.server.tls.in_folder(folder)
-    absolute = {
-        "server": settings.server.model_copy(update={"data": data, "tls": tls}),
-        "oidc": settings.oidc and settings.oidc.in_folder(folder),
-        "audit": audit.model_copy(
-            update={
-                "key_file": key_file,
-                "anchor": _absolute(folder, audit.anchor),
-                "archive": _absolute(folder, audit.archive),
-            }
-        ),
-        "notify": settings.notify.in_folder(folder),
-        "backup": settings.backup.model_copy(
-            update={
-                "folder": _absolute(folder, settings.backup.folder),
-                "key_file": _absolute(folder, settings.backup.key_file),
-            }
-        ),
-    }
-    loaded = settings.model_copy(update=absolute)
+    loaded = settings.model_copy(update={"server": server.model_copy(update={"data": data})})
     loaded._file = path.resolve()
     loaded._text = text
     return loaded
-
-
-def _absolute(folder: Path, path: Path | None) -> Path | None:
-    return None if path is None else folder / path.expanduser()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from decimal import Decimal
 from itertools import pairwise
-from typing import Annotated, Any, Literal, NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, Self
 from urllib.parse import urlsplit
 
 from pydantic import (
@@ -37,6 +38,24 @@ class StrictModel(BaseModel):
     """Immutable, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def in_folder(self, folder: Path) -> Self:
+        """Return these settings with absolute paths; relative ones are in ``folder``."""
+        absolute = {name: _in_folder(value, folder) for name, value in self}
+        return self.model_copy(
+            update={name: value for name, value in absolute.items() if value != getattr(self, name)}
+        )
+
+
+def _in_folder(value: Any, folder: Path) -> Any:
+    match value:
+        case Path():
+            return folder / value.expanduser()
+        case StrictModel():
+            return value.in_folder(folder)
+        case tuple():
+            return tuple(_in_folder(each, folder) for each in value)
+    return value
 
 
 class Dialect(StrictModel):

@@ -67,11 +67,6 @@ class OidcSettings(StrictModel):
         """Names the provider in messages."""
         return urlsplit(self.issuer).netloc
 
-    def in_folder(self, folder: Path) -> OidcSettings:
-        """With absolute paths."""
-        paths = {name: folder / value.expanduser() for name, value in self if isinstance(value, Path)}
-        return self.model_copy(update=paths)
-
     @field_validator("scopes")
     @classmethod
     def _scopes_are_of_openid(cls, scopes: tuple[str, ...]) -> tuple[str, ...]:

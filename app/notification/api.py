@@ -10,9 +10,8 @@ from typing_extensions import TypeAliasType, TypedDict
 
 from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
 from app.notification.maintenance import MAX_MINUTES, RecurringMaintenanceShown
-from app.notification.message.notice import NoticeKind
-from app.notification.outbox.outbox import NotificationDelivery
-from app.notification.outbox.store import MaintenanceShown
+from app.notification.notice import NoticeKind
+from app.notification.outbox import MaintenanceShown, NotificationDelivery
 from app.notification.rules.delivery import DeliveryState
 from app.notification.service import (
     Notification,

@@ -9,8 +9,8 @@ from app.database import Database
 from app.feature import Feature, Services
 from app.notification import api, pages
 from app.notification.acts import ACTS
-from app.notification.message.attachment import ReportAttachments
-from app.notification.outbox.notifier import AlarmNotifier
+from app.notification.notice import ReportAttachments
+from app.notification.notifier import AlarmNotifier
 from app.notification.service import Notification
 from app.web.rendering.templating import Templates
 

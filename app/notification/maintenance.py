@@ -15,8 +15,7 @@ from typing_extensions import TypeAliasType
 from app.audit.log import EventLog
 from app.errors import Problem
 from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE
-from app.notification.outbox.outbox import MAX_AGE_S
-from app.notification.outbox.store import MaintenanceShown, NotificationStore, begin_quiet, end_quiet
+from app.notification.outbox import MAX_AGE_S, MaintenanceShown, NotificationStore, begin_quiet, end_quiet
 from app.notification.rules.notices import QuietSpan
 from app.notification.rules.recurring import recurring_spans
 from app.notification.settings import DAYS, DayOfWeek, MaintenanceSettings

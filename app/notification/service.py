@@ -17,12 +17,10 @@ from app.database import Database
 from app.errors import Problem
 from app.messages.languages import Languages
 from app.notification.acts import SEND_TEST
+from app.notification.compose import Composer, acknowledge_link, check_link
 from app.notification.maintenance import Maintenance
-from app.notification.message.acknowledge_link import acknowledge_link, check_link
-from app.notification.message.attachment import ReportAttachments
-from app.notification.message.compose import Composer
-from app.notification.outbox.outbox import NotificationDelivery, NotificationOutbox
-from app.notification.outbox.store import NotificationStore
+from app.notification.notice import ReportAttachments
+from app.notification.outbox import NotificationDelivery, NotificationOutbox, NotificationStore
 from app.notification.rules.notices import QuietSpan
 from app.notification.sending.dispatcher import Dispatcher
 from app.notification.sending.endpoints import EndpointKind, NotificationPlan

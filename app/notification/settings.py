@@ -187,21 +187,6 @@ class NotifySettings(StrictModel):
         named = [None if self.smtp is None else self.smtp.ca_file, *(each.ca_file for each in self.webhook)]
         return {path for path in named if path is not None}
 
-    def in_folder(self, folder: Path) -> NotifySettings:
-        """Return these settings with absolute paths; relative ones are beside the configuration."""
-        return self.model_copy(
-            update={
-                "smtp": self.smtp and _in_folder(self.smtp, folder),
-                "webhook": tuple(_in_folder(each, folder) for each in self.webhook),
-                "apprise": tuple(_in_folder(each, folder) for each in self.apprise),
-            }
-        )
-
-
-def _in_folder(model: Any, folder: Path) -> Any:
-    paths = {name: value for name, value in model if isinstance(value, Path)}
-    return model.model_copy(update={name: folder / path.expanduser() for name, path in paths.items()})
-
 
 def _refusal(message: Message, *at: int | str) -> PydanticCustomError:
     """``at``: where the fault is, from the table on that is judged."""

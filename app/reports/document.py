@@ -9,8 +9,7 @@ from app.alarms.monitor.line_alarms import LineAlarms
 from app.handover.rules.scope import Scope
 from app.handover.rules.shift_times import Shift
 from app.handover.sheet.document import readable
-from app.notification.message.attachment import Attachment
-from app.notification.message.notice import ReportNotice
+from app.notification.notice import Attachment, ReportNotice
 from app.reports.service import Reports
 from app.web.rendering.assets import Assets
 from app.web.rendering.formats import lasting

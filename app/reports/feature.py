@@ -7,7 +7,7 @@ from app.database import Database
 from app.feature import Feature, Services
 from app.find.finders import Finders, FixedPlace
 from app.history.service import History
-from app.notification.message.attachment import ReportAttachments
+from app.notification.notice import ReportAttachments
 from app.notification.service import Notification
 from app.reports import api, pages
 from app.reports.document import ReportDocuments

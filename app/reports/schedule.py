@@ -10,7 +10,7 @@ import structlog
 
 from app.errors import StoreError
 from app.handover.rules.shift_times import site_time
-from app.notification.message.notice import OutboxItem, ReportNotice
+from app.notification.notice import OutboxItem, ReportNotice
 from app.notification.sending.endpoints import NotificationEndpoint
 from app.reports.rules.spans import last_due
 from app.settings import Settings

@@ -56,8 +56,3 @@ class TlsSettings(StrictModel):
     @property
     def files(self) -> tuple[Path, ...]:
         return (self.certificate, self.key, *([self.client_ca] if self.client_ca else []))
-
-    def in_folder(self, folder: Path) -> TlsSettings:
-        """With absolute paths."""
-        paths = {name: folder / value.expanduser() for name, value in self if isinstance(value, Path)}
-        return self.model_copy(update=paths)

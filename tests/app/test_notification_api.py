@@ -166,7 +166,7 @@ async def test_a_link_that_was_altered_is_refused_in_words(house: House, mail: P
 async def test_a_link_that_has_expired_is_refused_in_words(
     house: House, mail: PlayedMailServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.notification.message.acknowledge_link.VALID_S", -1)
+    monkeypatch.setattr("app.notification.compose.VALID_S", -1)
     link = await risen(house, mail)
     operator = await house.signed_in(Role.OPERATOR)
     response = await operator.get(link)

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from app.notification.message.compose import Letter
-from app.notification.sending.mail import MailServer
-from app.notification.sending.secret_file import MAIL_PASSWORD_VARIABLE, NotDeliveredError
+from app.notification.compose import Letter
+from app.notification.rules.delivery import NotDeliveredError
+from app.notification.sending.mail import MAIL_PASSWORD_VARIABLE, MailServer
 from app.notification.settings import SmtpSettings
 from tests.app.notification_servers import PlayedMailServer, certificate, mail_server, server_context
 

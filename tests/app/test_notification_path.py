@@ -20,10 +20,9 @@ from app.alarms.own.book import OwnAlarmBook
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.state.bus_live import LiveState
-from app.notification.message.notice import OutboxItem
-from app.notification.outbox.notifier import AlarmNotifier
-from app.notification.outbox.outbox import NotificationDelivery
-from app.notification.outbox.store import NotificationStore
+from app.notification.notice import OutboxItem
+from app.notification.notifier import AlarmNotifier
+from app.notification.outbox import NotificationDelivery, NotificationStore
 from app.notification.service import Notification
 from app.notification.settings import NotifySettings
 from app.web.admission.access import Person, Role

@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 
 from app.cli.findings import check
 from app.cli.options import command_of
-from app.notification.sending import mail, webhook
+from app.notification.sending import mail, programs
 from app.settings import load
 from tests.app.configured import faults_of
 from tests.app.notification_servers import mail_server, receiver
@@ -111,7 +111,7 @@ def test_check_reports_a_server_that_refuses_and_one_that_hangs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mail, "SOCKET_S", 0.2)
-    monkeypatch.setattr(webhook, "SOCKET_S", 0.2)
+    monkeypatch.setattr(programs, "SOCKET_S", 0.2)
     monkeypatch.setitem(sys.modules, "apprise", None)
     (tmp_path / "hook.key").write_text("key")
     with ExitStack() as stack:

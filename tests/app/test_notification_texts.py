@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from app.messages.languages import Languages
-from app.notification.message.compose import Composer, Letter, hook_body
-from app.notification.message.notice import AlarmNotice, NoticeKind, OutboxItem
-from app.notification.outbox.outbox import NotificationDelivery
-from app.notification.sending import apprise_url
+from app.notification.compose import Composer, Letter, hook_body
+from app.notification.notice import AlarmNotice, NoticeKind, OutboxItem
+from app.notification.outbox import NotificationDelivery
+from app.notification.rules.delivery import NotDeliveredError
+from app.notification.sending import programs
 from app.notification.sending.endpoints import NotificationEndpoint
-from app.notification.sending.secret_file import NotDeliveredError
 from app.notification.sending.senders import Senders
 from app.notification.settings import AppriseSettings
 from app.web.rendering.formats import Formats
@@ -104,7 +104,7 @@ def settings(tmp_path: Path) -> AppriseSettings:
 async def test_apprise_is_an_extra(settings: AppriseSettings, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "apprise", None)
     with pytest.raises(NotDeliveredError, match="is not installed"):
-        await apprise_url.notify(settings, composer().letter(delivery(item()), NOW))
+        await programs.notify_by_apprise(settings, composer().letter(delivery(item()), NOW))
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the plug-ins of apprise
@@ -112,16 +112,16 @@ async def test_apprise_delivers(settings: AppriseSettings) -> None:
     letter: Letter = composer().letter(delivery(item()), NOW)
     async with receiver() as hooks:
         settings.url_file.write_text(hooks.url.replace("http://", "json://"))
-        await apprise_url.notify(settings, letter)
+        await programs.notify_by_apprise(settings, letter)
         sent = await hooks.body()
     assert (sent["title"], sent["message"]) == (letter.subject, letter.body.rstrip())
     async with receiver(response=b"HTTP/1.1 500 Broken\r\nContent-Length: 0\r\n\r\n") as hooks:
         settings.url_file.write_text(hooks.url.replace("http://", "json://"))
         with pytest.raises(NotDeliveredError, match="did not take the message"):
-            await apprise_url.notify(settings, letter)
+            await programs.notify_by_apprise(settings, letter)
     settings.url_file.write_text("plant")
     with pytest.raises(NotDeliveredError, match="holds no URL that apprise knows"):
-        await apprise_url.notify(settings, letter)
+        await programs.notify_by_apprise(settings, letter)
 
 
 async def test_a_way_that_hangs_or_fails_unexpectedly_ends_in_words(
@@ -135,10 +135,10 @@ async def test_a_way_that_hangs_or_fails_unexpectedly_ends_in_words(
 
     endpoint = NotificationEndpoint("apprise", "plant", settings)
     senders = Senders(None, composer(), attempt_s=0.0)
-    monkeypatch.setattr(apprise_url, "notify", hangs)
+    monkeypatch.setattr(programs, "notify_by_apprise", hangs)
     with pytest.raises(NotDeliveredError, match="No result after 0 s"):
         await senders.send(endpoint, delivery(item()), NOW)
-    monkeypatch.setattr(apprise_url, "notify", fails)
+    monkeypatch.setattr(programs, "notify_by_apprise", fails)
     with pytest.raises(NotDeliveredError) as raised:
         await Senders(None, composer()).send(endpoint, delivery(item()), NOW)
     assert "RuntimeError" in str(raised.value)

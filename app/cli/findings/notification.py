@@ -7,12 +7,13 @@ from collections.abc import Awaitable, Iterator
 from pathlib import Path
 
 from app.cli.findings.machine import Finding
-from app.notification.sending import apprise_url, webhook
+from app.notification.rules.delivery import NotDeliveredError
+from app.notification.sending import programs
 from app.notification.sending.endpoints import NotificationEndpoint, NotificationPlan
 from app.notification.sending.mail import MailServer
-from app.notification.sending.secret_file import NotDeliveredError
 from app.notification.settings import AppriseSettings, NotifySettings, WebhookSettings
 from app.server.secret_file import can_others_read
+from bus.errors import LinesideError
 from bus.messages import Message
 
 CHECK_S = 15.0
@@ -41,15 +42,15 @@ def notification_findings(settings: NotifySettings) -> Iterator[Finding]:
 async def _reach(endpoint: NotificationEndpoint) -> None:
     match endpoint.settings:
         case WebhookSettings() as settings:
-            await webhook.reach(settings)
+            await programs.reach(settings)
         case AppriseSettings() as settings:
-            apprise_url.opened(settings)
+            programs.apprise_service(settings)
 
 
 def _tried(address: str, attempt: Awaitable[None], reached: Message) -> Finding:
     try:
         asyncio.run(_bounded(attempt))
-    except NotDeliveredError as error:
+    except LinesideError as error:
         message = Message.of("check_notify_failed", address=address, reason=error.message)
         return Finding(message, is_fault=True)
     return Finding(reached)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal
 
+from bus.errors import LinesideError
 from bus.instants import UnixTime
 
 DeliveryState = Literal["sending", "retrying", "delivered", "failed", "canceled"]
@@ -21,6 +22,10 @@ GATHER_S = 3.0
 """For which the alarms that stood at a start are gathered, those of all buses in one message."""
 FAILING_ATTEMPTS = 2
 """So many failures without a success between are no chance: the address is failing."""
+
+
+class NotDeliveredError(LinesideError):
+    """Why a message was not delivered, in words without any secret."""
 
 
 def retry_after_s(attempts: int) -> float:

@@ -14,17 +14,17 @@ import structlog
 from app.alarms.monitor.site_alarms import FailingEndpoints
 from app.audit.log import EventLog
 from app.errors import StoreError
-from app.notification.message.notice import OutboxItem
-from app.notification.outbox.outbox import NotificationDelivery, NotificationOutbox
+from app.notification.notice import OutboxItem
+from app.notification.outbox import NotificationDelivery, NotificationOutbox
 from app.notification.rules.delivery import (
     FAILING_ATTEMPTS,
+    NotDeliveredError,
     heartbeat_due,
     next_turn,
     retry_after_s,
     state_after_failure,
 )
 from app.notification.sending.endpoints import NotificationEndpoint, NotificationPlan
-from app.notification.sending.secret_file import NotDeliveredError
 from app.notification.sending.senders import Senders
 from app.notification.settings import minute_of_day
 from bus.instants import Clock, UnixTime, unix_now

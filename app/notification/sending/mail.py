@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import smtplib
 import socket
 import ssl
@@ -11,16 +12,19 @@ from dataclasses import dataclass
 from email.message import EmailMessage
 from email.policy import SMTP as SMTP_POLICY
 from email.utils import format_datetime
+from pathlib import Path
 from typing import Any
 
-from app.notification.message.compose import Letter
-from app.notification.sending.secret_file import NotDeliveredError, mail_password
+from app.notification.compose import Letter
+from app.notification.rules.delivery import NotDeliveredError
 from app.notification.settings import SmtpSettings
 from app.server.in_thread import in_thread
+from app.server.secret_file import read_secret_text
 from bus.messages import Message
 
 SOCKET_S = 10.0
 MAX_REASON_LENGTH = 300
+MAIL_PASSWORD_VARIABLE = "LINESIDE_SMTP_PASSWORD"
 
 
 class MailServer:
@@ -30,13 +34,13 @@ class MailServer:
         self._settings = settings
 
     async def send(self, to: str, letter: Letter) -> None:
-        """Deliver to the mail server. Raises NotDeliveredError."""
+        """Deliver to the mail server. Raises LinesideError."""
         sender = self._settings.sender
         message = _message(sender, to, letter)
         await self._run(lambda server: server.send_message(message, from_addr=sender, to_addrs=[to]))
 
     async def test(self) -> None:
-        """Connect, encrypt and sign in; nothing is sent. Raises NotDeliveredError."""
+        """Connect, encrypt and sign in; nothing is sent. Raises LinesideError."""
         await self._run(lambda _: None)
 
     async def _run(self, work: Callable[[smtplib.SMTP], object]) -> None:
@@ -95,7 +99,17 @@ def _secure(server: smtplib.SMTP, settings: SmtpSettings) -> None:
         server.starttls(context=_context(settings))
         server.ehlo()
     if settings.user:
-        server.login(settings.user, mail_password(settings.password_file))
+        server.login(settings.user, _password(settings.password_file))
+
+
+def _password(path: Path | None) -> str:
+    """Return the password of the file, else of the environment. Raises LinesideError."""
+    if path is not None:
+        return read_secret_text(path)
+    password = os.environ.get(MAIL_PASSWORD_VARIABLE, "")
+    if not password:
+        raise NotDeliveredError(Message.of("notify_password_missing", variable=MAIL_PASSWORD_VARIABLE))
+    return password
 
 
 def _message(sender: str, to: str, letter: Letter) -> EmailMessage:

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from app.notification.message.attachment import Attachment, ReportAttachments
-from app.notification.message.compose import Composer, hook_body
-from app.notification.message.notice import ReportNotice
-from app.notification.outbox.outbox import NotificationDelivery
-from app.notification.sending import apprise_url, webhook
+from app.notification.compose import Composer, hook_body
+from app.notification.notice import Attachment, ReportAttachments, ReportNotice
+from app.notification.outbox import NotificationDelivery
+from app.notification.rules.delivery import NotDeliveredError
+from app.notification.sending import programs
 from app.notification.sending.endpoints import NotificationEndpoint
-from app.notification.sending.secret_file import NotDeliveredError
 from app.notification.settings import AppriseSettings, SmtpSettings, WebhookSettings
 from bus.errors import LinesideError
 from bus.instants import UnixTime
@@ -63,8 +62,8 @@ class Senders:
             except TimeoutError:
                 seconds = round(self._attempt_s)
                 raise NotDeliveredError(Message.of("notify_took_too_long", seconds=seconds)) from None
-            except NotDeliveredError:
-                raise
+            except LinesideError as error:
+                raise NotDeliveredError(error.message) from None
             except Exception as error:
                 # Its text may hold a URL or a password.
                 name = type(error).__name__
@@ -76,9 +75,9 @@ class Senders:
     ) -> None:
         match endpoint.settings:
             case WebhookSettings() as settings:
-                await webhook.post(settings, hook_body(self._composer.site, delivery, now), now)
+                await programs.post(settings, hook_body(self._composer.site, delivery, now), now)
             case AppriseSettings() as settings:
-                await apprise_url.notify(settings, self._composer.letter(delivery, now))
+                await programs.notify_by_apprise(settings, self._composer.letter(delivery, now))
             case None:
                 if self._server is None:
                     raise NotDeliveredError(Message("setting_mail_server_missing"))

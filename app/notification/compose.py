@@ -1,17 +1,19 @@
-"""What people and programs are sent: texts in the language of the site, and JSON."""
+"""What people and programs are sent: texts in the language of the site, JSON, and links to an alarm."""
 
 from __future__ import annotations
 
+import hmac
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
+from urllib.parse import urlencode
 
 from app.conditions.priority import PRIORITIES
+from app.errors import Problem
 from app.messages.languages import Language
-from app.notification.message.attachment import Attachment
-from app.notification.message.notice import OutboxItem, ReportNotice
-from app.notification.outbox.outbox import NotificationDelivery
+from app.notification.notice import Attachment, OutboxItem, ReportNotice
+from app.notification.outbox import NotificationDelivery
 from app.notification.rules.notices import UNACKNOWLEDGED
 from app.web.api.shape import iso, message_shown
 from app.web.rendering.formats import Formats
@@ -141,3 +143,26 @@ def _is_urgent(item: OutboxItem) -> bool:
 def _one_line(text: str) -> str:
     """A name with a line break must not become a header or a line that looks like ours."""
     return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
+
+
+PATH = "/notifications/acknowledge"
+VALID_S = 7 * 86_400
+
+
+def acknowledge_link(base: str, key: bytes, alarm_id: str, now: UnixTime) -> str:
+    """A link for one occurrence. It signs no one in, and opening it changes nothing."""
+    until = int(float(now)) + VALID_S
+    query = {"alarm": alarm_id, "until": until, "signature": _signature(key, alarm_id, until)}
+    return f"{base.rstrip('/')}{PATH}?{urlencode(query)}"
+
+
+def check_link(key: bytes, alarm_id: str, until: int, signature: str, now: UnixTime) -> None:
+    """Raises Problem 403 for a link that this dashboard did not make, or that has expired."""
+    if not hmac.compare_digest(_signature(key, alarm_id, until).encode(), signature.encode()):
+        raise Problem(403, "forbidden", Message("notify_link_invalid"))
+    if float(now) > until:
+        raise Problem(403, "forbidden", Message("notify_link_expired"))
+
+
+def _signature(key: bytes, alarm_id: str, until: int) -> str:
+    return hmac.new(key, f"{until} {alarm_id}".encode(), "sha256").hexdigest()

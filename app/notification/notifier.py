@@ -10,8 +10,8 @@ from itertools import count
 from app.alarms.alarm import SITE
 from app.alarms.journal.store import JournalEntry
 from app.alarms.monitor.alarm_list import AlarmList
-from app.notification.message.notice import OutboxItem, notice_of
-from app.notification.outbox.outbox import STANDING
+from app.notification.notice import OutboxItem, notice_of
+from app.notification.outbox import STANDING
 from app.notification.rules.notices import Episode, Followed, PlannedNotice, due, follow
 from app.notification.service import Notification
 from bus.instants import UnixTime

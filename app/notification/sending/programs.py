@@ -1,4 +1,5 @@
-"""Webhooks: one signed POST for each notice."""
+"""Programs that are notified: webhooks, by one signed POST for each notice, and what the package apprise
+reaches (the extra ``lineside[apprise]``)."""
 
 from __future__ import annotations
 
@@ -6,12 +7,16 @@ import hmac
 import json
 import ssl
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
 from urllib.parse import urlsplit
 
 from app.errors import network_cause
-from app.notification.sending.secret_file import NotDeliveredError, read_secret, read_secret_text
-from app.notification.settings import WebhookSettings
+from app.notification.compose import Letter
+from app.notification.rules.delivery import NotDeliveredError
+from app.notification.settings import AppriseSettings, WebhookSettings
+from app.server.in_thread import in_thread
+from app.server.secret_file import read_secret, read_secret_text
 from app.server.settings import check_web_url
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -27,7 +32,7 @@ def signature(secret: bytes, body: bytes, at: int) -> str:
 
 
 async def post(settings: WebhookSettings, body: Mapping[str, Any], now: UnixTime) -> None:
-    """Deliver one notice; ``body["id"]`` lets the receiver drop a duplicate. Raises NotDeliveredError."""
+    """Deliver one notice; ``body["id"]`` lets the receiver drop a duplicate. Raises LinesideError."""
     content = json.dumps(body, ensure_ascii=False, separators=(",", ":")).encode()
     headers = {
         "Content-Type": "application/json",
@@ -40,7 +45,7 @@ async def post(settings: WebhookSettings, body: Mapping[str, Any], now: UnixTime
 
 
 async def reach(settings: WebhookSettings) -> None:
-    """Whether its server responds; nothing is notified. Raises NotDeliveredError."""
+    """Have its server respond; nothing is notified. Raises LinesideError."""
     read_secret(settings.secret_file)
     status = await _exchange(settings, "HEAD", {}, b"")
     if 300 <= status < 400:
@@ -97,3 +102,26 @@ def _place(url: str) -> dict[str, Any]:
 def _refusal(settings: WebhookSettings, status: int) -> Message:
     code = "notify_redirected" if 300 <= status < 400 else "notify_http_refused"
     return Message.of(code, **_place(_url_of(settings)), status=status)
+
+
+async def notify_by_apprise(settings: AppriseSettings, letter: Letter) -> None:
+    """Deliver a message. Raises LinesideError; apprise does not give the reason."""
+
+    def send() -> bool:
+        return bool(apprise_service(settings).notify(title=letter.subject, body=letter.body))
+
+    # The thread also imports the package, which takes as long as a tenth of a second.
+    if not await in_thread(send):
+        raise NotDeliveredError(Message.of("notify_apprise_refused", name=settings.url_file.name))
+
+
+def apprise_service(settings: AppriseSettings) -> Any:
+    """Open the service of the URL. Raises LinesideError."""
+    try:
+        package = import_module("apprise")
+    except ImportError:
+        raise NotDeliveredError(Message("notify_apprise_missing")) from None
+    service = package.Apprise()
+    if not service.add(read_secret_text(settings.url_file)):
+        raise NotDeliveredError(Message.of("notify_apprise_url", path=str(settings.url_file)))
+    return service

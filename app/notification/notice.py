@@ -1,7 +1,8 @@
-"""What a notification is about, as it is kept in the outbox until it is delivered."""
+"""What a notification is about, as the outbox keeps it until it is delivered, and what a mail attaches."""
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -95,3 +96,19 @@ def notice_of(
         response=definition.record.response,
         escalated=escalated,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A page as a file. ``summary``: lines of the text of the mail."""
+
+    name: str
+    page: str
+    summary: tuple[Message, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ReportAttachments:
+    """``of`` makes the page of a report; it raises LinesideError where it cannot."""
+
+    of: Callable[[ReportNotice], Awaitable[Attachment]]

@@ -1,1 +1,0 @@
-"""The message of a notification: its texts, its attachment, its link."""

@@ -1,1 +1,0 @@
-"""From the journal of alarms to an outbox that outlives a restart."""
