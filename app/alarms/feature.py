@@ -86,7 +86,7 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
         lambda: anchoring.status,
         services.add(FailingEndpoints()),
         expiry,
-        lambda: services[Backups].newest,
+        lambda: services[Backups].missing,
         lambda: services[EventArchive].failing,
     )
     return SiteAlarms(conditions, store, tuned=settings.built_in_alarm)

@@ -1,1 +1,1 @@
-"""Backups of everything that a server keeps, each night, and the alarm where one is missing."""
+"""Backups of everything that a server keeps: written, thinned and read."""

@@ -1,4 +1,4 @@
-"""Backups of the server. Where the store is a database, it is backed up with that database."""
+"""The backups of the server."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes a backup each night, in another process, which gives way to all others."""
+"""Writes a backup whenever one is due, in another process, which gives way to all others."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
@@ -15,8 +16,9 @@ from zoneinfo import ZoneInfo
 import structlog
 
 from app.audit.log import EventLog
-from app.backup.schedule import NAME, name_of, next_due, too_many
+from app.backup.schedule import next_due, time_of
 from app.backup.settings import BackupSettings
+from app.conditions.of_server import BACKUP_OVERDUE, BACKUP_S
 from app.errors import system_error
 from bus.errors import LinesideError
 from bus.instants import Clock, UnixTime, unix_now
@@ -26,16 +28,17 @@ LOOK_S = 30.0
 """How often the clock is looked at: one that is set moves the next backup."""
 NICE = 15
 log = structlog.get_logger()
-WriteBackup = Callable[[Path], Awaitable[Message | None]]
+Written = tuple[str, Message | None]
+"""The name of a backup, and what is to be said of it."""
+WriteBackup = Callable[[], Awaitable[Written]]
 
 
-class BackupError(LinesideError):
+class FailedBackup(LinesideError):
     """A backup could not be written."""
 
 
 class Backups:
-    """The backups of one server. ``write`` makes one file, verifies it, and returns what
-    is not in it."""
+    """The backups of one server. ``write`` makes one and verifies it."""
 
     def __init__(
         self,
@@ -46,11 +49,14 @@ class Backups:
         write: WriteBackup | None = None,
         clock: Clock = unix_now,
     ) -> None:
-        self._folder, self._keep, self._at = settings.folder or Path(), settings.keep, settings.at
+        self._settings, self._folder = settings, settings.folder or Path()
         self._config, self._zone, self._events = config, zone, events
         self._write = write or self._by_command
         self._clock = clock
-        self._is_wanted = settings.folder is not None
+        self.failing: Message | None = None
+        """Why the last attempt failed; mostly None."""
+        self._noted_on = ""
+        """The day of the last event of a backup that was written."""
         self._since = _last_change(config) or clock()
         self._written: UnixTime | None = None
         self._failed: UnixTime | None = None
@@ -59,16 +65,23 @@ class Backups:
     def newest(self) -> UnixTime | None:
         """When the newest backup was begun; while there is none, when the configuration that requests it was
         last changed. None: there are to be none."""
-        return (self._written or self._since) if self._is_wanted else None
+        return (self._written or self._since) if self._settings.folder is not None else None
+
+    @property
+    def missing(self) -> Message | bool:
+        """Whether the newest backup is too old, with the reason where the last attempt failed."""
+        every = self._settings.every_s
+        after_s = BACKUP_S if every is None else max(3600.0, 2.5 * every)
+        return BACKUP_OVERDUE.holds(self.newest, self._clock(), after_s) and (self.failing or True)
 
     def next_due(self, now: UnixTime) -> UnixTime:
         """When the next backup is due; not after ``now`` where it is to begin."""
-        return next_due(now, self._written, self._failed, self._at, self._zone)
+        return next_due(now, self._written, self._failed, self._settings, self._zone)
 
     async def follow(self) -> None:
-        """Write a backup whenever one is due, without end: at once where there is none, or that of last night
-        is missing; an hour later where one failed."""
-        self._written = await asyncio.to_thread(newest_in, self._folder, self._clock())
+        """Write a backup whenever one is due, without end: at once where there is none, or one is missing;
+        later where one failed."""
+        self._written = await asyncio.to_thread(newest_in, self._folder, self._clock(), self._zone)
         while True:
             await asyncio.sleep(LOOK_S)
             now = self._clock()
@@ -76,44 +89,39 @@ class Backups:
                 await self.back_up()
 
     async def back_up(self) -> None:
-        """Write one now; its result is an event."""
+        """Write one now. That it failed is an event, once for each reason; that it was written is one after a
+        failure, and the first of a day."""
         begun = self._clock()
-        file = self._folder / name_of(begun, self._zone)
         try:
-            await asyncio.to_thread(self._prepare)
-            left_out = await self._write(file)
-            await asyncio.to_thread(self._remove_older, file)
+            name, about = await self._write()
         except (LinesideError, OSError) as error:
             reason = error.message if isinstance(error, LinesideError) else system_error(error)
-            log.error("backup failed", file=str(file), reason=str(reason))
-            self._failed = begun
-            await self._record("event_backup_failed", file, reason)
+            log.error("backup failed", folder=str(self._folder), reason=str(reason))
+            former, self._failed, self.failing = self.failing, begun, reason
+            if str(former) != str(reason):
+                await self._record(Message.of("event_backup_failed", file=str(self._folder)), reason)
             return
-        self._written, self._failed = begun, None
-        await self._record("event_backup_written", file, left_out or "")
+        day = datetime.fromtimestamp(float(begun), self._zone).date().isoformat()
+        is_news = self.failing is not None or self._noted_on != day
+        self._written, self._failed, self.failing, self._noted_on = begun, None, None, day
+        if is_news:
+            await self._record(Message.of("event_backup_written", file=name), about or "")
 
-    async def _record(self, code: str, file: Path, reason: Message | str = "") -> None:
-        await self._events.record(kind="server", what=Message.of(code, file=file.name), message=reason)
+    async def _record(self, what: Message, reason: Message | str = "") -> None:
+        await self._events.record(kind="server", what=what, message=reason)
 
-    def _prepare(self) -> None:
-        """A folder that is not there is not made: it may be that of a disk that is not mounted."""
+    async def _by_command(self) -> Written:
+        """By ``lineside backup-store``. Raises FailedBackup with what it complained of."""
         if not self._folder.is_dir():
-            raise BackupError(Message.of("backup_folder_missing", folder=str(self._folder)))
-
-    def _remove_older(self, file: Path) -> None:
-        for name in too_many((path.name for path in self._folder.iterdir()), self._keep, file.name):
-            (self._folder / name).unlink(missing_ok=True)
-
-    async def _by_command(self, file: Path) -> Message | None:
-        """By ``lineside backup-store``. Raises BackupError with what it complained of."""
+            # A folder that is not there is not made, nor a file in its place: its disk may not be mounted.
+            raise FailedBackup(Message.of("backup_folder_missing", folder=str(self._folder)))
         words = (
             sys.executable,
             "-P",
             "-m",
             "app.cli",
             "backup-store",
-            str(file),
-            "--share-events",
+            str(self._folder),
             "--config",
             str(self._config),
             "--json",
@@ -131,22 +139,25 @@ class Backups:
             raise
         if process.returncode:
             text = complaint.decode(errors="replace").strip().removeprefix("lineside: ")
-            raise BackupError(Message.of("system_error", error=text or f"exit code {process.returncode}"))
-        return left_out_of(json.loads(done))
+            raise FailedBackup(Message.of("system_error", error=text or f"exit code {process.returncode}"))
+        written = json.loads(done)
+        return str(written["file"]), left_out_of(written)
 
 
 def left_out_of(written: Mapping[str, Any]) -> Message | None:
     """What a backup lacks, by what ``lineside backup-store --json`` prints; None where all is."""
     lists = (("left_out", "backup_leaves_out"), ("events_absent", "backup_without_events"))
-    return joined(Message(code, {"files": files}) for name, code in lists if (files := written[name]))
+    lacking = [Message(code, {"files": files}) for name, code in lists if (files := written[name])]
+    if written["damaged"]:
+        lacking.append(Message.of("backup_contents_lost", n=len(written["damaged"])))
+    return joined(lacking)
 
 
-def newest_in(folder: Path, now: UnixTime) -> UnixTime | None:
-    """When the newest backup of a folder was written. One of the future is of a clock that was wrong."""
+def newest_in(folder: Path, now: UnixTime, zone: ZoneInfo) -> UnixTime | None:
+    """When the newest backup of a folder was begun. One of the future is of a clock that was wrong."""
     with suppress(OSError):
-        backups = (path for path in folder.iterdir() if NAME.fullmatch(path.name))
-        times = (UnixTime(path.stat().st_mtime) for path in backups)
-        return max((written for written in times if written <= now), default=None)
+        times = (time_of(path.name, zone) for path in folder.iterdir())
+        return max((begun for begun in times if begun is not None and begun <= now), default=None)
     return None
 
 

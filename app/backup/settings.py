@@ -10,18 +10,30 @@ from pydantic import Field
 from bus.settings import StrictModel
 
 CLOCK = r"^([01]\d|2[0-3]):[0-5]\d$"
+INTERVAL = r"^([1-9]|[1-5]\d) min$|^([1-9]|1\d|2[0-4]) h$"
 
 
 class BackupSettings(StrictModel):
     """Whether, where and when this server backs itself up."""
 
     folder: Path | None = None
-    """Where the files are written, best on another disk; relative to the configuration, absolute once loaded.
-    None: there is no backup."""
+    """Where the backups of this site are written, best on another computer; relative to the configuration,
+    absolute once loaded. None: there is no backup."""
     at: Annotated[str, Field(pattern=CLOCK)] = "02:30"
-    """By the clock of the site."""
+    """By the clock of the site, where ``every`` is not set."""
+    every: Annotated[str, Field(pattern=INTERVAL)] | None = None
+    """How often instead: ``"10 min"``, ``"1 h"``."""
     keep: Annotated[int, Field(strict=True, ge=1, le=1000)] = 14
-    """So many files; the oldest is deleted once another is written."""
+    """Of so many days the last backup is kept, besides all of the last two hours, one per hour of a day, and
+    one per month of a year."""
     key_file: Path | None = None
     """Encrypts the secret files of a backup, which else are not in it. Relative to the configuration,
     absolute once loaded; not made by Lineside."""
+
+    @property
+    def every_s(self) -> float | None:
+        """Seconds between two backups; None: once a day."""
+        if self.every is None:
+            return None
+        number, unit = self.every.split()
+        return int(number) * (60.0 if unit == "min" else 3600.0)

@@ -33,10 +33,10 @@ def token_expires(
     return expires_at - now < min(TOKEN_S, TOKEN_SHARE * (expires_at - created_at))
 
 
-def backup_is_overdue(newest: UnixTime | None, now: UnixTime) -> bool:
-    """Whether the backup of a night is missing; ``newest``: None where there are to be no backups. A time in
-    the future is of a clock that was wrong, and proves as little as one long past."""
-    return newest is not None and abs(now - newest) > BACKUP_S
+def backup_is_overdue(newest: UnixTime | None, now: UnixTime, after_s: float = BACKUP_S) -> bool:
+    """Whether backups are missing; ``newest``: None where there are to be none. A time in the future is of a
+    clock that was wrong, and proves as little as one long past."""
+    return newest is not None and abs(now - newest) > after_s
 
 
 HISTORY_DEGRADED: Condition[StatePredicate] = Condition(
@@ -86,12 +86,12 @@ TOKEN_EXPIRING: Condition[Callable[[UnixTime, UnixTime | None, UnixTime | None, 
     means="a token that was used in the last 30 days ends within 14 days, or within the last tenth of its"
     " life",
 )
-BACKUP_OVERDUE: Condition[Callable[[UnixTime | None, UnixTime], bool]] = Condition(
+BACKUP_OVERDUE: Condition[Callable[..., bool]] = Condition(
     "backup_overdue",
     ("major", "shift"),
     holds=backup_is_overdue,
-    means="the newest backup of `[backup]` is older than 26 hours, or there is none so long after the last"
-    " change of the configuration",
+    means="the newest backup of `[backup]` is older than 26 hours, with `every` than an hour"
+    " and two and a half of its periods, or there is none so long after the last change of the configuration",
     tuning=Tuning(on_delay_s=600),  # of a start, which first makes up for a night that was missed
 )
 EVENTS_NOT_ARCHIVED: Condition[Callable[[object], bool]] = Condition(

@@ -59,6 +59,7 @@ CHAPTERS = (
     Chapter("guide/users.md", DO),
     Chapter("guide/company-accounts.md", DO),
     Chapter("guide/backup.md", DO),
+    Chapter("spare.md", DO),
     Chapter("tls.md", DO),
     Chapter("containers.md", DO),
     Chapter("scale.md", DO),

@@ -261,6 +261,8 @@ def drop_rollups(connection: StoreConnection, before: int) -> None:
     connection.execute("DELETE FROM bits WHERE until < ?", (before,))
     connection.execute("DELETE FROM link WHERE at < ?", (before,))
     connection.execute("DELETE FROM damaged WHERE found < ?", (before,))
+    query = "DELETE FROM changed WHERE start < iif(kind = 'rest', ?, ?)"
+    connection.execute(query, (before - DAY, raw_from(connection) - 2 * DAY))
 
 
 def move_damaged(connection: StoreConnection, block: BlockKey, now: int) -> bool:

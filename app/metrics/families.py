@@ -66,7 +66,7 @@ class LineCollector(Collector):
         yield GaugeMetricFamily("lineside_disk_free_bytes", free, value=free_bytes(measured.data))
         yield from _of_history(measured.history())
         if (newest := measured.newest_backup()) is not None:
-            words = "When the newest nightly backup was begun; without any, since when there is to be one"
+            words = "When the newest backup was begun; without any, since when there is to be one"
             yield GaugeMetricFamily("lineside_backup_timestamp_seconds", words, value=float(newest))
         anchor = measured.anchor()
         degraded = 1 if anchor.altered or anchor.unwritten else 0

@@ -1,10 +1,11 @@
-"""Nightly backups: when one is due, what is kept, and what becomes of one that fails."""
+"""Backups of the server: when one is due, what is kept, and what becomes of one that fails."""
 
 from __future__ import annotations
 
 import asyncio
 import os
 import tomllib
+from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
 from typing import Any, cast
@@ -16,10 +17,10 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from app.audit.log import EventLog
-from app.backup.schedule import RETRY_S, name_of, next_after, next_due, too_many
-from app.backup.service import Backups, WriteBackup, left_out_of, newest_in
+from app.backup.folder import CONTENTS
+from app.backup.schedule import RETRY_S, name_of, next_after, next_due, time_of, too_many
+from app.backup.service import Backups, WriteBackup, Written, left_out_of, newest_in
 from app.backup.settings import BackupSettings
-from app.cli.stores.backup_store import write_backup
 from app.conditions.of_server import backup_is_overdue
 from app.errors import StoreError
 from app.settings import load
@@ -74,28 +75,70 @@ def test_one_is_due_at_once_where_none_is_there_and_an_hour_after_one_that_faile
     newest: str | None, failed: str | None, due: str
 ) -> None:
     known, lost = (None if each is None else moment(each) for each in (newest, failed))
-    assert next_due(NOW, known, lost, "02:30", BERLIN) == moment(due)
+    assert next_due(NOW, known, lost, BackupSettings(), BERLIN) == moment(due)
 
 
-def test_the_oldest_files_are_too_many_and_no_other_file_is() -> None:
-    names = [name_of(moment(f"2026-11-{day:02}T02:30"), BERLIN) for day in (9, 10, 11, 12)]
-    assert names == sorted(names)
-    assert too_many(["notes.tar", *reversed(names), "lineside.tar"], 2, names[-1]) == names[:2]
-    assert too_many(names, 4, names[-1]) == []
-    assert too_many([], 1, names[-1]) == []
+@pytest.mark.parametrize(
+    ("every", "newest", "failed", "due"),
+    [
+        ("10 min", "2026-11-26T11:55", None, "2026-11-26T12:05"),
+        ("10 min", "2026-11-26T02:30", None, "2026-11-26T02:40"),
+        ("10 min", None, "2026-11-26T11:55", "2026-11-26T12:05"),
+        ("4 h", "2026-11-26T11:00", None, "2026-11-26T15:00"),
+        ("4 h", "2026-11-26T07:00", "2026-11-26T11:55", "2026-11-26T12:55"),
+        ("4 h", "2027-11-26T11:00", None, "2026-11-26T12:00"),
+    ],
+)
+def test_one_is_due_so_long_after_the_last(
+    every: str, newest: str | None, failed: str | None, due: str
+) -> None:
+    known, lost = (None if each is None else moment(each) for each in (newest, failed))
+    assert next_due(NOW, known, lost, BackupSettings(every=every), BERLIN) == moment(due)
+
+
+def kept(times: Iterable[str], written: str, keep: int = 14) -> list[str]:
+    """Of backups of these times those that stay, once that of ``written`` is there."""
+    names = {name_of(moment(text)): text for text in (*times, written)}
+    return sorted(
+        {*names.values()} - {names[name] for name in too_many(names, keep, name_of(moment(written)), BERLIN)}
+    )
+
+
+def test_all_of_two_hours_stay_then_one_per_hour_per_day_and_per_month() -> None:
+    ten_minutes = [
+        f"2026-11-{day:02}T{hour:02}:{m}0" for day in (24, 25) for hour in range(24) for m in range(6)
+    ]
+    left = kept(ten_minutes, "2026-11-26T00:00", keep=2)
+    assert left[-13:] == [*ten_minutes[-12:], "2026-11-26T00:00"]
+    assert left[:-13] == [f"2026-11-25T{hour:02}:50" for hour in range(22)]
+    months = [f"2026-{month:02}-{day}T02:30" for month in range(1, 11) for day in (10, 28)]
+    assert kept(months, "2026-11-05T02:30", keep=3) == [
+        *[f"2026-{month:02}-28T02:30" for month in range(1, 10)],
+        "2026-10-10T02:30",
+        "2026-10-28T02:30",
+        "2026-11-05T02:30",
+    ]
+
+
+def test_other_files_stay_and_archives_of_version_02_go_like_manifests() -> None:
+    names = ["notes.json", "lineside.tar", *(f"lineside-2026-11-{day}-023000.tar" for day in (20, 21, 22))]
+    written = name_of(moment("2026-11-26T02:30"))
+    assert too_many([*names, written], 2, written, BERLIN) == [names[2], names[3]]
 
 
 def test_what_was_just_written_stays_and_files_of_the_future_go_first() -> None:
-    names = [name_of(moment(f"{year}-11-26T02:30"), BERLIN) for year in (2024, 2025, 2026, 2027, 2028)]
-    assert too_many(names, 1, names[2]) == [names[3], names[4], names[0], names[1]]
-    assert too_many(names, 3, names[2]) == names[3:]
+    years = [f"{year}-11-26T02:30" for year in (2026, 2027, 2028)]
+    assert kept(years, "2026-11-26T02:31") == ["2026-11-26T02:30", "2026-11-26T02:31"]
 
 
-@given(st.lists(st.integers(2000, 2099), unique=True, min_size=1), st.integers(1, 9), st.data())
-def test_the_one_just_written_is_never_too_many(years: list[int], keep: int, data: st.DataObject) -> None:
-    names = [f"lineside-{year}-11-26-023000.tar" for year in years]
+@given(st.lists(st.integers(0, 4_000_000_000), unique=True, min_size=1), st.integers(1, 9), st.data())
+def test_the_one_just_written_is_never_too_many(times: list[int], keep: int, data: st.DataObject) -> None:
+    names = [name_of(UnixTime(float(time))) for time in times]
     written = data.draw(st.sampled_from(names))
-    assert len(set(names) - set(too_many(names, keep, written)) | {written}) == min(keep, len(names))
+    gone = too_many(names, keep, written, BERLIN)
+    assert written not in gone
+    left = [time_of(name) for name in {*names} - {*gone}]
+    assert all(time is not None and time <= (time_of(written) or 0) for time in left)
 
 
 @pytest.mark.parametrize(
@@ -121,85 +164,93 @@ class Recorded:
 class Night:
     """Backups whose clock and whose way of writing are the test's."""
 
-    def __init__(self, folder: Path, write: WriteBackup, keep: int = 2) -> None:
+    def __init__(self, folder: Path, write: WriteBackup, **settings: Any) -> None:
         self.now, self.events = moment("2026-11-26T02:29"), Recorded()
         self.config = folder / "lineside.toml"
         self.config.write_text("[site]\n")
         os.utime(self.config, (0, float(moment("2026-11-01T12:00"))))
         self.folder = folder / "backups"
         self.folder.mkdir()
-        settings = BackupSettings(folder=self.folder, keep=keep)
         events = cast(EventLog, self.events)
         self.tick_s = 0.0
         """By how much the clock goes on at each look at it."""
-        self.backups = Backups(settings, self.config, BERLIN, events, write, self._clock)
+        chosen = BackupSettings(folder=self.folder, **settings)
+        self.backups = Backups(chosen, self.config, BERLIN, events, write, self._clock)
 
     def _clock(self) -> UnixTime:
         self.now += self.tick_s
         return self.now
 
-    def files(self) -> list[str]:
-        return sorted(path.name for path in self.folder.iterdir())
+
+async def write_one() -> Written:
+    return "a backup", None
 
 
-async def write_one(file: Path) -> Message | None:
-    await asyncio.to_thread(file.write_text, "a backup")
-    return None
+async def fail() -> Written:
+    raise StoreError(Message.of("system_error", error="disk is full"))
 
 
-async def test_the_oldest_backup_gives_way(tmp_path: Path) -> None:
-    night = Night(tmp_path, write_one)
-    for day in (26, 27, 28):
-        night.now = moment(f"2026-11-{day}T02:30")
+async def test_one_that_is_written_is_an_event_once_a_day(tmp_path: Path) -> None:
+    night = Night(tmp_path, write_one, every="1 h")
+    for time in ("26T02:30", "26T03:30", "26T04:30", "27T02:30"):
+        night.now = moment(f"2026-11-{time}")
         await night.backups.back_up()
         assert night.backups.newest == night.now
-    assert night.files() == [f"lineside-2026-11-{day}-023000.tar" for day in (27, 28)]
-    assert night.events.codes == ["event_backup_written"] * 3
+    assert night.events.codes == ["event_backup_written"] * 2
 
 
 async def test_the_event_names_the_files_that_it_lacks(tmp_path: Path) -> None:
-    left_out = left_out_of({"left_out": ["audit.key", "cert.key"], "events_absent": ["line-2025-01.gz"]})
+    lacking = {"left_out": ["audit.key", "cert.key"], "events_absent": ["line-2025-01.gz"], "damaged": ["0"]}
 
-    async def write(file: Path) -> Message | None:
-        await write_one(file)
-        return left_out
+    async def write() -> Written:
+        return "a backup", left_out_of(lacking)
 
     night = Night(tmp_path, write)
     await night.backups.back_up()
     assert night.events.reasons == [
         "not in it, as [backup] names no key_file to encrypt them; copy them elsewhere: audit.key, cert.key; "
-        "not in it, as they are not in the archive of events; copy them elsewhere: line-2025-01.gz"
+        "not in it, as they are not in the archive of events; copy them elsewhere: line-2025-01.gz; "
+        "1 content in the folder was damaged and is lost for older backups"
     ]
-    assert left_out_of({"left_out": [], "events_absent": []}) is None
+    assert left_out_of({key: [] for key in lacking}) is None
 
 
-async def test_one_that_fails_deletes_nothing_and_is_an_event_with_its_reason(tmp_path: Path) -> None:
-    async def fail(_file: Path) -> Message | None:
-        raise StoreError(Message.of("system_error", error="disk is full"))
-
-    night = Night(tmp_path, write_one, keep=1)
+async def test_one_that_fails_is_an_event_with_its_reason_until_one_is_written(tmp_path: Path) -> None:
+    night = Night(tmp_path, write_one, every="10 min")
     await night.backups.back_up()
-    newest, night.now = night.backups.newest, moment("2026-11-27T02:30")
+    newest = night.backups.newest
     night.backups._write = fail
-    await night.backups.back_up()
-    assert (len(night.files()), night.backups.newest) == (1, newest)
-    assert night.events.codes[-1] == "event_backup_failed"
+    for minute in (40, 50):
+        night.now = moment(f"2026-11-26T02:{minute}")
+        await night.backups.back_up()
+    assert night.backups.newest == newest
+    assert night.events.codes == ["event_backup_written", "event_backup_failed"]
     assert "disk is full" in night.events.reasons[-1]
-
-
-async def test_a_folder_that_is_not_there_is_a_failed_backup_and_is_not_made(tmp_path: Path) -> None:
-    night = Night(tmp_path, write_one)
-    night.folder.rmdir()
+    assert night.backups.missing is False
+    night.now = moment("2026-11-26T03:40")
+    assert "disk is full" in str(night.backups.missing)
+    night.backups._write = write_one
     await night.backups.back_up()
-    assert night.events.codes == ["event_backup_failed"]
-    assert "mount its disk" in night.events.reasons[0]
-    assert not night.folder.exists()
+    assert night.events.codes[-1] == "event_backup_written"
+    assert night.backups.missing is False
+
+
+@pytest.mark.parametrize(("settings", "hours"), [({}, 26), ({"every": "10 min"}, 1), ({"every": "4 h"}, 10)])
+async def test_backups_are_missing_by_how_often_they_are_to_be(
+    tmp_path: Path, settings: dict[str, Any], hours: int
+) -> None:
+    night = Night(tmp_path, write_one, **settings)
+    await night.backups.back_up()
+    night.now += hours * 3600.0
+    assert night.backups.missing is False
+    night.now += 1.0
+    assert night.backups.missing is True
 
 
 def test_without_a_backup_the_configuration_states_since_when_there_is_to_be_one(tmp_path: Path) -> None:
     night = Night(tmp_path, write_one)
     assert night.backups.newest == moment("2026-11-01T12:00")
-    assert newest_in(night.folder, night.now) is None
+    assert newest_in(night.folder, night.now, BERLIN) is None
 
 
 async def looks_at(night: Night, monkeypatch: pytest.MonkeyPatch, *times: str) -> None:
@@ -238,9 +289,7 @@ async def test_it_is_written_at_its_time_and_a_missed_one_is_made_up_for(
 ) -> None:
     night = Night(tmp_path, write_one)
     if former is not None:
-        file = night.folder / name_of(moment(former), BERLIN)
-        file.touch()
-        os.utime(file, (float(moment(former)), float(moment(former))))
+        (night.folder / name_of(moment(former))).touch()
     await looks_at(night, monkeypatch, after, after, after)
     assert night.events.codes == ["event_backup_written"] * written
 
@@ -248,11 +297,10 @@ async def test_it_is_written_at_its_time_and_a_missed_one_is_made_up_for(
 async def test_one_that_failed_is_tried_again_each_hour(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    night = Night(tmp_path, write_one)
-    night.folder.rmdir()
+    night = Night(tmp_path, fail)
     times = [f"2026-11-26T{time}" for time in ("12:00", "12:30", "12:59", "13:01", "13:02", "14:02")]
     await looks_at(night, monkeypatch, *times)
-    assert night.events.codes == ["event_backup_failed"] * 3
+    assert night.events.codes == ["event_backup_failed"]
     due = night.backups.next_due(night.now)
     assert float(due) == pytest.approx(float(moment("2026-11-26T14:02") + RETRY_S), abs=1)
 
@@ -278,29 +326,33 @@ async def test_the_command_writes_what_restore_store_takes(tmp_path: Path) -> No
     backups = Backups(settings.backup, config, BERLIN, cast(EventLog, events))
     await backups.back_up()
     assert events.codes == ["event_backup_written"], events.reasons
-    [archive] = (tmp_path / "copies").glob("*.tar")
-    assert archive.stat().st_mode & 0o077 == 0
+    [manifest] = (tmp_path / "copies").glob("lineside-2*.json")
+    written = [manifest, *(tmp_path / "copies" / CONTENTS).iterdir()]
+    assert [path for path in written if path.stat().st_mode & 0o077] == []
     assert events.reasons[0].startswith("not in it, as [backup] names no key_file to encrypt them")
     assert "audit.key" in events.reasons[0]
     failing = Backups(settings.backup, tmp_path / "no.toml", BERLIN, cast(EventLog, events))
     await failing.back_up()
     assert events.codes[-1] == "event_backup_failed"
     assert "no.toml" in events.reasons[-1]
-
-
-def test_what_was_written_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = tmp_path / "lineside.toml"
-    config.write_text('[server]\ndata = "./data"\n')
-    add_people(config)
-    monkeypatch.setattr("app.cli.stores.backup_store._digest", lambda store: (store.name, "0" * 64))
-    with pytest.raises(StoreError):
-        write_backup(tmp_path / "data", tmp_path / "one.tar")
-    assert not (tmp_path / "one.tar").exists()
+    (tmp_path / "copies").rename(tmp_path / "not mounted")
+    await backups.back_up()
+    assert "mount its disk" in events.reasons[-1]
+    assert not (tmp_path / "copies").exists()
 
 
 @pytest.mark.parametrize(
     "text",
-    ['at = "24:00"', 'at = "2:30"', "keep = 0", "keep = 1.5", 'fodler = "x"'],
+    [
+        'at = "24:00"',
+        'at = "2:30"',
+        "keep = 0",
+        "keep = 1.5",
+        'every = "0 min"',
+        'every = "10"',
+        "every = 10",
+        'fodler = "x"',
+    ],
 )
 def test_a_bad_setting_is_refused(text: str) -> None:
     with pytest.raises(ValidationError):

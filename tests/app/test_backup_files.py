@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import fcntl
 import os
 import stat
@@ -12,13 +13,15 @@ import msgspec
 import pytest
 from click.testing import CliRunner, Result
 
+from app.backup.archive import WORKING
+from app.backup.cipher import decrypt, encrypt
+from app.backup.files import ENCRYPTED, IN_CLEAR, SiteFile, files_of, place_files
+from app.backup.folder import SITE
 from app.cli import cli
 from app.cli.findings.backup import backup_findings
-from app.cli.stores.backup_cipher import decrypt, encrypt
-from app.cli.stores.backup_files import ENCRYPTED, IN_CLEAR, SiteFile, files_of, place_files
-from app.cli.stores.backup_store import WORKING, write_backup
 from app.errors import StoreError
 from app.settings import load
+from tests.app.backups import write_backup
 from tests.e2e.site import add_people
 from tests.mounted import mounted
 
@@ -38,6 +41,8 @@ security = "starttls"
 url = "https://hooks.example/hook-path-2"
 secret_file = "keys/hook.key"
 """
+OF_VERSION_02 = "lPYS6d5yHPHv/1sqEYbBEBLBsfxF/3/gFQ4vJV+A0to6iHhxRV4cVsRrimAHbL9VXfMbEAl7xpk="
+"""``[secret]`` under `KEY`, as version 0.2 wrote it with the program openssl."""
 WITH_KEY = '[backup]\nkey_file = "backup.key"\n'
 
 
@@ -117,10 +122,8 @@ def test_a_key_that_protects_nothing_is_refused(site: Path, written: str | None,
         files_of(load(config))
 
 
-def test_without_openssl_it_fails_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.cli.stores.backup_cipher.shutil.which", lambda _: None)
-    with pytest.raises(StoreError, match="openssl"):
-        encrypt(b"secret", KEY.encode())
+def test_files_that_version_02_encrypted_by_openssl_are_read() -> None:
+    assert decrypt(base64.b64decode(OF_VERSION_02), KEY.encode()) == b"[secret]"
 
 
 @pytest.mark.parametrize("path", ["etc/lineside.toml", "/etc/../../lineside.toml", "", "/etc/\0"])
@@ -165,7 +168,7 @@ def test_no_file_is_written_over_that_came_meanwhile(site: Path, monkeypatch: py
         archive.write_text("mine")
         return opened(*words, **named)  # type: ignore[call-overload]
 
-    monkeypatch.setattr("app.cli.stores.backup_store.tarfile.open", come)
+    monkeypatch.setattr("app.backup.archive.tarfile.open", come)
     with pytest.raises(StoreError, match="exists"):
         write_backup(site / "data", archive)
     assert archive.read_text() == "mine"
@@ -179,12 +182,18 @@ def test_no_file_is_written_over_that_came_meanwhile(site: Path, monkeypatch: py
         ('folder = "lineside.toml"', "is not there", True),
         ('folder = "copies"\nkey_file = "mail.password"', "has fewer than 32 characters", True),
         ('folder = "/proc/self"', "the disk of /proc/self has 0 MB free", True),
+        ('folder = "copies"\nevery = "10 min"', "backups: every 10 min in ", False),
+        ('folder = "foreign"', "foreign has the backups of another site (Plant 2)", True),
+        ('folder = "half"', "lineside-site.json is damaged", True),
     ],
 )
 def test_the_check_names_what_keeps_a_backup_from_being_written(
     site: Path, written: str, text: str, is_fault: bool
 ) -> None:
-    (site / "copies").mkdir()
+    for name, content in (("copies", None), ("foreign", '{"site": "1", "name": "Plant 2"}'), ("half", "{")):
+        (site / name).mkdir()
+        if content is not None:
+            (site / name / SITE).write_text(content)
     (site / "lineside.toml").write_text(f"{CONFIGURATION}[backup]\n{written}\n")
     found = [*backup_findings(load(site / "lineside.toml"))]
     assert [finding.is_fault for finding in found if text in str(finding.message)] == [is_fault]

@@ -11,10 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from app.cli import cli
-from app.cli.stores.backup_store import write_backup
-from app.cli.stores.restore_store import read_backup
 from app.database import Database
 from app.errors import StoreError
+from tests.app.backups import read_backup, write_backup
 from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
 
 

@@ -17,9 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.cli.stores import backup_store
-from app.cli.stores.backup_store import write_backup
-from app.cli.stores.restore_store import read_backup
+from app.backup import archive
 from app.database import Database
 from app.errors import ConstraintError, StoreError
 from app.handover.notes.pictures import FILE, MIGRATIONS
@@ -27,6 +25,7 @@ from app.handover.rules.orientation import TURNED, exif_of, orientation_of, plai
 from app.handover.rules.pictures import plain_picture
 from app.web.admission.access import Role
 from bus.errors import CallerError
+from tests.app.backups import read_backup, write_backup
 from tests.app.complete_app import House, complete_app
 
 API = "/api/v1/shifts"
@@ -298,7 +297,7 @@ def restored(folder: Path, backup: Path) -> None:
 async def test_a_backup_brings_notes_and_pictures_back_together(tmp_path: Path) -> None:
     digests, backup, elsewhere = await with_pictures(tmp_path), tmp_path / "one.tar", tmp_path / "elsewhere"
     async with complete_app(tmp_path):
-        assert write_backup(tmp_path / "data", backup).stores == ["history.db", "lineside.db", "pictures.db"]
+        assert write_backup(tmp_path / "data", backup).stores == ["pictures.db", "history.db", "lineside.db"]
     elsewhere.mkdir()
     await asyncio.to_thread(restored, elsewhere, backup)
     async with complete_app(elsewhere) as house:
@@ -312,19 +311,18 @@ async def test_a_backup_brings_notes_and_pictures_back_together(tmp_path: Path) 
 async def test_each_note_of_a_backup_has_its_pictures_when_one_is_written_meanwhile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    backup, elsewhere, copy = tmp_path / "one.tar", tmp_path / "elsewhere", backup_store._copy
+    backup, elsewhere, copy = tmp_path / "one.tar", tmp_path / "elsewhere", archive.copy_store
     async with complete_app(tmp_path) as house:
         operator, loop = await house.program(Role.OPERATOR), asyncio.get_running_loop()
         await write(operator, noise(0))
         numbers = iter(range(1, 9))
 
-        def copy_and_write(store: Path, folder: Path) -> Path:
-            copied = copy(store, folder)
+        def copy_and_write(store: Path, place: Path) -> None:
+            copy(store, place)
             writing = asyncio.run_coroutine_threadsafe(write(operator, noise(next(numbers))), loop)
             assert writing.result().status_code == 201
-            return copied
 
-        monkeypatch.setattr(backup_store, "_copy", copy_and_write)
+        monkeypatch.setattr(archive, "copy_store", copy_and_write)
         await asyncio.to_thread(write_backup, tmp_path / "data", backup)
     elsewhere.mkdir()
     await asyncio.to_thread(restored, elsewhere, backup)

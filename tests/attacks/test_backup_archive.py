@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
+from app.backup import backup
+from app.backup.archive import MAX_ARCHIVE_BYTES
 from app.cli import cli
-from app.cli.stores import backup_archive
-from app.cli.stores.backup_archive import MAX_ARCHIVE_BYTES
 from app.database import Database
 
 MAIN = "lineside.db"
@@ -356,7 +356,7 @@ def test_what_the_disk_cannot_hold_is_refused_before_it_is_read(
 ) -> None:
     site = Site(tmp_path)
     site.write((plain(MAIN, site.store()), site.store()))
-    monkeypatch.setattr(backup_archive, "free_bytes", lambda _: 1000)
+    monkeypatch.setattr(backup, "free_bytes", lambda _: 1000)
     done = site.restore()
     assert (done.exit_code, "free" in done.stderr) == (1, True)
     assert site.state() == site.before

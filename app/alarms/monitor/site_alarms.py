@@ -31,7 +31,7 @@ def site_conditions(
     anchor: Callable[[], AnchorStatus],
     failing_endpoints: FailingEndpoints,
     expiry: ExpiryWatch,
-    newest_backup: Callable[[], UnixTime | None] = lambda: None,
+    backup_missing: SiteCondition = lambda: None,
     archive_fault: Callable[[], Message | None] = lambda: None,
 ) -> dict[str, SiteCondition]:
     """The condition of each alarm of the site but that of its clock."""
@@ -44,7 +44,7 @@ def site_conditions(
         "notification_failed": lambda: of_server.NOTIFICATION_FAILED.holds(failing_endpoints),
         "certificate_expiring": lambda: expiry.certificate,
         "token_expiring": lambda: expiry.token,
-        "backup_overdue": lambda: of_server.BACKUP_OVERDUE.holds(newest_backup(), unix_now()),
+        "backup_overdue": backup_missing,
         "events_not_archived": lambda: of_server.EVENTS_NOT_ARCHIVED.holds(archive_fault()),
     }
 

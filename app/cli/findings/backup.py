@@ -1,13 +1,12 @@
-"""Whether a nightly backup can be written from this machine."""
+"""Whether a backup can be written from this machine."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+from app.backup.cipher import read_key
+from app.backup.folder import refuse_other_site, space_needed
 from app.cli.findings.machine import Finding, fault, is_read_only, may_make_files_in, user
-from app.cli.stores.backup_cipher import read_key
-from app.cli.stores.backup_store import space_needed
-from app.cli.stores.kept_events import FOLDER
 from app.database.reserve import free_bytes
 from app.errors import StoreError
 from app.settings import Settings
@@ -26,16 +25,33 @@ def backup_findings(site: Settings) -> Iterator[Finding]:
             yield fault("check_backup_key_refused", reason=error.message)
     if settings.folder is None:
         return
-    folder = str(settings.folder)
-    if not settings.folder.is_dir():
-        yield fault("check_backup_folder_missing", folder=folder)
-    elif is_read_only(settings.folder):
-        yield fault("check_disk_read_only", path=folder)
-    elif (needed := space_needed(site.server.data, site.audit.archive, settings.folder / FOLDER)) > (
-        free := free_bytes(settings.folder)
-    ):
-        yield fault("check_backup_disk_full", folder=folder, needed=-(-needed // MB), free=free // MB)
-    elif not may_make_files_in(settings.folder):
-        yield fault("check_backup_folder_not_writable", user=user(), folder=folder)
+    if (found := folder_fault(site)) is not None:
+        yield Finding(found, is_fault=True)
+    elif settings.every is not None:
+        yield Finding(Message.of("check_backup_every", folder=str(settings.folder), every=settings.every))
     else:
-        yield Finding(Message.of("check_backup", folder=folder, at=settings.at))
+        yield Finding(Message.of("check_backup", folder=str(settings.folder), at=settings.at))
+
+
+def folder_fault(site: Settings) -> Message | None:
+    """What keeps a backup from being written into the folder of ``[backup]``; None: nothing."""
+    folder = site.backup.folder
+    if folder is None:
+        return None
+    if not folder.is_dir():
+        return Message.of("check_backup_folder_missing", folder=str(folder))
+    if is_read_only(folder):
+        return Message.of("check_disk_read_only", path=str(folder))
+    needed, free = space_needed(site, folder), free_bytes(folder)
+    if needed > free:
+        return Message.of(
+            "check_backup_disk_full", folder=str(folder), needed=-(-needed // MB), free=free // MB
+        )
+    if not may_make_files_in(folder):
+        return Message.of("check_backup_folder_not_writable", user=user(), folder=str(folder))
+    if site.server.store.exists():
+        try:
+            refuse_other_site(folder, site.server.store)
+        except StoreError as error:
+            return error.message
+    return None

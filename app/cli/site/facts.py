@@ -11,8 +11,9 @@ from zoneinfo import ZoneInfo
 
 from app.backup.schedule import next_due
 from app.backup.service import newest_in
+from app.backup.stores import STORES
+from app.cli.findings.backup import folder_fault
 from app.cli.findings.machine import existing_part
-from app.cli.stores.backup_archive import STORES
 from app.database.connection import examining
 from app.database.migration import COMPANIONS
 from app.database.reserve import free_bytes
@@ -23,6 +24,7 @@ from app.history.status import MAX_DAYS, days_left, growth_of_events, growth_of_
 from app.settings import STORE_FILE, Settings
 from bus.certificate import Certificate, MalformedCertificateError, certificates_in
 from bus.instants import UnixTime
+from bus.messages import Message
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +50,11 @@ class CertificateFacts:
 
 @dataclass(frozen=True, slots=True)
 class BackupFacts:
-    """When the newest backup was written, and when the next is due."""
+    """When the newest backup was begun, and when the next is due. ``fault``: why none can be written now."""
 
     folder: str
     is_there: bool
+    fault: Message | None
     newest: UnixTime | None
     next: UnixTime
 
@@ -74,13 +77,14 @@ def certificate_facts(settings: Settings) -> list[CertificateFacts]:
 
 
 def backup_facts(settings: Settings, now: UnixTime) -> BackupFacts | None:
-    """The nightly backups; None where there are to be none."""
+    """The backups; None where there are to be none."""
     folder = settings.backup.folder
     if folder is None:
         return None
-    newest = newest_in(folder, now)
-    due = next_due(now, newest, None, settings.backup.at, ZoneInfo(settings.site.zone))
-    return BackupFacts(str(folder), folder.is_dir(), newest, max(now, due))
+    zone = ZoneInfo(settings.site.zone)
+    newest = newest_in(folder, now, zone)
+    due = next_due(now, newest, None, settings.backup, zone)
+    return BackupFacts(str(folder), folder.is_dir(), folder_fault(settings), newest, max(now, due))
 
 
 def size_of(store: Path) -> int:

@@ -80,6 +80,7 @@ def facts_json(settings: Settings, facts: SiteFacts) -> dict[str, Any]:
         else {
             "folder": backup.folder,
             "is_there": backup.is_there,
+            "fault": None if backup.fault is None else str(backup.fault),
             "newest": None if backup.newest is None else iso(backup.newest),
             "next": iso(backup.next),
         },
@@ -97,8 +98,8 @@ def _disk_line(disk: DiskFacts) -> Message:
 def _backup_line(backup: BackupFacts | None, now: UnixTime, zone: ZoneInfo) -> Message:
     if backup is None:
         return Message("status_no_backup")
-    if not backup.is_there:
-        return Message.of("backup_folder_missing", folder=backup.folder)
+    if backup.fault is not None:
+        return Message.of("status_backup_fault", reason=backup.fault)
     due = site_time(backup.next, zone)
     if backup.newest is None:
         return Message.of("status_backup_first", folder=backup.folder, due=due)

@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import sqlite3
 import tempfile
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated
+from zoneinfo import ZoneInfo
 
 import click
 
@@ -18,15 +20,16 @@ from app.audit.anchor import anchor_file, put_aside
 from app.audit.chain import Head, newest_of
 from app.audit.proof import heads_of
 from app.auth.rights.withheld import Present, Withheld, read_present, tokens_to_revoke, withhold
+from app.backup.archive import open_archive
+from app.backup.backup import Backup
+from app.backup.files import place_files
+from app.backup.folder import open_newest
+from app.backup.stores import STORES, fault_of
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.options import Argument, Option
 from app.cli.setup.rights import become_owner_of
 from app.cli.site.log import open_log, record
-from app.cli.stores.backup_archive import STORES, open_archive
-from app.cli.stores.backup_files import place_files
-from app.cli.stores.backup_store import fault_of
-from app.cli.stores.kept_events import FOLDER
 from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
 from app.database import Database, StoreConnection
 from app.database.connection import examining, open_for_reading
@@ -35,14 +38,22 @@ from app.database.private import make_private, refuse_link
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import STORE_FILE, load
+from bus.instants import UnixTime
 from bus.messages import Message, joined
 
 ASIDE = ".before-restore"
 
 
 def restore_store(
-    file: Annotated[Path, Argument(help="A file of backup-store.")],
+    file: Annotated[Path | None, Argument(help="A backup in one file.")] = None,
     config: Config = LINESIDE_TOML,
+    folder: Annotated[
+        Path | None,
+        Option("--from", help="Instead of a file: a folder of backups, of which the newest is taken."),
+    ] = None,
+    at: Annotated[
+        str, Option(help="With --from: the newest that was begun until this time, as 2026-11-29T10:30.")
+    ] = "",
     yes: Annotated[bool, Option("--yes", help="Skip the confirmation.")] = False,
     keep_tokens: Annotated[
         bool,
@@ -59,8 +70,10 @@ def restore_store(
     """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
     must not run. Every session ends. Users disabled since the backup stay so; tokens that are not known now
     are revoked, as is printed before anything is replaced."""
+    if (file is None) == (folder is None):
+        raise click.UsageError(str(Message("restore_needs_one")))
     if files_to is not None:
-        with in_words(file), open_archive(file) as archive:
+        with _opened(file, folder, at) as archive:
             placed = place_files(*archive.files(), key_file, files_to)
         for path in placed:
             report(Message.of("backup_file_placed", path=str(path)))
@@ -68,35 +81,58 @@ def restore_store(
     settings = load(config)
     server = settings.server
     anchor = settings.audit.anchor
+    with _opened(file, folder, at, settings.site.zone) as backup:
 
-    def begin(revoked: Sequence[str]) -> None:
-        if revoked:
-            report(Message.of("restore_revokes_tokens", names=[*revoked]))
-        if not yes:
-            _confirm(file, server.data)
+        def begin(revoked: Sequence[str]) -> None:
+            if revoked:
+                report(Message.of("restore_revokes_tokens", names=[*revoked]))
+            if not yes:
+                _confirm(backup.path, server.data)
 
-    done = read_backup(
-        file,
-        server.data,
-        settings.key_files,
-        None if anchor else anchor_file(settings),
-        settings.audit.archive,
-        begin=begin,
-        keep_tokens=keep_tokens,
-    )
-    _report(done, file, server.data, anchor)
+        done = put_back(
+            backup,
+            server.data,
+            settings.key_files,
+            None if anchor else anchor_file(settings),
+            settings.audit.archive,
+            begin=begin,
+            keep_tokens=keep_tokens,
+        )
+        _report(done, backup, server.data, anchor)
 
 
-def _report(done: Restored, file: Path, data: Path, anchor: Path | None) -> None:
+@contextmanager
+def _opened(file: Path | None, folder: Path | None, at: str = "", zone: str = "UTC") -> Iterator[Backup]:
+    """Open the backup that the options name. Raises StoreError."""
+    if file is not None:
+        with in_words(file), open_archive(file) as archive:
+            yield archive
+    elif folder is not None:
+        with in_words(folder):
+            yield open_newest(folder, _time_of(at, zone) if at else None)
+
+
+def _time_of(text: str, zone: str) -> UnixTime:
+    """A time as it was typed, by the clock of the site unless it names another. Raises StoreError."""
+    try:
+        time = datetime.fromisoformat(text)
+        return UnixTime((time if time.tzinfo else time.replace(tzinfo=ZoneInfo(zone))).timestamp())
+    except (ValueError, OverflowError) as error:
+        raise StoreError(Message.of("restore_time_malformed", text=text)) from error
+
+
+def _report(done: Restored, backup: Backup, data: Path, anchor: Path | None) -> None:
     report(Message.of("stores_restored", folder=str(data), names=done.names, suffix=ASIDE))
     for path in done.events:
         report(Message.of("backup_file_placed", path=str(path)))
     if done.events_lost:
         report(
             Message.of(
-                "backup_events_lost", folder=str(file.absolute().parent / FOLDER), files=[*done.events_lost]
+                "backup_events_lost", folder=str(backup.path.absolute().parent), files=[*done.events_lost]
             )
         )
+    if backup.lost:
+        report(Message.of("backup_parts_lost", n=len(backup.lost)))
     if done.anchor is not None:
         report(Message.of("anchor_put_aside", path=str(done.anchor)))
     if done.withheld is not None:
@@ -125,8 +161,8 @@ class Restored:
     events_lost: tuple[str, ...]
 
 
-def read_backup(
-    file: Path,
+def put_back(
+    backup: Backup,
     data: Path,
     key_files: Sequence[Path],
     anchor: Path | None = None,
@@ -144,37 +180,38 @@ def read_backup(
     Raises StoreError, and then leaves everything unchanged, but for archived events that came back: every
     store of the backup is checked, and the main one prepared, before the first is put in its place.
     """
-    with in_words(file), open_archive(file) as archive:
-        # Not before: only root may be able to read the backup.
-        become_owner_of(data)
-        make_private(data)
-        if archive.manifest.all_events:
-            _require_archive(event_archive)
-        with tempfile.TemporaryDirectory(dir=data) as folder:
-            proved = archive.unpack(Path(folder))
-            for fresh in proved:
-                _prove(fresh, file)
-            for store in (data / name for name in STORES):
-                _refuse_while_open(store)
-            fresh = Path(folder) / STORE_FILE
-            begin([] if keep_tokens or fresh not in proved else _tokens_to_revoke(fresh, data / STORE_FILE))
-            withheld: Withheld | None = None
-            put_away: Path | None = None
-            events: tuple[Path, ...] = ()
-            lost: tuple[str, ...] = ()
-            if fresh in proved:
-                try:
-                    present = data / STORE_FILE
-                    withheld = make_ready(fresh, present, archive.message, key_files, keep_tokens=keep_tokens)
-                except (sqlite3.Error, ValueError) as error:
-                    raise _unsound(file, STORE_FILE, str(error)) from error
-                if archive.manifest.all_events and event_archive:
-                    events = tuple(archive.unpack_events(event_archive))
-                    lost = tuple(name for name in archive.lost_events if not (event_archive / name).exists())
-                # Before the stores: a log without an anchor is not taken for one that was cut off.
-                put_away = None if anchor is None else put_aside(anchor)
-            for fresh in proved:
-                _put(fresh, data / fresh.name)
+    # Not before: only root may be able to read the backup.
+    become_owner_of(data)
+    make_private(data)
+    if backup.manifest.all_events:
+        _require_archive(event_archive)
+    with tempfile.TemporaryDirectory(dir=data) as folder:
+        proved = backup.unpack(Path(folder))
+        for fresh in proved:
+            _prove(fresh, backup.path)
+        for store in (data / name for name in STORES):
+            _refuse_while_open(store)
+        fresh = Path(folder) / STORE_FILE
+        begin([] if keep_tokens or fresh not in proved else _tokens_to_revoke(fresh, data / STORE_FILE))
+        withheld: Withheld | None = None
+        put_away: Path | None = None
+        events: tuple[Path, ...] = ()
+        lost: tuple[str, ...] = ()
+        if fresh in proved:
+            try:
+                present = data / STORE_FILE
+                withheld = make_ready(fresh, present, backup.message, key_files, keep_tokens=keep_tokens)
+            except (sqlite3.Error, ValueError) as error:
+                raise _unsound(backup.path, STORE_FILE, str(error)) from error
+            if backup.manifest.all_events and event_archive:
+                events = tuple(backup.unpack_events(event_archive))
+                lost = tuple(
+                    name for name in backup.manifest.all_events if not (event_archive / name).exists()
+                )
+            # Before the stores: a log without an anchor is not taken for one that was cut off.
+            put_away = None if anchor is None else put_aside(anchor)
+        for fresh in proved:
+            _put(fresh, data / fresh.name)
     return Restored([fresh.name for fresh in proved], withheld, put_away, events, lost)
 
 

@@ -1,6 +1,5 @@
-"""Encrypts what a backup holds of secrets, by a key file and the program openssl: AES-256 in counter mode,
-sealed by HMAC-SHA-256. The keys of a backup follow from the key file and from a salt that no other backup
-has.
+"""Encrypts what a backup holds of secrets, by a key file: AES-256 in counter mode, sealed by HMAC-SHA-256.
+The keys of a backup follow from the key file and from a salt that no other backup has.
 
 The layout is 16 bytes of salt, 32 of the seal over the salt and the rest, then the rest.
 """
@@ -9,19 +8,20 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import os
 import secrets
-import shutil
-import subprocess
 from pathlib import Path
+
+from cryptography.hazmat.primitives.ciphers import Cipher
+from cryptography.hazmat.primitives.ciphers.algorithms import AES256
+from cryptography.hazmat.primitives.ciphers.modes import CTR
 
 from app.errors import StoreError
 from bus.messages import Message
 
 MIN_KEY_CHARACTERS, MAX_KEY_BYTES = 32, 4096
 SALT_BYTES, SEAL_BYTES = 16, 32
-WITHIN_S = 60.0
-_OPENSSL = ("enc", "-aes-256-ctr", "-pbkdf2", "-nosalt")
+PBKDF2_ROUNDS = 10_000
+"""As ``openssl enc -pbkdf2`` has them, which version 0.2 called. The password is random, and not guessed."""
 
 
 def read_key(file: Path) -> bytes:
@@ -37,10 +37,10 @@ def read_key(file: Path) -> bytes:
 
 
 def encrypt(content: bytes, key: bytes) -> bytes:
-    """The content under a key. Raises StoreError where openssl is missing or fails."""
+    """The content under a key."""
     salt = secrets.token_bytes(SALT_BYTES)
     password, seal_key = _keys(key, salt)
-    hidden = _openssl("-e", content, password)
+    hidden = _counted(content, password)
     return salt + _seal(seal_key, salt, hidden) + hidden
 
 
@@ -54,7 +54,7 @@ def decrypt(packed: bytes, key: bytes) -> bytes:
     password, seal_key = _keys(key, salt)
     if not hmac.compare_digest(seal, _seal(seal_key, salt, hidden)):
         raise StoreError(Message("backup_key_wrong"))
-    return _openssl("-d", hidden, password)
+    return _counted(hidden, password)
 
 
 def _keys(key: bytes, salt: bytes) -> tuple[bytes, bytes]:
@@ -66,26 +66,7 @@ def _seal(key: bytes, salt: bytes, hidden: bytes) -> bytes:
     return hmac.digest(key, salt + hidden, "sha256")
 
 
-def _openssl(direction: str, content: bytes, password: bytes) -> bytes:
-    """The password goes through a pipe: every user can read the words of a command."""
-    program = shutil.which("openssl")
-    if program is None:
-        raise StoreError(Message("openssl_missing"))
-    reading, writing = os.pipe()
-    try:
-        os.write(writing, password.hex().encode() + b"\n")
-        os.close(writing)
-        done = subprocess.run(
-            (program, *_OPENSSL, direction, "-pass", f"fd:{reading}"),
-            input=content,
-            capture_output=True,
-            pass_fds=(reading,),
-            timeout=WITHIN_S,
-            check=False,
-        )
-    finally:
-        os.close(reading)
-    if done.returncode:
-        reason = done.stderr.decode(errors="replace").strip()
-        raise StoreError(Message.of("system_error", error=reason))
-    return done.stdout
+def _counted(content: bytes, password: bytes) -> bytes:
+    """In counter mode both directions are the same."""
+    derived = hashlib.pbkdf2_hmac("sha256", password.hex().encode(), b"", PBKDF2_ROUNDS, 48)
+    return Cipher(AES256(derived[:32]), CTR(derived[32:])).encryptor().update(content)

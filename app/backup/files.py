@@ -12,7 +12,7 @@ import msgspec
 from pydantic import BaseModel
 
 from app.audit.keys import find_key_file
-from app.cli.stores.backup_cipher import decrypt, encrypt, read_key
+from app.backup.cipher import decrypt, encrypt, read_key
 from app.configuration.versions import VersionStore
 from app.database.private import make_folder, write_file
 from app.errors import StoreError
