@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field
 
-from app.alarms.rules import changes
-from app.alarms.rules.changes import Changed
+from app.alarms.rules import state_machine
+from app.alarms.rules.state_machine import Changed
 from app.audit.acts import Act
 from app.web.admission.access import Role
 from app.web.api.shape import StrictBody
@@ -95,7 +95,7 @@ ACKNOWLEDGE = AlarmAct(
     "event_alarm_acknowledged",
     path="acknowledge",
     means="Acknowledge the occurrence that the id names.",
-    change=changes.acknowledge,
+    change=state_machine.acknowledge,
     counted=False,
 )
 SILENCE = AlarmAct(
@@ -105,7 +105,7 @@ SILENCE = AlarmAct(
     "event_alarm_silenced",
     path="silence",
     means="End the sound of the occurrence that the id names. It is still to be acknowledged.",
-    change=changes.silence,
+    change=state_machine.silence,
 )
 RESET = AlarmAct(
     "reset_alarm",
@@ -114,7 +114,7 @@ RESET = AlarmAct(
     "event_alarm_reset",
     path="reset",
     means="Reset an acknowledged alarm that is latched.",
-    change=changes.reset,
+    change=state_machine.reset,
 )
 SHELVE = AlarmAct(
     "shelve_alarm",
@@ -124,7 +124,7 @@ SHELVE = AlarmAct(
     path="shelve",
     means="Hide it until a time. It is still detected and recorded.",
     body=AlarmShelveRequest,
-    change=changes.shelve,
+    change=state_machine.shelve,
     hides=True,
 )
 UNSHELVE = AlarmAct(
@@ -135,7 +135,7 @@ UNSHELVE = AlarmAct(
     path="unshelve",
     means="Annunciate it again before its time.",
     body=AlarmReturnRequest,
-    change=changes.unshelve,
+    change=state_machine.unshelve,
 )
 REMOVE = AlarmAct(
     "remove_alarm_from_service",
@@ -145,7 +145,7 @@ REMOVE = AlarmAct(
     path="out-of-service",
     means="Hide it until it is returned to service. It is still detected and recorded.",
     body=AlarmOutOfServiceRequest,
-    change=changes.remove_from_service,
+    change=state_machine.remove_from_service,
     hides=True,
 )
 RETURN = AlarmAct(
@@ -156,7 +156,7 @@ RETURN = AlarmAct(
     path="in-service",
     means="Annunciate it again.",
     body=AlarmReturnRequest,
-    change=changes.return_to_service,
+    change=state_machine.return_to_service,
 )
 ALARM_ACTS = (ACKNOWLEDGE, SILENCE, RESET, SHELVE, UNSHELVE, REMOVE, RETURN)
 """The acts on one alarm; each has its routes."""

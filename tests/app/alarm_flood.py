@@ -7,8 +7,8 @@ import random
 import sys
 from pathlib import Path
 
-from app.alarms.rules import changes
-from app.alarms.rules.changes import NoTransitionError
+from app.alarms.rules import state_machine
+from app.alarms.rules.state_machine import NoTransitionError
 from app.database import Database
 from tests.app.alarm_bus import BUS, HEALTHY, RUN, AlarmBus
 
@@ -25,7 +25,7 @@ async def flood(store: Path) -> None:
             bus.read(unit, inputs=dice.choice((RUN, RUN | HEALTHY)))
             alarm = bus.alarms.list.alarms[f"{BUS}.{unit}.estop_active"]
             try:
-                acknowledged = changes.acknowledge(alarm.facts, alarm.definition.attributes, bus.now)
+                acknowledged = state_machine.acknowledge(alarm.facts, alarm.definition.attributes, bus.now)
             except NoTransitionError:
                 continue
             if dice.random() < 0.3:

@@ -9,8 +9,8 @@ from typing import get_args
 import pytest
 
 from app.alarms.rules.count_window import CountWindow
+from app.alarms.rules.detection import ChangeRate, LimitRule, limits_of
 from app.alarms.rules.first_out import FirstOut
-from app.alarms.rules.limits import ChangeRate, LimitRule, limits_of
 from app.alarms.rules.suppression import Suppressors, is_at_rest
 from app.conditions.catalogue import CONDITIONS
 from app.conditions.condition import SuppressionGroup, Tuning

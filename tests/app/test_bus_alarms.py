@@ -10,7 +10,7 @@ import pytest
 
 from app.alarms.alarm import Alarm
 from app.alarms.own.definition import own_definition
-from app.alarms.rules import changes
+from app.alarms.rules import state_machine
 from app.alarms.settings import AlarmSettings
 from app.database import Database
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
@@ -388,7 +388,7 @@ async def test_a_restart_keeps_when_an_alarm_came_cleared_and_was_acknowledged(d
     bus.connect()
     bus.wait(1, 2, inputs=RUN)
     alarm = bus.alarm("2.estop_active")
-    changed = changes.acknowledge(alarm.facts, alarm.definition.attributes, bus.now)
+    changed = state_machine.acknowledge(alarm.facts, alarm.definition.attributes, bus.now)
     bus.alarms.list.apply(alarm, changed, "anna", "")
     bus.wait(3, 2)
     before = (alarm.facts.came, alarm.facts.cleared, alarm.facts.acknowledged_at)

@@ -12,11 +12,11 @@ import structlog
 
 from app.alarms.alarm import SITE, Alarm, AlarmDefinition
 from app.alarms.journal.store import AlarmStore, JournalEntry, StoredAlarm, entry_of
-from app.alarms.rules import changes
-from app.alarms.rules.changes import Changed
+from app.alarms.rules import state_machine
 from app.alarms.rules.facts import AlarmFacts, due_at, shifted
 from app.alarms.rules.first_out import FirstOut
 from app.alarms.rules.observed import ObservedSpan, observed_until
+from app.alarms.rules.state_machine import Changed
 from app.conditions.priority import AlarmPriority
 from app.errors import StoreError
 from bus.instants import Clock, UnixTime
@@ -96,12 +96,12 @@ class AlarmList:
         if holds is alarm.holds:
             return
         alarm.holds = holds
-        self.apply(alarm, changes.observe(alarm.facts, alarm.definition.attributes, holds, now))
+        self.apply(alarm, state_machine.observe(alarm.facts, alarm.definition.attributes, holds, now))
 
     def suppress(self, alarm: Alarm, suppressed: bool, now: UnixTime) -> None:
         """Suppression by design begins or ends."""
         if suppressed is not alarm.facts.suppressed:
-            self.apply(alarm, changes.suppress(alarm.facts, suppressed, now))
+            self.apply(alarm, state_machine.suppress(alarm.facts, suppressed, now))
 
     def restore(
         self, alarm: Alarm, facts: AlarmFacts, hidden_by: str, reason: str, *, unless_changed_from: AlarmFacts
@@ -117,7 +117,7 @@ class AlarmList:
         """What time alone brings."""
         for key in [key for key, due in self._due.items() if due <= now]:
             alarm = self.alarms[key]
-            self.apply(alarm, changes.advance(alarm.facts, alarm.definition.attributes, now))
+            self.apply(alarm, state_machine.advance(alarm.facts, alarm.definition.attributes, now))
 
     def clock_stepped(self, step_s: float) -> None:
         """The clock of this machine was set: running times keep their length."""

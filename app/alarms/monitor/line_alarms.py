@@ -14,11 +14,11 @@ from app.alarms.monitor.alarm_list import AlarmList, AlarmSubscriber
 from app.alarms.monitor.bus_alarms import BusAlarms
 from app.alarms.monitor.site_alarms import SiteAlarms
 from app.alarms.monitor.transaction import ActTransaction
-from app.alarms.rules import changes
-from app.alarms.rules.changes import NoTransitionError
+from app.alarms.rules import state_machine
 from app.alarms.rules.facts import AlarmFacts
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.rates import AlarmRates
+from app.alarms.rules.state_machine import NoTransitionError
 from app.audit.log import EventLog
 from app.conditions.priority import PRIORITIES
 from app.errors import Problem, StoreError
@@ -197,7 +197,7 @@ class LineAlarms:
             of = self.list_of(alarm.definition.bus or "")
             if (alarm.facts.since or UnixTime(0.0)) <= until:
                 with suppress(NoTransitionError):
-                    changed = changes.silence(alarm.facts, alarm.definition.attributes, self._clock())
+                    changed = state_machine.silence(alarm.facts, alarm.definition.attributes, self._clock())
                     transaction.change(of, alarm, changed)
             if number % PAUSE_EVERY == 0:
                 await asyncio.sleep(0)

@@ -10,7 +10,7 @@ from typing_extensions import Unpack
 from app.alarms.alarm import Alarm
 from app.alarms.journal.store import alarm_writer
 from app.alarms.monitor.alarm_list import AlarmList
-from app.alarms.rules.changes import Changed
+from app.alarms.rules.state_machine import Changed
 from app.audit.entry import EventKind
 from app.audit.log import Also, EventFields, EventLog
 from app.database import StoreConnection

@@ -18,7 +18,7 @@ from app.alarms.monitor.bus_alarms import BusAlarms
 from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.monitor.transaction import ActTransaction
 from app.alarms.own.definition import own_definition
-from app.alarms.rules import changes
+from app.alarms.rules import state_machine
 from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.audit.acts import Act
@@ -205,7 +205,7 @@ class OwnAlarmBook:
             bus.list.advance(now)
             bus.end_own(alarm)
             transaction = ActTransaction(person.name, [bus.list])
-            ended = changes.withdraw(alarm.facts, alarm.definition.attributes, now)
+            ended = state_machine.withdraw(alarm.facts, alarm.definition.attributes, now)
             transaction.change(bus.list, alarm, ended, reason)
             try:
                 await transaction.record(

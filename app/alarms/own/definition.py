@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 
 from app.alarms.alarm import AlarmDefinition, AlarmRationalization, own_key
+from app.alarms.rules.detection import ChangeRate, LimitRule
 from app.alarms.rules.facts import AlarmAttributes
-from app.alarms.rules.limits import ChangeRate, LimitRule
 from app.alarms.settings import INPUT_VALUES, SPEED_VALUES, AlarmSettings
 from app.conditions.priority import MATRIX, AlarmPriority, Consequence, TimeToRespond
 from app.live.state.bus_live import BusLive, UnitLive, speed_decimals

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from app.alarms.own.definition import OwnCondition, known_decimals, own_definition
-from app.alarms.rules import changes
-from app.alarms.rules.changes import Changed
+from app.alarms.rules import state_machine
+from app.alarms.rules.detection import ChangeRate
 from app.alarms.rules.facts import AlarmFacts
-from app.alarms.rules.limits import ChangeRate
+from app.alarms.rules.state_machine import Changed
 from app.alarms.rules.suppression import Suppressors
 from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.outcome import Annunciations
@@ -92,7 +92,7 @@ class Replay:
     def end(self, at: UnixTime) -> None:
         """The time is over. What stands then is counted up to it."""
         self._pass_gap(at)
-        self._apply(changes.advance(self._facts, self._definition.attributes, at))
+        self._apply(state_machine.advance(self._facts, self._definition.attributes, at))
         if self._unknown_since is not None:
             self.unknown_s += at - self._unknown_since
 
@@ -135,14 +135,14 @@ class Replay:
             return
         rises, self._holds = bool(holds) and not self._holds, holds
         if rises and self._suppresses():
-            self._apply(changes.suppress(self._facts, True, at))
-        self._apply(changes.observe(self._facts, self._definition.attributes, holds, at))
+            self._apply(state_machine.suppress(self._facts, True, at))
+        self._apply(state_machine.observe(self._facts, self._definition.attributes, holds, at))
 
     def _hide(self, at: UnixTime) -> None:
         """An alarm that is neither active nor about to be is left alone."""
         facts = self._facts
         if facts.suppressed or facts.active or self._holds:
-            self._apply(changes.suppress(facts, self._suppresses(), at))
+            self._apply(state_machine.suppress(facts, self._suppresses(), at))
 
     def _suppresses(self) -> bool:
         unit = self._settings.unit

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.alarms.rules import changes
-from app.alarms.rules.changes import Changed, NoTransitionError
+from app.alarms.rules import state_machine
 from app.alarms.rules.facts import AlarmAttributes, AlarmFacts, due_at, shifted
+from app.alarms.rules.state_machine import Changed, NoTransitionError
 from app.alarms.rules.states import FACTS_OF, TRANSITIONS
 from bus.instants import UnixTime
 from tests.app.alarm_model import FOREVER, ModelAlarm
@@ -27,21 +27,21 @@ def act(facts: AlarmFacts, how: AlarmAttributes, word: str, at: float, end: floa
     """One act of a person or of the suppression."""
     match word:
         case "acknowledge":
-            return changes.acknowledge(facts, how, UnixTime(at))
+            return state_machine.acknowledge(facts, how, UnixTime(at))
         case "silence":
-            return changes.silence(facts, how, UnixTime(at))
+            return state_machine.silence(facts, how, UnixTime(at))
         case "reset":
-            return changes.reset(facts, how, UnixTime(at))
+            return state_machine.reset(facts, how, UnixTime(at))
         case "shelve":
-            return changes.shelve(facts, how, UnixTime(at), for_s=end - at, once=once)
+            return state_machine.shelve(facts, how, UnixTime(at), for_s=end - at, once=once)
         case "unshelve":
-            return changes.unshelve(facts, how, UnixTime(at))
+            return state_machine.unshelve(facts, how, UnixTime(at))
         case "remove":
-            return changes.remove_from_service(facts, how, UnixTime(at))
+            return state_machine.remove_from_service(facts, how, UnixTime(at))
         case "return":
-            return changes.return_to_service(facts, how, UnixTime(at))
+            return state_machine.return_to_service(facts, how, UnixTime(at))
         case _:
-            return changes.suppress(facts, word == "suppress", UnixTime(at))
+            return state_machine.suppress(facts, word == "suppress", UnixTime(at))
 
 
 @settings(max_examples=5 * settings.default.max_examples)
@@ -65,13 +65,13 @@ def test_random_histories_equal_the_model_of_the_standard(
     for wait_s, (word, details) in history:
         for _ in range(wait_s):
             at += 1
-            facts, passed = changes.advance(facts, how, UnixTime(at))
+            facts, passed = state_machine.advance(facts, how, UnixTime(at))
             journal += [each.trigger for each in passed]
             assert (facts.state, facts.occurrence) == (model.state(at), model.occurrences(at))
         if word == "observe":
             assert details in (True, False, None)
             model.observed.append((at, details))  # type: ignore[arg-type]
-            facts, done = changes.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
+            facts, done = state_machine.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
         else:
             assert isinstance(details, tuple)
             end, once = (at + details[0] + 0.25, details[1]) if word == "shelve" else (FOREVER, False)
@@ -99,15 +99,15 @@ def test_an_alarm_whose_definition_ends_is_normal_as_the_standard_leads_there(
     model, facts, at = ModelAlarm(on_delay, 0, FOREVER, latching), AlarmFacts(), 0.0
     for wait_s, (word, details) in history:
         at += wait_s
-        facts, _ = changes.advance(facts, how, UnixTime(at))
+        facts, _ = state_machine.advance(facts, how, UnixTime(at))
         if word == "observe":
             model.observed.append((at, details))  # type: ignore[arg-type]
-            facts, _ = changes.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
+            facts, _ = state_machine.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
         elif model.allows(word, at):
             facts, _ = act(facts, how, word, at, FOREVER, once=False)
             model.acts.append((at, word, FOREVER, False))
     before = facts
-    facts, done = changes.withdraw(facts, how, UnixTime(at))
+    facts, done = state_machine.withdraw(facts, how, UnixTime(at))
     for each in done:
         if each.trigger == "clear":
             model.observed.append((at, False))
@@ -122,27 +122,27 @@ def test_an_alarm_whose_definition_ends_is_normal_as_the_standard_leads_there(
 
 def test_a_suppressed_alarm_whose_definition_ends_is_normal_and_no_longer_suppressed() -> None:
     how = AlarmAttributes()
-    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = changes.suppress(facts, True, UnixTime(11))
-    facts, done = changes.withdraw(facts, how, UnixTime(12))
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.suppress(facts, True, UnixTime(11))
+    facts, done = state_machine.withdraw(facts, how, UnixTime(12))
     assert [each.trigger for each in done] == ["remove", "clear", "unsuppress", "return"]
     assert (facts.state, facts.suppressed) == ("normal", False)
 
 
 def test_an_alarm_is_silenced_once() -> None:
     how = AlarmAttributes()
-    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = changes.silence(facts, how, UnixTime(11))
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.silence(facts, how, UnixTime(11))
     assert (facts.sounds, facts.state) == (False, "unack_active")
     with pytest.raises(NoTransitionError):
-        changes.silence(facts, how, UnixTime(12))
+        state_machine.silence(facts, how, UnixTime(12))
 
 
 def test_every_base_state_has_its_own_facts_and_leads_only_where_the_table_does() -> None:
     assert len(set(FACTS_OF.values())) == len(FACTS_OF)
     for base in FACTS_OF:
         facts = AlarmFacts().with_base(base)
-        for trigger, change in (("acknowledge", changes.acknowledge), ("reset", changes.reset)):
+        for trigger, change in (("acknowledge", state_machine.acknowledge), ("reset", state_machine.reset)):
             target = TRANSITIONS.get((base, trigger))  # type: ignore[arg-type]
             if target is None:
                 with pytest.raises(NoTransitionError):
@@ -162,42 +162,42 @@ def test_nothing_can_be_ended_that_has_not_begun(word: str) -> None:
 
 def test_an_unknown_condition_stops_a_delay_and_changes_nothing_else() -> None:
     how = AlarmAttributes(on_delay_s=2)
-    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(1))
-    facts, _ = changes.observe(facts, how, holds=None, at=UnixTime(2))
-    facts, _ = changes.observe(facts, how, holds=None, at=UnixTime(9))
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(1))
+    facts, _ = state_machine.observe(facts, how, holds=None, at=UnixTime(2))
+    facts, _ = state_machine.observe(facts, how, holds=None, at=UnixTime(9))
     assert (facts.state, facts.unknown_since) == ("normal", 2)
-    facts, _ = changes.observe(facts, how, holds=True, at=UnixTime(10))
-    facts, done = changes.advance(facts, how, UnixTime(12))
+    facts, _ = state_machine.observe(facts, how, holds=True, at=UnixTime(10))
+    facts, done = state_machine.advance(facts, how, UnixTime(12))
     assert (facts.state, facts.unknown_since, done[0].at) == ("unack_active", None, 12)
 
 
 def test_a_transition_has_the_time_at_which_it_was_due() -> None:
     how = AlarmAttributes(on_delay_s=5, off_delay_s=2)
-    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
     assert due_at(facts, how) == 15
-    facts, done = changes.observe(facts, how, holds=False, at=UnixTime(40))
+    facts, done = state_machine.observe(facts, how, holds=False, at=UnixTime(40))
     assert [(each.trigger, each.at) for each in done] == [("rise", 15)]
     assert due_at(facts, how) == 42
 
 
 def test_an_alarm_rises_again_while_it_stays_after_its_time_since_it_was_acknowledged() -> None:
     how = AlarmAttributes(realarm_s=3)
-    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = changes.acknowledge(facts, how, UnixTime(12))
-    facts, done = changes.advance(facts, how, UnixTime(20))
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.acknowledge(facts, how, UnixTime(12))
+    facts, done = state_machine.advance(facts, how, UnixTime(20))
     assert [(each.trigger, each.at, facts.state) for each in done] == [("realarm", 15, "unack_active")]
 
 
 def test_a_shelf_for_once_ends_with_the_condition_and_hides_from_acts_until_then() -> None:
     how = AlarmAttributes()
-    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = changes.shelve(facts, how, UnixTime(11), for_s=88, once=True)
-    for hidden_act in (changes.acknowledge, changes.reset):
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.shelve(facts, how, UnixTime(11), for_s=88, once=True)
+    for hidden_act in (state_machine.acknowledge, state_machine.reset):
         with pytest.raises(NoTransitionError):
             hidden_act(facts, how, UnixTime(12))
     with pytest.raises(NoTransitionError):
-        changes.shelve(facts, how, UnixTime(12), for_s=87)
-    facts, done = changes.observe(facts, how, holds=False, at=UnixTime(13))
+        state_machine.shelve(facts, how, UnixTime(12), for_s=87)
+    facts, done = state_machine.observe(facts, how, holds=False, at=UnixTime(13))
     assert ([each.trigger for each in done], facts.shelved_until) == (["clear", "unshelve"], None)
 
 
@@ -221,35 +221,35 @@ def times(facts: AlarmFacts) -> tuple[float | None, float | None, float | None]:
 
 def test_coming_clearing_and_acknowledging_are_three_times_and_none_changes_another() -> None:
     how = AlarmAttributes()
-    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
     assert times(facts) == (10, None, None)
-    facts, _ = changes.acknowledge(facts, how, UnixTime(12))
+    facts, _ = state_machine.acknowledge(facts, how, UnixTime(12))
     assert (times(facts), facts.since) == ((10, None, 12), 12)
-    facts, _ = changes.observe(facts, how, holds=False, at=UnixTime(15))
+    facts, _ = state_machine.observe(facts, how, holds=False, at=UnixTime(15))
     assert (times(facts), facts.since) == ((10, 15, 12), 15)
-    facts, _ = changes.observe(facts, how, holds=True, at=UnixTime(20))
+    facts, _ = state_machine.observe(facts, how, holds=True, at=UnixTime(20))
     assert times(facts) == (20, None, None)
-    facts, _ = changes.observe(facts, how, holds=False, at=UnixTime(25))
-    facts, _ = changes.acknowledge(facts, how, UnixTime(30))
+    facts, _ = state_machine.observe(facts, how, holds=False, at=UnixTime(25))
+    facts, _ = state_machine.acknowledge(facts, how, UnixTime(30))
     assert (times(facts), facts.state) == ((20, 25, 30), "normal")
 
 
 def test_an_acknowledgement_ends_where_it_is_annunciated_again_and_the_time_it_came_stays() -> None:
     how = AlarmAttributes(realarm_s=3)
-    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = changes.acknowledge(facts, how, UnixTime(12))
-    again, _ = changes.advance(facts, how, UnixTime(15))
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.acknowledge(facts, how, UnixTime(12))
+    again, _ = state_machine.advance(facts, how, UnixTime(15))
     assert times(again) == (10, None, None)
-    hidden, _ = changes.shelve(facts, how, UnixTime(13), for_s=1)
-    back, _ = changes.advance(hidden, how, UnixTime(14))
+    hidden, _ = state_machine.shelve(facts, how, UnixTime(13), for_s=1)
+    back, _ = state_machine.advance(hidden, how, UnixTime(14))
     assert (times(back), back.state) == ((10, None, None), "unack_active")
 
 
 def test_one_that_cleared_after_its_acknowledgement_is_not_annunciated_again_by_time() -> None:
     how = AlarmAttributes(realarm_s=3)
-    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = changes.acknowledge(facts, how, UnixTime(11))
-    facts, _ = changes.observe(facts, how, holds=False, at=UnixTime(12))
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.acknowledge(facts, how, UnixTime(11))
+    facts, _ = state_machine.observe(facts, how, holds=False, at=UnixTime(12))
     assert (due_at(facts, how), facts.state) == (None, "normal")
 
 
