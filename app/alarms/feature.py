@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from functools import partial
 
 from app.alarms import api, pages
 from app.alarms.acts import ACTS
+from app.alarms.alarm import Alarm
 from app.alarms.banner import AlarmBanner
-from app.alarms.finding import AlarmFinder
-from app.alarms.journal import occurrences_api, performance_api
-from app.alarms.journal import pages as journal_pages
+from app.alarms.journal import occurrences, performance
 from app.alarms.journal.store import AlarmStore
-from app.alarms.monitor.bus_alarms import BusAlarms
-from app.alarms.monitor.control_left import control_left_by
-from app.alarms.monitor.expiry_watch import ExpiryWatch
+from app.alarms.monitor.bus_alarms import BusAlarms, control_left_by
 from app.alarms.monitor.line_alarms import LineAlarms
-from app.alarms.monitor.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
+from app.alarms.monitor.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
 from app.alarms.own import api as own_api
 from app.alarms.own import pages as own_pages
 from app.alarms.own.book import OwnAlarmBook
@@ -28,7 +26,7 @@ from app.backup.service import Backups
 from app.commands.safeguards.service import Safeguards
 from app.database import Database
 from app.feature import Feature, Services
-from app.find.finders import Finders
+from app.find.finders import Finders, FoundPlace, Search, matched
 from app.history.service import History
 from app.live.browsers.hub import Hub
 from app.live.screen.fields import Fields, Translator
@@ -39,6 +37,22 @@ from app.web.rendering.templating import PageHead, Templates
 from app.web.services import Registry
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message
+
+
+class AlarmFinder:
+    def __init__(self, alarms: LineAlarms) -> None:
+        self._alarms = alarms
+
+    async def __call__(self, search: Search) -> Iterable[FoundPlace]:
+        """Each alarm that is not normal."""
+        return [place for alarm in self._alarms.present() for place in self._of_alarm(search, alarm)]
+
+    def _of_alarm(self, search: Search, alarm: Alarm) -> Iterator[FoundPlace]:
+        t, definition = search.language.t, alarm.definition
+        place = self._alarms.place(definition.bus, definition.unit)
+        name, state = t(definition.name), t(alarm.state_text)
+        label = f"{place} · {name}" if place else name
+        yield from matched(search, FoundPlace(label, f"/alarms/{alarm.id}", state), name, place, state)
 
 
 def make(services: Services) -> None:
@@ -113,11 +127,10 @@ FEATURE = Feature(
     make,
     (
         own_pages.router,
-        performance_api.router,
-        occurrences_api.router,
+        performance.router,
+        occurrences.router,
         own_api.router,
         api.router,
-        journal_pages.router,
         pages.router,
     ),
     acts=ACTS,

@@ -1,9 +1,10 @@
-"""The pages of alarms: the summary, one alarm, the journal."""
+"""The pages of alarms: the summary, the journal, the figures, and one alarm."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from datetime import timedelta
+from typing import Annotated, Any, Literal, NamedTuple
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Form, Query
@@ -13,17 +14,21 @@ from starlette.responses import RedirectResponse, Response
 
 from app.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
 from app.alarms.alarm import Alarm, state_text
-from app.alarms.api import Alarms
+from app.alarms.api import Alarms, present_value
 from app.alarms.journal.performance import measure
-from app.alarms.monitor.line_alarms import LineAlarms
+from app.alarms.journal.store import JournalFilter
+from app.alarms.monitor.line_alarms import LineAlarms, rank
 from app.alarms.rules.performance import DAY_S, AlarmFigure
-from app.alarms.rules.states import PRESENT_STATES
-from app.alarms.summary import MAX_ROWS, listed, places_of, query_of, row_of
+from app.alarms.rules.state_machine import PRESENT_STATES, AlarmState
 from app.conditions.condition import GROUPS
 from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
+from app.messages import Language
+from app.settings import Settings
+from app.time_zone import day_begins
 from app.web.admission.access import Person, Viewer
+from app.web.admission.turns import SEARCH
 from app.web.rendering.formats import UNKNOWN, Formats
 from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
@@ -31,17 +36,159 @@ from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 from bus.text import OneLine, TypedText
 
+MAX_ROWS = 100
+"""In the summary: as many as are acknowledged together at most."""
+
+
+class AlarmRow(NamedTuple):
+    """An alarm as a page shows it: with where it is, the present value of what it is about, and whether it
+    came three times within a minute."""
+
+    alarm: Alarm
+    place: str
+    value: Message | None
+    chatters: bool
+
+
+def listed(
+    alarms: LineAlarms, chosen: dict[str, str], now: UnixTime, shown: Sequence[str] = ()
+) -> dict[str, Any]:
+    """What the list of alarms shows. ``shown``: the keys of the rows that a person sees. These stay in their
+    places, also where they match no longer, and new alarms come after them."""
+    known = (alarms.known(key) for key in shown)
+    kept = dict.fromkeys(alarm for alarm in known if alarm is not None)
+    new = [alarm for alarm in alarms.present() if alarm not in kept and _matches(alarm, chosen)]
+    found = [*kept, *new]
+    rows = [row_of(alarms, alarm, now) for alarm in found[:MAX_ROWS]]
+    return {
+        "rows": rows,
+        "waiting": [row.alarm.id for row in rows if row.alarm.is_unacknowledged],
+        "more": max(0, len(found) - MAX_ROWS),
+        "query": query_of(chosen),
+        "is_filtered": any(chosen.values()),
+        "is_sorted": found == sorted(found, key=rank),
+        "flood": alarms.rates.flood(now),
+    }
+
+
+def query_of(chosen: dict[str, str]) -> str:
+    """What a person filters by, as the query of a link."""
+    return urlencode({name: value for name, value in chosen.items() if value})
+
+
+def _matches(alarm: Alarm, chosen: dict[str, str]) -> bool:
+    definition = alarm.definition
+    bus, _, unit = chosen["place"].partition("/")
+    return (
+        chosen["state"] in ("", alarm.facts.state)
+        and chosen["priority"] in ("", definition.priority)
+        and chosen["group"] in ("", definition.about)
+        and bus in ("", definition.bus)
+        and unit in ("", str(definition.unit))
+    )
+
+
+def places_of(alarms: LineAlarms) -> list[tuple[str, str]]:
+    """Return each bus and each of its units, as filters with their names."""
+    places: list[tuple[str, str]] = []
+    for name, bus in alarms.buses.items():
+        places.append((name, name))
+        places += [(f"{name}/{unit}", f"{name} · {text}") for unit, text in bus.unit_names().items()]
+    return places
+
+
+def row_of(alarms: LineAlarms, alarm: Alarm, now: UnixTime) -> AlarmRow:
+    """An alarm as it is now."""
+    definition = alarm.definition
+    place = alarms.place(definition.bus, definition.unit)
+    chatters = alarms.rates.chatters(definition.key, now)
+    return AlarmRow(alarm, place, present_value(alarms, alarm), chatters)
+
+
 router = APIRouter(include_in_schema=False)
 
 ON_A_PAGE = 100
+MAX_FOUND = 5000
+"""Alarms that a search may find: their keys are values of one statement."""
+AFTER: tuple[AlarmState, ...] = (
+    "unack_active",
+    "ack_active",
+    "rtn_unack",
+    "normal",
+    "shelved",
+    "suppressed",
+    "out_of_service",
+)
+"""The states by which the journal is filtered."""
+TypedFilter = Annotated[TypedText, Query(max_length=80)]
+
+
+@router.get("/alarms/journal", dependencies=[SEARCH])
+async def journal_page(
+    request: Request,
+    _: Viewer,
+    alarms: Alarms,
+    search: TypedFilter = "",
+    place: TypedFilter = "",
+    priority: TypedFilter = "",
+    state: TypedFilter = "",
+    day: TypedFilter = "",
+    before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
+) -> Response:
+    """The transitions that a person chose, newest first; ``day``: of the site."""
+    zone = service_of(request, Settings).site.zone
+    bus, _slash, unit = place.partition("/")
+    chosen = {"search": search.strip(), "place": place, "priority": priority, "state": state, "day": day}
+    found = JournalFilter(
+        alarms=_named(alarms, chosen["search"], templates_of(request).language_of(request)),
+        bus=bus or None,
+        unit=int(unit) if unit.isascii() and unit.isdecimal() and len(unit) < 4 else None,
+        priority=priority or None,
+        after=state or None,
+        start=day_begins(day, zone),
+        end=day_begins(day, zone, timedelta(days=1)),
+    )
+    entries = await alarms.store.journal(
+        ON_A_PAGE + 1, before, chosen=found if any(chosen.values()) else None
+    )
+    query = query_of(chosen)
+    older = f"before={entries[ON_A_PAGE - 1].id}" if len(entries) > ON_A_PAGE else ""
+    return render(
+        request,
+        "alarms/journal.html",
+        transitions=entries[:ON_A_PAGE],
+        place_of=alarms.place,
+        chosen=chosen,
+        states=[(each, state_text(each)) for each in AFTER],
+        places=places_of(alarms),
+        older="&".join(filter(None, (query, older))) if older else "",
+        newest=query if before else None,
+    )
+
+
+def _named(alarms: LineAlarms, search: str, language: Language) -> list[str] | None:
+    """The keys of the alarms whose place or name has each word of a search; None without one."""
+    words = search.casefold().split()
+    if not words:
+        return None
+    names: dict[str, str] = {}
+    found: list[str] = []
+    for alarm in alarms.every():
+        definition = alarm.definition
+        name = names.setdefault(str(definition.name), language.t(definition.name))
+        text = f"{alarms.place(definition.bus, definition.unit)} {name}".casefold()
+        if all(word in text for word in words):
+            found.append(definition.key)
+    return found[:MAX_FOUND]
+
+
 SEE_OTHER = 303
 TypedReason = Annotated[OneLine, Form(max_length=200)]
-AlarmFilter = Annotated[TypedText, Query(max_length=80)]
 ShownKeys = Sequence[Annotated[str, StringConstraints(max_length=200)]]
 
 
 async def chosen_filters(
-    state: AlarmFilter = "", priority: AlarmFilter = "", place: AlarmFilter = "", group: AlarmFilter = ""
+    state: TypedFilter = "", priority: TypedFilter = "", place: TypedFilter = "", group: TypedFilter = ""
 ) -> dict[str, str]:
     """What a person filters by; empty: by nothing."""
     return {"state": state, "priority": priority, "place": place, "group": group}

@@ -12,9 +12,8 @@ from fastapi import APIRouter, Depends, File, Form, Path, Query, UploadFile
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.alarms.api import Alarms
+from app.alarms.api import Alarms, transition_json
 from app.alarms.monitor.line_alarms import LineAlarms
-from app.alarms.shown import transition_json
 from app.handover.acts import SIGN, WRITE_NOTE
 from app.handover.api import MAX_NOTE_LENGTH, ShiftOfPath, Shifts, Sign
 from app.handover.notes.pictures import MAX_OF_NOTE, PictureStore

@@ -12,7 +12,7 @@ from prometheus_client.registry import Collector
 
 from app.alarms.alarm import Alarm
 from app.alarms.monitor.line_alarms import LineAlarms
-from app.alarms.rules.states import PRESENT_STATES
+from app.alarms.rules.state_machine import PRESENT_STATES
 from app.conditions.draw import percent_of
 from app.conditions.priority import PRIORITIES
 from app.database.reserve import free_bytes

@@ -9,7 +9,7 @@ from typing import Literal
 import msgspec
 
 from app.alarms.alarm import Alarm
-from app.alarms.rules.states import AlarmState
+from app.alarms.rules.state_machine import AlarmState
 from app.conditions.priority import AlarmPriority
 from bus.instants import UnixTime
 from bus.messages import Message

@@ -10,8 +10,8 @@ from typing import Annotated, Any, NamedTuple, NotRequired
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.alarms.api import AlarmStateShown, AlarmTransition, transition_json
 from app.alarms.journal.store import JournalEntry
-from app.alarms.shown import AlarmStateShown, AlarmTransition, transition_json
 from app.database import StoreConnection
 from app.handover.notes.notes import MAX_OF_SPAN
 from app.handover.rules.scope import Scope

@@ -8,7 +8,7 @@ from fastapi import APIRouter
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.alarms.shown import AlarmPriorityShown
+from app.alarms.api import AlarmPriorityShown
 from app.live.screen.fields import Translator
 from app.messages import DEFAULT
 from app.sites.board import LineOnBoard

@@ -7,7 +7,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from app.alarms.journal.store import AlarmStore
-from app.alarms.rules.observed import ObservedSpan
+from app.alarms.rules.performance import ObservedSpan
 from app.database import Database
 from bus.instants import UnixTime
 

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from app.alarms.journal.occurrences import occurrences
 from app.alarms.journal.performance import measure
-from app.alarms.rules.observed import ObservedSpan
-from app.alarms.rules.performance import CHATTERS_S, FLEETING_S
+from app.alarms.rules.performance import CHATTERS_S, FLEETING_S, ObservedSpan
 from app.database import Database
 from bus.instants import UnixTime
 from tests.app.alarm_bus import AlarmBus

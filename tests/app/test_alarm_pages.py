@@ -14,8 +14,8 @@ import pytest
 from app.alarms.banner import AlarmBanner
 from app.alarms.monitor.bus_alarms import BusAlarms
 from app.alarms.monitor.line_alarms import LineAlarms
-from app.alarms.rules.facts import AlarmFacts
-from app.alarms.rules.observed import ObservedSpan
+from app.alarms.rules.performance import ObservedSpan
+from app.alarms.rules.state_machine import AlarmFacts
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
 from app.live.state.bus_live import LiveState

@@ -6,10 +6,24 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from app.alarms.journal.performance import AlarmPerformance, measure
-from app.alarms.rules.observed import MAX_GAP_S, ObservedSpan, observed_until
-from app.alarms.rules.performance import MIN_FOR_TOP_TEN, AlarmCounts, figures, flooded
+from app.alarms.rules.performance import (
+    CHATTERS_S,
+    FEW,
+    MANY,
+    MAX_GAP_S,
+    MIN_FOR_TOP_TEN,
+    WINDOW_S,
+    AlarmCounts,
+    AlarmRates,
+    ObservedSpan,
+    figures,
+    flooded,
+    observed_until,
+)
 from bus.instants import UnixTime
 from tests.app.alarm_journal import Journal, T, alarm_journal
 
@@ -136,3 +150,42 @@ def test_the_ten_most_frequent_are_judged_where_they_can_keep_their_target(
     found = figures(AlarmCounts(86_400, {1: total}, 10, {"low": total}, 0, 0, None, {}))
     (top_ten,) = [figure for figure in found if figure.code == "top_ten_share"]
     assert (top_ten.value, top_ten.met) == (share, None if share is None else True)
+
+
+def moment(seconds: float) -> UnixTime:
+    return UnixTime(1e9 + seconds)
+
+
+def test_a_flood_begins_with_more_than_ten_in_ten_minutes_and_ends_with_fewer_than_five() -> None:
+    rates = AlarmRates()
+    for second in range(MANY):
+        rates.note(f"alarm-{second}", moment(second))
+    assert rates.flood(moment(MANY)) == 0
+    rates.note("one more", moment(MANY))
+    assert rates.flood(moment(MANY)) == MANY + 1
+    still = moment(WINDOW_S + MANY - FEW + 0.5)
+    assert rates.flood(still) == FEW
+    assert rates.flood(still + 1.0) == 0
+    rates.note("later", still + 2.0)
+    assert rates.flood(still + 2.0) == 0, "the next flood begins with more than ten, too"
+
+
+def test_an_alarm_chatters_that_came_three_times_within_a_minute() -> None:
+    rates = AlarmRates()
+    for second in (0, 30, CHATTERS_S):
+        assert not rates.chatters("a", moment(second))
+        rates.note("a", moment(second))
+    assert rates.chatters("a", moment(CHATTERS_S))
+    assert not rates.chatters("b", moment(CHATTERS_S))
+    assert not rates.chatters("a", moment(CHATTERS_S + WINDOW_S)), "it was long ago"
+    rates.note("a", moment(200))
+    assert not rates.chatters("a", moment(200))
+
+
+@given(st.lists(st.floats(-1e6, 1e6), max_size=40), st.floats(-1e6, 1e6))
+def test_whatever_the_clock_does_no_more_are_counted_than_came(times: list[float], now: float) -> None:
+    rates = AlarmRates()
+    for each in times:
+        rates.note("a", moment(each))
+    assert 0 <= rates.count(moment(now)) <= len(times)
+    assert rates.flood(moment(now)) in (0, rates.count(moment(now)))

@@ -8,10 +8,15 @@ from typing import get_args
 
 import pytest
 
-from app.alarms.rules.count_window import CountWindow
-from app.alarms.rules.detection import ChangeRate, LimitRule, limits_of
-from app.alarms.rules.first_out import FirstOut
-from app.alarms.rules.suppression import Suppressors, is_at_rest
+from app.alarms.rules.detection import (
+    ChangeRate,
+    CountWindow,
+    FirstOut,
+    LimitRule,
+    Suppressors,
+    is_at_rest,
+    limits_of,
+)
 from app.conditions.catalogue import CONDITIONS
 from app.conditions.condition import SuppressionGroup, Tuning
 from app.conditions.priority import MATRIX, PRIORITIES, Consequence, TimeToRespond

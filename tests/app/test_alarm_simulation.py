@@ -10,11 +10,10 @@ from typing import Any
 
 import pytest
 
-from app.alarms.rules.facts import Transition
+from app.alarms.rules.state_machine import Transition
 from app.alarms.settings import AlarmSettings
-from app.alarms.simulation.outcome import Annunciations
-from app.alarms.simulation.replay import Replay, extremes
-from app.alarms.simulation.stored import StoredHour
+from app.alarms.simulation.replay import Annunciations, Replay, extremes
+from app.alarms.simulation.simulator import StoredHour
 from app.database import Database
 from app.history import tables
 from app.history.series.rollup import rollup

@@ -12,8 +12,8 @@ import httpx
 import pytest
 
 from app.alarms.monitor.line_alarms import LineAlarms
+from app.alarms.own.definition import in_toml, proposed
 from app.alarms.settings import AlarmSettings
-from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.simulation.simulator import Simulator
 from app.errors import Problem
 from app.history import tables

@@ -9,9 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.alarms.rules import state_machine
-from app.alarms.rules.facts import AlarmAttributes, AlarmFacts, due_at, shifted
-from app.alarms.rules.state_machine import Changed, NoTransitionError
-from app.alarms.rules.states import FACTS_OF, TRANSITIONS
+from app.alarms.rules.state_machine import (
+    FACTS_OF,
+    TRANSITIONS,
+    AlarmAttributes,
+    AlarmFacts,
+    Changed,
+    NoTransitionError,
+    due_at,
+    shifted,
+)
 from bus.instants import UnixTime
 from tests.app.alarm_model import FOREVER, ModelAlarm
 

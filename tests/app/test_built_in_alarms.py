@@ -9,9 +9,8 @@ from random import Random
 import pytest
 
 from app.alarms.journal.store import AlarmStore
-from app.alarms.monitor.control_left import control_left_by
-from app.alarms.monitor.expiry_watch import ExpiryWatch
-from app.alarms.monitor.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
+from app.alarms.monitor.bus_alarms import control_left_by
+from app.alarms.monitor.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
 from app.audit.anchor import AnchorStatus
 from app.auth.store import Token
 from app.conditions.catalogue import CONDITIONS

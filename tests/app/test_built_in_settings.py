@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from app.alarms.catalogue import built_in
+from app.alarms.alarm import built_in
 from app.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.conditions.catalogue import CONDITIONS
 from app.database import Database

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.alarms.journal.store import JournalEntry
-from app.alarms.rules.states import AlarmState, AlarmTrigger
+from app.alarms.rules.state_machine import AlarmState, AlarmTrigger
 from app.notification.rules.notices import (
     LATE_S,
     Episode,

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from app.alarms.catalogue import built_in
+from app.alarms.alarm import built_in
 from app.conditions.catalogue import CONDITIONS, PLACES, STATUS, TILES
 from app.conditions.condition import Condition
 from app.conditions.of_unit import BY_READING

@@ -16,8 +16,8 @@ import httpx
 import pytest
 from jsonschema_rs import Draft202012Validator
 
+from app.alarms.api import AlarmShown, alarm_json
 from app.alarms.monitor.line_alarms import LineAlarms
-from app.alarms.shown import AlarmShown, alarm_json
 from app.live.api.line_stream import LineStream
 from app.live.api.stream_document import AlarmType, stream_document
 from app.live.state.bus_live import LiveState

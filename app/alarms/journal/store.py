@@ -10,9 +10,8 @@ from typing import Annotated, Any, TypeVar
 from pydantic import Field
 
 from app.alarms.alarm import Alarm, AlarmDefinition, BusName, UnitNumber, state_text
-from app.alarms.rules.facts import AlarmFacts, Transition
-from app.alarms.rules.observed import ObservedSpan
-from app.alarms.rules.states import AlarmState, AlarmTrigger
+from app.alarms.rules.performance import ObservedSpan
+from app.alarms.rules.state_machine import AlarmFacts, AlarmState, AlarmTrigger, Transition
 from app.conditions.priority import AlarmPriority
 from app.database import Database, StoreConnection, StoreRow
 from app.database.connection import upsert

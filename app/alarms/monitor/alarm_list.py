@@ -1,4 +1,4 @@
-"""The alarms of one bus or of the site: their changes in order, on disk, and made known."""
+"""The alarms of one bus or of the site: their changes in order, on disk, and made known to subscribers."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ from collections import ChainMap, Counter
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import structlog
+from typing_extensions import Unpack
 
 from app.alarms.alarm import SITE, Alarm, AlarmDefinition
-from app.alarms.journal.store import AlarmStore, JournalEntry, StoredAlarm, entry_of
+from app.alarms.journal.store import AlarmStore, JournalEntry, StoredAlarm, alarm_writer, entry_of
 from app.alarms.rules import state_machine
-from app.alarms.rules.facts import AlarmFacts, due_at, shifted
-from app.alarms.rules.first_out import FirstOut
-from app.alarms.rules.observed import ObservedSpan, observed_until
-from app.alarms.rules.state_machine import Changed
+from app.alarms.rules.detection import FirstOut
+from app.alarms.rules.performance import ObservedSpan, observed_until
+from app.alarms.rules.state_machine import AlarmFacts, Changed, due_at, shifted
+from app.audit.entry import EventKind
+from app.audit.log import Also, EventFields, EventLog
 from app.conditions.priority import AlarmPriority
+from app.database import StoreConnection
 from app.errors import StoreError
 from bus.instants import Clock, UnixTime
 
@@ -232,3 +236,51 @@ class AlarmList:
             async with asyncio.timeout(max(0.0, due - now)):
                 await self._wake.wait()
         self._wake.clear()
+
+
+class ActTransaction:
+    """The changes of one act to alarms of ``lists``; ``who``: the name of the person. The caller holds
+    ``writing`` of each list until it is recorded."""
+
+    def __init__(self, who: str, lists: Iterable[AlarmList]) -> None:
+        self._who = who
+        self._lists = tuple(lists)
+        self._undo: list[Callable[[], None]] = []
+        self.alarms: list[Alarm] = []
+        """The alarms that were changed."""
+
+    def change(
+        self, of: AlarmList, alarm: Alarm, changed: Changed, reason: str = "", *, hides: bool = False
+    ) -> None:
+        """Change an alarm of a list; where that ``hides`` it, it keeps by whom and why."""
+        before = (alarm.facts, alarm.hidden_by, alarm.reason)
+        if hides:
+            alarm.hidden_by, alarm.reason = self._who, reason
+        of.apply(alarm, changed, self._who, reason)
+        self._undo.append(partial(of.restore, alarm, *before, unless_changed_from=alarm.facts))
+        self.alarms.append(alarm)
+
+    async def record(
+        self,
+        events: EventLog,
+        *beside: Also,
+        kind: EventKind,
+        **fields: Unpack[EventFields],
+    ) -> None:
+        """Record the act in the audit log, with the journal and what is written ``beside`` it. Raises
+        StoreError; every alarm is then as it was before, unless it has changed since."""
+        taken = [(each, *each.take_unwritten()) for each in self._lists]
+        written = [*beside, *(alarm_writer(entries, alarms) for _, entries, alarms in taken)]
+
+        def write(connection: StoreConnection) -> None:
+            for each in written:
+                each(connection)
+
+        try:
+            await events.record(kind=kind, **fields, also=write)
+        except StoreError:
+            for each, entries, alarms in taken:
+                each.give_back([entry for entry in entries if entry.who != self._who], alarms)
+            for undo in self._undo:
+                undo()
+            raise

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
-from app.alarms.alarm import Alarm, AlarmDefinition, key_of
-from app.alarms.catalogue import built_in
+from app.alarms.alarm import Alarm, AlarmDefinition, built_in, key_of
 from app.alarms.journal.store import AlarmStore, StoredAlarm
 from app.alarms.monitor.alarm_list import AlarmList
 from app.alarms.monitor.unit_monitor import UnitMonitor
 from app.alarms.own.definition import OwnCondition, own_definition
-from app.alarms.rules.count_window import CountWindow
-from app.alarms.rules.suppression import Suppressors, is_at_rest
+from app.alarms.rules.detection import CountWindow, Suppressors, is_at_rest
 from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings
 from app.conditions.catalogue import BUS_ALARMS, CONDITIONS, UNIT_ALARMS
 from app.conditions.of_bus import BY_BUS, CONTROL_LEFT, SECOND_MASTER
@@ -19,6 +17,7 @@ from app.conditions.of_unit import ESTOP_ACTIVE
 from app.live.diagnosis.links import bus_facts
 from app.live.state.bus_live import NO_WORKER, Audience, BusLive
 from app.live.state.scan_time import offline_after_s, scan_s_of
+from app.web.admission.access import account_shown
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Staged, UnitLink, Update
 from bus.instants import Clock, ClockWatch, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
@@ -224,3 +223,13 @@ class BusAlarms:
             at_rest=is_at_rest(None if reading is None else reading.commanded for reading in readings),
             estops=self._estops,
         )
+
+
+def control_left_by(
+    holder: str, used_at: Monotonic, present: Collection[str], now: Monotonic
+) -> Message | None:
+    """The holder who has left control without releasing it; None while that is not so. ``used_at``: when the
+    holder last sent a command; ``present``: the accounts with an open page."""
+    if not CONTROL_LEFT.holds(now - used_at, holder in present):
+        return None
+    return Message.of("alarm_control_left_by", who=account_shown(holder))

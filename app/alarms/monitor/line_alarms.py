@@ -10,15 +10,12 @@ from typing import NamedTuple
 from app.alarms.acts import SILENCE, SILENCE_SOUNDING, ActBody, AlarmAct
 from app.alarms.alarm import Alarm
 from app.alarms.journal.store import AlarmStore
-from app.alarms.monitor.alarm_list import AlarmList, AlarmSubscriber
+from app.alarms.monitor.alarm_list import ActTransaction, AlarmList, AlarmSubscriber
 from app.alarms.monitor.bus_alarms import BusAlarms
 from app.alarms.monitor.site_alarms import SiteAlarms
-from app.alarms.monitor.transaction import ActTransaction
 from app.alarms.rules import state_machine
-from app.alarms.rules.facts import AlarmFacts
-from app.alarms.rules.observed import ObservedSpan
-from app.alarms.rules.rates import AlarmRates
-from app.alarms.rules.state_machine import NoTransitionError
+from app.alarms.rules.performance import AlarmRates, ObservedSpan
+from app.alarms.rules.state_machine import AlarmFacts, NoTransitionError
 from app.audit.log import EventLog
 from app.conditions.priority import PRIORITIES
 from app.errors import Problem, StoreError

@@ -7,8 +7,7 @@ from functools import cache, partial
 
 from app.alarms.alarm import Alarm, key_of
 from app.alarms.own.definition import OwnCondition, known_decimals
-from app.alarms.rules.count_window import CountWindow
-from app.alarms.rules.detection import LimitRule, limits_of
+from app.alarms.rules.detection import CountWindow, LimitRule, limits_of
 from app.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.conditions import of_unit
 from app.conditions.catalogue import UNIT_ALARMS

@@ -10,12 +10,12 @@ from typing_extensions import TypedDict
 
 from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN, ActReason, Comment
 from app.alarms.alarm import own_key
-from app.alarms.journal.performance_api import month_at_most
+from app.alarms.api import AlarmPriorityShown
+from app.alarms.journal.performance import month_at_most
 from app.alarms.own.book import OwnAlarm, OwnAlarmBook, OwnAlarmLeftAside
+from app.alarms.own.definition import proposed
 from app.alarms.settings import AlarmSettings, OwnValue
-from app.alarms.shown import AlarmPriorityShown
-from app.alarms.simulation.outcome import AlarmSimulation
-from app.alarms.simulation.proposal import proposed
+from app.alarms.simulation.replay import AlarmSimulation
 from app.alarms.simulation.simulator import Simulator
 from app.conditions.priority import AlarmPriority
 from app.history.spans import HistoryOf

@@ -14,13 +14,12 @@ from pydantic import Field
 
 from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN
 from app.alarms.alarm import Alarm, own_key
+from app.alarms.monitor.alarm_list import ActTransaction
 from app.alarms.monitor.bus_alarms import BusAlarms
 from app.alarms.monitor.line_alarms import LineAlarms
-from app.alarms.monitor.transaction import ActTransaction
-from app.alarms.own.definition import own_definition
+from app.alarms.own.definition import in_toml, own_definition, proposed
 from app.alarms.rules import state_machine
 from app.alarms.settings import AlarmSettings
-from app.alarms.simulation.proposal import in_toml, proposed
 from app.audit.acts import Act
 from app.audit.log import EventLog
 from app.database import Database, StoreConnection, StoreRow

@@ -1,22 +1,29 @@
-"""The site's own alarms: their definitions, and whether the condition of one holds."""
+"""Alarms that the site defines: as a person wrote one, its definition, and whether its condition holds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from app.alarms.alarm import AlarmDefinition, AlarmRationalization, own_key
 from app.alarms.rules.detection import ChangeRate, LimitRule
-from app.alarms.rules.facts import AlarmAttributes
-from app.alarms.settings import INPUT_VALUES, SPEED_VALUES, AlarmSettings
+from app.alarms.rules.state_machine import AlarmAttributes
+from app.alarms.settings import INPUT_VALUES, SPEED_VALUES, AlarmSettings, refuse_misplaced
 from app.conditions.priority import MATRIX, AlarmPriority, Consequence, TimeToRespond
+from app.errors import Problem
 from app.live.state.bus_live import BusLive, UnitLive, speed_decimals
 from app.live.state.conditions import bits_of
 from bus.catalogue.numbers import ANALOG_IN_HIGH, ANALOG_IN_LOW
 from bus.catalogue.values import MAX_DECIMALS, analog_input_value
 from bus.contract import Reading
 from bus.messages import Message, number, term
+from bus.settings import BusSettings
+from bus.validation import fault_message
 
 ANALOG_DECIMALS = 3
 """An analog input is compared in thousandths of its unit."""
@@ -149,3 +156,45 @@ def _rule_of(settings: AlarmSettings, decimals: int) -> LimitRule:
         return None if limit is None else round(limit.scaleb(decimals))
 
     return LimitRule(raw(settings.above), raw(settings.below), raw(settings.deadband) or 0)
+
+
+def proposed(written: Mapping[str, Any], buses: Sequence[BusSettings]) -> AlarmSettings:
+    """Raises Problem 422 with every fault in words."""
+    try:
+        settings = AlarmSettings.model_validate(written)
+    except ValidationError as error:
+        faults = [_fault(details) for details in error.errors()]
+        raise Problem(422, "invalid", Message.of("several", messages=[*faults])) from None
+    try:
+        refuse_misplaced([settings], buses)
+    except PydanticCustomError as error:
+        raise Problem(422, "invalid", (error.context or {})["message"]) from None
+    return settings
+
+
+def _fault(details: ErrorDetails) -> Message:
+    message: Message | None = details.get("ctx", {}).get("message")
+    if message is not None:
+        return message
+    key = ".".join(str(step) for step in details["loc"])
+    if details["type"] == "missing":
+        return Message.of("own_alarm_lacks", key=key)
+    right = fault_message(details)
+    return Message.of("configuration_value", key=key, value=repr(details["input"]), right=right)
+
+
+def in_toml(settings: AlarmSettings) -> str:
+    """The entry for lineside.toml; only what is not the default."""
+    lines = ["[[alarm]]"]
+    for key, value in settings.model_dump(mode="json", exclude_defaults=True).items():
+        lines.append(f"{key} = {_toml(value)}")
+    return "\n".join(lines)
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return f'"{escaped}"'
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -14,12 +14,11 @@ from app.alarms.acts import ADD_OWN, REMOVE_OWN
 from app.alarms.monitor.line_alarms import LineAlarms
 from app.alarms.own.api import OwnBook, SimulatorOf, WrittenText
 from app.alarms.own.book import OwnAlarmBook
-from app.alarms.pages import SEE_OTHER, TypedReason, given_reason
+from app.alarms.own.definition import proposed
+from app.alarms.pages import SEE_OTHER, TypedReason, given_reason, places_of
 from app.alarms.rules.performance import DAY_S
 from app.alarms.settings import OwnValue
-from app.alarms.simulation.outcome import AlarmSimulation
-from app.alarms.simulation.proposal import proposed
-from app.alarms.summary import places_of
+from app.alarms.simulation.replay import AlarmSimulation
 from app.errors import Problem
 from app.history.series import values
 from app.history.series.values import VALUES

@@ -1,15 +1,20 @@
-"""The figures of an alarm system and their targets (ISA-18.2-2016, clause 16; EEMUA 191). Pure."""
+"""Figures of the alarm system and their targets (ISA-18.2-2016, clause 16), and how fast alarms come.
+
+Pure: counts and times are passed in.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 from typing_extensions import TypeAliasType
 
 from app.conditions.priority import PRIORITIES, AlarmPriority
+from bus.instants import UnixTime
 
 WINDOW_S = 600
 """Rates are judged in windows of ten minutes."""
@@ -152,3 +157,75 @@ def flooded(in_windows: Mapping[int, int]) -> Iterator[int]:
 
 def _share(part: int, total: int) -> float | None:
     return part / total if total else None
+
+
+RISES_OF_CHATTER = 3
+MAX_COUNTED = 1000
+"""In ten minutes; of more the newest."""
+
+
+class AlarmRates:
+    """The alarms annunciated in the last ten minutes, as they came."""
+
+    def __init__(self) -> None:
+        self._came: deque[UnixTime] = deque(maxlen=MAX_COUNTED)
+        self._of_alarm: dict[str, deque[UnixTime]] = {}
+        self._is_flood = False
+
+    def note(self, alarm: str, at: UnixTime) -> None:
+        """An alarm, by its key, was annunciated."""
+        self._came.append(at)
+        self._of_alarm.setdefault(alarm, deque(maxlen=RISES_OF_CHATTER)).append(at)
+        self.count(at)
+
+    def count(self, now: UnixTime) -> int:
+        """How many were annunciated in the last ten minutes. A clock that was set back forgets them."""
+        while self._came and not 0 <= now - self._came[0] < WINDOW_S:
+            self._came.popleft()
+        found = len(self._came)
+        self._is_flood = found > MANY or (self._is_flood and found >= FEW)
+        return found
+
+    def flood(self, now: UnixTime) -> int:
+        """How many came in the last ten minutes while that is a flood: from more than ten on, until there are
+        fewer than five; 0 while it is none."""
+        count = self.count(now)
+        return count if self._is_flood else 0
+
+    def chatters(self, alarm: str, now: UnixTime) -> bool:
+        """Whether it came three times within a minute, lately."""
+        rises = self._of_alarm.get(alarm)
+        if rises is None or len(rises) < RISES_OF_CHATTER or not 0 <= now - rises[-1] < WINDOW_S:
+            return False
+        return 0 <= rises[-1] - rises[0] <= CHATTERS_S
+
+
+MAX_GAP_S = 60.0
+"""The engine looks every second. After a longer gap it stood still, or the clock was set."""
+
+
+class ObservedSpan(NamedTuple):
+    """Alarms were observed from ``start`` to ``end``."""
+
+    start: UnixTime
+    end: UnixTime
+
+
+def observed_until(now: UnixTime, former: ObservedSpan | None) -> ObservedSpan:
+    """The former span with the time up to ``now``; another one, where ``now`` does not follow it."""
+    if former is None or not 0 <= now - former.end <= MAX_GAP_S:
+        return ObservedSpan(now, now)
+    return former._replace(end=now)
+
+
+def observed_within(spans: Iterable[ObservedSpan], start: UnixTime, end: UnixTime) -> list[ObservedSpan]:
+    """What of a time was observed: without overlaps, in order."""
+    found: list[ObservedSpan] = []
+    for span in sorted(ObservedSpan(max(each.start, start), min(each.end, end)) for each in spans):
+        if span.start >= span.end:
+            continue
+        if found and span.start <= found[-1].end:
+            found[-1] = found[-1]._replace(end=max(found[-1].end, span.end))
+        else:
+            found.append(span)
+    return found

@@ -1,21 +1,198 @@
-"""What happens to an alarm: its condition is observed, time passes, a person acts."""
+"""The state machine of an alarm (ISA-18.2-2016, clause 5.6): its states, and what leads from one to another.
+
+Pure: the time is passed in.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple, get_args
 
-from app.alarms.rules.facts import (
-    AlarmAttributes,
-    AlarmFacts,
-    Transition,
-    detection_due,
-    due_at,
-    realarm_due,
-)
-from app.alarms.rules.states import ON_RETURN, TRANSITIONS, AlarmTrigger, BaseState, BaseTrigger
 from bus.instants import UnixTime
+
+BaseState = Literal["normal", "unack_active", "ack_active", "rtn_unack", "latched_unack", "latched_ack"]
+AlarmState = Literal[BaseState, "shelved", "suppressed", "out_of_service"]
+PRESENT_STATES: tuple[AlarmState, ...] = get_args(AlarmState)[1:]
+"""All but normal."""
+BaseTrigger = Literal["rise", "clear", "acknowledge", "reset", "realarm"]
+AlarmTrigger = Literal[
+    BaseTrigger, "shelve", "unshelve", "suppress", "unsuppress", "remove", "return", "silence"
+]
+
+
+class BaseFacts(NamedTuple):
+    """The three facts that make a base state (OPC UA Part 9: ActiveState, AckedState, LatchedState)."""
+
+    active: bool
+    acknowledged: bool
+    latched: bool = False
+
+
+FACTS_OF: dict[BaseState, BaseFacts] = {
+    "normal": BaseFacts(active=False, acknowledged=True),
+    "unack_active": BaseFacts(active=True, acknowledged=False),
+    "ack_active": BaseFacts(active=True, acknowledged=True),
+    "rtn_unack": BaseFacts(active=False, acknowledged=False),
+    "latched_unack": BaseFacts(active=False, acknowledged=False, latched=True),
+    "latched_ack": BaseFacts(active=False, acknowledged=True, latched=True),
+}
+STATE_OF: dict[BaseFacts, BaseState] = {facts: state for state, facts in FACTS_OF.items()}
+
+
+class Target(NamedTuple):
+    """Where a trigger leads: an alarm that does not latch, and one that does."""
+
+    plain: BaseState
+    latching: BaseState
+
+
+def _both(state: BaseState) -> Target:
+    return Target(state, state)
+
+
+TRANSITIONS: dict[tuple[BaseState, BaseTrigger], Target] = {
+    ("normal", "rise"): _both("unack_active"),
+    ("unack_active", "acknowledge"): _both("ack_active"),
+    ("unack_active", "clear"): Target("rtn_unack", "latched_unack"),
+    ("ack_active", "clear"): Target("normal", "latched_ack"),
+    ("ack_active", "realarm"): _both("unack_active"),
+    ("rtn_unack", "acknowledge"): _both("normal"),
+    ("rtn_unack", "rise"): _both("unack_active"),
+    ("latched_unack", "acknowledge"): _both("latched_ack"),
+    ("latched_unack", "rise"): _both("unack_active"),
+    ("latched_ack", "reset"): _both("normal"),
+    ("latched_ack", "rise"): _both("unack_active"),
+}
+"""Every transition between base states; what is not here does not happen."""
+
+ON_RETURN: dict[BaseState, BaseState] = {
+    "normal": "normal",
+    "unack_active": "unack_active",
+    "ack_active": "unack_active",
+    "rtn_unack": "normal",
+    "latched_unack": "latched_unack",
+    "latched_ack": "latched_unack",
+}
+"""Out of a hidden state (shelved, suppressed, out of service) an alarm comes back as normal or, where its
+condition holds, unacknowledged: G, H, I → A or B. Only a reset ends a latch."""
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmAttributes:
+    """How an alarm behaves (ISA-18.2-2016, clause 10). Durations in seconds."""
+
+    on_delay_s: float = 0.0
+    off_delay_s: float = 0.0
+    realarm_s: float | None = None
+    """After which an acknowledged alarm that still holds is unacknowledged again; None: never."""
+    latching: bool = False
+    """It stays after its condition has ended, until a person resets it."""
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmFacts:
+    """``occurrence`` counts how often it has risen; an acknowledgement names one of them."""
+
+    active: bool = False
+    acknowledged: bool = True
+    latched: bool = False
+    silenced: bool = False
+    """Its sound was ended; it sounds again when it comes again."""
+    suppressed: bool = False
+    out_of_service: bool = False
+    shelved_until: UnixTime | None = None
+    shelved_once: bool = False
+    """Shelved until its condition ends, at most until ``shelved_until``."""
+    occurrence: int = 0
+    since: UnixTime | None = None
+    """When it got into its state."""
+    came: UnixTime | None = None
+    """When its occurrence began; no act of a person changes it."""
+    cleared: UnixTime | None = None
+    """When the condition of its occurrence ended; None: it holds."""
+    acknowledged_at: UnixTime | None = None
+    """When a person acknowledged its occurrence; None: none has."""
+    changing_since: UnixTime | None = None
+    """Since when its condition is other than ``active``: a delay runs."""
+    unknown_since: UnixTime | None = None
+    """Since when nothing is known of its condition."""
+
+    @property
+    def base(self) -> BaseState:
+        """The state that it would have if nothing hid it."""
+        return STATE_OF[BaseFacts(self.active, self.acknowledged, self.latched)]
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether it is detected and recorded, and not annunciated."""
+        return self.suppressed or self.is_hidden_by_person
+
+    @property
+    def is_hidden_by_person(self) -> bool:
+        """Whether a person hid it, and has to end that or wait."""
+        return self.out_of_service or self.shelved_until is not None
+
+    @property
+    def sounds(self) -> bool:
+        """Whether it is audible (ISA-18.2-2016, 5.6): what has returned waits without a sound."""
+        return not (self.is_hidden or self.acknowledged or self.silenced) and (self.active or self.latched)
+
+    @property
+    def state(self) -> AlarmState:
+        """Its state. Of several that hide it, the one that a person has to end is named."""
+        if self.out_of_service:
+            return "out_of_service"
+        if self.shelved_until is not None:
+            return "shelved"
+        return "suppressed" if self.suppressed else self.base
+
+    def with_base(self, base: BaseState) -> AlarmFacts:
+        """These facts in another base state."""
+        facts = FACTS_OF[base]
+        return replace(self, active=facts.active, acknowledged=facts.acknowledged, latched=facts.latched)
+
+
+_TIMES = ("shelved_until", "since", "came", "cleared", "acknowledged_at", "changing_since", "unknown_since")
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """A change of an alarm. ``before`` equals ``after`` where only something hidden has changed."""
+
+    at: UnixTime
+    trigger: AlarmTrigger
+    occurrence: int
+    before: AlarmState
+    after: AlarmState
+
+
+def due_at(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
+    """When the next transition comes by time alone; None: never."""
+    times = (detection_due(facts, attributes), facts.shelved_until, realarm_due(facts, attributes))
+    return min((time for time in times if time is not None), default=None)
+
+
+def detection_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
+    """When a running delay ends."""
+    if facts.changing_since is None:
+        return None
+    return facts.changing_since + (attributes.off_delay_s if facts.active else attributes.on_delay_s)
+
+
+def realarm_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
+    """When an acknowledged alarm is annunciated again."""
+    if attributes.realarm_s is None or facts.acknowledged_at is None or facts.is_hidden or not facts.active:
+        return None
+    return facts.acknowledged_at + attributes.realarm_s
+
+
+def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
+    """The facts of an alarm after the clock was set by ``step_s``: every time keeps its distance from now."""
+    times = {name: getattr(facts, name) for name in _TIMES}
+    moved: dict[str, Any] = {name: time + step_s for name, time in times.items() if time is not None}
+    return replace(facts, **moved)
+
 
 Changed = tuple[AlarmFacts, tuple[Transition, ...]]
 StateChange = Callable[[AlarmFacts, AlarmAttributes, UnixTime], Changed]

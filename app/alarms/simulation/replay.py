@@ -1,18 +1,20 @@
-"""An alarm of the site over stored readings, judged by the rules that judge those of the present. Pure."""
+"""An alarm of the site over stored readings, judged by the rules that judge the present. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from pydantic import Field
 
 from app.alarms.own.definition import OwnCondition, known_decimals, own_definition
 from app.alarms.rules import state_machine
-from app.alarms.rules.detection import ChangeRate
-from app.alarms.rules.facts import AlarmFacts
-from app.alarms.rules.state_machine import Changed
-from app.alarms.rules.suppression import Suppressors
+from app.alarms.rules.detection import ChangeRate, Suppressors
+from app.alarms.rules.performance import CHATTERS_S
+from app.alarms.rules.state_machine import AlarmFacts, Changed, Transition
 from app.alarms.settings import AlarmSettings
-from app.alarms.simulation.outcome import Annunciations
-from app.alarms.simulation.rest import AtRest
 from app.conditions.of_unit import ESTOP_ACTIVE
 from app.history.series.rollup import Rollup
 from app.history.series.runs import MINUTE, SECOND, Run, micros
@@ -20,9 +22,95 @@ from app.history.series.values import ParameterStep
 from app.live.diagnosis.links import unit_facts
 from app.live.state.bus_live import never_seen
 from app.live.state.scan_time import scan_s_of, stale_after_s
+from app.web.api.shape import InstantObject
 from bus.contract import ParameterValue, Reading
 from bus.instants import UnixTime
 from bus.settings import BusSettings
+
+CHATTERING_TIMES = 3
+SimulatedTime = Annotated[InstantObject | None, Field(description="ISO 8601 in UTC; null: there is none.")]
+
+
+@dataclass(slots=True)
+class Annunciations:
+    """When an alarm would have been annunciated, and how long it would have stood."""
+
+    at: list[UnixTime] = field(default_factory=list)
+    lengths: list[float] = field(default_factory=list)
+    """Seconds for which it was active and not hidden, each time."""
+    stands_since: UnixTime | None = None
+
+    def see(self, transitions: Sequence[Transition]) -> None:
+        """Take in what happened."""
+        for each in transitions:
+            stands = each.after == "unack_active"
+            if stands and self.stands_since is None:
+                self.at.append(each.at)
+                self.stands_since = each.at
+            elif not stands:
+                self.end(each.at)
+
+    def end(self, at: UnixTime) -> None:
+        """End the present annunciation: the alarm cleared, was hidden, or the time is over."""
+        if self.stands_since is not None:
+            self.lengths.append(at - self.stands_since)
+            self.stands_since = None
+
+    @property
+    def chattering(self) -> int:
+        """How many are among three within a minute."""
+        among: set[int] = set()
+        last = CHATTERING_TIMES - 1
+        for index in range(last, len(self.at)):
+            if self.at[index] - self.at[index - last] <= CHATTERS_S:
+                among.update(range(index - last, index + 1))
+        return len(among)
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmSimulation:
+    """What the alarm would have done. Durations in seconds."""
+
+    start: Annotated[InstantObject, Field(serialization_alias="from")]
+    end: Annotated[InstantObject, Field(serialization_alias="to")]
+    covered_from: Annotated[
+        InstantObject | None,
+        Field(description="From when on readings are stored; null: none of this time are."),
+    ]
+    covered_to: SimulatedTime
+    annunciated: Annotated[int, Field(description="How often it would have come.")]
+    chattering: Annotated[int, Field(description="How many of them were among three within a minute.")]
+    first: SimulatedTime
+    last: SimulatedTime
+    standing_s: Annotated[float, Field(description="Active and not suppressed, in total.")]
+    longest_s: Annotated[float | None, Field(description="The longest time; null: it did not come.")]
+    stands_at_end: bool
+    unknown_s: Annotated[float, Field(description="About; of the covered time: no readings, or no scale.")]
+    complete: Annotated[bool, Field(description="false: the work was ended at covered_to.")]
+    toml: Annotated[str, Field(description="The entry for lineside.toml.")]
+
+
+ZeroStep = tuple[int, bool]
+"""From when on zero, or another speed, was commanded to a unit."""
+AtRest = Callable[[int], bool]
+
+
+def rest_of(units: Sequence[Sequence[ZeroStep]]) -> AtRest:
+    """Whether the line was at rest at a time, by the steps of each unit in order. One without any is no proof
+    of rest; before its first step, a unit was as it is then."""
+    if not units or not all(units):
+        return lambda _: False
+    states = [steps[0][1] for steps in units]
+    times, found = [0], [all(states)]
+    for at, unit, is_zero in sorted(
+        (at, unit, zero) for unit, steps in enumerate(units) for at, zero in steps
+    ):
+        states[unit] = is_zero
+        if all(states) != found[-1]:
+            times.append(at)
+            found.append(not found[-1])
+    return lambda at: found[bisect_right(times, at) - 1]
+
 
 _BEFORE = 1e-6
 USUAL_SHARE = 0.9

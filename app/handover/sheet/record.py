@@ -10,8 +10,8 @@ from typing import Annotated, NotRequired, cast
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.alarms.api import AlarmTransition, transition_json
 from app.alarms.journal.store import JournalEntry
-from app.alarms.shown import AlarmTransition, transition_json
 from app.audit import queries
 from app.audit.api import EventShown, shown
 from app.audit.log import Event

@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.alarms.rules.states import AlarmState
+from app.alarms.rules.state_machine import AlarmState
 from app.audit.api import EventShown
 from app.database import StoreConnection
 from app.handover.notes.notes import Note, notes_of

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import partial
 
 from app.alarms.alarm import Alarm
+from app.alarms.api import AlarmShown, alarm_json
 from app.alarms.banner import AlarmBanner
 from app.alarms.monitor.line_alarms import LineAlarms
-from app.alarms.shown import AlarmShown, alarm_json
 from app.audit.anchor import Anchoring, anchor_notice
 from app.commands.safeguards.service import Safeguards
 from app.database.reserve import Reserve

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 from app.alarms.journal.store import JournalEntry
-from app.alarms.rules.states import AlarmState
+from app.alarms.rules.state_machine import AlarmState
 from app.conditions.priority import AlarmPriority
 from app.notification.rules.roster import DutyRoster
 from bus.instants import UnixTime

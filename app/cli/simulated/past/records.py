@@ -10,11 +10,10 @@ from functools import partial
 from zoneinfo import ZoneInfo
 
 from app.alarms.acts import ACKNOWLEDGE
-from app.alarms.alarm import Alarm
-from app.alarms.catalogue import built_in
+from app.alarms.alarm import Alarm, built_in
 from app.alarms.journal.store import AlarmStore, entry_of
-from app.alarms.rules.facts import AlarmFacts, Transition
-from app.alarms.rules.observed import ObservedSpan
+from app.alarms.rules.performance import ObservedSpan
+from app.alarms.rules.state_machine import AlarmFacts, Transition
 from app.audit.acts import Act
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
