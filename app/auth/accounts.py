@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 from app.audit.acts import Act
 from app.audit.log import EventLog
 from app.auth import acts, rules, store
-from app.auth.sign_in import strength
-from app.auth.sign_in.passwords import hash_secret
+from app.auth.sign_in.passwords import check_secret, hash_secret
 from app.auth.store import CompanyAccount, Token, User
 from app.database import Database, StoreConnection
 from app.errors import ConstraintError, Problem
@@ -18,9 +17,6 @@ from app.web.admission.access import Person, Role, account_of, name_of
 from bus.errors import CallerError
 from bus.instants import Clock, unix_now
 from bus.messages import Message, ParamValue, term
-
-ACCOUNTS = "accounts"
-"""Locked by a change that depends on all of them."""
 
 
 @dataclass(eq=False, repr=False)
@@ -188,7 +184,7 @@ class Accounts:
         rules.check_name(user.name)
         if user.panel:
             rules.check_panel_role(user.role)
-        strength.check_secret(secret, user=user.name, panel=user.panel, site=self.site)
+        check_secret(secret, user=user.name, panel=user.panel, site=self.site)
         rules.check_home(user.home)
         hashed = await hash_secret(secret)
 
@@ -227,7 +223,7 @@ class Accounts:
             raise CallerError(Message.of("no_such_user", name=name[:80]))
         if found[0].company_account is not None:
             raise CallerError(Message.of("no_password_of_company_account", name=name))
-        strength.check_secret(password, user=name, panel=found[0].panel, site=self.site)
+        check_secret(password, user=name, panel=found[0].panel, site=self.site)
         hashed = await hash_secret(password)
         await self._change(name, lambda c: store.set_secret(c, name, hashed, keep))
 

@@ -10,7 +10,7 @@ import pytest
 from app.audit import acts
 from app.auth import pages, rules, store
 from app.auth.rights import rights
-from app.auth.sign_in import signin, strength, throttle
+from app.auth.sign_in import passwords, signin, throttle
 from app.live.api import line_stream
 from app.server.admission import addresses
 from app.server.connection import connections, http, pace
@@ -91,7 +91,7 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
         "An account may have {} streams open, an address {} (429).",
         (line_stream.MAX_OF_ACCOUNT, line_stream.MAX_OF_ADDRESS),
     ),
-    ("safety.md", "Passwords have at least {} characters", (strength.MIN_PASSWORD,)),
+    ("safety.md", "Passwords have at least {} characters", (passwords.MIN_PASSWORD,)),
 ]
 
 

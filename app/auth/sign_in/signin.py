@@ -12,8 +12,13 @@ from app.auth import rules, store
 from app.auth.acts import LOG_OUT
 from app.auth.rights.rights import Rights
 from app.auth.settings import Sessions
-from app.auth.sign_in import strength
-from app.auth.sign_in.passwords import hash_secret, is_outdated, verify_secret
+from app.auth.sign_in.passwords import (
+    MAX_CODE_POINTS,
+    check_secret,
+    hash_secret,
+    is_outdated,
+    verify_secret,
+)
 from app.auth.sign_in.throttle import Attempt, Throttle
 from app.auth.store import User
 from app.database import Database, StoreConnection
@@ -161,7 +166,7 @@ class SignIn:
             raise too_soon(ceil(wait_s))
 
     async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
-        secret = secret[: strength.MAX_CODE_POINTS + 1]
+        secret = secret[: MAX_CODE_POINTS + 1]
         user, stored = await self._user_or_decoy(name)
         if not await verify_secret(stored, secret):
             return None
@@ -215,7 +220,7 @@ class SignIn:
     def _is_weak(self, user: User, secret: str) -> bool:
         """Whether today's rules refuse the secret; it works until it is changed; the admin is notified."""
         try:
-            strength.check_secret(secret, user=user.name, panel=user.panel, site=self.site)
+            check_secret(secret, user=user.name, panel=user.panel, site=self.site)
         except CallerError:
             return True
         return False
