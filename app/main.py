@@ -31,6 +31,7 @@ from app.live import feature as live
 from app.live.browsers import feature as browsers
 from app.metrics import feature as metrics
 from app.notification import feature as notification
+from app.postgresql import feature as postgresql
 from app.recipes import feature as recipes
 from app.reports import feature as reports
 from app.server import feature as server
@@ -76,6 +77,7 @@ FEATURES = (
     handover.FEATURE,
     sites.FEATURE,
     browsers.FEATURE,
+    postgresql.FEATURE,
     metrics.FEATURE,
 )
 

@@ -29,6 +29,7 @@ from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
 from app.notification.settings import NotifySettings, refuse_unknown_names
+from app.postgresql.settings import PostgresqlSettings
 from app.reports.settings import ReportSettings, refuse_unsendable
 from app.server.settings import TlsSettings, is_loopback
 from app.time_zone import is_zone, machine_zone
@@ -156,6 +157,7 @@ class Settings(StrictModel):
     shift: ShiftSettings = ShiftSettings()
     report: Annotated[tuple[ReportSettings, ...], Field(max_length=50)] = ()
     backup: BackupSettings = BackupSettings()
+    postgresql: PostgresqlSettings | None = None
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""
     _text: str = PrivateAttr("")

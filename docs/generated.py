@@ -15,6 +15,7 @@ from app.cli import cli
 from app.history.status import HistoryStatus
 from app.metrics.families import LineCollector
 from app.metrics.sources import OUTCOMES, MetricSources
+from app.postgresql.status import PublisherStatus
 from bus.instants import UnixTime
 
 GUIDE = Path(__file__).parent / "guide"
@@ -109,6 +110,7 @@ def _nothing() -> MetricSources:
         "anchor": AnchorStatus,
         "history": HistoryStatus,
         "newest_backup": lambda: UnixTime(0.0),
+        "publisher": lambda: PublisherStatus("", UnixTime(0.0)),
         "data": GUIDE,
     }
     return MetricSources(**cast(dict[str, Any], sources))

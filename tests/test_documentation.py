@@ -25,7 +25,7 @@ COMMAND: Any = cli
 def keys(model: type[BaseModel]) -> Iterator[str]:
     """Every key that a table of lineside.toml may hold, and the keys of the tables in it."""
     for name, field in model.model_fields.items():
-        yield name
+        yield field.alias or name
         for part in (field.annotation, *typing.get_args(field.annotation)):
             if isinstance(part, type) and issubclass(part, BaseModel):
                 yield from keys(part)

@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "token": ("setup.accounts", "Manage tokens of programs: create, list, revoke."),
     "certificate": ("setup.certificate", "Create and renew certificates of server and workers: create."),
     "audit": ("site.audit", "Verify the event log: verify, rotate-key."),
+    "publish": ("stores.publish", "Fill a past into the plant's database."),
     "backup": ("api.backup", "Write the parameters of a unit or a bus to a file."),
     "diff": ("api.diff", "Show the differences of a unit and a file, or of two files."),
     "restore": ("api.restore", "Write the rows of a file that differ to a unit."),

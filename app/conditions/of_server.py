@@ -15,6 +15,8 @@ TOKEN_SHARE = 0.1
 """Share of its life: a token for a day is no alarm from the start."""
 BACKUP_S = 26 * 3600.0
 """A day, and time for one that is large."""
+PUBLISHER_S = 300.0
+"""A restart of a database is no alarm."""
 IN_USE_S = 30 * DAY_S
 """A token that no program has used for so long is not missed."""
 
@@ -100,6 +102,18 @@ EVENTS_NOT_ARCHIVED: Condition[Callable[[object], bool]] = Condition(
     holds=bool,
     means="old events could not be written into `archive` of `[audit]`; they stay in the store",
 )
+PUBLISHER_BEHIND: Condition[Callable[[float], bool]] = Condition(
+    "publisher_behind",
+    ("minor", "shift"),
+    holds=lambda lag_s: lag_s > PUBLISHER_S,
+    means="the plant's database of `[postgresql]` lacks what was stored in the last five minutes, or longer",
+)
+PUBLISHER_DAY_BEHIND: Condition[Callable[[float], bool]] = Condition(
+    "publisher_day_behind",
+    ("severe", "half_hour"),
+    holds=lambda lag_s: lag_s > DAY_S,
+    means="the plant's database of `[postgresql]` has lacked what was stored for a day",
+)
 
 OF_SERVER = (
     HISTORY_DEGRADED,
@@ -111,4 +125,6 @@ OF_SERVER = (
     TOKEN_EXPIRING,
     BACKUP_OVERDUE,
     EVENTS_NOT_ARCHIVED,
+    PUBLISHER_BEHIND,
+    PUBLISHER_DAY_BEHIND,
 )

@@ -35,6 +35,7 @@ from app.history.tables import (
     StoreConnection,
     StoredTier,
     block_runs,
+    new_raw_ids,
     raw_row,
 )
 from app.history.tail import Tail
@@ -259,9 +260,10 @@ def write_raw_blocks(
     replaced = [(unit, block[0], block[1]) for unit, block in before.items()]
     if replaced:
         connection.executemany("DELETE FROM raw WHERE unit = ? AND start = ? AND span = ?", replaced)
+    ids = new_raw_ids(connection, len(blocks))
     rows = [
-        raw_row(unit, start, span, list(zip(*runs, strict=True)))
-        for unit, (start, span, runs) in blocks.items()
+        (*raw_row(unit, start, span, list(zip(*runs, strict=True))), number)
+        for number, (unit, (start, span, runs)) in zip(ids, blocks.items(), strict=True)
     ]
     connection.executemany(INSERT_RAW, rows)
 

@@ -73,7 +73,12 @@ ROW_SPAN: dict[RollupTier, int] = {"minutes": HOUR, "hours": DAY}
 STEP: dict[RollupTier, int] = {"minutes": MINUTE, "hours": HOUR}
 LOST_STATES = ("stale", "offline", "unknown", "closed")
 _JOURNAL_LEVEL = 1
-INSERT_RAW = "INSERT INTO raw (unit, start, span, points, data) VALUES (?, ?, ?, ?, ?)"
+INSERT_RAW = "INSERT INTO raw (unit, start, span, points, data, id) VALUES (?, ?, ?, ?, ?, ?)"
+_RESERVE_IDS = """
+INSERT INTO fact VALUES ('raw_id', (SELECT coalesce(max(id), strftime('%s', 'now') * 1000) FROM raw) + :count)
+ON CONFLICT (name) DO UPDATE SET value = max(value, coalesce((SELECT max(id) FROM raw), 0)) + :count
+RETURNING value
+"""
 
 
 def unit_id(connection: StoreConnection, bus: str, number: int) -> int:
@@ -163,11 +168,21 @@ def write_rollups(
 def write_raw(
     connection: StoreConnection, unit: int, start: int, span: int, table: Sequence[Sequence[int]]
 ) -> None:
-    """A block of the columns of runs in place of all that lie in its span."""
-    connection.execute(
-        "DELETE FROM raw WHERE unit = ? AND start >= ? AND start < ?", (unit, start, start + span)
-    )
-    connection.execute(INSERT_RAW, raw_row(unit, start, span, table))
+    """A block of the columns of runs in place of all that lie in its span. It keeps the newest of their ids:
+    who has read them has read it."""
+    within = "FROM raw WHERE unit = ? AND start >= ? AND start < ?"
+    place = (unit, start, start + span)
+    [newest] = connection.execute(f"SELECT max(id) {within}", place).fetchone()
+    connection.execute(f"DELETE {within}", place)
+    number = newest or new_raw_ids(connection, 1)[0]
+    connection.execute(INSERT_RAW, (*raw_row(unit, start, span, table), number))
+
+
+def new_raw_ids(connection: StoreConnection, count: int) -> range:
+    """Ids of blocks that change. They only rise, also from one store to the next one that takes its place, so
+    that a reader that has seen the blocks up to an id finds all that changed since behind it."""
+    [last] = connection.execute(_RESERVE_IDS, {"count": count}).fetchone()
+    return range(last - count + 1, last + 1)
 
 
 def raw_row(
@@ -338,6 +353,20 @@ def marks_since(connection: StoreConnection, start: int) -> list[tuple[int, int]
     """Every unit that was lost or found from a time on, with its port, and when; µs."""
     query = f"SELECT unit.id, at FROM {_MARKED} JOIN link ON link.unit = marked.id WHERE at >= ?"
     return [(row[0], row[1]) for row in connection.execute(query, (start,))]
+
+
+def lost_between(
+    connection: StoreConnection, start: int, end: int, unit: int | None = None
+) -> list[tuple[int, int, str]]:
+    """The moments of a span, µs, at which a unit or its port was lost, and the state that it came into; of
+    one unit, or of all that have a number."""
+    states = ", ".join("?" * len(LOST_STATES))
+    query = (
+        f"SELECT unit.id, link.at, link.state FROM {_MARKED} JOIN link ON link.unit = marked.id"
+        " WHERE unit.number > 0 AND (unit.id = ? OR ? IS NULL) AND link.at >= ? AND link.at < ?"
+        f" AND link.state IN ({states})"
+    )
+    return [*map(tuple, connection.execute(query, (unit, unit, start, end, *LOST_STATES)))]
 
 
 def write_parameter(connection: StoreConnection, unit: int, step: ParameterStep) -> None:

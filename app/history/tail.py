@@ -16,6 +16,7 @@ from app.history.series.runs import MINUTE, SECOND, PlainRun, Run, follows, join
 WIDTH = len(Run._fields)
 _BYTES = struct.Struct(f"{WIDTH}q").pack
 """Faster than to extend an array by a tuple."""
+_UNTIL = Run._fields.index("until")
 _ACTUAL = Run._fields.index("actual") - WIDTH
 BREAK = 2 * SECOND
 """Equal readings further apart than this do not make one run: there may be a hole between."""
@@ -92,6 +93,19 @@ class Tail:
                 for run in _plain(runs)
             ]
         return runs_of(sorted(run for run in found if run[0] < end and run[1] >= start))
+
+    def since(self, after: int) -> dict[int, list[PlainRun]]:
+        """The last runs of each unit that reach a time, µs, in the order in which they came. It costs what
+        came since."""
+        found: dict[int, list[PlainRun]] = {}
+        with self._lock:
+            for (unit, minute), runs in self._minutes.items():
+                place = len(runs) if minute + MINUTE > after else 0
+                while place and runs[place - WIDTH + _UNTIL] >= after:
+                    place -= WIDTH
+                if place < len(runs) and minute + MINUTE > after:
+                    found.setdefault(unit, []).extend(_plain(runs[place:]))
+        return found
 
     def minute(self, unit: int, minute: int) -> list[PlainRun]:
         """All runs of one unit in one minute."""

@@ -111,7 +111,7 @@ def _unit_figures(
     source = stored_unit(connection, tail, bus.name, unit, start - MINUTE, end + MINUTE)
     if source is None:
         return RunFigures(), _Speeds()
-    if bus.follower_speed == "ratio" and _was_follower(tables.parameter_steps(connection, source.unit), end):
+    if bus.follower_speed == "ratio" and was_follower(tables.parameter_steps(connection, source.unit), end):
         return None, _Speeds()
     scales = scale_of(source, SeriesQuery(bus, unit, VALUES["actual"], start, end, 1))
     by_minute = not has_raw(connection, source.unit, start) or estimate(source, start, end) > max_readings
@@ -134,6 +134,7 @@ def _at_speed(counted: Iterable[RunStretch], scales: Scaling) -> list[SpeedStret
     ]
 
 
-def _was_follower(steps: Iterable[ParameterStep], end: int) -> bool:
+def was_follower(steps: Iterable[ParameterStep], end: int) -> bool:
+    """Whether a unit followed a master just before a time, µs."""
     modes = [step for step in sorted(steps) if step.number == FOLLOWER_MODE and step.at < end]
     return bool(modes and modes[-1].raw)

@@ -21,6 +21,7 @@ from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, speed_decimals
 from app.live.state.draw import draw_of
 from app.metrics.sources import MetricSources
+from app.postgresql.status import PublisherStatus
 from app.version import VERSION
 from bus.catalogue.status import OUTPUT_NUMBERS, output_is_on
 from bus.instants import UnixTime, unix_now
@@ -68,6 +69,8 @@ class LineCollector(Collector):
         if (newest := measured.newest_backup()) is not None:
             words = "When the newest backup was begun; without any, since when there is to be one"
             yield GaugeMetricFamily("lineside_backup_timestamp_seconds", words, value=float(newest))
+        if (publisher := measured.publisher()) is not None:
+            yield from _of_publisher(publisher, unix_now())
         anchor = measured.anchor()
         degraded = 1 if anchor.altered or anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
@@ -111,6 +114,15 @@ def _of_history(status: HistoryStatus) -> Iterator[Metric]:
     waiting = "Updates that are not in the store yet"
     yield GaugeMetricFamily("lineside_history_waiting", waiting, value=status.waiting)
     yield CounterMetricFamily("lineside_history_lost", "Updates that could not be stored", value=status.lost)
+
+
+def _of_publisher(status: PublisherStatus, now: UnixTime) -> Iterator[Metric]:
+    words = "For how long the plant's database has lacked something that is stored"
+    yield GaugeMetricFamily("lineside_publisher_lag_seconds", words, value=status.lag_s(now))
+    words = "0 while the plant's database takes nothing"
+    yield GaugeMetricFamily("lineside_publisher_up", words, value=0 if status.fault else 1)
+    words = "Rows that were sent to the plant's database"
+    yield CounterMetricFamily("lineside_publisher_rows", words, value=status.rows)
 
 
 def _readings(buses: Iterable[tuple[str, BusLive]], now: UnixTime) -> Iterator[Metric]:

@@ -12,6 +12,7 @@ from app.live.browsers.hub import Hub
 from app.live.state.bus_live import LiveState
 from app.metrics.api import router
 from app.metrics.sources import CommandCounts, MetricSources
+from app.postgresql.publisher import Publisher
 
 
 def make(services: Services) -> None:
@@ -20,6 +21,7 @@ def make(services: Services) -> None:
     counts = CommandCounts(services[EventLog])
     data = services.settings.server.data
     history, backups = services[History], services[Backups]
+    publisher = services[Publisher] if services.settings.postgresql else None
     services.add(
         MetricSources(
             live,
@@ -29,6 +31,7 @@ def make(services: Services) -> None:
             alarms=alarms,
             history=lambda: history.status,
             newest_backup=lambda: backups.newest,
+            publisher=lambda: None if publisher is None else publisher.status,
             data=data,
         )
     )

@@ -12,6 +12,7 @@ from app.audit.anchor import AnchorStatus
 from app.audit.log import Event, EventLog
 from app.history.status import HistoryStatus
 from app.live.state.bus_live import LiveState
+from app.postgresql.status import PublisherStatus
 from bus.instants import UnixTime
 
 OUTCOMES = ("verified", "acknowledged", "refused", "unverified", "invalid", "not_sent", "bus_closed")
@@ -32,8 +33,9 @@ class CommandCounts:
 @dataclass(frozen=True, slots=True)
 class MetricSources:
     """``pages``: how many are open now; ``anchor``: how well the audit log is anchored; ``history``: how well
-    readings are stored; ``newest_backup``: when it was begun, None where there are to be none; ``data``: the
-    folder of the stores."""
+    readings are stored; ``newest_backup``: when it was begun, None where there are to be none;
+    ``publisher``: how well the plant's database is kept up to date, None without one; ``data``: the folder of
+    the stores."""
 
     live: LiveState
     pages: Callable[[], int]
@@ -42,4 +44,5 @@ class MetricSources:
     alarms: LineAlarms
     history: Callable[[], HistoryStatus]
     newest_backup: Callable[[], UnixTime | None]
+    publisher: Callable[[], PublisherStatus | None]
     data: Path

@@ -179,6 +179,8 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
         [(NOW - 25 * HOUR, NOW), (None, NOW), (NOW + HOUR, NOW)],
         NEVER,
     ),
+    "publisher_behind": ([(301.0,)], [(0.0,), (299.0,)], NEVER),
+    "publisher_day_behind": ([(DAY + 1,)], [(DAY - 1,)], NEVER),
     "events_not_archived": ([(True,)], [(None,)], NEVER),
     "token_expiring": (
         [(NOW - 300 * DAY, NOW + DAY, NOW, NOW)],

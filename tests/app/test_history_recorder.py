@@ -222,7 +222,7 @@ def test_rollups_are_the_same_before_and_after_their_hour_is_packed(shelf: Shelf
 
 
 def _roll_up_unpacked(connection: sqlite3.Connection) -> None:
-    blocks = [tuple(row) for row in connection.execute("SELECT unit, start, span, points, data FROM raw")]
+    blocks = [tuple(row) for row in connection.execute("SELECT unit, start, span, points, data, id FROM raw")]
     for unit, start, *_ in blocks[:1]:
         compact(connection, unit, start - start % HOUR)
         compact(connection, unit, start - start % HOUR + HOUR)

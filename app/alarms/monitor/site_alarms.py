@@ -131,12 +131,16 @@ class SiteAlarms:
         monotonic: MonotonicClock = monotonic_now,
         tuned: Sequence[BuiltInAlarmSettings] = (),
     ) -> None:
-        self._conditions = conditions
+        self._conditions = dict(conditions)
         self._about: dict[str, Message | None] = {}
         """By the code of an alarm, what it is about."""
         self._clock, self._monotonic = clock, monotonic
         self._clock_watch = ClockWatch(clock(), monotonic())
         self.list = AlarmList((built_in(code, None, None, tuned) for code in SERVER_ALARMS), store)
+
+    def watch(self, code: str, condition: SiteCondition) -> None:
+        """Observe an alarm whose condition a feature knows that not every site has."""
+        self._conditions[code] = condition
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:
         """Take up the states that the last run left."""

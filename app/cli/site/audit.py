@@ -20,13 +20,17 @@ from app.cli.ending import report
 from app.cli.options import AsJson, CommandGroup, Option
 from app.cli.serving.serve import check_store
 from app.cli.site.log import record, site_log
-from app.cli.site.reading import has_store
+from app.cli.site.reading import has_store, reading_site
 from app.database.connection import examining
 from app.database.words import in_words
 from app.errors import StoreError
 from app.handover.signing.signatures import missing_signatures
+from app.postgresql.destination import Destination
+from app.postgresql.outbox import read_identity
+from app.postgresql.witness import compare
 from app.settings import Settings, load
 from app.web.api.shape import message_shown
+from bus.errors import CallerError
 from bus.messages import Message, in_english
 
 audit = CommandGroup(help="Verify the event log, or begin a new key.")
@@ -44,11 +48,17 @@ def verify(
     config: Config = LINESIDE_TOML,
     anchor: AnchorFile = None,
     archive: ArchiveFolder = None,
+    postgresql: Annotated[
+        bool, Option("--postgresql", help="Compare it with the events in the plant's database, too.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Verify every entry of the log, its seals and anchors, the archived events, and that the store has the
     signatures of shifts that the log names. Exit 0 when all is intact, 1 with the first altered entry."""
-    proof = proof_of(load(config), anchor, archive)
+    settings = load(config)
+    proof = proof_of(settings, anchor, archive)
+    if postgresql:
+        proof += _compared(settings, config)
     if as_json:
         click.echo(json.dumps({"intact": True, "messages": [message_shown(line) for line in proof]}))
         return
@@ -74,6 +84,26 @@ def proof_of(settings: Settings, anchor: Path | None = None, archive: Path | Non
         fault = in_english(verdict.fault)
         raise StoreError(Message.of("audit_broken", entry=verdict.broken, fault=fault))
     return [Message.of("audit_whole", n=verdict.entries), *_remarks(verdict, anchors, archived)]
+
+
+def _compared(settings: Settings, config: Path) -> list[Message]:
+    """Compare the log with the plant's database. Raises StoreError where they differ."""
+    if settings.postgresql is None:
+        raise CallerError(Message.of("publish_not_configured", config=str(config)))
+    with reading_site(settings) as connection:
+        destination = Destination(
+            settings.postgresql, settings.site.name, read_identity(connection), settings.bus
+        )
+        try:
+            found = compare(connection, destination)
+        finally:
+            destination.abandon()
+    remarks = [Message.of("audit_witness_agrees", n=found.same, place=settings.postgresql.place)]
+    if found.replaced:
+        remarks.append(Message.of("audit_witness_replaced", n=found.replaced))
+    if found.unpublished:
+        remarks.append(Message.of("audit_witness_unpublished", n=found.unpublished))
+    return remarks
 
 
 def _verdict(

@@ -14,13 +14,15 @@ from app.backup.service import newest_in
 from app.backup.stores import STORES
 from app.cli.findings.backup import folder_fault
 from app.cli.findings.machine import existing_part
-from app.database.connection import examining
+from app.database.connection import examining, has_table
 from app.database.migration import COMPANIONS
 from app.database.reserve import free_bytes
 from app.errors import StoreError
 from app.history.series.runs import micros
 from app.history.service import FILE as HISTORY
+from app.history.service import seconds
 from app.history.status import MAX_DAYS, days_left, growth_of_events, growth_of_history
+from app.postgresql.outbox import read_cursor
 from app.settings import STORE_FILE, Settings
 from bus.certificate import Certificate, MalformedCertificateError, certificates_in
 from bus.instants import UnixTime
@@ -85,6 +87,25 @@ def backup_facts(settings: Settings, now: UnixTime) -> BackupFacts | None:
     newest = newest_in(folder, now, zone)
     due = next_due(now, newest, None, settings.backup, zone)
     return BackupFacts(str(folder), folder.is_dir(), folder_fault(settings), newest, max(now, due))
+
+
+@dataclass(frozen=True, slots=True)
+class PublisherFacts:
+    """The plant's database; ``until``: up to when it has everything, as far as the store knows."""
+
+    place: str
+    until: UnixTime | None
+
+
+def publisher_facts(settings: Settings) -> PublisherFacts | None:
+    """How far the plant's database is; None where nothing is published."""
+    if settings.postgresql is None:
+        return None
+    until = None
+    with suppress(StoreError), examining(settings.server.store) as connection:
+        if has_table(connection, "publisher_cursor") and (cursor := read_cursor(connection)):
+            until = seconds(cursor.until)
+    return PublisherFacts(settings.postgresql.place, until)
 
 
 def size_of(store: Path) -> int:

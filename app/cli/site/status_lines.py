@@ -12,9 +12,11 @@ from app.cli.site.facts import (
     BackupFacts,
     CertificateFacts,
     DiskFacts,
+    PublisherFacts,
     backup_facts,
     certificate_facts,
     disk_facts,
+    publisher_facts,
 )
 from app.handover.rules.shift_times import site_time
 from app.history.status import MAX_DAYS
@@ -35,13 +37,15 @@ class SiteFacts:
     disk: DiskFacts
     certificates: list[CertificateFacts]
     backup: BackupFacts | None
+    publisher: PublisherFacts | None
     now: UnixTime
 
 
 def site_facts(settings: Settings, now: UnixTime) -> SiteFacts:
     """Read the files of a site."""
     disk, certificates = disk_facts(settings, now), certificate_facts(settings)
-    return SiteFacts(disk, certificates, backup_facts(settings, now), now)
+    backup, publisher = backup_facts(settings, now), publisher_facts(settings)
+    return SiteFacts(disk, certificates, backup, publisher, now)
 
 
 def facts_lines(settings: Settings, facts: SiteFacts) -> Iterator[Message]:
@@ -55,12 +59,15 @@ def facts_lines(settings: Settings, facts: SiteFacts) -> Iterator[Message]:
             yield Message.of("status_certificate_unreadable", file=each.file)
         else:
             yield Message.of("status_certificate", file=each.file, day=_day(each.ends_at))
-    yield _backup_line(facts.backup, facts.now, ZoneInfo(settings.site.zone))
+    zone = ZoneInfo(settings.site.zone)
+    yield _backup_line(facts.backup, facts.now, zone)
+    if facts.publisher is not None:
+        yield _publisher_line(facts.publisher, facts.now, zone)
 
 
 def facts_json(settings: Settings, facts: SiteFacts) -> dict[str, Any]:
     """The same facts for programs: bytes, days, ISO 8601."""
-    backup = facts.backup
+    backup, publisher = facts.backup, facts.publisher
     return {
         "site": settings.site.name,
         "version": VERSION,
@@ -84,6 +91,13 @@ def facts_json(settings: Settings, facts: SiteFacts) -> dict[str, Any]:
             "newest": None if backup.newest is None else iso(backup.newest),
             "next": iso(backup.next),
         },
+        "publisher": None
+        if publisher is None
+        else {
+            "database": publisher.place,
+            "until": None if publisher.until is None else iso(publisher.until),
+            "lag_s": None if publisher.until is None else max(0, int(facts.now - publisher.until)),
+        },
     }
 
 
@@ -105,6 +119,14 @@ def _backup_line(backup: BackupFacts | None, now: UnixTime, zone: ZoneInfo) -> M
         return Message.of("status_backup_first", folder=backup.folder, due=due)
     newest, hours = site_time(backup.newest, zone), int((now - backup.newest) / HOUR_S)
     return Message.of("status_backup", newest=newest, hours=hours, due=due)
+
+
+def _publisher_line(publisher: PublisherFacts, now: UnixTime, zone: ZoneInfo) -> Message:
+    if publisher.until is None:
+        return Message.of("status_publisher_first", place=publisher.place)
+    lag = max(0, int(now - publisher.until))
+    until = site_time(publisher.until, zone)
+    return Message.of("status_publisher", place=publisher.place, until=until, seconds=lag)
 
 
 def _day(at: UnixTime) -> str:

@@ -1,0 +1,73 @@
+"""``[postgresql]`` of lineside.toml."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from pydantic import AfterValidator, Field
+
+from bus.messages import Message
+from bus.settings import StrictModel
+
+Step = Literal["all", "200 ms", "500 ms", "1 s", "2 s", "5 s", "10 s", "15 s", "30 s", "1 min"]
+STEPS_US: dict[Step, int] = {
+    "all": 0,
+    "200 ms": 200_000,
+    "500 ms": 500_000,
+    "1 s": 1_000_000,
+    "2 s": 2_000_000,
+    "5 s": 5_000_000,
+    "10 s": 10_000_000,
+    "15 s": 15_000_000,
+    "30 s": 30_000_000,
+    "1 min": 60_000_000,
+}
+"""Each divides a minute; 0: every reading."""
+
+
+def _url(written: str) -> str:
+    """A URL as libpq takes it, without a password: the configuration is shown, recorded and backed up."""
+    try:
+        parts = urlsplit(written)
+        has_password = parts.password is not None or "password" in dict(parse_qsl(parts.query))
+    except ValueError:
+        raise ValueError(Message("setting_postgresql_url")) from None
+    if parts.scheme not in ("postgresql", "postgres"):
+        raise ValueError(Message("setting_postgresql_url"))
+    if has_password:
+        raise ValueError(Message("setting_postgresql_password"))
+    return written
+
+
+class PostgresqlSettings(StrictModel):
+    """Where what is stored is published as rows, and how finely."""
+
+    url: Annotated[str, Field(max_length=2000), AfterValidator(_url)]
+    password_file: Path | None = None
+    """Relative to the configuration; absolute once loaded. None: as libpq finds it."""
+    db_schema: Annotated[str, Field(alias="schema", pattern=r"^[a-z_][a-z0-9_]*$", max_length=40)] = (
+        "lineside"
+    )
+    readings: Step = "1 s"
+    keep_months: Annotated[int, Field(strict=True, ge=1, le=1200)] | None = None
+    """So many complete months before the current one stay in the database; None: all."""
+
+    @property
+    def step(self) -> int:
+        """The distance of two rows of a unit, µs; 0: every reading is one."""
+        return STEPS_US[self.readings]
+
+    @property
+    def quoted_schema(self) -> str:
+        """As SQL has it, also where it is a word of SQL."""
+        return f'"{self.db_schema}"'
+
+    @property
+    def place(self) -> str:
+        """Names the database in messages: the host and the database, without the user."""
+        parts = urlsplit(self.url)
+        query = dict(parse_qsl(parts.query))
+        host = parts.netloc.rpartition("@")[2] or query.get("host", "localhost")
+        return f"{unquote(host)}/{query.get('dbname') or parts.path.lstrip('/')}"

@@ -1,0 +1,37 @@
+"""How well the plant's database is kept up to date."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bus.instants import UnixTime
+from bus.messages import Message, number
+
+CLOCK_SAID_S = 60.0
+"""A difference of the clocks that is said."""
+
+
+@dataclass(frozen=True, slots=True)
+class PublisherStatus:
+    """``until``: up to when everything that was stored then is published; ``fault``: why nothing is published
+    now; ``clock_ahead_s``: of the database; ``rows``: sent since the start."""
+
+    place: str
+    until: UnixTime
+    fault: Message | None = None
+    clock_ahead_s: float = 0.0
+    rows: int = 0
+
+    def lag_s(self, now: UnixTime) -> float:
+        """For how many seconds nothing, or not everything, was published."""
+        return max(0.0, float(now - self.until))
+
+    @property
+    def notice(self) -> Message | None:
+        """What a person should know of the database, though it takes rows."""
+        if self.fault is not None:
+            return self.fault
+        if abs(self.clock_ahead_s) < CLOCK_SAID_S:
+            return None
+        ahead = number(f"{self.clock_ahead_s:+.0f}")
+        return Message.of("publisher_clock", place=self.place, seconds=ahead)
