@@ -219,8 +219,8 @@ class _Run:
         self._make_room()
         damaged = self._check_some()
         parts: dict[str, tuple[str, str]] = {}
-        stores = {name: self._take_apart(name, parts) for name in sorted(TAKEN_APART, reverse=True)}
-        stores[STORE_FILE], copy = self._main_store(store)
+        main, copy = self._main_store(store)
+        stores = {STORE_FILE: main, **{name: self._take_apart(name, parts) for name in TAKEN_APART}}
         events, absent = self._events(copy)
         manifest = Manifest(
             time=float(self._now),

@@ -23,7 +23,7 @@ from app.settings import STORE_FILE
 from bus.instants import UnixTime
 from bus.messages import Message
 
-STORES = (PICTURES, HISTORY, STORE_FILE)
+STORES = (HISTORY, STORE_FILE, PICTURES)
 """In the order in which they are copied: a picture is stored before its note, so that each note of the copy
 has its pictures."""
 _OF_UNIT = "SELECT {0}.* FROM unit CROSS JOIN {0} ON {0}.unit = unit.id AND {1} >= :start AND {1} < :end"

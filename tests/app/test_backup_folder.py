@@ -23,6 +23,7 @@ from app.backup.archive import KEPT_EVENTS
 from app.backup.backup import WrittenBackup
 from app.backup.folder import CONTENTS, REMOVE_EVERY, SITE, open_newest, write_to_folder
 from app.backup.schedule import name_of
+from app.backup.stores import copy_store
 from app.cli import cli
 from app.database import Database, StoreConnection
 from app.errors import StoreError
@@ -218,6 +219,21 @@ def test_a_damaged_content_is_found_in_rotation_and_written_again(plant: Plant, 
 def part_of_noon() -> str:
     start = micros(UnixTime(NOON))
     return f"hour-{start}-{start + 60 * MINUTE}"
+
+
+def test_the_main_store_is_copied_before_the_pictures_that_its_notes_have(
+    plant: Plant, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A picture is stored before its note, so those stored between are more than the notes name."""
+
+    def copy_then_store(store: Path, copy: Path) -> None:
+        copy_store(store, copy)
+        plant.picture("a" * 64)
+
+    monkeypatch.setattr("app.backup.folder.copy_store", copy_then_store)
+    plant.back_up(NOON)
+    plant.close()
+    assert len(rows_of(restored(plant.backups, tmp_path / "spare"))["pictures.db picture"]) == 1
 
 
 @pytest.mark.parametrize("damage", ["absent", "other bytes", "fifo"])

@@ -297,7 +297,7 @@ def restored(folder: Path, backup: Path) -> None:
 async def test_a_backup_brings_notes_and_pictures_back_together(tmp_path: Path) -> None:
     digests, backup, elsewhere = await with_pictures(tmp_path), tmp_path / "one.tar", tmp_path / "elsewhere"
     async with complete_app(tmp_path):
-        assert write_backup(tmp_path / "data", backup).stores == ["pictures.db", "history.db", "lineside.db"]
+        assert write_backup(tmp_path / "data", backup).stores == ["history.db", "lineside.db", "pictures.db"]
     elsewhere.mkdir()
     await asyncio.to_thread(restored, elsewhere, backup)
     async with complete_app(elsewhere) as house:
