@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ssl
+from collections.abc import Iterator
 from typing import Any, Literal, TypeVar, get_args
 
 from bus.errors import LinesideError
@@ -124,11 +125,21 @@ def or_404(found: T | None, code: ProblemCode, message: Message) -> T:
 
 def network_cause(error: BaseException) -> str:
     """The text of the operating system or of TLS below an error of a library, whose own may hold the URL."""
-    found: BaseException | None = error
-    while found is not None:
+    for found in _causes(error):
         if isinstance(found, ssl.SSLCertVerificationError):
             return found.verify_message
         if isinstance(found, OSError) and found.strerror:
             return found.strerror
-        found = found.__cause__ or found.__context__
     return type(error).__name__
+
+
+def is_refused_certificate(error: BaseException) -> bool:
+    """Whether the certificate of the other end was refused."""
+    return any(isinstance(found, ssl.SSLCertVerificationError) for found in _causes(error))
+
+
+def _causes(error: BaseException) -> Iterator[BaseException]:
+    found: BaseException | None = error
+    while found is not None:
+        yield found
+        found = found.__cause__ or found.__context__

@@ -31,6 +31,7 @@ from app.live import feature as live
 from app.live.browsers import feature as browsers
 from app.metrics import feature as metrics
 from app.notification import feature as notification
+from app.peers import feature as peers
 from app.postgresql import feature as postgresql
 from app.recipes import feature as recipes
 from app.reports import feature as reports
@@ -41,7 +42,6 @@ from app.server.admission.turns import HEALTH, RequestAdmission
 from app.server.security_headers import SecurityHeaders
 from app.sets import feature as sets
 from app.settings import Settings
-from app.sites import feature as sites
 from app.swap import feature as swap
 from app.tray import feature as tray
 from app.version import VERSION
@@ -75,7 +75,7 @@ FEATURES = (
     reports.FEATURE,
     notification.FEATURE,
     handover.FEATURE,
-    sites.FEATURE,
+    peers.FEATURE,
     browsers.FEATURE,
     postgresql.FEATURE,
     metrics.FEATURE,

@@ -29,6 +29,7 @@ from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
 from app.notification.settings import NotifySettings, refuse_unknown_names
+from app.peers.settings import PeerSettings, refuse_repeated
 from app.postgresql.settings import PostgresqlSettings
 from app.reports.settings import ReportSettings, refuse_unsendable
 from app.server.settings import TlsSettings, is_loopback
@@ -158,6 +159,7 @@ class Settings(StrictModel):
     report: Annotated[tuple[ReportSettings, ...], Field(max_length=50)] = ()
     backup: BackupSettings = BackupSettings()
     postgresql: PostgresqlSettings | None = None
+    peer: Annotated[tuple[PeerSettings, ...], Field(max_length=200)] = ()
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""
     _text: str = PrivateAttr("")
@@ -218,6 +220,7 @@ class Settings(StrictModel):
         refuse_misplaced(self.alarm, self.bus)
         refuse_built_in(self.built_in_alarm, self.bus)
         refuse_unknown_names(self.notify, self.bus)
+        refuse_repeated(self.peer)
         refuse_unsendable(self.report, self.notify, self.bus)
         return self
 

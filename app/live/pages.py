@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter
 from pydantic import BeforeValidator
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import RedirectResponse, Response
 
 from app.live.browsers.hub import Hub
 from app.live.first_steps import next_step
@@ -20,6 +20,7 @@ from app.live.screen.totals import strip_of
 from app.live.state.bus_live import BusLive, UnitLive
 from app.web.admission.access import Engineer, Viewer
 from app.web.admission.cookies import cookie_of, set_cookie
+from app.web.rendering.navigation import LINES, PageLines
 from app.web.rendering.templating import render, templates_of
 from app.web.services import service_of
 from bus.catalogue.numbers import DECIMALS, MAX_DISPLAY
@@ -75,7 +76,9 @@ class BusOnLine:
 
 @router.get("/")
 async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Response:
-    """Every unit in floor order, the abnormal ones first."""
+    """Every unit in floor order, the abnormal ones first; a server that has only peers shows their lines."""
+    if service_of(request, PageLines).is_overview:
+        return RedirectResponse(LINES.href, 303)
     hub = service_of(request, Hub)
     screen = hub.screen(templates_of(request).language_of(request).tag)
     chosen = view or _remembered(request)

@@ -25,9 +25,13 @@ function sort() {
   if (focused instanceof HTMLElement && list.contains(focused)) focused.focus({ preventScroll: true });
 }
 
-/** A line that came into being after the page was opened. @param {string[]} keys */
-function isNew(keys) {
-  return keys.some((key) => !document.querySelector(`[data-line="${CSS.escape(key)}"]`));
+/** Whether one of the lines has come or gone since the page was opened. @param {string[]} keys */
+function isOther(keys) {
+  const isComplete = list?.dataset.filtered === undefined;
+  return keys.some((key) => {
+    const isShown = document.querySelector(`[data-line="${CSS.escape(key)}"]`) !== null;
+    return fieldsOf(key)?.quality === "gone" ? isShown : isComplete && !isShown;
+  });
 }
 
 for (const event of ["pointerdown", "pointermove", "keydown", "wheel", "touchstart", "scroll"])
@@ -39,6 +43,6 @@ for (const event of ["pointerdown", "pointermove", "keydown", "wheel", "touchsta
     { passive: true, capture: true },
   );
 document.addEventListener("lineside:lines", ({ detail }) => {
-  if (list && list.dataset.filtered === undefined && isNew(detail)) location.reload();
+  if (list && isOther(detail)) location.reload();
 });
 setInterval(sort, SORT_MS);

@@ -2,7 +2,7 @@
 //   data-wall      the page; data-wall="all": every line, of which one is shown at a time
 //   data-line      one line; data-turn: the link to it
 //   data-fitted    words that take the largest of a few sizes in which all of them have room
-import { listen } from "./bind.js";
+import { fieldsOf, listen } from "./bind.js";
 
 const TURN_MS = 12_000;
 const SIZES = 5;
@@ -61,7 +61,9 @@ addEventListener("resize", fitAll);
 document.fonts.ready.then(fitAll);
 document.addEventListener("lineside:lines", ({ detail }) => {
   const known = lines.map((line) => line.dataset.line);
-  if (isAll && detail.some((key) => !known.includes(key))) location.reload();
+  /** @param {string} key */
+  const isOther = (key) => known.includes(key) === (fieldsOf(key)?.quality === "gone");
+  if (isAll && detail.some(isOther)) location.reload();
 });
 if (isAll && lines.length > 1) {
   show(lines[0]);

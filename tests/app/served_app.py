@@ -48,6 +48,8 @@ def served(folder: Path) -> Iterator[Api]:
         thread.join(0.02)
         assert thread.is_alive(), "the server did not start"
     port = server.servers[0].sockets[0].getsockname()[1]
-    yield Api(f"http://127.0.0.1:{port}", token)
-    server.should_exit = True
-    thread.join()
+    try:
+        yield Api(f"http://127.0.0.1:{port}", token)
+    finally:
+        server.should_exit = True
+        thread.join()

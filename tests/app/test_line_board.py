@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 import pytest
 
 from app.conditions.priority import PRIORITIES, AlarmPriority
 from app.live.diagnosis.cause import Level
-from app.sites.board import LineBoard, LineOnBoard
-from app.sites.fleet import Fleet
-from app.sites.summary import CauseSummary, LineSummary
-from app.sites.tile import outline, tile_fields
-from bus.instants import UnixTime
+from app.peers.board import LineBoard, LineOnBoard, Peer
+from app.peers.settings import PeerSettings
+from app.peers.summary import CauseSummary, LineSummary
+from app.peers.tile import LineTiles, outline, tile_fields
+from app.web.rendering.formats import UNKNOWN
+from bus.instants import Monotonic, UnixTime
 from bus.messages import Message
 from tests.app.screens import translator
 
@@ -47,32 +50,61 @@ def test_the_worst_line_comes_first() -> None:
     assert [line.bus for line in board.lines()] == [*PRIORITIES, "alarmed", "well"]
 
 
+def peer(fault: Message | None = None, number: int = 2) -> Peer:
+    settings = PeerSettings(name="Mill 2", url="https://mill2:8443", token_file=Path("mill2.token"))
+    return Peer(number, settings, fault=fault)
+
+
 def test_a_line_that_is_no_longer_reported_is_never_well() -> None:
-    there = LineOnBoard("there", summary("there"), 5.0, "app-2")
-    worse = LineOnBoard("worse", summary("worse", "urgent"), 5.0, "app-2")
-    never = LineOnBoard("never")
+    other = peer()
+    there = LineOnBoard("there", summary("there"), 7.0, other)
+    worse = LineOnBoard("worse", summary("worse", "urgent"), 7.0, other)
+    never = LineOnBoard("", None, None, other)
     here = LineOnBoard("here", summary("here"))
     lines = sorted((here, there, never, worse), key=lambda line: line.rank)
-    assert [line.bus for line in lines] == ["worse", "never", "there", "here"]
+    assert [line.bus for line in lines] == ["worse", "", "there", "here"]
     fields = tile(there)
     assert (fields["level"], fields["quality"]) == ("high", "stale")
-    assert fields["verdict"] == "No report from app-2 for 5 s"
+    assert fields["verdict"] == "No report from Mill 2 for 7 s"
     assert fields["last"] == "Last reported: All 8 units at speed"
+    assert fields["speed"] == "110.5"
     assert tile(worse, "de")["level"] == "urgent"
-    assert tile(worse, "de")["verdict"] == "Seit 5 s keine Meldung von app-2"
+    assert tile(worse, "de")["verdict"] == "Seit 7 s keine Meldung von Mill 2"
     assert (tile(never)["level"], tile(never)["quality"]) == ("high", "stale")
-    assert tile(never)["verdict"] == "No server reports this line"
+    assert tile(never)["verdict"] == "Waiting for the first report of Mill 2"
     assert tile(here)["quality"] == "live"
+
+
+def test_a_peer_that_is_away_says_why_and_shows_no_old_figures() -> None:
+    away = peer(Message.of("peer_not_reached", reason="Connection refused"))
+    fields = tile(LineOnBoard("a", summary("a", waiting=1), 70.0, away))
+    assert fields["verdict"] == "No report from Mill 2 for 70 s: no connection, Connection refused"
+    assert fields["last"] == "Last reported: All 8 units at speed"
+    assert (fields["speed"], fields["alarm"], fields["counts"]) == (UNKNOWN, "", "")
+    never = tile(LineOnBoard("", None, None, away))
+    assert never["verdict"] == "Mill 2 is not read: no connection, Connection refused"
+    away.fault, away.reported_at = None, Monotonic(1.0)
+    assert tile(LineOnBoard("", None, 1.0, away))["verdict"] == "Mill 2 has no lines of its own"
 
 
 @pytest.mark.parametrize(
     ("age_s", "words"),
-    [(4, "4 s"), (119.9, "119 s"), (120, "2 min"), (7199, "119 min"), (7200, "2 h"), (80_000, "22 h")],
+    [(7, "7 s"), (119.9, "119 s"), (120, "2 min"), (7199, "119 min"), (7200, "2 h"), (80_000, "22 h")],
 )
 def test_the_age_in_words(age_s: float, words: str) -> None:
-    assert (
-        tile(LineOnBoard("a", summary("a"), age_s, "app-2"))["verdict"] == f"No report from app-2 for {words}"
-    )
+    line = LineOnBoard("a", summary("a"), age_s, peer())
+    assert tile(line)["verdict"] == f"No report from Mill 2 for {words}"
+
+
+def test_a_line_is_on_the_board_once_and_not_by_way_of_itself() -> None:
+    first, second = peer(number=1), peer(number=2)
+    board = LineBoard(lambda: [summary("own")], (first, second), lambda: Monotonic(5.0))
+    assert board.put(first, {"a": summary("a")}, "instance") is None
+    assert board.put(second, {"a": summary("a")}, "instance") == Message.of("peer_is_other", name="Mill 2")
+    assert board.put(second, {"a": summary("a")}, board.instance) == Message("peer_is_this_server")
+    assert board.put(first, {"b": summary("b")}, "instance") is None, "it may report again"
+    assert [line.key for line in board.lines()] == ["line_of/2/", "line_of/own", "line_of/1/b"]
+    assert [line.key for line in board.lines(own=True)] == ["line_of/own"]
 
 
 def test_the_words_of_a_line() -> None:
@@ -92,14 +124,16 @@ def test_the_outline_of_a_speed() -> None:
     assert outline([1000.0, 1000.5]) == "M236 20.4L240 19.6", "noise does not look like movement"
 
 
-def test_only_what_has_changed_is_sent_and_put_into_words() -> None:
+def test_only_what_has_changed_is_sent() -> None:
     lines = [summary(f"line-{number}") for number in range(3)]
-    fleet = Fleet(LineBoard(lambda: lines), lambda: UnixTime(100.0))
-    assert len(fleet.changes(translator())) == 3
-    assert fleet.changes(translator()) == {}
+    tiles = LineTiles(LineBoard(lambda: lines), lambda: UnixTime(100.0))
+    assert len(tiles.changes(translator())) == 3
+    assert tiles.changes(translator()) == {}
     lines[1] = msgspec.structs.replace(lines[1], speeds=[1.0])
-    changed = fleet.changes(translator())
+    changed = tiles.changes(translator())
     assert list(changed) == ["line_of/line-1"]
     assert set(changed["line_of/line-1"]) == {"speed", "spark"}
-    fleet.forget("en")
-    assert len(fleet.changes(translator())) == 3
+    del lines[2]
+    assert tiles.changes(translator()) == {"line_of/line-2": {"quality": "gone"}}
+    tiles.forget("en")
+    assert len(tiles.changes(translator())) == 2

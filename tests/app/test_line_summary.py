@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from app.live.state.bus_live import BusLive
-from app.sites.summarize import SpeedTrace, summary_of, view_of
-from app.sites.summary import (
+from app.peers.summary import (
     MAX_POINTS,
     POINT_S,
     LineSummary,
+    SpeedTrace,
+    summary_of,
+    view_of,
 )
 from bus.contract import BusFigures, UnitLink
 from bus.messages import Message

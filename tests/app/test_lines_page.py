@@ -11,7 +11,7 @@ from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
 from app.live.screen.diff import Groups, merge_groups
 from app.live.state.bus_live import LiveState
-from app.sites.own_lines import FRESH_S
+from app.peers.own_lines import FRESH_S
 from app.web.admission.access import Role
 from bus.instants import unix_now
 from tests.app.complete_app import EVERY_ROLE, complete_app

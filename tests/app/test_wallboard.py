@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 
 from app.audit.log import EventLog
-from app.sites.last_events import LastEvents
+from app.peers.own_lines import LastEvents
 from app.web.admission.access import Role
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app

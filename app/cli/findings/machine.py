@@ -85,7 +85,7 @@ def findings(settings: Settings) -> Iterator[Finding]:
     yield _key(settings.key_files, settings.server.store)
     yield _anchor(anchor_file(settings), is_configured=settings.audit.anchor is not None)
     yield from _archive(settings.audit.archive)
-    if not settings.bus:
+    if not settings.bus and not settings.peer:
         yield fault("check_no_bus")
     for bus in settings.bus:
         yield from _bus(bus)

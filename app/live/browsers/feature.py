@@ -27,9 +27,9 @@ from app.live.screen.sources import Sources
 from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
 from app.messages import DEFAULT
+from app.peers.tile import LineTiles
 from app.recipes.book import RecipeBook
 from app.sets.comparison.drift import BusDrift
-from app.sites.fleet import Fleet
 from app.web.rendering.templating import Templates
 from bus.instants import UnixTime, unix_now
 
@@ -59,7 +59,7 @@ def _make_sources(services: Services) -> Sources:
         drift=services.of_buses(BusDrift),
         recipes=services[RecipeBook],
         alarms=services[AlarmBanner],
-        lines=services[Fleet],
+        lines=services[LineTiles],
         notices=partial(_notices, history, services[Anchoring], services[Reserve]),
         history_fault=lambda: history.status.message,
     )

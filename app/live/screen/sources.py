@@ -75,7 +75,7 @@ class LoadedRecipes(Protocol):
         """The recipe loaded last and the names of the units that differ from it since; None without one."""
 
 
-class FleetLines(Protocol):
+class LineFields(Protocol):
     """All lines as fields in the reader's language."""
 
     def shown(self, translator: Translator) -> dict[str, Fields]:
@@ -98,6 +98,6 @@ class Sources:
     drift: Mapping[str, GoldenDrift]
     recipes: LoadedRecipes
     alarms: AlarmMarks
-    lines: FleetLines
+    lines: LineFields
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]

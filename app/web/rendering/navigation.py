@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from bus.messages import Message
 
 ON_PHONE = 4
 """Pages that a phone shows below; the others are one press away under *More*."""
+
+
+@dataclass(frozen=True, slots=True)
+class PageLines:
+    """Which lines there are: ``has_several``, or a peer, so that there is a choice; ``has_own``, by a bus."""
+
+    has_several: bool
+    has_own: bool
+
+    @property
+    def is_overview(self) -> bool:
+        """Whether this server shows only the lines of others."""
+        return self.has_several and not self.has_own
 
 
 class PageLink(NamedTuple):
@@ -22,6 +36,8 @@ class PageLink(NamedTuple):
     act: str = ""
 
 
+OF_SERVER = frozenset(("lines", "alarms", "events", "configuration", "users"))
+"""The pages of a server that shows only the lines of its peers."""
 LINES = PageLink("lines", "/lines", "dense", Message("page_lines"))
 """Only where there are several."""
 PAGES = (
@@ -59,7 +75,9 @@ HELP = {
 """The chapter of the help that is about a page, by its ``key``; of all others the list of chapters."""
 
 
-def pages_for(has_lines: bool, may: Callable[[str], bool]) -> list[PageLink]:
+def pages_for(lines: PageLines, may: Callable[[str], bool]) -> list[PageLink]:
     """The pages of a person; ``may``: whether this person is permitted an act."""
-    every = (LINES, *PAGES) if has_lines else PAGES
+    every: Sequence[PageLink] = (LINES, *PAGES) if lines.has_several else PAGES
+    if lines.is_overview:
+        every = [page for page in every if page.key in OF_SERVER]
     return [page for page in every if not page.act or may(page.act)]

@@ -22,7 +22,7 @@ from app.web.rendering.assets import Assets
 from app.web.rendering.formats import Formats
 from app.web.rendering.head_control import HeadControl
 from app.web.rendering.head_tray import HeadTray
-from app.web.rendering.navigation import HELP, ON_PHONE, pages_for
+from app.web.rendering.navigation import HELP, ON_PHONE, PageLines, pages_for
 from app.web.services import service_of
 from bus.messages import parameter_name
 
@@ -33,13 +33,6 @@ class PageHead:
     the alarms in the language of a reader."""
 
     alarms: Callable[[Language], Mapping[str, Any]]
-
-
-@dataclass(frozen=True, slots=True)
-class PageFleet:
-    """What a page has beside its own line. ``has_lines``: whether there are several to choose from."""
-
-    has_lines: bool
 
 
 class Compiled(FileSystemBytecodeCache):
@@ -71,10 +64,10 @@ WEBSOCKET_LINES = (
 
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
-    ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``, ``navigation()``,
+    ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``,
     ``on_phone``, ``help_of``, and the filters ``parameter``, which names one by its number, and ``isolated``,
     for a name beside other text; in a page or fragment of a request also ``person``, ``request``, ``path``,
-    ``head_alarms()``, ``controls()``, ``trays()``, ``has_lines()``
+    ``head_alarms()``, ``controls()``, ``trays()``, ``has_lines()``, ``rail_pages()``
     and ``may()``, whether the person may send a command or perform an
     act, by its name. ``kept_in``: where they stay compiled between two starts."""
 
@@ -120,7 +113,6 @@ class Templates:
             "page_digest": self.page_digest,
             "demo": self._demo,
             "Role": Role,
-            "navigation": pages_for,
             "on_phone": ON_PHONE,
             "help_of": HELP,
             "websocket_lines": WEBSOCKET_LINES,
@@ -188,7 +180,8 @@ def render(
         request=request,
         path=request.url.path,
         now=time(),
-        has_lines=lambda: service_of(request, PageFleet).has_lines,
+        has_lines=lambda: service_of(request, PageLines).has_several,
+        rail_pages=lambda: pages_for(service_of(request, PageLines), partial(templates.may, person)),
         head_alarms=lambda: head().alarms(language),
         controls=lambda: service_of(request, HeadControl).of_buses(),
         trays=lambda: service_of(request, HeadTray).of(person) if person else (),

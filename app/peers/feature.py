@@ -1,6 +1,8 @@
-"""The lines of this server in short, for the page of all lines and the wallboard."""
+"""Makes the board of the lines of this server and its peers, and reads the peers."""
 
 from __future__ import annotations
+
+from functools import partial
 
 from app.alarms.monitor.line_alarms import LineAlarms
 from app.audit.log import EventLog
@@ -9,22 +11,23 @@ from app.feature import Feature, Services
 from app.live.screen.fields import Translator
 from app.live.state.bus_live import LiveState
 from app.messages import DEFAULT
+from app.peers import pages
+from app.peers.board import LineBoard, Peer
+from app.peers.client import follow
+from app.peers.own_lines import LastEvents, OwnLines
+from app.peers.tile import LineTiles
 from app.recipes.book import RecipeBook
 from app.sets.comparison.drift import BusDrift
-from app.sites import api, pages, wallboard
-from app.sites.board import LineBoard
-from app.sites.fleet import Fleet
-from app.sites.last_events import LastEvents
-from app.sites.own_lines import OwnLines
-from app.web.rendering.templating import PageFleet, Templates
+from app.web.rendering.navigation import PageLines
+from app.web.rendering.templating import Templates
 from bus.instants import unix_now
 
 
 def make(services: Services) -> None:
-    templates = services[Templates]
+    templates, settings = services[Templates], services.settings
     events = services.add(LastEvents(services[LiveState], services[EventLog]))
     own = OwnLines(
-        services.settings.site.name,
+        settings.site.name,
         services[LiveState],
         services[LineAlarms],
         services.of_buses(Safeguards),
@@ -33,11 +36,13 @@ def make(services: Services) -> None:
         events,
         Translator(templates.languages[DEFAULT], templates.formats(DEFAULT)),
     )
-    board = LineBoard(own.summaries)
-    services.add(Fleet(board, unix_now))
-    services.add(PageFleet(has_lines=len(services.buses) > 1))
+    peers = tuple(Peer(number, peer) for number, peer in enumerate(settings.peer, 1))
+    board = LineBoard(own.summaries, peers)
+    services.add(LineTiles(board, unix_now))
+    services.add(PageLines(has_several=len(services.buses) > 1 or bool(peers), has_own=bool(services.buses)))
     services.lifespan.add("speeds of lines", own.trace)
     services.lifespan.add("last events of lines", events.follow)
+    services.lifespan.add("peers", *(partial(follow, peer, board) for peer in peers))
 
 
-FEATURE = Feature(make, (api.router, pages.router, wallboard.router))
+FEATURE = Feature(make, (pages.api, pages.router))

@@ -1,17 +1,21 @@
-"""One line as a tile shows it, in the reader's language: fields, as those of a unit. Pure."""
+"""Lines as tiles show them, in the reader's language: fields, as those of a unit, and their changes for the
+pages that follow them."""
 
 from __future__ import annotations
 
 from math import inf
+from typing import Annotated
 
 from app.conditions.priority import PRIORITIES
 from app.live.diagnosis.cause import Level
 from app.live.screen.cause_text import cause_texts
+from app.live.screen.diff import Groups, put_fields
 from app.live.screen.fields import Fields, Translator
-from app.sites.board import LineOnBoard
-from app.sites.summary import MAX_POINTS, Counts, LineSummary
+from app.peers.board import LineBoard, LineOnBoard
+from app.peers.summary import MAX_POINTS, Counts, LineSummary
 from app.web.rendering.formats import UNKNOWN
-from bus.instants import UnixTime
+from app.web.services import service
+from bus.instants import Clock, UnixTime
 from bus.messages import Message
 
 WIDTH, HEIGHT = 240, 40
@@ -33,50 +37,36 @@ _NO_REPORT: tuple[tuple[float, str, int], ...] = (
 )
 """Up to which age, the text that nothing was reported for so long, and in what."""
 _NEVER: Fields = {
-    **dict.fromkeys(
-        (
-            "place",
-            "last",
-            "counts",
-            "alarm",
-            "alarm_mark",
-            "alarms",
-            "spark",
-            "recipe",
-            "event",
-            "event_at",
-        ),
-        "",
-    ),
+    **dict.fromkeys(("place", "last", "counts", "alarm", "alarm_mark", "alarms", "spark"), ""),
+    **dict.fromkeys(("recipe", "event", "event_at"), ""),
     "speed": UNKNOWN,
     "scan": UNKNOWN,
 }
-
-
-def line_key(bus: str) -> str:
-    """The group of the fields of a line: a name that no unit can have (a slug holds no underscore)."""
-    return f"line_of/{bus}"
+"""Of a line whose figures are not known."""
 
 
 def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fields:
     """``quality``: whether it is of the present; ``last``: of one that is not, what it was."""
-    summary = line.summary
-    if summary is None:
-        return _NEVER | {
-            "level": "high",
-            "level_text": translator.t("high"),
-            "quality": "stale",
-            "verdict": translator.t(Message("line_never_reported")),
-        }
-    place, verdict, level = *_place_and_verdict(summary, translator, now), shown_level(line)
-    before = f"{translator.isolated(place)} · {verdict}" if place else verdict
-    return {
+    summary, level = line.summary, shown_level(line)
+    fields = _NEVER | {
         "level": level,
         "level_text": translator.t(level),
         "quality": "stale" if line.is_stale else "live",
-        "place": "" if line.is_stale else place,
-        "verdict": translator.t(no_report(line)) if line.is_stale else verdict,
-        "last": translator.t(Message.of("line_was", verdict=before)) if line.is_stale else "",
+    }
+    if summary is None:
+        return fields | {"verdict": translator.t(no_report(line))}
+    place, verdict = _place_and_verdict(summary, translator, now)
+    if line.is_stale:
+        before = f"{translator.isolated(place)} · {verdict}" if place else verdict
+        was = translator.t(Message.of("line_was", verdict=before))
+        fields |= {"verdict": translator.t(no_report(line)), "last": was}
+    else:
+        fields |= {"place": place, "verdict": verdict}
+    return fields if line.is_away else fields | _figures(summary, translator, now)
+
+
+def _figures(summary: LineSummary, translator: Translator, now: UnixTime) -> Fields:
+    return {
         "counts": _counts(summary, translator),
         "alarm": translator.t(summary.alarm) if summary.alarm is not None else "",
         "alarm_mark": summary.alarm_priority,
@@ -98,9 +88,7 @@ def _event(summary: LineSummary, translator: Translator, now: UnixTime) -> Field
 
 def shown_level(line: LineOnBoard) -> Level:
     """Its priority; of one whose present state is not known high at least."""
-    if line.summary is None:
-        return "high"
-    level = line.summary.level
+    level = "" if line.summary is None else line.summary.level
     return "high" if line.is_stale and level not in ("urgent", "high") else level
 
 
@@ -119,11 +107,17 @@ def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTi
 
 
 def no_report(line: LineOnBoard) -> Message:
-    """That the server of a line does not report it, and since when."""
-    if line.summary is None:
-        return Message("line_never_reported")
+    """That a peer does not report a line, since when and why."""
+    peer = line.peer
+    assert peer is not None, "a line of this server is always reported"
+    name = peer.settings.name
+    if line.age_s is None or not line.is_stale:
+        if peer.fault is None:
+            return Message.of("peer_has_no_lines" if peer.reported_at else "peer_awaited", peer=name)
+        return Message.of("peer_not_read", peer=name, reason=peer.fault)
     _, code, unit_s = next(row for row in _NO_REPORT if line.age_s < row[0] or row[0] == inf)
-    return Message.of(code, server=line.server, n=int(line.age_s // unit_s))
+    overdue = Message.of(code, server=name, n=int(line.age_s // unit_s))
+    return overdue if peer.fault is None else Message.of("peer_overdue", overdue=overdue, reason=peer.fault)
 
 
 def outline(speeds: list[float | None]) -> str:
@@ -167,3 +161,43 @@ def _by_priority(counts: Counts, translator: Translator) -> list[str]:
 def _speed(summary: LineSummary, translator: Translator) -> str:
     newest = summary.speeds[-1] if summary.speeds else None
     return UNKNOWN if newest is None else translator.formats.point(f"{newest:g}")
+
+
+class LineTiles:
+    """The lines as pages show them. ``clock``: Unix time in seconds."""
+
+    def __init__(self, board: LineBoard, clock: Clock) -> None:
+        self.board = board
+        self._clock = clock
+        self._shown: dict[str, Groups] = {}
+
+    def shown(self, translator: Translator) -> Groups:
+        """The fields of all lines now, the worst first."""
+        return self.fields_of(self.board.lines(), translator)
+
+    def fields_of(self, lines: list[LineOnBoard], translator: Translator) -> Groups:
+        """The fields of these lines, in their order."""
+        now = self._clock()
+        return {
+            line.key: tile_fields(line, translator, now) | {"rank": str(rank)}
+            for rank, line in enumerate(lines)
+        }
+
+    def changes(self, translator: Translator) -> Groups:
+        """The fields that are different from those of the last call for this language. A line that is no
+        longer there has the quality ``gone``."""
+        shown = self._shown.setdefault(translator.language.tag, {})
+        changed, fields = Groups(), self.shown(translator)
+        for key in shown.keys() - fields.keys():
+            del shown[key]
+            changed[key] = {"quality": "gone"}
+        for key, each in fields.items():
+            changed |= put_fields(shown, key, each)
+        return changed
+
+    def forget(self, tag: str) -> None:
+        """No page in this language follows them."""
+        self._shown.pop(tag, None)
+
+
+LineTilesService = Annotated[LineTiles, service(LineTiles)]

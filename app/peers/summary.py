@@ -1,4 +1,4 @@
-"""The summary of a line from its live state and its alarms. Pure: the time is passed in."""
+"""A line in short: its state, its alarms and its speed, never its readings. Pure: the time is passed in."""
 
 from __future__ import annotations
 
@@ -8,17 +8,87 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from itertools import islice
 
+import msgspec
+
 from app.alarms.alarm import Alarm
 from app.alarms.monitor.line_alarms import rank
-from app.conditions.priority import PRIORITIES
+from app.conditions.priority import PRIORITIES, AlarmPriority
 from app.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts
-from app.live.diagnosis.cause import Cause, bus_cause, unit_cause
+from app.live.diagnosis.cause import Cause, Level, bus_cause, unit_cause
 from app.live.screen.totals import LEVELS, all_well
 from app.live.state.age import figures_now, unit_link_now
 from app.live.state.bus_live import BusLive, speed_decimals
-from app.sites.summary import MAX_POINTS, POINT_S, CauseSummary, Counts, LineSummary
+from app.live.state.onset import Onset
 from bus.instants import UnixTime
 from bus.messages import Message
+
+MAX_POINTS = 60
+POINT_S = 10.0
+"""From one point of the speed to the next: ten minutes in all."""
+Counts = dict[AlarmPriority, int]
+
+
+class CauseSummary(msgspec.Struct, frozen=True):
+    """A cause that is put into words for each reader; see :class:`app.live.diagnosis.cause.Cause`."""
+
+    code: str
+    since: float | None = None
+    is_exact: bool = True
+    motion: str = ""
+    mode: str = ""
+    why: Message | None = None
+
+    @classmethod
+    def of(cls, cause: Cause) -> CauseSummary:
+        params, onset = cause.params, cause.onset
+        # In what a unit departs from its golden set is text; its page has it.
+        why = Message("line_drifted") if cause.code == "drift" else params.get("why")
+        return cls(
+            cause.code,
+            None if onset is None else float(onset.at),
+            onset is None or onset.exact,
+            params.get("motion", ""),
+            params.get("mode", ""),
+            why if isinstance(why, Message) else None,
+        )
+
+    def cause(self, level: Level) -> Cause:
+        params = {"motion": self.motion, "mode": self.mode, "why": self.why}
+        onset = None if self.since is None else Onset(UnixTime(self.since), exact=self.is_exact)
+        return Cause(self.code, level, onset, {name: value for name, value in params.items() if value})
+
+
+class EventSummary(msgspec.Struct, frozen=True):
+    """The last event of a line. ``at``: Unix time in seconds."""
+
+    at: float
+    text: Message
+
+
+class LineSummary(msgspec.Struct, frozen=True):
+    """One line. ``verdict``: the text while there is no ``cause``; ``place``: the unit or bus of the
+    cause. ``states``: units by state, and how many are ``online``; ``active`` and ``waiting`` (for an
+    acknowledgement): alarms by priority; ``alarm``: the text of the first of them. ``speeds``: of the first
+    unit, the newest last, in ``measure``, None where none was read; ``scan_hz``: scans a second;
+    ``recipe``: the one loaded last."""
+
+    bus: str
+    site: str
+    level: Level
+    verdict: Message
+    units: int
+    states: dict[str, int]
+    active: Counts
+    waiting: Counts
+    place: str = ""
+    cause: CauseSummary | None = None
+    alarm: Message | None = None
+    alarm_priority: Level = ""
+    scan_hz: float | None = None
+    speeds: list[float | None] = []
+    measure: str = ""
+    recipe: Message | None = None
+    event: EventSummary | None = None
 
 
 @dataclass(slots=True)
@@ -80,6 +150,7 @@ def summary_of(
         alarm_priority=first[0].definition.priority if first else "",
         scan_hz=None if figures is None else figures.scan_hz,
         speeds=list(speeds),
+        measure=next((unit.settings.labels.unit for unit in bus.units.values()), ""),
     )
 
 
