@@ -13,9 +13,11 @@ from app.alarms.own.definition import own_definition
 from app.alarms.rules import state_machine
 from app.alarms.settings import AlarmSettings
 from app.database import Database
-from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
+from app.feed.holders import Credential, refusal
+from bus.contract import CONTRACT_VERSION, BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
 from bus.settings import Seam
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus
+from tests.app.stage import hello
 
 
 @pytest.fixture
@@ -185,6 +187,21 @@ def test_a_lost_worker_suppresses_its_port(bus: AlarmBus) -> None:
     assert bus.present() == set(), "it may start again"
     bus.wait(2)
     assert bus.present() == {"worker_lost"}
+
+
+def test_a_worker_of_an_older_link_is_lost_with_the_command_that_upgrades_it(bus: AlarmBus) -> None:
+    bus.live.lose_worker(bus.now)
+    credential = Credential(token="cabinet", bus=BUS, address="192.0.2.7")
+    older = refusal(hello(bus=BUS, version=CONTRACT_VERSION - 1), credential, [BUS])
+    assert older is not None
+    bus.apply(BusLink(at=bus.now, link="closed", cause=older))
+    bus.wait(11)
+    assert bus.present() == {"worker_lost"}
+    value = bus.alarms.present(bus.alarm("worker_lost"))
+    assert "run sudo /opt/lineside/bin/pip install ./lineside-*.whl" in str(value)
+    bus.live.worker_lost = None
+    bus.apply(BusLink(at=bus.now, link="open"))
+    assert bus.alarms.present(bus.alarm("worker_lost")) is None
 
 
 def test_of_several_within_a_window_the_first_is_marked(bus: AlarmBus) -> None:

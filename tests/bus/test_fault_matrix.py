@@ -10,9 +10,11 @@ from __future__ import annotations
 import asyncio
 import random
 import time
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from contextlib import suppress
+from decimal import Decimal
 
 import pytest
 import structlog
@@ -39,7 +41,17 @@ from bus.simulator.unit import Mode, Unit
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
-from tests.bus.judge import Case, half_done, made_up, rash_broadcasts, too_late, unrequested, untrue_result
+from tests.bus.judge import (
+    READ_PARAMETER,
+    Case,
+    half_done,
+    made_up,
+    rash_broadcasts,
+    too_late,
+    unrequested,
+    untrue_result,
+)
+from tests.bus.test_scale import SCALE, known
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 from tests.sizes import sizes
 
@@ -56,6 +68,10 @@ name of another at the very moment of its poll cannot be distinguished from it.
 MAX_ALL_AT_ONCE = {
     kind: JAM if kind in LARGE else TOGETHER for kind in FaultKind if kind is not FaultKind.ALL_ADDRESSES
 }
+KEYPAD = [(numbers.DECIMALS, 0), (numbers.DECIMALS, 1), (numbers.DECIMALS, 2), (numbers.MAX_DISPLAY, 2000)]
+KEYPAD += [(numbers.MAX_DISPLAY, 20000), (numbers.FOLLOWER_MODE, 0), (numbers.FOLLOWER_MODE, 1)]
+"""What is typed there: a parameter of the scale, and its raw value."""
+RATIO_PLACES, TYPED = 4, 25
 SPEEDUP = 10.0
 CLOCK_SLACK_S = 0.5
 """Between the clocks of the worker and of the record, where both are real."""
@@ -191,6 +207,70 @@ def test_a_unit_that_takes_every_address_for_its_own() -> None:
     trial = virtual_trial({FaultKind.ALL_ADDRESSES: TOGETHER}, seed=7, count=50)
     assert [complaint for complaint in trial.complaints if "still holds" not in complaint] == []
     assert trial.outcomes()["verified"] > 5
+
+
+class Displays:
+    """What each unit shows of a setpoint, while somebody changes its scale at the keypad."""
+
+    def __init__(self, line: VirtualLine) -> None:
+        self._line = line
+        self._places = {unit.address: [(0.0, self._present(unit))] for unit in line.plant.units}
+
+    @staticmethod
+    def _present(unit: Unit) -> int:
+        return RATIO_PLACES if unit.follows else unit.memory[numbers.DECIMALS]
+
+    async def change(self, seed: int) -> None:
+        """Type at the keypads, without end."""
+        dice = random.Random(seed)
+        while True:
+            await asyncio.sleep(dice.uniform(0.05, 1.0))
+            unit = dice.choice(self._line.plant.units)
+            number, raw = dice.choice(KEYPAD)
+            unit.memory[number] = raw
+            self._places[unit.address].append((self._line.loop.time(), self._present(unit)))
+
+    def shown(self, unit: int, raw: int) -> set[Decimal]:
+        """A setpoint as it is shown since the mode of the unit was last read; its decimals follow."""
+        looks = self._line.line.record.since(0, WireEventKind.RECEIVED)
+        look = bytes((unit, READ_PARAMETER, numbers.FOLLOWER_MODE))
+        since = max((entry.at for entry in looks if entry.data == look), default=0.0)
+        times = [at for at, _ in self._places[unit]]
+        return {
+            Decimal(raw).scaleb(-places) for _, places in self._places[unit][bisect_right(times, since) - 1 :]
+        }
+
+
+async def type_setpoints(line: VirtualLine, rates: dict[FaultKind, float], seed: int) -> Counter[str]:
+    """Enter speeds as a person does who sees the scale that the worker has reported; return the outcomes."""
+    dice, displays = random.Random(seed), Displays(line)
+    await line.until(lambda: all(known(line, unit, SCALE) for unit in line.units))
+    suffer(line.faults, rates)
+    keypads = asyncio.ensure_future(displays.change(seed))
+    outcomes: Counter[str] = Counter()
+    for _ in range(TYPED):
+        await asyncio.sleep(dice.uniform(0.0, 0.3))
+        unit = dice.choice(line.units)
+        scale = known(line, unit, SCALE)
+        places = RATIO_PLACES if scale[numbers.FOLLOWER_MODE] else scale[numbers.DECIMALS] or 0
+        raw = dice.randrange(10, 2000)
+        result = await line.perform(SetSpeed(unit, raw), typed_with={unit: scale}, within_s=300.0)
+        outcomes[result.outcome] += 1
+        if result.outcome == "verified":
+            assert Decimal(raw).scaleb(-places) in displays.shown(unit, raw), (unit, raw, places)
+    keypads.cancel()
+    return outcomes
+
+
+@pytest.mark.parametrize("kind", [None, *FaultKind])
+def test_a_typed_value_while_its_scale_changes_among_each_fault(kind: FaultKind | None) -> None:
+    """Never is a number verified that the unit does not show, whatever its responses suffer."""
+    seldom = kind in LARGE or kind is FaultKind.ALL_ADDRESSES
+    rates = {} if kind is None else {kind: JAM if seldom else TOGETHER}
+    random.seed(7)
+    outcomes = run(lambda line: type_setpoints(line, rates, seed=7), UNITS, seed=7)
+    assert outcomes["verified"] > 3, outcomes
+    assert outcomes["refused"] + outcomes["unverified"] > 3, outcomes
 
 
 @pytest.mark.parametrize("seed", sizes(1, *range(2, 12)))

@@ -92,7 +92,7 @@ def verified_commands(
     for frame in (owned.frame for owned in frames):
         if frame.command == SET_AND_EXECUTE:
             writes.setdefault((frame.unit, digits(frame.value)), frame)
-        elif frame.body[1:] == bytes((READ_PARAMETER, DECIMALS)):
+        elif frame.body[1:] == bytes((READ_PARAMETER, FOLLOWER_MODE)):
             looks[frame.unit].append(frame.ended)
     shown = [item for item in decode(responses) if isinstance(item, WireFrame)]
     times = [item.ended for item in shown]
