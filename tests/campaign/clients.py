@@ -32,8 +32,6 @@ RAW_PART = 0.3
 SPEEDS, RATIOS = range(1, 2000), range(5001, 20000)
 RATIO_DECIMALS = 4
 STORED_H, POINTS = 3, 20_000
-OUTCOMES = {"verified", "acknowledged", "refused", "unverified", "not_sent", "bus_closed"}
-FROM_A_PROXY = (502, 504)
 
 
 class Clients:
@@ -159,16 +157,14 @@ def _unused(numbers: range, units: int, chance: random.Random) -> dict[int, Iter
 def _outcome(response: httpx.Response) -> tuple[str | None, int | None, str]:
     """The outcome as the server states it, the error of the unit, and why; None: it did not state one.
 
-    Every other refusal is ``refused_here``.
+    A problem without an outcome is ``refused_here``: no command was made of the request.
     """
     try:
         body = response.json()
     except json.JSONDecodeError:
         return None, None, ""
-    code, reason = body.get("code"), body.get("detail") or ""
-    if code not in OUTCOMES and response.status_code in FROM_A_PROXY:
-        return None, None, reason
-    return (code if code in OUTCOMES else "refused_here"), body.get("unit_error"), reason
+    reason = body.get("detail") or body.get("message") or ""
+    return body.get("outcome", "refused_here"), body.get("unit_error"), str(reason)
 
 
 def _instant(at: float) -> str:
