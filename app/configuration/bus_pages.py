@@ -23,11 +23,13 @@ from app.web.rendering.templating import render
 from app.web.services import service
 from bus.errors import CallerError
 from bus.messages import Message
-from bus.settings import BAUDS, check_port
+from bus.settings import BAUDS, BusSettings, check_port
 
 router = APIRouter(prefix="/configuration/bus", include_in_schema=False)
 
 MAX_UNITS_TEXT = 20_000
+_DEFAULTS = {"baud": BusSettings.model_fields["baud"].default}
+"""Of what the form always has: a file that leaves it out is left so."""
 _UNIT = re.compile(r"(\d{1,3})[\s,;:.]+(\S.*)")
 Changer = Annotated[Person, CHANGE_PORTS.permitted]
 Scan = Annotated[PortScan, service(PortScan)]
@@ -113,7 +115,7 @@ def bus_edit(index: int, values: Mapping[str, TomlValue], units: list[tuple[int,
 
     def edit(text: str) -> str:
         bus = at(tomllib.loads(text), ("bus", index)) or {}
-        changes = {key: value for key, value in values.items() if bus.get(key) != value}
+        changes = {key: value for key, value in values.items() if bus.get(key, _DEFAULTS.get(key)) != value}
         text = with_values(text, ("bus", index), changes) if changes else text
         wanted, present = dict(units), [unit.get("id") for unit in bus.get("unit", [])]
         for place in reversed(range(len(present))):
@@ -180,7 +182,7 @@ def _texts_of(present: PresentFile, scan: PortScan, index: int) -> dict[str, str
     return {
         "name": str(bus.get("name", "")),
         "port": str(bus.get("port", "")),
-        "baud": str(bus.get("baud", 9600)),
+        "baud": str(bus.get("baud", _DEFAULTS["baud"])),
         "units": units,
     }
 

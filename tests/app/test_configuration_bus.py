@@ -93,8 +93,8 @@ async def test_port_and_units_are_corrected(admin: httpx.AsyncClient, file: Plan
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"units": "Unwind"}, "“Unwind” is no unit"),
-        ({"units": "1 Unwind\n1 Nip"}, "“1 Nip” is no unit"),
+        ({"units": "Unwind"}, "“Unwind” names no unit"),
+        ({"units": "1 Unwind\n1 Nip"}, "“1 Nip” names no unit"),
         ({"units": "256 Unwind"}, "255"),
         ({"units": f"1 {'x' * 61}"}, "at most 60 characters"),
         ({"name": "Dry End"}, "name"),

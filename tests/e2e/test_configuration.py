@@ -9,12 +9,36 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import expect
 
-from tests.e2e.conftest import OpensPages
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.site import AT_REST, Site
+from tests.sizes import sizes
 
 PHONE = {"width": 360, "height": 740}
 MAX_MS = 60_000
 """For a server to end and to start."""
+
+
+@pytest.mark.parametrize("locale", sizes(ENGLISH, GERMAN))
+def test_port_and_units_of_a_bus_fit_the_page_up_to_their_review(
+    line_server: Callable[..., Site], browser_page: OpensPages, flaws: Callable[..., list[str]], locale: str
+) -> None:
+    page = browser_page("admin", line_server(1, line_options=AT_REST), viewport=PHONE, locale=locale)
+    for path, send in (("/configuration/bus/1", False), ("/configuration/bus/0", True)):
+        page.goto(path)
+        assert flaws(page, locale) == []
+        page.locator("#bus-port").fill("/dev/ttyUSB7")
+        page.locator("#bus-units").fill("Unwind")
+        page.locator("form:has(#bus-units) [type=submit]").click()
+        expect(
+            page.locator(".notice", has_text="“Unwind”" if locale == ENGLISH else "„Unwind“")
+        ).to_be_visible()
+        assert flaws(page, locale) == []
+        if send:
+            page.locator("#bus-units").fill("1 Unwind north\n7 Nip")
+            page.locator("form:has(#bus-units) [type=submit]").click()
+            expect(page.locator("ins", has_text="Unwind north")).to_be_visible()
+            expect(page.locator("ins", has_text="baud")).to_have_count(0)
+            assert flaws(page, locale) == []
 
 
 @pytest.mark.soak
