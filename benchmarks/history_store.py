@@ -9,7 +9,7 @@ from pathlib import Path
 from app.database import Database
 from app.history import tables
 from app.history.series.rollup import combine, pack_rollups, rollup
-from app.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_runs
+from app.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_columns
 from app.history.series.values import ParameterStep
 from app.history.writer import MIGRATIONS
 from bus.contract import Reading
@@ -71,7 +71,7 @@ def _fill(
     end: int,
     days: tuple[int, int],
 ) -> None:
-    blocks = [(len(runs), pack_runs(runs, 0)) for runs in patterns]
+    blocks = [(len(runs), pack_columns(list(zip(*runs, strict=True)), 0)) for runs in patterns]
     minutes = [
         [rollup([r for r in runs if r.at // MINUTE == m], m * MINUTE) for m in range(60)] for runs in patterns
     ]

@@ -181,7 +181,7 @@ def _reading_rows(
 def _holes(source: unit_history.StoredUnit, before: int | None, runs: Sequence[Run]) -> dict[int, int]:
     """Before which runs there is a hole, and from when."""
     ends = ([] if before is None else [before, before]) + [t for run in runs for t in (run.at, run.until)]
-    marks = tables.link_marks(source.connection, source.unit, ends[0], ends[-1])
+    marks = source.marks(ends[0], ends[-1])
     found = holes(ends, marks, usual_interval(runs))
     offset = 0 if before is None else 1
     return {(i + 1) // 2 - offset: ends[i] + 1 for i in found if i % 2}

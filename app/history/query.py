@@ -80,7 +80,7 @@ def _run_draw(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery
 
 
 def _run(source: unit_history.StoredUnit, query: SeriesQuery) -> QueryResult:
-    marks = tables.link_marks(source.connection, source.unit, query.start - MARGIN, query.end)
+    marks = source.marks(query.start - MARGIN, query.end)
     resolution, points = _points(source, query, marks)
     scales = scale_of(source, query)
     decimals = scales.at(query.end).decimals

@@ -26,10 +26,9 @@ from app.history.series.runs import (
     micros,
     plain_run,
 )
-from app.history.series.values import DECIDING, Interval, Marks, ParameterStep, splice
+from app.history.series.values import DECIDING, Interval, ParameterStep, splice
 from app.history.tables import (
     INSERT_RAW,
-    LOST_STATES,
     BlockKey,
     DamagedBlock,
     StoreConnection,
@@ -232,18 +231,16 @@ class Recorder:
             self._folding.popleft()
 
 
-_NONE = -1
-"""The key of no unit."""
 RawBlock = tuple[int, int, Sequence[PlainRun]]
 """Start and span in µs, and runs."""
 
 
 def raw_blocks(connection: StoreConnection, units: Iterable[int], minute: int) -> dict[int, RawBlock]:
     """The block of each unit in which a minute falls, where there is one. Raises DamagedBlock."""
-    keys = _filled(units)
+    keys = tables.padded(units)
     rows = connection.execute(
-        f"SELECT unit, start, span, data FROM raw WHERE unit IN ({_list(keys)}) AND start IN (?, ?)"
-        " ORDER BY start",
+        "SELECT unit, start, span, data FROM raw"
+        f" WHERE unit IN ({tables.placeholders(keys)}) AND start IN (?, ?) ORDER BY start",
         (*keys, minute - minute % HOUR, minute),
     )
     return {
@@ -268,45 +265,6 @@ def write_raw_blocks(
     connection.executemany(INSERT_RAW, rows)
 
 
-def bits_around(
-    connection: StoreConnection, units: Iterable[int], start: int, end: int
-) -> dict[int, list[Interval]]:
-    """Of each unit the intervals that touch a span, and the neighbor on either side."""
-    found: dict[int, list[Interval]] = {unit: [] for unit in units}
-    keys = _filled(found)
-    rows = connection.execute(
-        f"WITH wanted (unit) AS (VALUES {_tuples(keys, 1)}), bounds AS MATERIALIZED ("
-        "SELECT unit,"
-        " coalesce((SELECT max(at) FROM bits WHERE bits.unit = wanted.unit AND at < ?), ?) AS low,"
-        " coalesce((SELECT min(at) FROM bits WHERE bits.unit = wanted.unit AND at >= ?), ?) AS high"
-        " FROM wanted) "
-        "SELECT bits.unit, at, until, word FROM bounds"
-        " JOIN bits ON bits.unit = bounds.unit AND at >= low AND at <= high ORDER BY bits.unit, at",
-        (*keys, start, start, end, end),
-    )
-    for unit, *interval in rows:
-        found[unit].append(Interval(*interval))
-    return found
-
-
-def link_marks(connection: StoreConnection, spans: Mapping[int, tuple[int, int]]) -> dict[int, Marks]:
-    """When each unit or its port was lost and found within its span, µs."""
-    keys = _filled(spans)
-    values = [each for key in keys for each in (key, *spans.get(key, (0, 0)))]
-    rows = connection.execute(
-        f"WITH wanted (unit, since, until) AS (VALUES {_tuples(keys, 3)}) "
-        "SELECT wanted.unit, link.at, link.state FROM wanted JOIN unit ON unit.id = wanted.unit"
-        " JOIN unit AS marked ON marked.bus = unit.bus AND marked.number IN (0, unit.number)"
-        " JOIN link ON link.unit = marked.id AND link.at >= wanted.since AND link.at <= wanted.until"
-        " ORDER BY link.at",
-        values,
-    )
-    marks: dict[int, tuple[list[int], list[int]]] = {}
-    for unit, at, state in rows:
-        marks.setdefault(unit, ([], []))[state not in LOST_STATES].append(at)
-    return {unit: Marks(*marks.get(unit, ((), ()))) for unit in spans}
-
-
 def replace_bits(
     connection: StoreConnection,
     old: Mapping[int, Sequence[Interval]],
@@ -324,19 +282,6 @@ def _missing(
     parts: Mapping[int, Sequence[Interval]], there: Mapping[int, Sequence[Interval]]
 ) -> Iterable[tuple[int, Interval]]:
     return ((unit, part) for unit, each in parts.items() for part in sorted(set(each) - set(there[unit])))
-
-
-def _filled(units: Iterable[int]) -> list[int]:
-    keys = list(units)
-    return keys + [_NONE] * ((1 << (len(keys) - 1).bit_length()) - len(keys))
-
-
-def _list(keys: Sequence[int]) -> str:
-    return ", ".join("?" * len(keys))
-
-
-def _tuples(keys: Sequence[int], width: int) -> str:
-    return ", ".join([f"({', '.join('?' * width)})"] * len(keys))
 
 
 MAX_AT_ONCE = 10_000
@@ -411,11 +356,11 @@ def _roll_up(connection: tables.StoreConnection, unit: int, hour: int, rows: Seq
 
 def _bits(connection: tables.StoreConnection, minute: int, by_unit: _Runs) -> None:
     end = minute + MINUTE
-    stored = bits_around(connection, by_unit, minute, end)
+    stored = tables.bits_around(connection, by_unit, minute, end)
     spans = {
         unit: (each[0].at, max(each[-1].until, end)) if each else (minute, end)
         for unit, each in stored.items()
     }
-    marks = link_marks(connection, spans)
+    marks = tables.link_marks(connection, spans)
     spliced = {unit: splice(stored[unit], minute, runs, marks[unit]) for unit, runs in by_unit.items()}
     replace_bits(connection, stored, spliced)

@@ -131,7 +131,7 @@ async def status_words(
         recent = [Interval(run.at, run.until, run.word) for run in tail.runs(key, *wanted)]
         if tables.count_bits(connection, key, *wanted) > MAX_SPANS:
             return recent
-        return tables.bits_around(connection, key, *wanted) + recent
+        return tables.bits_around(connection, [key], *wanted)[key] + recent
 
     spans = sorted(await history.read(read))
     return [(seconds(span.at), seconds(span.until), span.word) for span in spans]

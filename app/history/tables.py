@@ -6,7 +6,7 @@ A block that is damaged is detected by zlib's checksum, and costs only itself.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from operator import gt, itemgetter, sub
@@ -23,7 +23,6 @@ from app.history.series.runs import (
     PlainRun,
     Run,
     pack_columns,
-    runs_of,
     unpack_columns,
     unpack_runs,
 )
@@ -95,10 +94,6 @@ def find_unit(connection: StoreConnection, bus: str, number: int) -> int | None:
     return None if row is None else int(row[0])
 
 
-def _marks(values: Sequence[object]) -> str:
-    return ", ".join("?" * len(values)) or "NULL"
-
-
 def units_of(connection: StoreConnection, bus: str) -> list[int]:
     """The keys of a bus and its units."""
     return [row[0] for row in connection.execute("SELECT id FROM unit WHERE bus = ?", (bus,))]
@@ -128,8 +123,7 @@ def write_journal_again(connection: StoreConnection, rows: Sequence[tuple[int, P
 
 
 def read_journal(connection: StoreConnection) -> Iterator[list[tuple[int, Run]] | None]:
-    """The readings of every row, oldest first; None for a damaged one. A store that came back from PostgreSQL
-    may have the journals of several servers one after the other."""
+    """Yield the readings of every row, oldest first; None for a damaged one."""
     for (data,) in connection.execute("SELECT data FROM journal ORDER BY seq"):
         try:
             units, at, lengths, *rest = columns.unpack(data)
@@ -193,13 +187,8 @@ def raw_row(
     return unit, start, span, len(at) + sum(map(gt, until, at)), pack_columns(table, start)
 
 
-def raw_between(connection: StoreConnection, unit: int, start: int, end: int) -> list[Run]:
-    """All runs of the blocks that begin within a span, µs. Raises DamagedBlock."""
-    return runs_of(zip(*raw_columns(connection, unit, start, end), strict=True))
-
-
 def raw_columns(connection: StoreConnection, unit: int, start: int, end: int) -> list[list[int]]:
-    """The same as columns, one block after the other."""
+    """Read the columns of all runs of the blocks that begin within a span, µs. Raises DamagedBlock."""
     rows = connection.execute(
         "SELECT start, data FROM raw WHERE unit = ? AND start >= ? AND start < ? ORDER BY start",
         (unit, start, end),
@@ -309,15 +298,44 @@ def damaged_since(connection: StoreConnection, since: int) -> int:
     return int(connection.execute("SELECT count(*) FROM damaged WHERE found >= ?", (since,)).fetchone()[0])
 
 
-def bits_around(connection: StoreConnection, unit: int, start: int, end: int) -> list[Interval]:
-    """Intervals that touch a span, and the neighbour on either side."""
+_NO_UNIT = -1
+
+
+def padded(units: Iterable[int]) -> list[int]:
+    """Fill a list of unit keys up to a power of two, so that few statements are prepared for any number of
+    units."""
+    keys = list(units)
+    return keys + [_NO_UNIT] * ((1 << (len(keys) - 1).bit_length()) - len(keys))
+
+
+def placeholders(keys: Sequence[int]) -> str:
+    """Return a parameter mark for each key."""
+    return ", ".join("?" * len(keys))
+
+
+def _tuples(keys: Sequence[int], width: int) -> str:
+    return ", ".join([f"({', '.join('?' * width)})"] * len(keys))
+
+
+def bits_around(
+    connection: StoreConnection, units: Iterable[int], start: int, end: int
+) -> dict[int, list[Interval]]:
+    """Read the intervals of each unit that touch a span (µs), and the neighbor on either side."""
+    found: dict[int, list[Interval]] = {unit: [] for unit in units}
+    keys = padded(found)
     rows = connection.execute(
-        "SELECT at, until, word FROM bits WHERE unit = :unit"
-        " AND at >= coalesce((SELECT max(at) FROM bits WHERE unit = :unit AND at < :start), :start)"
-        " AND at <= coalesce((SELECT min(at) FROM bits WHERE unit = :unit AND at >= :end), :end) ORDER BY at",
-        {"unit": unit, "start": start, "end": end},
+        f"WITH wanted (unit) AS (VALUES {_tuples(keys, 1)}), bounds AS MATERIALIZED ("
+        "SELECT unit,"
+        " coalesce((SELECT max(at) FROM bits WHERE bits.unit = wanted.unit AND at < ?), ?) AS low,"
+        " coalesce((SELECT min(at) FROM bits WHERE bits.unit = wanted.unit AND at >= ?), ?) AS high"
+        " FROM wanted) "
+        "SELECT bits.unit, at, until, word FROM bounds"
+        " JOIN bits ON bits.unit = bounds.unit AND at >= low AND at <= high ORDER BY bits.unit, at",
+        (*keys, start, start, end, end),
     )
-    return [Interval(*row) for row in rows]
+    for unit, *interval in rows:
+        found[unit].append(Interval(*interval))
+    return found
 
 
 def count_bits(connection: StoreConnection, unit: int, start: int, end: int) -> int:
@@ -336,17 +354,22 @@ _MARKED = "unit JOIN unit AS marked ON unit.bus = marked.bus AND marked.number I
 """Each unit with itself and with its port, whose marks are its units' too."""
 
 
-def link_marks(connection: StoreConnection, unit: int, start: int, end: int) -> Marks:
-    """When a unit or its port was lost and found within a span, µs."""
-    query = (
-        f"SELECT at, state FROM link WHERE unit IN (SELECT marked.id FROM {_MARKED} WHERE unit.id = ?) "
-        "AND at >= ? AND at <= ? ORDER BY at"
+def link_marks(connection: StoreConnection, spans: Mapping[int, tuple[int, int]]) -> dict[int, Marks]:
+    """Read when each unit or its port was lost and found within its span, µs."""
+    keys = padded(spans)
+    values = [each for key in keys for each in (key, *spans.get(key, (0, 0)))]
+    rows = connection.execute(
+        f"WITH wanted (unit, since, until) AS (VALUES {_tuples(keys, 3)}) "
+        "SELECT wanted.unit, link.at, link.state FROM wanted JOIN unit ON unit.id = wanted.unit"
+        " JOIN unit AS marked ON marked.bus = unit.bus AND marked.number IN (0, unit.number)"
+        " JOIN link ON link.unit = marked.id AND link.at >= wanted.since AND link.at <= wanted.until"
+        " ORDER BY link.at",
+        values,
     )
-    rows = connection.execute(query, (unit, start, end)).fetchall()
-    return Marks(
-        lost=[at for at, state in rows if state in LOST_STATES],
-        found=[at for at, state in rows if state not in LOST_STATES],
-    )
+    marks: dict[int, tuple[list[int], list[int]]] = {}
+    for unit, at, state in rows:
+        marks.setdefault(unit, ([], []))[state not in LOST_STATES].append(at)
+    return {unit: Marks(*marks.get(unit, ((), ()))) for unit in spans}
 
 
 def marks_since(connection: StoreConnection, start: int) -> list[tuple[int, int]]:

@@ -74,6 +74,10 @@ class StoredUnit:
         rows = self.connection.execute(query, (self.unit, end))
         return next((content for _, content in self._intact(tier, rows, unpack)), [])
 
+    def marks(self, start: int, end: int) -> Marks:
+        """When the unit or its port was lost and found within a span, µs."""
+        return tables.link_marks(self.connection, {self.unit: (start, end)})[self.unit]
+
     def _intact(
         self, tier: StoredTier, rows: Iterable[Any], unpack: Unpacking[T]
     ) -> Iterator[tuple[int, list[T]]]:
@@ -222,7 +226,7 @@ def _tail_rollups(source: StoredUnit, step: int) -> list[Rollup]:
 
 def bit_points(source: StoredUnit, bit: int, start: int, end: int, marks: Marks) -> Points:
     """One bit over a span, exactly: the intervals in which it stays, as points at both their ends."""
-    stored = tables.bits_around(source.connection, source.unit, start, end)
+    stored = tables.bits_around(source.connection, [source.unit], start, end)[source.unit]
     recent = [Interval(run.at, run.until, run.word) for run in source.tail]
     touching = (part for part in chain(stored, recent) if part.until >= start and part.at < end)
     usual = usual_of(source, end)

@@ -115,7 +115,7 @@ def _unit_figures(
         return None, _Speeds()
     scales = scale_of(source, SeriesQuery(bus, unit, VALUES["actual"], start, end, 1))
     by_minute = not has_raw(connection, source.unit, start) or estimate(source, start, end) > max_readings
-    marks = tables.link_marks(connection, source.unit, start - MINUTE, end + MINUTE)
+    marks = source.marks(start - MINUTE, end + MINUTE)
     counted = stretches(_runs(source, start - MINUTE, end + MINUTE, by_minute), start, end, marks)
     figures = run_figures(counted, bus.estop_healthy, lambda at, raw: scales.at(at).apply(raw))
     figures.by_minute = by_minute

@@ -19,7 +19,7 @@ from app.cli.simulated.past import write_past
 from app.cli.simulated.past.story import PHASES, past_of
 from app.database import Database
 from app.history import tables
-from app.history.series.runs import HOUR
+from app.history.series.runs import HOUR, runs_of
 from app.history.service import FILE
 from app.history.writer import MIGRATIONS
 from app.sets.store import SetStore
@@ -90,7 +90,7 @@ def test_a_day_of_readings_with_the_bits_of_each_incident(settings: Settings) ->
             assert key is not None
             extent = tables.extent(connection)
             assert extent is not None
-            runs = tables.raw_between(connection, key, *extent)
+            runs = runs_of(zip(*tables.raw_columns(connection, key, *extent), strict=True))
             minutes = [
                 (row.start, row.readings)
                 for start in range(extent[0], extent[1], HOUR)

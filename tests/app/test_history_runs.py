@@ -11,7 +11,7 @@ from app.history.series.runs import (
     follows,
     joined,
     merge,
-    pack_runs,
+    pack_columns,
     plain_run,
     unpack_columns,
     unpack_runs,
@@ -61,7 +61,7 @@ def test_runs_contain_every_reading(readings: list[tuple[int, int]]) -> None:
 def test_a_block_gives_back_its_runs(readings: list[tuple[int, int]]) -> None:
     runs = runs_of(readings)
     if runs:
-        block = pack_runs(runs, 60)
+        block = pack_columns(list(zip(*runs, strict=True)), 60)
         assert unpack_runs(block, 60) == runs
         at, until, actual = unpack_columns(block, 60, ("at", "until", "actual"))
         assert list(zip(at, until, actual, strict=True)) == [(run.at, run.until, run.actual) for run in runs]

@@ -52,7 +52,8 @@ async def stored(house: House, begin: float, end: float) -> list[int]:
             return []
         recent = tail.runs(key, *span)
         # A minute that is folded between the two reads is in both.
-        blocks = merge(tables.raw_between(connection, key, span[0] - HOUR, span[1]), recent)
+        columns = tables.raw_columns(connection, key, span[0] - HOUR, span[1])
+        blocks = merge(zip(*columns, strict=True), recent)
         return [run for run in blocks if span[0] <= run.at < span[1]]
 
     return [run.actual for run in await history.read(read) for _ in range(run.readings)]

@@ -90,13 +90,8 @@ def merge_plain(one: Iterable[PlainRun], other: Iterable[PlainRun]) -> list[Plai
     return merged
 
 
-def pack_runs(runs: Sequence[PlainRun], start: int) -> bytes:
-    """Runs of one unit as a block; times are kept relative to ``start``, in µs."""
-    return pack_columns(list(zip(*runs, strict=True)), start)
-
-
 def pack_columns(table: Sequence[Sequence[int]], start: int) -> bytes:
-    """The same of the columns of runs."""
+    """Pack the columns of runs of one unit as a block; times are kept relative to ``start``, in µs."""
     at, until, *rest = table
     return columns.pack([[t - start for t in at], list(map(sub, until, at)), *rest])
 
