@@ -329,7 +329,7 @@ def _figures(source: StoredUnit, unit: PublishedUnit, start: int, end: int) -> A
     around = start - MINUTE, end + MINUTE
     is_kept = has_raw(source.connection, source.unit, start)
     runs = runs_between(source, *around) if is_kept else runs_of_minutes(minutes_of(source, *around))
-    marks = tables.link_marks(source.connection, source.unit, *around)
+    marks = source.marks(*around)
     scales = unit.scales.actual
     return figures_by_minute(
         stretches(runs, start, end, marks), unit.bus.estop_healthy, lambda at, raw: scales.at(at).apply(raw)
