@@ -19,6 +19,7 @@ from app.errors import StoreError
 from app.handover.notes.pictures import FILE as PICTURES
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.service import FILE as HISTORY
+from app.postgresql.outbox import read_identity
 from app.settings import STORE_FILE
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -184,11 +185,8 @@ def fault_of(store: sqlite3.Connection) -> str:
 
 
 def site_of(store: sqlite3.Connection) -> str | None:
-    """What tells a site from others: a hash of its secret. None: an earlier version made the store."""
-    if not has_table(store, "site_secret"):
-        return None
-    row = store.execute("SELECT secret FROM site_secret").fetchone()
-    return None if row is None else sha256(b"lineside backups" + row[0]).hexdigest()
+    """What tells a site from others. None: an earlier version made the store."""
+    return read_identity(store) if has_table(store, "publisher_identity") else None
 
 
 def archived_in(store: Path) -> dict[str, str]:

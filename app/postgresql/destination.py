@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.errors import StoreError
 from app.postgresql.outbox import Batch
-from app.postgresql.rows import UNIT, Row, Table, instant, unit_row
+from app.postgresql.rows import EVENT, READING, UNIT, Row, Table, instant, unit_row
 from app.postgresql.schema import (
     MONTHLY,
     SchemaError,
@@ -142,6 +142,21 @@ class Destination:
                 " WHERE site = %s AND id > %s GROUP BY id ORDER BY id LIMIT %s"
             )
             return self._connection.execute(query.encode(), (self._site, after, limit)).fetchall()
+
+    def extents(self, after: UnixTime) -> list[tuple[int, datetime | None, datetime | None]]:
+        """What the site published of later than a time: of events and of readings how many, the first and the
+        last, which are None where there are none. Raises PublishError, SchemaError."""
+        self.connect()
+        with self._in_words():
+            assert self._connection is not None
+            found = []
+            for table in (EVENT, READING):
+                query = (
+                    f"SELECT count(*), min(at), max(at) FROM {self._settings.quoted_schema}.{table.name}"
+                    " WHERE site = %s AND at > to_timestamp(%s)"
+                )
+                found += self._connection.execute(query.encode(), (self._site, float(after))).fetchall()
+            return found
 
     def abandon(self) -> None:
         """End the connection, also while a thread waits for it."""

@@ -3,6 +3,7 @@ is damaged, unfinished or of another site is never taken for a backup."""
 
 from __future__ import annotations
 
+import asyncio
 import json
 import random
 import shutil
@@ -19,6 +20,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
+from app.audit.log import EventLog
 from app.backup.archive import KEPT_EVENTS
 from app.backup.backup import WrittenBackup
 from app.backup.folder import CONTENTS, REMOVE_EVERY, SITE, open_newest, write_to_folder
@@ -35,8 +37,10 @@ from bus.instants import UnixTime
 from tests.app.archived_site import archived_site
 from tests.app.busy_site import make_site
 from tests.app.history_line import NOON, Shelf, polls
+from tests.app.plant_database import keep, published, publishing, reading
 from tests.app.test_cli_archive import verified
 from tests.mounted import mounted
+from tests.postgresql import fresh_database, needs_postgresql
 from tests.sizes import sizes
 
 HOUR = 3600.0
@@ -187,7 +191,7 @@ def test_the_folder_of_another_site_is_refused_and_stays_as_it_is(plant: Plant, 
     (tmp_path / "other").mkdir()
     other = Plant(tmp_path / "other")
     # The stores of tests are copies of one.
-    other.main.write_now(lambda c: c.execute("UPDATE site_secret SET secret = randomblob(32)"))
+    other.main.write_now(lambda c: c.execute("UPDATE publisher_identity SET id = 'other'"))
     with pytest.raises(StoreError, match="backups of another site"):
         write_to_folder(other.settings, plant.backups, UnixTime(NOON))
     (plant.backups / SITE).write_text("{")
@@ -410,6 +414,26 @@ def test_the_log_after_a_restore_begins_with_the_backup_and_is_proven(plant: Pla
     assert "event_stores_restored" in what
     assert name_of(UnixTime(NOON)) in message
     assert "the audit log is intact" in verified(load(tmp_path / "spare" / "lineside.toml"))[0]
+
+
+@needs_postgresql
+async def test_a_restore_says_what_the_plants_database_has_of_after_the_backup(tmp_path: Path) -> None:
+    backups, config = tmp_path / "backups", tmp_path / "lineside.toml"
+    backups.mkdir()
+    with fresh_database() as url:
+        async with publishing(tmp_path, url, "all") as house:
+            await asyncio.to_thread(write_to_folder, load(config), backups, UnixTime(time.time() - 120))
+            await house.services[EventLog].record(kind="unit", what="offline", bus="dry-end", unit=1)
+            keep(house, [reading(1, time.time() - number, 500) for number in (60, 50, 40)])
+            await published(house)
+        restore = ("restore-store", "--from", backups, "--yes", "--config", config)
+        done = await asyncio.to_thread(run, *restore)
+        assert done.exit_code == 0, done.output
+        assert "has 1 event of after the backup, of " in done.stdout
+        assert "has 3 readings of after the backup, from " in done.stdout
+    config.write_text(config.read_text().replace(url, "postgresql://nobody@127.0.0.1:1/none"))
+    done = await asyncio.to_thread(run, *restore)
+    assert (done.exit_code, "may be in " in done.stdout) == (0, True), done.output
 
 
 @pytest.mark.parametrize("kills", sizes(4, 50))

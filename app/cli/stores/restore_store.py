@@ -30,6 +30,7 @@ from app.cli.ending import report
 from app.cli.options import Argument, Option
 from app.cli.setup.rights import become_owner_of
 from app.cli.site.log import open_log, record
+from app.cli.site.reading import reading_site
 from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
 from app.database import Database, StoreConnection
 from app.database.connection import examining, open_for_reading
@@ -37,7 +38,9 @@ from app.database.migration import COMPANIONS, is_store
 from app.database.private import make_private, refuse_link
 from app.database.words import in_words
 from app.errors import StoreError
-from app.settings import STORE_FILE, load
+from app.postgresql.destination import Destination
+from app.postgresql.outbox import read_identity
+from app.settings import STORE_FILE, Settings, load
 from bus.instants import UnixTime
 from bus.messages import Message, joined
 
@@ -99,6 +102,33 @@ def restore_store(
             keep_tokens=keep_tokens,
         )
         _report(done, backup, server.data, anchor)
+        _report_published(settings, backup)
+
+
+def _report_published(settings: Settings, backup: Backup) -> None:
+    """Say what the plant's database has of the time after the backup."""
+    if settings.postgresql is None:
+        return
+    place = settings.postgresql.place
+    try:
+        with reading_site(settings) as store:
+            destination = Destination(
+                settings.postgresql, settings.site.name, read_identity(store), settings.bus
+            )
+        try:
+            extents = destination.extents(UnixTime(backup.manifest.time))
+        finally:
+            destination.abandon()
+    except StoreError as error:
+        report(Message.of("restore_published_unknown", place=place, reason=error.message))
+        return
+    codes = "restore_published_events", "restore_published_readings"
+    for code, (count, first, last) in zip(codes, extents, strict=True):
+        if first is not None and last is not None:
+            span = {"first": first.isoformat(timespec="seconds"), "last": last.isoformat(timespec="seconds")}
+            report(Message.of(code, place=place, n=count, **span))
+    if not any(count for count, *_ in extents):
+        report(Message.of("restore_published_none", place=place))
 
 
 @contextmanager
