@@ -35,8 +35,8 @@ NEW_KEY = ECKey.generate_key("P-256", {"kid": "two"})
 @dataclass
 class PlayedProvider:
     """``claims``: added to those of the person, or in their place. ``make_token``: instead of an honest one.
-    ``responses``: of a path, instead of the honest response: its status and content. ``held``: the paths that
-    do not respond before ``released``."""
+    ``responses``: of a path, instead of the honest response: its status and content. ``header``: one more
+    line of every response. ``held``: the paths that do not respond before ``released``."""
 
     port: int = 0
     scheme: str = "http"
@@ -45,6 +45,7 @@ class PlayedProvider:
     make_token: Callable[[dict[str, Any]], str] | None = None
     metadata: dict[str, Any] = field(default_factory=dict)
     responses: dict[str, tuple[int, bytes]] = field(default_factory=dict)
+    header: str = ""
     held: set[str] = field(default_factory=set)
     released: asyncio.Event = field(default_factory=asyncio.Event)
     requests: Counter[str] = field(default_factory=Counter)
@@ -88,7 +89,8 @@ class PlayedProvider:
             await self.released.wait()
         status, content = self.responses.get(name) or self._respond(name, headers, body)
         writer.write(
-            f"HTTP/1.1 {status} x\r\nContent-Length: {len(content)}\r\nConnection: close\r\n\r\n".encode()
+            f"HTTP/1.1 {status} x\r\nContent-Length: {len(content)}\r\nConnection: close\r\n"
+            f"{self.header}\r\n".encode()
         )
         writer.write(content)
         await writer.drain()

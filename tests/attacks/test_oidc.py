@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import hmac
 import json
 from base64 import urlsafe_b64encode
@@ -277,6 +278,24 @@ async def test_a_provider_that_responds_with_anything(house: House, provider: Pl
         provider.responses["token"] = (status, content)
         assert reason_of(await logged_in(client, provider)) == "provider"
         assert sso.fault is None
+
+
+async def test_nothing_that_the_provider_packs_is_unpacked(house: House, provider: PlayedProvider) -> None:
+    """A kilobyte could be a gigabyte."""
+    sso = house.services[SingleSignOn].provider
+    assert sso is not None
+    provider.header = "Content-Encoding: gzip\r\n"
+    provider.responses["openid-configuration"] = (
+        200,
+        gzip.compress(json.dumps(provider._metadata()).encode()),
+    )
+    await known(house)
+    assert "something that is not of OpenID Connect" in str(sso.fault)
+    del provider.responses["openid-configuration"]
+    await known(house)
+    assert sso.fault is None, "it is read as it came, whatever its header states"
+    provider.responses["token"] = (200, gzip.compress(b" " * 100 * MAX_BYTES + b"{}"))
+    assert reason_of(await logged_in(house.client(), provider)) == "away"
 
 
 async def test_browsers_make_no_request_to_the_provider(house: House, provider: PlayedProvider) -> None:
