@@ -10,7 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
+from app.cli import cli
+from app.cli.findings.peers import peer_findings
 from app.feature import Services
 from app.peers import client
 from app.peers.board import LineBoard, Peer
@@ -24,6 +27,7 @@ from app.web.admission.access import Role
 from bus.messages import TEXTS
 from tests.app.complete_app import House, complete_app
 from tests.app.served_app import served
+from tests.app.served_tls import served as served_with_tls
 
 PATIENCE_S = 60.0
 EMPTY = {
@@ -270,6 +274,40 @@ async def test_a_peer_that_dies_is_away_and_comes_back(
             assert list(first.lines) == ["wet-end"], "the last report stays, with its age"
             before, alive = first.reported_at, True
             await until(lambda: first.fault is None and first.reported_at != before)
+
+
+# --- from the command line ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("token", "code", "words"),
+    [("", 0, "peer Mill 2 (http://127.0.0.1:"), ("wrong", 1, "Mill 2 is not read: it refuses the token in ")],
+)
+def test_check_and_status_read_each_peer(tmp_path: Path, token: str, code: int, words: str) -> None:
+    with served(tmp_path / "other") as other:
+        settings = peer(other.url, tmp_path, token or other.token)
+        settings.token_file.chmod(0o600)
+        config = configured(tmp_path / "own", settings, bus=False)
+        found = [*peer_findings(load(config))]
+        status = CliRunner().invoke(cli, ["status", "--config", str(config)])
+        as_json = CliRunner().invoke(cli, ["status", "--config", str(config), "--json"])
+    assert [finding.is_fault for finding in found] == [bool(code)]
+    assert str(found[0].message).startswith(words)
+    assert words in status.stdout
+    (shown,) = json.loads(as_json.stdout)["peers"]
+    assert (shown["name"], shown["fault"] is not None) == ("Mill 2", bool(code))
+
+
+def test_a_certificate_that_is_not_trusted_is_named(tmp_path: Path) -> None:
+    with served_with_tls(tmp_path) as site:
+        settings = peer(site.url, tmp_path, site.tokens["viewer"])
+        fault = asyncio.run(fault_of(settings))
+        assert str(fault).startswith("no connection, ")
+        assert "certificate" in str(fault)
+        trusted = settings.model_copy(update={"ca_file": site.folder / "ca.pem"})
+        assert asyncio.run(fault_of(trusted)) is None
+        elsewhere = trusted.model_copy(update={"url": site.url.replace("localhost", "127.0.0.2")})
+        assert "127.0.0.2" in str(asyncio.run(fault_of(elsewhere)))
 
 
 # --- configuration ---------------------------------------------------------------------------------------

@@ -70,10 +70,12 @@ def _findings(settings: Settings, config: Path, *, live: bool) -> Iterator[Findi
     yield from service_findings()
     if live:
         from app.cli.findings.live import live_findings
+        from app.cli.findings.peers import peer_findings
         from app.cli.findings.postgresql import postgresql_findings
 
         yield from live_findings(settings, users)
         yield from postgresql_findings(settings)
+        yield from peer_findings(settings)
 
 
 def _print(finding: Finding) -> None:

@@ -1,4 +1,4 @@
-"""What the files of a site hold of its operation, as lines of a screen and as JSON."""
+"""What the files of a site hold of its operation and what its peers respond, as lines and as JSON."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 from zoneinfo import ZoneInfo
 
+from app.cli.findings.peers import peer_faults
 from app.cli.site.facts import (
     BackupFacts,
     CertificateFacts,
@@ -20,9 +21,10 @@ from app.cli.site.facts import (
 )
 from app.handover.rules.shift_times import site_time
 from app.history.status import MAX_DAYS
+from app.peers.settings import PeerSettings
 from app.settings import Settings
 from app.version import VERSION
-from app.web.api.shape import iso
+from app.web.api.shape import iso, maybe_shown
 from bus.instants import UnixTime
 from bus.messages import Message, number
 
@@ -38,14 +40,15 @@ class SiteFacts:
     certificates: list[CertificateFacts]
     backup: BackupFacts | None
     publisher: PublisherFacts | None
+    peers: list[tuple[PeerSettings, Message | None]]
     now: UnixTime
 
 
 def site_facts(settings: Settings, now: UnixTime) -> SiteFacts:
-    """Read the files of a site."""
+    """Read the files of a site, and each of its peers once."""
     disk, certificates = disk_facts(settings, now), certificate_facts(settings)
     backup, publisher = backup_facts(settings, now), publisher_facts(settings)
-    return SiteFacts(disk, certificates, backup, publisher, now)
+    return SiteFacts(disk, certificates, backup, publisher, peer_faults(settings), now)
 
 
 def facts_lines(settings: Settings, facts: SiteFacts) -> Iterator[Message]:
@@ -63,6 +66,11 @@ def facts_lines(settings: Settings, facts: SiteFacts) -> Iterator[Message]:
     yield _backup_line(facts.backup, facts.now, zone)
     if facts.publisher is not None:
         yield _publisher_line(facts.publisher, facts.now, zone)
+    for peer, fault in facts.peers:
+        if fault is None:
+            yield Message.of("check_peer", peer=peer.name, url=peer.url)
+        else:
+            yield Message.of("peer_not_read", peer=peer.name, reason=fault)
 
 
 def facts_json(settings: Settings, facts: SiteFacts) -> dict[str, Any]:
@@ -98,6 +106,9 @@ def facts_json(settings: Settings, facts: SiteFacts) -> dict[str, Any]:
             "until": None if publisher.until is None else iso(publisher.until),
             "lag_s": None if publisher.until is None else max(0, int(facts.now - publisher.until)),
         },
+        "peers": [
+            {"name": peer.name, "url": peer.url, "fault": maybe_shown(fault)} for peer, fault in facts.peers
+        ],
     }
 
 
