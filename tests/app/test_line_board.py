@@ -78,11 +78,11 @@ def test_a_line_that_is_no_longer_reported_is_never_well() -> None:
 def test_a_peer_that_is_away_says_why_and_shows_no_old_figures() -> None:
     away = peer(Message.of("peer_not_reached", reason="Connection refused"))
     fields = tile(LineOnBoard("a", summary("a", waiting=1), 70.0, away))
-    assert fields["verdict"] == "No report from Mill 2 for 70 s: no connection, Connection refused"
+    assert fields["verdict"] == "No report from Mill 2 for 70 s: Connection refused"
     assert fields["last"] == "Last reported: All 8 units at speed"
     assert (fields["speed"], fields["alarm"], fields["counts"]) == (UNKNOWN, "", "")
     never = tile(LineOnBoard("", None, None, away))
-    assert never["verdict"] == "Mill 2 is not read: no connection, Connection refused"
+    assert never["verdict"] == "Mill 2 is not read: Connection refused"
     away.fault, away.reported_at = None, Monotonic(1.0)
     assert tile(LineOnBoard("", None, 1.0, away))["verdict"] == "Mill 2 has no lines of its own"
 
