@@ -157,14 +157,16 @@ def _unused(numbers: range, units: int, chance: random.Random) -> dict[int, Iter
 def _outcome(response: httpx.Response) -> tuple[str | None, int | None, str]:
     """The outcome as the server states it, the error of the unit, and why; None: it did not state one.
 
-    A problem without an outcome is ``refused_here``: no command was made of the request.
+    A problem without the id of a command is ``refused_here``: none was made of the request, as where the
+    scale of a typed value could not be read.
     """
     try:
         body = response.json()
     except json.JSONDecodeError:
         return None, None, ""
     reason = body.get("detail") or body.get("message") or ""
-    return body.get("outcome", "refused_here"), body.get("unit_error"), str(reason)
+    outcome = body["outcome"] if "id" in body else "refused_here"
+    return outcome, body.get("unit_error"), str(reason)
 
 
 def _instant(at: float) -> str:

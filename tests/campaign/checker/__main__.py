@@ -36,6 +36,7 @@ def summary(folder: Path, bus: str) -> str:
     held = sum(
         rules.is_held(owned, owned.arrived, found.halts) and owned.frame.command == SET_AND_EXECUTE
         for owned in frames
+        if found.connections
     )
     outcomes = Counter(command.outcome or "without a response" for command in found.commands)
     typed = sum(command.typed is not None and command.outcome == "verified" for command in found.commands)
