@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
-import pytest
 import uvicorn
 from babel import core, localedata
 from fastapi import FastAPI
@@ -15,51 +14,25 @@ from fastapi.dependencies.utils import get_flat_params
 from fastapi.routing import APIRoute, iter_route_contexts
 from packaging.requirements import Requirement
 from serialx.platforms.serial_rfc2217 import RFC2217Serial, RFC2217SerialTransport
-from starlette.types import Receive, Scope, Send
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
-from uvicorn.server import ServerState
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 ROOT = Path(__file__).resolve().parents[1]
 BOUNDED = ("babel", "uvicorn", "httptools", "websockets", "fastapi", "serialx")
-HOW = "app/server overrides it: read what replaced it, then docs/decisions/0008-uvicorn-internals.md"
-
-METHODS: dict[type, str] = {
-    HttpToolsProtocol: (
-        "connection_made connection_lost data_received resume_writing send_400_response on_message_begin "
-        "on_url on_header on_headers_complete on_body on_message_complete on_response_complete "
-        "handle_websocket_upgrade"
-    ),
-    RequestResponseCycle: "run_asgi send receive",
-    WebSocketsSansIOProtocol: (
-        "connection_made connection_lost data_received resume_writing handle_connect handle_text "
-        "handle_bytes handle_cont handle_ping handle_pong handle_parser_exception run_asgi send receive"
-    ),
-    uvicorn.Server: "startup shutdown main_loop on_tick capture_signals",
-}
-ATTRIBUTES: dict[type, str] = {
-    HttpToolsProtocol: "client config cycle flow headers loop pipeline scope transport ws_protocol_class",
-    WebSocketsSansIOProtocol: "close_sent conn frames handshake_complete loop queue read_paused transport",
-}
+HOW = "read what replaced it, then docs/decisions/0008-gate.md"
 
 
-def made(kind: Callable[..., object]) -> object:
-    async def app(_scope: Scope, _receive: Receive, _send: Send) -> None: ...
-
-    return kind(uvicorn.Config(app), ServerState(), {})
-
-
-@pytest.mark.parametrize(("kind", "names"), METHODS.items())
-def test_overridden_members_exist(kind: type, names: str) -> None:
-    gone = [name for name in names.split() if not callable(getattr(kind, name, None))]
-    assert gone == [], f"{kind.__name__} has no {', '.join(gone)} any more. {HOW}"
+def test_overridden_methods_of_uvicorn_exist() -> None:
+    gone = [
+        name for name in ("startup", "capture_signals") if not callable(getattr(uvicorn.Server, name, None))
+    ]
+    assert gone == [], f"uvicorn.Server has no {', '.join(gone)} any more: {HOW}"
 
 
-@pytest.mark.parametrize(("kind", "names"), ATTRIBUTES.items())
-async def test_used_members_exist(kind: type, names: str) -> None:
-    protocol = made(kind)
-    gone = [name for name in names.split() if not hasattr(protocol, name)]
-    assert gone == [], f"{kind.__name__} has no {', '.join(gone)} any more. {HOW}"
+def test_a_protocol_of_uvicorn_is_made_by_name() -> None:
+    """Made and called by app.server.connection.gate, as by uvicorn itself."""
+    made_by = inspect.signature(HttpToolsProtocol).parameters
+    assert [*made_by] == ["config", "server_state", "app_state", "_loop"], HOW
+    assert issubclass(HttpToolsProtocol, asyncio.Protocol), HOW
 
 
 def test_used_members_of_fastapi_exist() -> None:

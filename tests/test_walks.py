@@ -119,13 +119,6 @@ class PlayedSocket:
         self.is_used.set()
 
 
-class PlayedOutlet:
-    """The transport of a page that takes everything."""
-
-    def write(self, _frame: bytes, /) -> bool:
-        return True
-
-
 def worker_calls_of_a_reading(calls: Calls) -> None:
     """From the bytes of a response to the batch on the socket."""
 
@@ -157,8 +150,8 @@ def worker_calls_of_a_click(calls: Calls) -> None:
 
 
 async def app_calls_of_a_reading(house: House, connection: PlayedConnection, calls: Calls) -> None:
-    """From the message of the worker to the transport of a page."""
-    house.services[Hub].join(Browser("anna", "viewer", "en", PlayedOutlet()))
+    """From the message of the worker to the slot of a page."""
+    house.services[Hub].join(Browser("anna", "viewer", "en"))
     with calls.watched():
         await connection.report(reading(UNIT, 1234))
 

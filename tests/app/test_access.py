@@ -19,7 +19,7 @@ from app.auth.accounts import Accounts
 from app.auth.rights.access import PUBLIC_PATHS
 from app.auth.rights.identity import Identity
 from app.main import create_app
-from app.server.connection.client_connection import EXTENSION, NoClientConnection
+from app.server.connection.client_connection import CONNECTION, NoClientConnection
 from app.web.admission.access import Person, Requires, Role
 from app.web.admission.cookies import SESSION
 from app.web.admission.routes import demands, refuse_undeclared
@@ -139,7 +139,7 @@ async def test_the_server_learns_whose_a_connection_is(house: House) -> None:
             seen.append(account)
 
     async def offering(scope: Scope, receive: Receive, send: Send) -> None:
-        await house.app({**scope, "extensions": {EXTENSION: Noting()}}, receive, send)
+        await house.app({**scope, "state": {CONNECTION: Noting()}}, receive, send)
 
     page = await house.signed_in(Role.ENGINEER, "ann")
     transport = httpx.ASGITransport(offering)

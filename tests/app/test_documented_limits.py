@@ -13,7 +13,7 @@ from app.auth.rights import rights
 from app.auth.sign_in import passwords, signin, throttle
 from app.live.api import line_stream
 from app.server.admission import addresses
-from app.server.connection import connections, http, pace
+from app.server.connection import connections, gate, pace
 from app.web.admission import bounds
 from app.web.api import route as api_route
 
@@ -54,7 +54,6 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
         "then {} a second.",
         (acts.MAX_ACTS, acts.ACTS_PER_S),
     ),
-    ("api.md", "At most {} requests wait for a response on one connection", (http.MAX_PIPELINED,)),
     (
         "api.md",
         "A body is at most {} kB, with a file of parameter sets {} MB (413); an object has at most {} "
@@ -66,8 +65,8 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
             api_route.MAX_MEMBERS,
             bounds.MAX_PATH,
             bounds.MAX_QUERY,
-            http.MAX_HEAD_BYTES / KB,
-            http.MAX_HEADERS,
+            gate.MAX_HEAD_BYTES / KB,
+            gate.MAX_HEADERS,
         ),
     ),
     (

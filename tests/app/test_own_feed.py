@@ -18,6 +18,8 @@ from app.settings import ServerSettings
 from tests.app.complete_app import settings_in
 from tests.certificates import certificates
 
+FEED = ("127.0.0.1", 40_000)
+
 
 async def sent(scope: dict[str, Any]) -> list[Message]:
     """What a client gets of an app that sends "fed"."""
@@ -32,7 +34,7 @@ async def sent(scope: dict[str, Any]) -> list[Message]:
     async def send(message: Message) -> None:
         messages.append(message)
 
-    await OnlyFeed(app)(scope, receive, send)
+    await OnlyFeed(app, FEED)({"server": FEED, **scope}, receive, send)
     return messages
 
 
@@ -42,6 +44,11 @@ async def test_only_the_feed_is_served() -> None:
     start, body = await sent({"type": "http", "path": "/feed", "method": "GET", "headers": []})
     assert start["status"] == 400
     assert b"tls_required" in body["body"]
+
+
+@pytest.mark.parametrize("server", [("192.0.2.1", 443), ("192.0.2.1", 40_000), None])
+async def test_everything_is_served_elsewhere(server: tuple[str, int] | None) -> None:
+    assert await sent({"type": "http", "path": "/", "server": server}) == [{"type": "fed"}]
 
 
 @pytest.mark.parametrize(
@@ -68,7 +75,7 @@ def test_with_a_certificate_its_fault_is_that_of_the_server(tmp_path: Path) -> N
 def test_without_tls_nothing_of_it_is_imported(tmp_path: Path) -> None:
     code = (
         "import sys; from app.settings import Settings; from app.cli.serving.server import Server; "
-        "Server(Settings.model_validate({'server': {'data': sys.argv[1]}}), False, {}, bool); "
+        "Server(Settings.model_validate({'server': {'data': sys.argv[1]}}), False, {}, bool, 0.0); "
         "import bus.worker.process; "
         "print(sorted(name for name in sys.modules if 'tls' in name.split('.')[-1] "
         "and name.split('.')[0] in ('app', 'bus')))"

@@ -30,6 +30,7 @@ from app.cli.simulated.demo import CHOOSE
 from app.database import Database
 from app.server.service_manager import ServiceManager
 from app.settings import load
+from bus.instants import monotonic_now
 from tests import fork_server
 from tests.fork_server import ForkedProcess
 from tests.sizes import sizes
@@ -159,7 +160,7 @@ def test_a_stop_while_the_dashboard_is_still_read_ends_its_workers_at_once(
     monkeypatch.setattr(hosting, "import_module", import_module)
     monkeypatch.setattr(hosting, "configure_log", lambda: None)
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        hosting.host(load(config), config, listening, ServiceManager({}))
+        hosting.host(load(config), config, listening, ServiceManager({}), monotonic_now())
     assert happened == ["workers ended", "dashboard read"]
 
 

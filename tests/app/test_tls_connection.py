@@ -6,7 +6,7 @@ import asyncio
 import gc
 import ssl
 import weakref
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -14,24 +14,16 @@ from websockets.asyncio.client import connect
 
 from app.server.connection.connections import MAX_OF_ADDRESS
 from app.server.connection.pace import WITHIN_S, Awaited
-from app.server.tls.connection import HEADER_BYTES, MAX_PASSED_OVER_BYTES, MAX_RECORDS_A_TURN
-from tests.app.tls_site import GET, PATIENCE_S, Ends, TlsSite, tls_site
+from app.server.connection.records import HEADER_BYTES
+from bus.instants import monotonic_now
+from tests.app.gated import PATIENCE_S, Ends, everything, until
+from tests.app.tls_site import GET, TlsSite, tls_site
 
 
 @pytest.fixture
 async def site(tmp_path: Path) -> AsyncIterator[TlsSite]:
     async with tls_site(tmp_path) as site:
         yield site
-
-
-async def until(holds: Callable[[], object]) -> None:
-    async with asyncio.timeout(PATIENCE_S):
-        while not holds():  # noqa: ASYNC110
-            await asyncio.sleep(0.001)
-
-
-async def all_of(reader: asyncio.StreamReader) -> bytes:
-    return await asyncio.wait_for(reader.read(), PATIENCE_S)
 
 
 async def response(ends: Ends, request: bytes = GET, ending: bytes = b"hello") -> bytes:
@@ -141,86 +133,41 @@ async def test_every_byte_may_come_alone(site: TlsSite) -> None:
     assert (await client.text(b"hello")).startswith(b"HTTP/1.1 200")
 
 
-async def test_records_of_a_byte_are_decrypted_few_in_each_iteration(site: TlsSite) -> None:
+@pytest.mark.parametrize("parts", [1, len(GET)], ids=["one record", "records of a byte"])
+async def test_a_request_has_the_time_at_which_its_first_byte_arrived(site: TlsSite, parts: int) -> None:
     client = await by_hand(site)
-    await until(lambda: site.connections[0]._is_established)
-    taken: list[int] = []
-    take = site.connections[0]._take_records
-    decrypted = 0
-
-    def counting(data: bytes) -> None:
-        nonlocal decrypted
-        decrypted += 1
-        received(data)
-
-    def noting() -> None:
-        before = decrypted
-        take()
-        taken.append(decrypted - before)
-
-    received = site.protocols[0].data_received
-    site.protocols[0].data_received = counting  # type: ignore[method-assign]
-    site.connections[0]._take_records = noting  # type: ignore[method-assign]
-    client.writer.write(client.records(*(bytes([each]) for each in GET * 10)))
-    await until(lambda: len(site.scopes) == 10)
-    assert max(taken) <= MAX_RECORDS_A_TURN
-    assert len(taken) > 30
-
-
-async def test_a_handshake_takes_its_turn(site: TlsSite) -> None:
-    client = ByHand(site, await site.plain())
-    await until(lambda: site.connections)
-    site.turns.run("another", bool)
-    site.connections[0].data_received(client.hello())
-    assert not site.connections[0]._has_begun
-    client.writer.write(await client.finish())
-
-
-async def test_what_waits_for_its_turn_leaves_the_rest_in_the_kernel(site: TlsSite) -> None:
-    client = await by_hand(site)
-    await until(lambda: site.connections[0]._is_established)
-    connection = site.connections[0]
-    site.protocols[0].data_received = bool  # type: ignore[assignment]
-    site.turns.run("another", bool)
-    connection.data_received(client.records(*[b"x"] * (MAX_RECORDS_A_TURN + 1)))
-    assert connection._awaits_turn
-    assert not connection.is_reading()
-    connection.data_received(client.records(b"y"))
-    await until(connection.is_reading)
-    assert not connection._received
-
-
-async def test_a_request_has_the_time_at_which_its_first_byte_arrived(site: TlsSite) -> None:
-    client = await by_hand(site)
-    request = client.records(GET)
+    await until(lambda: site.served.made[0].is_encrypted)
+    request = client.records(*(GET[n::parts][:1] if parts > 1 else GET for n in range(parts)))
+    received = site.served.received
     client.writer.write(request[: HEADER_BYTES + 3])
-    await until(lambda: site.connections and site.connections[0]._received)
-    arrived = site.protocols[0]._arrived_at
-    await asyncio.sleep(0.05)
+    await until(lambda: site.served.received > received)
+    begun = monotonic_now()
+    await asyncio.sleep(0.3)
     client.writer.write(request[HEADER_BYTES + 3 :])
     await client.text(b"hello")
-    assert site.arrivals == [arrived]
     client.writer.write(client.records(GET))
     await client.text(b"hello")
-    assert site.arrivals[1] > arrived
+    first, second = site.arrivals
+    assert first <= float(begun) < second
 
 
 async def test_a_handshake_without_an_end_has_the_time_of_a_first_request(site: TlsSite) -> None:
     idle, begun = await site.plain(), ByHand(site, await site.plain())
     begun.writer.write(begun.hello())
-    await until(lambda: len(site.connections) == 2)
-    site.pass_s(WITHIN_S[Awaited.FIRST] - 1)
-    assert not any(each.is_closing() for each in site.connections)
-    site.pass_s(WITHIN_S[Awaited.FIRST] + 1)
-    assert await all_of(idle[0]) == b""
-    await until(lambda: all(each.is_closing() for each in site.connections))
+    await until(lambda: site.served.received)
+    site.served.pass_s(WITHIN_S[Awaited.FIRST] - 1)
+    assert site.served.is_open(0)
+    assert site.served.is_open(1)
+    site.served.pass_s(WITHIN_S[Awaited.FIRST] + 1)
+    assert await everything(idle[0]) == b""
+    await until(lambda: not site.served.gates.open)
 
 
 async def test_unfinished_handshakes_displace_one_another(site: TlsSite) -> None:
     served, known = await site.connect(), GET.replace(b"/", b"/known", 1)
     assert await response(served, known)
     ends = [await site.plain() for _ in range(MAX_OF_ADDRESS + 5)]
-    await until(lambda: sum(each._protocol is None for each in site.connections) >= 5)
+    await until(lambda: len(site.served.gates.open) == MAX_OF_ADDRESS + 1)
     assert await response(served, known)
     for _, writer in ends:
         writer.close()
@@ -229,7 +176,7 @@ async def test_unfinished_handshakes_displace_one_another(site: TlsSite) -> None
 async def test_plain_http_gets_a_hint(site: TlsSite) -> None:
     reader, writer = await site.plain()
     writer.write(GET)
-    got = await all_of(reader)
+    got = await everything(reader)
     assert got.startswith(b"HTTP/1.1 400")
     assert b"begin the address with https://" in got
     assert site.scopes == []
@@ -249,7 +196,7 @@ async def test_garbage_is_no_handshake(site: TlsSite, garbage: bytes) -> None:
     reader, writer = await site.plain()
     writer.write(garbage)
     if len(garbage) > HEADER_BYTES:
-        got = await all_of(reader)
+        got = await everything(reader)
         assert got == b"" or got[0] == 21  # an alert
     writer.close()
     assert await response(await site.connect())
@@ -259,19 +206,8 @@ async def test_garbage_after_the_handshake_ends_the_connection(site: TlsSite) ->
     client = await by_hand(site)
     client.writer.write(b"\x17\x03\x03\x00\x20" + b"x" * 32)
     await asyncio.wait_for(client.reader.read(), PATIENCE_S)
-    await until(lambda: site.connections[0]._protocol is None)
+    await until(lambda: not site.served.gates.open)
     assert site.scopes == []
-
-
-async def test_what_follows_the_end_is_passed_over_and_bounded(site: TlsSite) -> None:
-    _, writer = await site.plain()
-    writer.write(GET)
-    await until(lambda: site.connections and site.connections[0]._is_over)
-    site.connections[0].data_received(b"x" * MAX_PASSED_OVER_BYTES)
-    assert not site.connections[0].is_closing()
-    site.connections[0].data_received(b"x")
-    assert site.connections[0].is_closing()
-    writer.close()
 
 
 async def test_a_client_cannot_renegotiate(site: TlsSite) -> None:
@@ -284,14 +220,14 @@ async def test_a_client_cannot_renegotiate(site: TlsSite) -> None:
 async def test_the_end_is_announced_and_the_socket_closes(site: TlsSite) -> None:
     reader, writer = await site.connect()
     writer.write(b"GET / HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n")
-    assert (await all_of(reader)).endswith(b"hello")
-    await until(lambda: site.connections[0]._protocol is None)
+    assert (await everything(reader)).endswith(b"hello")
+    await until(lambda: not site.served.gates.open)
 
 
 async def test_the_clients_end_closes_the_connection(site: TlsSite) -> None:
     _, writer = await site.connect()
     writer.close()
-    await until(lambda: site.connections and site.connections[0]._protocol is None)
+    await until(lambda: not site.served.gates.open)
 
 
 async def test_a_refusal_reaches_a_client_that_goes_on_sending(site: TlsSite) -> None:
@@ -304,52 +240,16 @@ async def test_a_refusal_reaches_a_client_that_goes_on_sending(site: TlsSite) ->
     writer.close()
 
 
-async def test_nothing_is_written_before_the_handshake_or_after_the_end(site: TlsSite) -> None:
-    await site.plain()
-    await until(lambda: site.connections and site.protocols[0].transport is not None)
-    connection = site.connections[0]
-    connection.write(b"x")
-    assert connection.get_write_buffer_size() == 0
-    assert connection.get_extra_info("peercert") is None
-    connection.close()
-    connection.write(b"x")
-    connection.close()
-
-
 async def test_a_connection_that_has_ended_is_freed_at_once(site: TlsSite) -> None:
     reader, writer = await site.connect()
     assert await response((reader, writer))
-    left = [weakref.ref(site.connections.pop()), weakref.ref(site.protocols.pop())]
+    gate = site.served.made.pop()
+    left = [weakref.ref(gate), weakref.ref(gate.inner)]
+    del gate
+    site.scopes.clear()
     gc.disable()
     try:
         writer.close()
         await until(lambda: not any(each() for each in left))
     finally:
         gc.enable()
-
-
-async def test_a_paused_protocol_gets_nothing_until_it_resumes(site: TlsSite) -> None:
-    client = await by_hand(site)
-    await until(lambda: site.connections[0]._is_established)
-    connection = site.connections[0]
-    connection.pause_reading()
-    assert not connection.is_reading()
-    connection.data_received(client.records(GET))
-    await asyncio.sleep(0)
-    assert site.scopes == []
-    connection.resume_reading()
-    assert await client.text(b"hello")
-
-
-async def test_the_transport_offers_what_a_plain_one_does(site: TlsSite) -> None:
-    await site.connect()
-    await until(lambda: site.connections[0]._is_established)
-    connection = site.connections[0]
-    connection.set_write_buffer_limits(high=1000)
-    assert connection.get_write_buffer_limits()[1] == 1000
-    assert connection.get_protocol() is site.protocols[0]
-    assert connection.can_write_eof()
-    connection.pause_writing()
-    assert site.protocols[0].flow.write_paused
-    connection.resume_writing()
-    assert not site.protocols[0].flow.write_paused

@@ -16,6 +16,7 @@ from app.auth.accounts import Accounts
 from app.cli.serving.server import Server
 from app.server.admission.addresses import Network
 from app.web.admission.access import Role
+from bus.instants import monotonic_now
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, settings_in
 
@@ -43,7 +44,7 @@ async def test_only_a_proxy_that_is_named_is_believed(
     settings, serving = settings_in(tmp_path), asyncio.Event()
     proxied = settings.server.model_copy(update={"trusted_proxies": trusted})
     settings = settings.model_copy(update={"server": proxied})
-    server = Server(settings, demo=False, worker_tokens={}, serving=lambda _code: serving.set())
+    server = Server(settings, False, {}, lambda _code: serving.set(), monotonic_now())
     services = server.services
     with socket.create_server(("127.0.0.1", 0)) as listening:
         task = asyncio.create_task(server.serve([listening]))

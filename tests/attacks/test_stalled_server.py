@@ -28,6 +28,8 @@ from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import Unit
 
 GIVEN_S, HELD_S = 1.0, 1.5
+BACKLOG = 60
+"""The server accepts one in each iteration of its loop."""
 OTHER_UNIT, UNIT = 2, 1
 
 
@@ -147,12 +149,13 @@ def test_what_waited_while_the_server_stood_still_is_not_sent(plant: Dashboard, 
         followed.set_speed(103)
         pipelined.send("GET", "/api/v1/line")
         pipelined.set_speed(104)
-        backlog = connect(port_of(plant))
-        backlog.set_speed(105)
+        backlog = [connect(port_of(plant)) for _ in range(BACKLOG)]
+        for late in backlog:
+            late.set_speed(105)
     # The last byte of this connection is young; the first is not.
     followed.send("GET", "/healthz")
     assert pipelined.response()[0] == 200
-    for late in (kept, in_two_packets, followed, pipelined, backlog):
+    for late in (kept, in_two_packets, followed, pipelined, *backlog):
         assert _outcome(late) == (503, "not_sent")
     fresh = connect(port_of(plant))
     fresh.set_speed(110, timeout_s=None)

@@ -10,26 +10,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 import pytest
-import uvicorn
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
-from uvicorn.server import ServerState
 
-from app.server.admission.refusal_log import RefusalLog
-from app.server.admission.turns import LoopTurns
 from app.server.connection.client_connection import client_connection
-from app.server.connection.connections import Connections
-from app.server.connection.http import HttpProtocol
+from app.server.connection.gate import CLOSING_S, MAX_HELD_BYTES, MAX_MESSAGE_BYTES, Gate
 from app.server.connection.pace import STALL_S
-from app.server.connection.protocol import CLOSING_S, SLICE_BYTES
-from app.server.connection.websocket import (
-    MAX_FRAMES_AT_ONCE,
-    MAX_MESSAGE_BYTES,
-    MAX_UNREAD_BYTES,
-    WebSocketProtocol,
-)
+from tests.app.gated import PATIENCE_S, Port, everything, gated, until
 
-PATIENCE_S = 30.0
 FEED_PATH = "/feed"
 HANDSHAKE = (
     "GET {path} HTTP/1.1\r\nHost: here\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
@@ -53,16 +41,12 @@ def frame(opcode: int, payload: bytes = b"", size: int | None = None) -> bytes:
 class Site:
     """A server with an app that reads and writes a socket when the test lets it."""
 
-    port: int = 0
-    connections: Connections = field(default_factory=Connections)
-    protocols: list[WebSocketProtocol] = field(default_factory=list)
+    served: Port = field(init=False)
     messages: list[str] = field(default_factory=list)
     reads: asyncio.Event = field(default_factory=asyncio.Event)
     connected: asyncio.Event = field(default_factory=asyncio.Event)
     accepts: asyncio.Event = field(default_factory=asyncio.Event)
     accepted: asyncio.Event = field(default_factory=asyncio.Event)
-    state: ServerState = field(default_factory=ServerState)
-    writers: list[asyncio.StreamWriter] = field(default_factory=list)
     closed: int = 0
     trust: Callable[[], None] = bool
 
@@ -88,15 +72,17 @@ class Site:
 
     async def connect(self, path: str = "/live") -> asyncio.StreamReader:
         """A client that has opened its socket."""
-        reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
-        self.writers.append(writer)
-        writer.write(HANDSHAKE.format(path=path).encode())
+        reader, _ = await self.served.connect(HANDSHAKE.format(path=path).encode())
         assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
         return reader
 
     @property
-    def protocol(self) -> WebSocketProtocol:
-        return self.protocols[-1]
+    def writers(self) -> list[asyncio.StreamWriter]:
+        return self.served.writers
+
+    @property
+    def gate(self) -> Gate:
+        return self.served.made[-1]
 
 
 @pytest.fixture
@@ -104,67 +90,42 @@ async def site() -> AsyncIterator[Site]:
     site = Site()
     site.reads.set()
     site.accepts.set()
-
-    class Known(WebSocketProtocol):
-        def connection_made(self, transport: asyncio.BaseTransport) -> None:
-            site.protocols.append(self)
-            super().connection_made(transport)
-
-    config = uvicorn.Config(
-        site, lifespan="off", log_level="critical", ws_per_message_deflate=False, ws=Known
-    )
-    loop = asyncio.get_running_loop()
-    shared = {"open_connections": site.connections, "turns": LoopTurns(), "refusals": RefusalLog()}
-    server = await loop.create_server(
-        lambda: HttpProtocol(config, site.state, {}, **shared),
-        "127.0.0.1",
-        0,
-    )
-    site.port = server.sockets[0].getsockname()[1]
-    yield site
-    for writer in site.writers:
-        writer.transport.abort()
-        with suppress(ConnectionError):
-            await writer.wait_closed()
-    server.close()
-    await until_gone(site.state)
-    assert site.connections._known == site.connections._strangers == {}
-
-
-async def until_gone(state: ServerState) -> None:
-    async with asyncio.timeout(PATIENCE_S):
-        while state.connections or state.tasks:  # noqa: ASYNC110
-            await asyncio.sleep(0.001)
-
-
-async def everything(reader: asyncio.StreamReader) -> bytes:
-    """Until the server closes."""
-    with suppress(ConnectionError):
-        return await asyncio.wait_for(reader.read(), PATIENCE_S)
-    return b""
+    async with gated(site) as site.served:
+        yield site
 
 
 @pytest.mark.parametrize(
     "flood",
     [
-        frame(FIN | TEXT, b"{}") * 100_000,
-        frame(FIN | TEXT) * 100_000,
         frame(TEXT) + frame(CONT) * 100_000,
         frame(FIN | PING) * 100_000,
         frame(FIN | PING, b"x" * 125) * 10_000,
         frame(FIN | PONG) * 100_000,
+        frame(FIN | TEXT, b"x" * (2 * MAX_MESSAGE_BYTES)),
     ],
-    ids=["messages", "empty messages", "fragments", "empty pings", "pings", "pongs"],
+    ids=["fragments", "empty pings", "pings", "pongs", "a large message"],
 )
-async def test_a_flood_of_frames_ends_its_socket(site: Site, flood: bytes) -> None:
+async def test_a_flood_without_a_message_ends_its_socket(site: Site, flood: bytes) -> None:
     reader = await site.connect()
     begun = time.thread_time()
     site.writers[0].write(flood)
-    received = await everything(reader)
+    await everything(reader)
     assert time.thread_time() - begun < CPU_S
-    assert b"too many messages" in received or received == b""
-    assert len(site.messages) <= MAX_FRAMES_AT_ONCE
-    assert site.protocol.queue.qsize() <= MAX_FRAMES_AT_ONCE
+    assert site.messages == []
+
+
+async def test_messages_that_the_app_does_not_read_wait_in_the_system(site: Site) -> None:
+    site.reads.clear()
+    reader = await site.connect()
+    await site.accepted.wait()
+    site.writers[0].write(frame(FIN | TEXT, b"{}") * 500_000)
+    await until(lambda: site.gate._held_bytes > MAX_HELD_BYTES)
+    for _ in range(1000):
+        await asyncio.sleep(0)
+    assert site.served.received < 1_000_000
+    assert not reader.at_eof()
+    site.writers[0].transport.abort()
+    site.reads.set()
 
 
 async def test_a_frame_larger_than_any_message_ends_its_socket_before_it_arrives(site: Site) -> None:
@@ -174,34 +135,29 @@ async def test_a_frame_larger_than_any_message_ends_its_socket_before_it_arrives
     assert struct.pack("!H", 1009) in received
 
 
-@pytest.mark.parametrize("early", [frame(FIN | TEXT, b"{}"), frame(FIN | TEXT, b"x", size=100_000_000)])
-async def test_frames_before_the_response_to_the_handshake_end_the_connection(
-    site: Site, early: bytes
-) -> None:
-    faults = list[object]()
-    asyncio.get_running_loop().set_exception_handler(lambda _, context: faults.append(context))
+async def test_frames_before_the_response_to_the_handshake_wait_for_it(site: Site) -> None:
     site.accepts.clear()
-    reader, writer = await asyncio.open_connection("127.0.0.1", site.port)
-    site.writers.append(writer)
-    writer.write(HANDSHAKE.format(path="/live").encode())
+    reader, writer = await site.served.connect(HANDSHAKE.format(path="/live").encode())
+    writer.write(frame(FIN | TEXT, b"early"))
     await site.connected.wait()
-    writer.write(early)
-    assert await everything(reader) == b""
+    assert site.messages == []
     site.accepts.set()
-    await until_gone(site.state)
-    assert (site.messages, faults) == ([], [])
+    assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
+    await until(lambda: site.messages == ["early"])
 
 
 async def test_a_burst_of_handshakes_stands_in_front_of_no_other_sender(site: Site) -> None:
-    burst = [await asyncio.open_connection("127.0.0.1", site.port) for _ in range(60)]
-    site.writers += [writer for _, writer in burst]
+    burst = [await asyncio.open_connection("127.0.0.1", site.served.number) for _ in range(60)]
+    site.writers.extend(writer for _, writer in burst)
     for _, writer in burst:
         writer.write(HANDSHAKE.format(path="/live").encode())
-    reader, writer = await asyncio.open_connection("127.0.0.1", site.port, local_addr=("127.0.0.2", 0))
+    reader, writer = await asyncio.open_connection(
+        "127.0.0.1", site.served.number, local_addr=("127.0.0.2", 0)
+    )
     site.writers.append(writer)
     writer.write(HANDSHAKE.format(path="/live").encode())
     assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
-    assert len(site.protocols) < 40
+    assert sum(gate._is_socket for gate in site.served.made) < 40
     for gone, writer in burst[50:]:
         writer.transport.abort()
         await gone.read()
@@ -216,76 +172,77 @@ async def test_a_burst_of_handshakes_stands_in_front_of_no_other_sender(site: Si
 )
 async def test_what_follows_the_close_of_the_server_ends_the_connection(site: Site, sent: bytes) -> None:
     reader = await site.connect()
-    site.protocol.close_timeout = 10 * PATIENCE_S
     site.writers[-1].write(frame(FIN | TEXT, b"close"))
     assert (await reader.readexactly(4))[:1] == bytes([FIN | CLOSE])
     site.writers[-1].write(sent)
-    assert await everything(reader) == b""
+    await everything(reader)
+    await until(lambda: not site.served.gates.open)
 
 
 async def test_fragments_count_together(site: Site) -> None:
     reader = await site.connect()
     half = b"x" * (MAX_MESSAGE_BYTES // 2 + 1)
-    site.writers[0].write(frame(TEXT, half) + frame(CONT, half))
-    assert struct.pack("!H", 1009) in await everything(reader)
+    site.writers[0].write(frame(TEXT, half) + frame(FIN | CONT, half))
+    assert await everything(reader) == b""
+    assert site.messages == []
 
 
-async def test_a_client_that_sends_and_does_not_read_is_dropped(site: Site) -> None:
+async def test_a_client_that_sends_and_does_not_read_is_read_no_more(site: Site) -> None:
     await site.connect()
     await site.accepted.wait()
-    site.protocol.transport.write(b"x" * 10_000_000)
-    assert site.protocol.transport.get_write_buffer_size() > MAX_UNREAD_BYTES
-    site.writers[0].write(frame(FIN | PING, b"x"))
-    async with asyncio.timeout(PATIENCE_S):
-        await site.protocol.loop.create_task(_until_closing(site))
+    site.gate.transport.write(b"x" * 10_000_000)
+    written = site.gate.transport.get_write_buffer_size()
+    site.writers[0].write(frame(FIN | PING, b"x") * 100)
+    await until(lambda: site.gate._held_bytes)
+    for _ in range(100):
+        await asyncio.sleep(0)
+    assert site.gate.transport.get_write_buffer_size() <= written
 
 
 async def test_a_client_that_reads_nothing_is_dropped(site: Site) -> None:
     await site.connect()
     await site.accepted.wait()
-    site.protocol.transport.write(b"x" * 10_000_000)
-    now = site.protocol.loop.time()
-    site.protocol.check(now)
-    site.protocol.check(now + STALL_S - 1)
-    assert not site.protocol.transport.is_closing()
-    site.protocol.check(now + STALL_S + 1)
-    assert site.protocol.transport.is_closing()
+    site.gate.transport.write(b"x" * 10_000_000)
+    now = asyncio.get_running_loop().time()
+    site.gate.check(now)
+    site.gate.check(now + STALL_S - 1)
+    assert not site.gate.transport.is_closing()
+    site.gate.check(now + STALL_S + 1)
+    assert site.gate.transport.is_closing()
 
 
 async def test_a_client_that_has_read_everything_has_its_time_again(site: Site) -> None:
     reader = await site.connect()
     await site.accepted.wait()
-    now = site.protocol.loop.time()
-    site.protocol.transport.write(b"x" * 10_000_000)
-    site.protocol.check(now)
+    now = asyncio.get_running_loop().time()
+    site.gate.transport.write(b"x" * 10_000_000)
+    site.gate.check(now)
     await asyncio.wait_for(reader.readexactly(10_000_000), PATIENCE_S)
-    site.protocol.transport.write(b"x" * 20_000_000)
-    site.protocol.check(now + STALL_S + 1)
-    assert not site.protocol.transport.is_closing()
+    site.gate.transport.write(b"x" * 20_000_000)
+    site.gate.check(now + STALL_S + 1)
+    assert not site.gate.transport.is_closing()
 
 
 async def test_who_does_not_read_the_end_of_a_connection_is_not_waited_for(site: Site) -> None:
     await site.connect()
     await site.accepted.wait()
-    now = site.protocol.loop.time()
-    site.protocol.transport.write(b"x" * 10_000_000)
-    site.protocol.transport.close()
+    now = asyncio.get_running_loop().time()
+    site.gate.transport.write(b"x" * 10_000_000)
+    site.gate.transport.close()
     for later in (0, CLOSING_S):
-        site.protocol.check(now + later)
+        site.gate.check(now + later)
         await asyncio.sleep(0)
-        assert site.connections._strangers
-    site.protocol.check(now + CLOSING_S + 1)
-    async with asyncio.timeout(PATIENCE_S):
-        while site.connections._strangers:  # noqa: ASYNC110
-            await asyncio.sleep(0.001)
+        assert site.served.gates.open
+    site.gate.check(now + CLOSING_S + 1)
+    await until(lambda: not site.served.gates.open)
 
 
 async def test_a_worker_is_not_counted_as_a_stranger(site: Site) -> None:
     await site.connect()
-    assert site.connections._known == {}
+    assert site.served.gates.connections._known == {}
     await site.connect(FEED_PATH)
-    assert list(site.connections._known) == ["worker"]
-    assert [len(group) for group in site.connections._strangers.values()] == [1]
+    assert list(site.served.gates.connections._known) == ["worker"]
+    assert [len(group) for group in site.served.gates.connections._strangers.values()] == [1]
 
 
 async def test_a_worker_may_send_much_at_once_after_hello(site: Site) -> None:
@@ -298,52 +255,16 @@ async def test_a_worker_may_send_much_at_once_after_hello(site: Site) -> None:
     assert not reader.at_eof()
 
 
-@pytest.mark.soak
-async def test_messages_that_the_app_does_not_read_wait_in_the_kernel(site: Site) -> None:
-    site.reads.clear()
-    await site.connect(FEED_PATH)
-    site.trust()
-    site.writers[0].write(frame(FIN | TEXT, b"{}") * 500_000)
-    await site.accepted.wait()
-    async with asyncio.timeout(PATIENCE_S):
-        while not site.protocol._unparsed:  # noqa: ASYNC110
-            await asyncio.sleep(0.001)
-    before = len(site.protocol._unparsed)
-    for _ in range(1000):
-        await asyncio.sleep(0)
-    assert len(site.protocol._unparsed) == before
-    assert site.protocol.queue.qsize() <= SLICE_BYTES
-    site.writers[0].transport.abort()
-    site.reads.set()
-
-
-@pytest.mark.parametrize(
-    "flood",
-    [frame(TEXT) + frame(CONT) * 10_000, frame(FIN | PING) * 10_000, frame(FIN | PONG) * 10_000],
-    ids=["fragments", "pings", "pongs"],
-)
-async def test_frames_that_are_no_message_are_few_after_hello_too(site: Site, flood: bytes) -> None:
-    reader = await site.connect(FEED_PATH)
-    site.trust()
-    site.writers[0].write(flood)
-    received = await everything(reader)
-    assert b"too many messages" in received or received == b""
-
-
 @pytest.mark.parametrize(
     "begun",
     [
-        frame(FIN | TEXT, b"x", size=MAX_MESSAGE_BYTES + 1),
-        frame(TEXT, b"x" * MAX_MESSAGE_BYTES) + frame(CONT, b"x"),
+        frame(FIN | TEXT, b"x" * (2 * MAX_MESSAGE_BYTES), size=3_000_000),
+        frame(TEXT, b"x" * MAX_MESSAGE_BYTES) + frame(CONT, b"x" * 1024),
     ],
     ids=["a frame", "fragments"],
 )
 async def test_only_a_small_message_comes_before_hello(site: Site, begun: bytes) -> None:
     reader = await site.connect(FEED_PATH)
     site.writers[0].write(begun)
-    assert struct.pack("!H", 1009) in await everything(reader)
-
-
-async def _until_closing(site: Site) -> None:
-    while not site.protocol.transport.is_closing():  # noqa: ASYNC110
-        await asyncio.sleep(0.001)
+    assert await everything(reader) == b""
+    assert site.messages == []

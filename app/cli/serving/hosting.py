@@ -35,6 +35,7 @@ from app.server.service_manager import ServiceManager
 from app.settings import LOCK_FILE, Settings
 from app.version import VERSION
 from bus.errors import LinesideError
+from bus.instants import Monotonic
 from bus.messages import Message
 from bus.worker.log import configure_log
 
@@ -72,11 +73,12 @@ def host(
     config: Path,
     listening: socket.socket,
     manager: ServiceManager,
+    since: Monotonic,
     *,
     demo: bool = False,
 ) -> bool:
     """Serve at ``listening`` until SIGTERM or SIGINT, or until a person restarts the server: then True.
-    Raises HostingError and StoreError in words."""
+    ``since``: when the first client can have connected. Raises HostingError and StoreError in words."""
     rights = os.geteuid()
     become_owner_of(settings.server.data)
     can_restart = os.geteuid() == rights and settings.server.port != 0 and not demo
@@ -87,7 +89,8 @@ def host(
     is_encrypted = settings.server.tls is not None
     own = listen("127.0.0.1", 0, Message("choose_port")) if is_encrypted else nullcontext(None)
     with only_one(settings.server.data), own as feed:
-        return uvloop.run(_host(settings, config, listening, feed, manager, demo=demo, restarts=can_restart))
+        hosting = _host(settings, config, listening, feed, manager, since, demo=demo, restarts=can_restart)
+        return uvloop.run(hosting)
 
 
 async def _host(
@@ -96,6 +99,7 @@ async def _host(
     listening: socket.socket,
     feed: socket.socket | None,
     manager: ServiceManager,
+    since: Monotonic,
     *,
     demo: bool,
     restarts: bool,
@@ -115,7 +119,9 @@ async def _host(
         with loading():
             if (module := await _server_module(stopping)) is None:
                 return False
-            server = module.Server(settings, demo, tokens, partial(_report_serving, url, manager), feed)
+            server = module.Server(
+                settings, demo, tokens, partial(_report_serving, url, manager), since, feed
+            )
         workers.watch(server.worker_responds)
         server.each_second(module.Liveness(manager, server.services[module.Database], workers.are_kept).tick)
         if restarts:

@@ -21,6 +21,7 @@ from app.errors import StoreError
 from app.server.service_manager import ServiceManager
 from app.settings import Settings, load
 from bus.configuration import ConfigurationError
+from bus.instants import monotonic_now
 from bus.messages import Message
 
 NEW = "--new"
@@ -38,7 +39,7 @@ def serve(
         settings = load(config)
     for notice in settings.former_notices:
         report(notice, err=True)
-    choose = Message.of("choose_port_configured", file=str(config))
+    choose, since = Message.of("choose_port_configured", file=str(config)), monotonic_now()
     with listen(settings.server.host, settings.server.port, choose) as port:
         check_store(settings, new=new)
         from app.cli.serving.hosting import host
@@ -47,7 +48,7 @@ def serve(
             from app.cli.serving.new_site import begin_new_site
 
             begin_new_site(settings)
-        restarts = host(settings, config.resolve(), port, manager)
+        restarts = host(settings, config.resolve(), port, manager, since)
     if restarts:
         # The same command in the same process, which a service manager goes on to watch. What the server had
         # open is closed by now, and no descriptor is inherited. The site is no new one any more.

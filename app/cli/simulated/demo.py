@@ -16,6 +16,7 @@ from app.cli.serving.listening import listen, listen_from
 from app.errors import StoreError
 from app.server.service_manager import ServiceManager
 from app.settings import load
+from bus.instants import monotonic_now
 from bus.messages import Message
 from bus.settings import UnitSettings
 from bus.worker.parent import tied_environment
@@ -32,6 +33,7 @@ def demo(
     ] = None,
 ) -> None:
     """Run a simulated line with a past and its dashboard until Ctrl-C. Its data is deleted afterwards."""
+    since = monotonic_now()
     with (
         listen_from(HOST, PORT, CHOOSE) if port is None else listen(HOST, port, CHOOSE) as listening,
         tempfile.TemporaryDirectory(prefix="lineside-demo-") as folder,
@@ -48,7 +50,7 @@ def demo(
             settings = load(config)
             write_past(settings, line)
             begun()
-            host(settings, config, listening, ServiceManager(), demo=True)
+            host(settings, config, listening, ServiceManager(), since, demo=True)
 
 
 @contextmanager

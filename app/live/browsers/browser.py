@@ -1,6 +1,5 @@
 """One open page: it gets the newest values, never a queue.
 
-While its socket takes what it is given, a change goes there in the very turn of the loop in which it came.
 What changed while the socket was busy goes together as one update, so a slow browser is always shown the
 present and costs no more than a few references: all who missed the same share what it is made of.
 """
@@ -17,8 +16,6 @@ from typing import Any
 import msgspec
 
 from app.live.screen.diff import Groups, merge_groups
-from app.server.connection.client_connection import ClientConnection, NoClientConnection
-from app.server.connection.frames import text_frame
 from bus.instants import UnixTime
 
 MAX_FRAMES = 300
@@ -41,20 +38,10 @@ class Diff:
     _since: dict[int, Diff] = field(default_factory=dict)
 
     @cached_property
-    def payload(self) -> bytes:
+    def text(self) -> str:
         """Encoded once for all browsers."""
         message = {"is": "diff", "p": self.before, "n": self.after, "t": round(self.at, 3), "f": self.groups}
-        return encode(message)
-
-    @cached_property
-    def frame(self) -> bytes:
-        """As it goes over the wire."""
-        return text_frame(self.payload)
-
-    @cached_property
-    def text(self) -> str:
-        """For a socket that frames for itself."""
-        return self.payload.decode()
+        return encode(message).decode()
 
     def after_all(self, earlier: Sequence[Diff]) -> Diff:
         """This diff and the ``earlier`` ones as one; made once for all browsers that missed the same."""
@@ -86,13 +73,10 @@ class Browser:
     name: str
     role: str
     language: str
-    outlet: ClientConnection = field(default_factory=NoClientConnection)
     units: frozenset[tuple[str, int]] = frozenset()
     trace: str = ""
     lines: bool = False
     """It shows all lines of all servers."""
-    _idle: bool = False
-    """All messages are with the transport: the browser's task waits for the next."""
     _waiting: list[Diff] = field(default_factory=list)
     _snapshot: dict[str, Any] | None = None
     _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))
@@ -100,37 +84,33 @@ class Browser:
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
 
     def send_diff(self, diff: Diff) -> None:
-        """Now where that can be; else newest wins: it goes together with what has not been sent."""
-        if self._idle and self.outlet.write(diff.frame):
-            return
+        """Newest wins: it goes together with what has not been sent."""
         if len(self._waiting) >= MAX_WAITING:
             self._waiting = [diff.after_all(self._waiting)]
         else:
             self._waiting.append(diff)
-        self._has_something()
+        self._wake.set()
 
     def send(self, message: dict[str, Any]) -> None:
         """Send a snapshot, before any diff. It replaces pending messages, and is encoded when it is sent:
         repeated requests yield one."""
         self._waiting.clear()
         self._snapshot = message
-        self._has_something()
+        self._wake.set()
 
     def show_frames(self, frames: list[dict[str, Any]]) -> None:
         """Send frames to a browser that follows the trace."""
         self._frames.extend(frames)
-        self._has_something()
+        self._wake.set()
 
     def show_lines(self, update: LinesUpdate) -> None:
         """Send what changed of the lines, with what has not been sent."""
         held = self._lines
         self._lines = update if held is None else LinesUpdate(merge_groups({}, held.groups, update.groups))
-        self._has_something()
+        self._wake.set()
 
     async def next(self) -> list[str]:
-        """Wait for messages that could not go at once; return all, in order. A second call means
-        that the first ones have been sent."""
-        self._idle = not self._wake.is_set()
+        """Wait for messages; return all, in order. A second call means that the first ones have been sent."""
         await self._wake.wait()
         self._wake.clear()
         texts = [] if self._snapshot is None else [encode(self._snapshot).decode()]
@@ -146,7 +126,3 @@ class Browser:
             texts.append(encode({"is": "frames", "frames": list(self._frames)}).decode())
             self._frames.clear()
         return texts
-
-    def _has_something(self) -> None:
-        self._idle = False
-        self._wake.set()

@@ -18,7 +18,6 @@ from app.errors import Problem
 from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
 from app.server.admission.addresses import source_of
-from app.server.connection.client_connection import client_connection
 from app.web.admission.access import Person, Role, Viewer
 from app.web.problems import refuse_socket
 from app.web.rendering.templating import WEBSOCKET_LINES, templates_of
@@ -87,7 +86,7 @@ async def _serve(websocket: WebSocket, person: Person, language: str, hub: Hub) 
     templates = templates_of(websocket)
     if language not in templates.languages:
         language = templates.language_of(websocket).tag
-    browser = Browser(person.account, person.role.value, language, client_connection(websocket.scope))
+    browser = Browser(person.account, person.role.value, language)
     hub.join(browser)
     writing = asyncio.create_task(_write(websocket, browser))
     try:

@@ -16,7 +16,7 @@ from bus.instants import monotonic_now
 
 ARRIVED_AT = "lineside.arrived_at"
 """Key in the ``state`` of an ASGI scope: the moment at which the first byte of a request arrived, seconds by
-:func:`time.monotonic`; set by :mod:`app.server.connection.stamping`."""
+:func:`time.monotonic`; set by :mod:`app.server.connection.stages`."""
 BEGUN_AT = "lineside.begun_at"
 """Key there: the moment at which the app got the request, before its body is read."""
 HEALTH = "/healthz"

@@ -1,4 +1,4 @@
-"""What the server offers the app of a connection, beside ``receive`` and ``send``: an ASGI extension."""
+"""What the server offers the app of a connection, beside ``receive`` and ``send``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from typing import Protocol, cast
 
 from starlette.types import Scope
 
-EXTENSION = "lineside.connection"
+CONNECTION = "lineside.connection"
+"""Its key in the ``state`` of an ASGI scope."""
 
 
 class ClientConnection(Protocol):
@@ -19,16 +20,11 @@ class ClientConnection(Protocol):
         """Whether it has shown a certificate of an authority that the server requests one of."""
 
     def trust(self) -> None:
-        """Take large messages on a WebSocket from now on, and as many as the app reads."""
-
-    def write(self, frame: bytes, /) -> bool:
-        """Write a complete frame in this turn of the loop, if a WebSocket is open and everything before has
-        left; otherwise do nothing and return False. Raises nothing. ``send`` may be used too, one after the
-        other."""
+        """Take large messages on a WebSocket from now on."""
 
 
 class NoClientConnection:
-    """Where the server offers none: everything goes by ``send``, which is slower and has the same effect."""
+    """Where the server offers none."""
 
     def identify(self, account: str) -> None: ...
 
@@ -37,11 +33,8 @@ class NoClientConnection:
 
     def trust(self) -> None: ...
 
-    def write(self, _frame: bytes, /) -> bool:
-        return False
-
 
 def client_connection(scope: Scope) -> ClientConnection:
     """What the server put into the scope of a request or a WebSocket."""
-    offered = scope.get("extensions", {}).get(EXTENSION)
+    offered = scope.get("state", {}).get(CONNECTION)
     return NoClientConnection() if offered is None else cast(ClientConnection, offered)

@@ -12,13 +12,15 @@ NOT_HERE = 1008
 
 
 class OnlyFeed:
-    """The app with nothing but its feed: a person signs in by HTTPS."""
+    """The app, of which nothing but the feed is served at ``address``: a person signs in by HTTPS."""
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, address: tuple[str, int]) -> None:
         self._app = app
+        self._address = address
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "websocket" and scope["path"] == FEED:
+        is_here = scope.get("server") == self._address
+        if not is_here or (scope["type"] == "websocket" and scope["path"] == FEED):
             await self._app(scope, receive, send)
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": NOT_HERE})

@@ -1,7 +1,7 @@
 """When a request was made, as far as it can be known, and how long its command may wait after that.
 
 Three clocks give the time, and the earliest is believed: the server, which stamps each request with the
-moment at which its first byte arrived (app/server/connection/stamping.py), a stall or a start of the server
+moment at which its first byte arrived (app/server/connection/gate.py), a stall or a start of the server
 included; a program, in the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Clicked-At``
 or, where the browser sends the form itself, in the query ``clicked_at`` (static/js/review.js).
 """

@@ -1,0 +1,117 @@
+"""uvicorn behind gates, in this process: an app is served on a port of its own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import uvicorn
+from starlette.types import ASGIApp
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.server import ServerState
+
+from app.cli.serving.server import MAX_MESSAGE_BYTES
+from app.server.admission.refusal_log import RefusalLog
+from app.server.connection.connections import Connections
+from app.server.connection.gate import Gate, Gates
+from app.server.connection.records import ChooseContext
+from app.server.connection.stages import Stages
+from app.server.loop_watch import LoopWatch
+from bus.instants import monotonic_now
+
+PATIENCE_S = 30.0
+Ends = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+@dataclass
+class Port:
+    """A served app: ``made`` are its connections, ended ones too; ``received`` is what they got."""
+
+    gates: Gates
+    number: int = 0
+    made: list[Gate] = field(default_factory=list)
+    writers: list[asyncio.StreamWriter] = field(default_factory=list)
+    state: ServerState = field(default_factory=ServerState)
+    received: int = 0
+
+    async def connect(self, begun: bytes = b"", **options: Any) -> Ends:
+        """A client that has sent ``begun``, and is accepted."""
+        known = len(self.made)
+        opening = asyncio.open_connection("127.0.0.1", self.number, **options)
+        reader, writer = await asyncio.wait_for(opening, PATIENCE_S)
+        self.writers.append(writer)
+        writer.write(begun)
+        await until(lambda: len(self.made) > known)
+        return reader, writer
+
+    def pass_s(self, seconds: float) -> None:
+        """What the server does once a second, so much later."""
+        now = asyncio.get_running_loop().time() + seconds
+        for gate in tuple(self.gates.open):
+            gate.check(now)
+
+    def is_open(self, number: int) -> bool:
+        """Whether a connection has not ended."""
+        return self.made[number] in self.gates.open and not self.made[number].is_over
+
+
+async def until(holds: Callable[[], object]) -> None:
+    async with asyncio.timeout(PATIENCE_S):
+        while not holds():  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+
+
+async def everything(reader: asyncio.StreamReader) -> bytes:
+    """Until the server closes, however it does."""
+    parts = []
+    with suppress(ConnectionError):
+        while part := await asyncio.wait_for(reader.read(65536), PATIENCE_S):
+            parts.append(part)
+    return b"".join(parts)
+
+
+@asynccontextmanager
+async def gated(
+    app: ASGIApp, *, watch: LoopWatch | None = None, choose_context: ChooseContext | None = None
+) -> AsyncIterator[Port]:
+    watched = watch or LoopWatch(monotonic_now())
+    port = Port(Gates(Connections(), RefusalLog(), watched, choose_context))
+    config = uvicorn.Config(
+        Stages(app),
+        lifespan="off",
+        log_level="critical",
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,
+        ws_max_size=MAX_MESSAGE_BYTES,
+    )
+    options = {"config": config, "server_state": port.state, "app_state": {}}
+
+    class Counted(Gate):
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            port.made.append(self)
+
+        def data_received(self, data: bytes) -> None:
+            port.received += len(data)
+            super().data_received(data)
+
+    def make() -> Gate:
+        return Counted(port.gates, lambda more: HttpToolsProtocol(**{**options, "app_state": more}))  # type: ignore[arg-type]
+
+    server = await asyncio.get_running_loop().create_server(make, "127.0.0.1", 0)
+    port.number = server.sockets[0].getsockname()[1]
+    watched.start()
+    try:
+        yield port
+    finally:
+        watched.stop()
+        server.close()
+        for writer in port.writers:
+            writer.transport.abort()
+            with suppress(OSError):
+                await writer.wait_closed()
+        await until(lambda: not (port.gates.open or port.state.connections or port.state.tasks))
+        assert port.gates.connections._known == port.gates.connections._strangers == {}
