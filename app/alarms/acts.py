@@ -23,7 +23,7 @@ Comment = Annotated[OneLine, Field(max_length=200)]
 
 
 class ActBody(StrictBody):
-    """What a person writes loses the blanks around it."""
+    """The body of an act. Blanks around what a person wrote are removed."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
@@ -34,7 +34,7 @@ class ActBody(StrictBody):
 
     @property
     def options(self) -> dict[str, Any]:
-        """What the change of the facts takes beside the time."""
+        """The arguments of the act's change of the facts, beside the time."""
         return {}
 
 
@@ -162,7 +162,7 @@ ALARM_ACTS = (ACKNOWLEDGE, SILENCE, RESET, SHELVE, UNSHELVE, REMOVE, RETURN)
 """The acts on one alarm; each has its routes."""
 
 SILENCE_SOUNDING = Act("silence_sounding_alarms", Role.OPERATOR, "alarm", "event_alarms_silenced")
-"""With all that sound; of one alone :data:`SILENCE` is recorded."""
+"""Silences every alarm that sounds; where one sounds, :data:`SILENCE` is recorded instead."""
 ADD_OWN = Act("add_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_added")
 CHANGE_OWN = Act("change_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_changed")
 REMOVE_OWN = Act("remove_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_removed")

@@ -29,7 +29,7 @@ SITE = "_"
 
 @dataclass(frozen=True, slots=True)
 class AlarmRationalization:
-    """Why there is this alarm and what a person does about it (ISA-18.2-2016, clause 9)."""
+    """The reason for an alarm, and what a person does about it (ISA-18.2-2016, clause 9)."""
 
     cause: MessageObject
     consequence: MessageObject
@@ -65,7 +65,7 @@ def own_key(bus: str, unit: int, name: str) -> str:
 
 
 NORMAL = AlarmFacts()
-"""Of every alarm that has not risen yet."""
+"""The facts of an alarm that has not risen yet."""
 
 
 def state_text(state: AlarmState) -> Message:
@@ -142,7 +142,8 @@ def built_in(
 
 @cache
 def _texts(code: str) -> tuple[Message, AlarmRationalization]:
-    """The same objects for every unit: a line has thousands of alarms."""
+    """Return the texts of a built-in alarm, as the same objects for every unit: a line has thousands of
+    alarms."""
     row = CONDITIONS[code]
     name, cause, consequence, response = map(Message, row.texts)
     return name, AlarmRationalization(cause, consequence, response, *row.rated)

@@ -91,7 +91,7 @@ class AlarmTransition(TypedDict):
 
 
 def alarm_message(alarm: Alarm, value: Message | None) -> Message:
-    """What it is and what to do."""
+    """Return the text of an alarm: what it is, its present value, and what to do."""
     definition = alarm.definition
     if value is None:
         return Message.of("alarm_text", name=definition.name, response=definition.record.response)

@@ -37,7 +37,7 @@ from bus.messages import Message
 from bus.text import OneLine, TypedText
 
 MAX_ROWS = 100
-"""In the summary: as many as are acknowledged together at most."""
+"""Rows of the summary: as many as can be acknowledged together."""
 
 
 class AlarmRow(NamedTuple):
@@ -72,7 +72,7 @@ def listed(
 
 
 def query_of(chosen: dict[str, str]) -> str:
-    """What a person filters by, as the query of a link."""
+    """Return what a person filters by as the query of a link."""
     return urlencode({name: value for name, value in chosen.items() if value})
 
 
@@ -190,7 +190,7 @@ ShownKeys = Sequence[Annotated[str, StringConstraints(max_length=200)]]
 async def chosen_filters(
     state: TypedFilter = "", priority: TypedFilter = "", place: TypedFilter = "", group: TypedFilter = ""
 ) -> dict[str, str]:
-    """What a person filters by; empty: by nothing."""
+    """Return what a person filters by; an empty text filters nothing."""
     return {"state": state, "priority": priority, "place": place, "group": group}
 
 
@@ -228,7 +228,7 @@ async def alarms_list(
     chosen: ChosenFilters,
     shown: Annotated[ShownKeys, Query(max_length=MAX_ROWS)] = (),
 ) -> Response:
-    """The rows alone; those that are shown stay in their places."""
+    """Draw the rows alone; those that are shown stay in their places."""
     return _list(request, alarms, chosen, shown)
 
 
@@ -357,7 +357,7 @@ for alarm_act in ALARM_ACTS:
 
 
 def given_reason(reason: str) -> str:
-    """Raises Problem 422 where it is blank."""
+    """Return a reason without the blanks around it. Raises Problem 422 for a blank one."""
     if not reason.strip():
         raise Problem(422, "invalid", Message("alarm_needs_reason"))
     return reason.strip()

@@ -26,7 +26,7 @@ from app.messages import Language
 from bus.instants import unix_now
 
 PIECE: dict[Resolution, int] = {"readings": HOUR, "minutes": 7 * DAY, "hours": 90 * DAY}
-"""How much is read at a time, µs."""
+"""The span that is read at a time, µs."""
 
 
 class Cell(NamedTuple):
@@ -63,7 +63,8 @@ class Table:
         return [_column(query, part) for query in self.queries for part in parts]
 
     def named(self, language: Language) -> list[str]:
-        """The same for people: the unit by its name, the value as it is wired, the unit of measure."""
+        """Return a name for each column for people: the unit by its name, the value as it is wired, its
+        measure."""
         rollup = (language.t("minimum"), language.t("maximum"), language.t("average"))
         parts = [""] if self.fineness == "readings" else [f" {word}" for word in rollup]
         names = [_name(query, language) for query in self.queries]
@@ -90,7 +91,7 @@ def _column(query: SeriesQuery, part: str) -> str:
 
 
 async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow]]:
-    """All rows in order of time, piece by piece; each piece is its own short read of the store."""
+    """Yield all rows in order of time, piece by piece; each piece is its own short read of the store."""
     start, end, step = table.queries[0].start, table.queries[0].end, PIECE[table.fineness]
     begun, ended = await history.read(_extent)
     since, end = max(start, begun), min(end, ended)

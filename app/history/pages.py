@@ -52,7 +52,8 @@ async def trends(request: Request, person: Viewer, history: HistoryOf, views: Sa
 
 
 async def _views_seen(views: TrendViews, person: Person) -> list[TrendView]:
-    """None where the store cannot be read: the chart is shown without them."""
+    """Return the saved views of a person; none where the store cannot be read, as the chart does without
+    them."""
     try:
         return await views.seen_by(person)
     except StoreError:

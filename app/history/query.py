@@ -1,4 +1,5 @@
-"""One value over one span in at most so many points: choice of resolution, and the result."""
+"""Queries of the history: one value over a span in a limited number of points, in the resolution that
+fits."""
 
 from __future__ import annotations
 
@@ -70,7 +71,7 @@ def run_query(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery
 
 
 def _run_draw(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery) -> QueryResult:
-    """Each speed in half of the points, as they may be at different times."""
+    """Make a draw of two speeds, each in half of the points, as they may be at different times."""
     half = replace(query, most=max(1, query.most // 2))
     before, section = (run_query(connection, tail, each) for each in stored_queries(half))
     coarser = max(before, section, key=lambda each: each.bucket)

@@ -73,7 +73,7 @@ Delivery = tuple[str, Sequence[Update]]
 
 @dataclass(slots=True)
 class Taken:
-    """What one transaction has, to be put into the tail once it is on disk."""
+    """The readings and losses of one transaction, which go into the tail once it is on disk."""
 
     rows: list[tuple[int, PlainRun]] = field(default_factory=list)
     lost: list[tuple[int, int]] = field(default_factory=list)
@@ -87,7 +87,7 @@ class Intake:
         self.forget()
 
     def forget(self) -> None:
-        """After a transaction that was rolled back: known values may not be on disk."""
+        """Forget what is known of the store: after a transaction was rolled back, it may not be on disk."""
         self._keys: dict[str, dict[int, int]] = {}
         self._links: dict[int, tuple[int, str]] = {}
 
@@ -141,7 +141,7 @@ class Intake:
 
 
 GRACE = 2 * SECOND
-"""How long after a minute its last readings are waited for."""
+"""The time after a minute, µs, in which its last readings are awaited."""
 MAX_IN_TAIL = 400_000
 """Runs in memory at which even the current minute is folded."""
 _LOOK_EVERY = 64
@@ -253,7 +253,7 @@ def raw_blocks(connection: StoreConnection, units: Iterable[int], minute: int) -
 def write_raw_blocks(
     connection: StoreConnection, blocks: Mapping[int, RawBlock], before: Mapping[int, RawBlock]
 ) -> None:
-    """Blocks by unit, in place of those that were there."""
+    """Write blocks by unit in place of those that were there."""
     replaced = [(unit, block[0], block[1]) for unit, block in before.items()]
     if replaced:
         connection.executemany("DELETE FROM raw WHERE unit = ? AND start = ? AND span = ?", replaced)
@@ -294,7 +294,7 @@ _Runs = Mapping[int, Sequence[PlainRun]]
 
 
 def next_to_fold(folding: Iterable[Minute], tail: Tail) -> list[Minute]:
-    """The first minutes, as many as are folded in one transaction."""
+    """Return the first minutes, as many as are folded in one transaction."""
     keys: list[Minute] = []
     runs = 0
     for key in folding:
@@ -306,7 +306,7 @@ def next_to_fold(folding: Iterable[Minute], tail: Tail) -> list[Minute]:
 
 
 def fold_minutes(connection: tables.StoreConnection, tail: Tail, keys: Sequence[Minute]) -> None:
-    """These minutes of a tail into their blocks, without what was given up for its age. Raises
+    """Fold minutes of the tail into their blocks, without what was given up for its age. Raises
     DamagedBlock."""
     given_up = tables.raw_from(connection)
     of_minute: dict[int, dict[int, list[PlainRun]]] = {}
@@ -318,7 +318,7 @@ def fold_minutes(connection: tables.StoreConnection, tail: Tail, keys: Sequence[
 
 
 def fold(connection: tables.StoreConnection, minute: int, by_unit: _Runs) -> None:
-    """One minute of some units."""
+    """Fold one minute of some units into their blocks. Raises DamagedBlock."""
     before = raw_blocks(connection, by_unit, minute)
     blocks: dict[int, RawBlock] = {}
     for unit, runs in by_unit.items():

@@ -90,7 +90,7 @@ def damage_message(status: HistoryStatus, shown: Callable[[UnixTime], str]) -> M
 
 
 def store_message(state: StoreState, cause: Message | None = None) -> Message | None:
-    """How the store is; None while it is well."""
+    """Return the message about the state of the store; None while it is well."""
     if state == "ok" or cause is None:
         return NOTICES.get(state)
     return Message.of("history_because", notice=NOTICES[state], cause=cause)

@@ -68,7 +68,7 @@ def sound(blob: bytes) -> bool:
 
 RollupTier = Literal["minutes", "hours"]
 ROW_SPAN: dict[RollupTier, int] = {"minutes": HOUR, "hours": DAY}
-"""How much one row of a tier holds, µs."""
+"""The span that one row of a tier holds, µs."""
 STEP: dict[RollupTier, int] = {"minutes": MINUTE, "hours": HOUR}
 LOST_STATES = ("stale", "offline", "unknown", "closed")
 _JOURNAL_LEVEL = 1
@@ -106,7 +106,7 @@ def name_of(connection: StoreConnection, unit: int) -> str:
 
 
 def write_journal(connection: StoreConnection, rows: Sequence[tuple[int, PlainRun]]) -> None:
-    """Write readings or runs of units as one row."""
+    """Write readings or runs of units as one row of the journal."""
     units, runs = zip(*sorted(rows, key=itemgetter(0)), strict=True)
     at, until, *rest = zip(*runs, strict=True)
     lengths = list(map(sub, until, at))
@@ -145,7 +145,7 @@ def extent(connection: StoreConnection) -> tuple[int, int] | None:
 
 
 def rollups_of(connection: StoreConnection, tier: RollupTier, unit: int, start: int) -> list[Rollup]:
-    """One row of a tier, where there is one. Raises DamagedBlock."""
+    """Read one row of a tier; empty where there is none. Raises DamagedBlock."""
     query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
     row = connection.execute(query, (unit, start)).fetchone()
     return [] if row is None else intact(BlockKey(tier, unit, start), lambda: unpack_rollups(row[0], start))
@@ -154,7 +154,7 @@ def rollups_of(connection: StoreConnection, tier: RollupTier, unit: int, start: 
 def write_rollups(
     connection: StoreConnection, tier: RollupTier, unit: int, start: int, rows: Sequence[Rollup]
 ) -> None:
-    """One row of a tier, new or again."""
+    """Write one row of a tier, in place of a former one."""
     values = (unit, start, pack_rollups(rows, start))
     connection.execute(upsert(tier, ("unit", "start"), ("data",)), values)
 
@@ -287,14 +287,14 @@ def note_replaced(connection: StoreConnection, file: str, now: int) -> None:
 
 
 def replaced_since(connection: StoreConnection, since: int) -> tuple[int, str] | None:
-    """When this store was begun in place of a damaged one, and the name of that file; times in µs."""
+    """Return when this store was begun in place of a damaged one, and the name of that file; times in µs."""
     query = "SELECT found, data FROM damaged WHERE tier = 'store' AND found >= ? AND data IS NOT NULL"
     row = connection.execute(query, (since,)).fetchone()
     return None if row is None else (row[0], row[1].decode())
 
 
 def damaged_since(connection: StoreConnection, since: int) -> int:
-    """How often damage was found from a time on, µs."""
+    """Count the damages that were found from a time on, µs."""
     return int(connection.execute("SELECT count(*) FROM damaged WHERE found >= ?", (since,)).fetchone()[0])
 
 
@@ -339,7 +339,7 @@ def bits_around(
 
 
 def count_bits(connection: StoreConnection, unit: int, start: int, end: int) -> int:
-    """How many intervals begin within a span."""
+    """Count the intervals that begin within a span."""
     query = "SELECT count(*) FROM bits WHERE unit = ? AND at >= ? AND at < ?"
     return int(connection.execute(query, (unit, start, end)).fetchone()[0])
 

@@ -43,7 +43,7 @@ class Tail:
         self._lock = threading.Lock()
         self._minutes: dict[tuple[int, int], array[int]] = {}
         self._lost: dict[int, list[int]] = {}
-        """When each unit stopped responding (µs), in order."""
+        """The times at which each unit stopped responding (µs), in order."""
 
     def add(self, rows: Iterable[tuple[int, PlainRun]]) -> None:
         """Readings or runs of units, in order of arrival."""
@@ -80,7 +80,7 @@ class Tail:
                 insort(self._lost.setdefault(unit, []), at)
 
     def interrupt(self) -> None:
-        """Nothing was recorded until now: every unit's next reading begins a new run."""
+        """Let the next reading of every unit begin a new run, as nothing was recorded until now."""
         self.mark_lost({(unit, run[1] + 1) for unit, run in self.everything()})
 
     def runs(self, unit: int, start: int, end: int) -> list[Run]:
@@ -108,12 +108,12 @@ class Tail:
         return found
 
     def minute(self, unit: int, minute: int) -> list[PlainRun]:
-        """All runs of one unit in one minute."""
+        """Return all runs of one unit in one minute."""
         with self._lock:
             return _plain(self._minutes.get((unit, minute), ()))
 
     def count(self, unit: int, minute: int) -> int:
-        """How many runs these are."""
+        """Count the runs of one unit in one minute."""
         with self._lock:
             return len(self._minutes.get((unit, minute), ())) // WIDTH
 
@@ -136,7 +136,7 @@ class Tail:
                 self._lost[unit] = [at for at in self._lost[unit] if at >= minute]
 
     def clear(self) -> None:
-        """Forget everything: it is read from the journal again."""
+        """Forget everything, before the journal is read again."""
         with self._lock:
             self._minutes.clear()
             self._lost.clear()

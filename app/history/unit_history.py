@@ -60,7 +60,8 @@ class StoredUnit:
         return self._intact(tier, rows, unpack)
 
     def unpacked(self, start: int, end: int, unpack: Unpacking[T]) -> Iterator[tuple[int, list[T]]]:
-        """The same of the readings of each minute whose hour is not packed, and has no rollups yet."""
+        """Yield start and content of each minute of readings whose hour is not packed, and has no rollups
+        yet."""
         query = (
             "SELECT start, data FROM raw"
             " WHERE unit = ? AND start >= ? AND start < ? AND span = 60000000 ORDER BY start"
@@ -75,7 +76,7 @@ class StoredUnit:
         return next((content for _, content in self._intact(tier, rows, unpack)), [])
 
     def marks(self, start: int, end: int) -> Marks:
-        """When the unit or its port was lost and found within a span, µs."""
+        """Read when the unit or its port was lost and found within a span, µs."""
         return tables.link_marks(self.connection, {self.unit: (start, end)})[self.unit]
 
     def _intact(
@@ -205,7 +206,7 @@ def _table(rows: Sequence[Rollup], wanted: Sequence[int]) -> list[list[int]]:
 
 
 def _bit_of(words: list[int], bit: int) -> list[int]:
-    """One bit of each; the numbers themselves where ``bit`` is below 0."""
+    """Return one bit of each word; the words themselves where ``bit`` is below 0."""
     return words if bit < 0 else [word >> bit & 1 for word in words]
 
 

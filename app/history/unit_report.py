@@ -73,7 +73,7 @@ class BusReport:
         wanted = {unit.id for unit in bus.unit if only in (None, unit.id)}
         needed = wanted | {bus.seams[unit].before for unit in wanted if unit in bus.seams}
         self.units = [unit.id for unit in bus.unit if unit.id in needed]
-        """In the order in which they are read: of one unit, that before it, too."""
+        """The units in the order in which they are read; with a single unit, that before it, too."""
         self._bus = bus
         self._wanted = wanted
         self._span = span
@@ -90,7 +90,7 @@ class BusReport:
 
 
 def _draw(bus: BusSettings, unit: int, before: dict[int, _Speeds], speeds: _Speeds) -> DrawFigures | None:
-    """Of speeds of one quantity, each on a scale that is known, as the line shows it."""
+    """Return the draw of speeds of one quantity, each on a scale that is known, as the line shows it."""
     seam = bus.seams.get(unit)
     other = None if seam is None else before.get(seam.before)
     if seam is None or other is None or speeds.decimals is None or other.decimals is None:

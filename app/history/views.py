@@ -20,7 +20,7 @@ MAX_OF_SITE = 10_000
 MAX_NAME = 80
 MAX_QUERY = 4000
 _MEMBERS = frozenset({"s", "span", "from", "to", "preset", "scale", "marks", "compare"})
-"""Of an address of the page; its cursors are not saved."""
+"""The parameters of a page's address that are saved; its cursors are not."""
 _COLUMNS = "id, sender, owner, name, query, shared"
 
 
@@ -37,13 +37,13 @@ class TrendView:
 
 
 class TrendViews:
-    """All access to saved views. A view saved again under its name replaces the earlier one."""
+    """The table of saved views. A view saved again under its name replaces the earlier one."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     async def seen_by(self, person: Person) -> list[TrendView]:
-        """Those of a person, then those that others share; by name. Raises StoreError."""
+        """Return the views of a person, then those that others share, by name. Raises StoreError."""
 
         def read(connection: StoreConnection) -> list[TrendView]:
             query = f"SELECT {_COLUMNS} FROM trend_view WHERE sender = ? OR shared = 1"
@@ -124,5 +124,5 @@ def _refuse_full(connection: StoreConnection, sender: str, name: str, *, shared:
 
 SHARE = Act("share_view", Role.OPERATOR, "configuration", "event_view_shared")
 DELETE_SHARED = Act("delete_shared_view", Role.ENGINEER, "configuration", "event_view_deleted")
-"""Of another person; each deletes their own."""
+"""Deletes the shared view of another person; everyone deletes their own."""
 ACTS = (SHARE, DELETE_SHARED)

@@ -40,11 +40,11 @@ from bus.instants import ClockWatch, Monotonic, UnixTime, monotonic_now, unix_no
 from bus.messages import Message, in_english, number
 
 COMMIT_EVERY_S = 0.5
-"""Lost when the power fails: this much, and the commit itself."""
+"""The readings of this time, and of the commit itself, are lost when the power fails."""
 BUSY_S = 0.2
-"""How long folding, and then upkeep, may take between two commits."""
+"""The time that folding, and then upkeep, may take between two commits."""
 END_S = 1.0
-"""How long folding may take at the end; the rest stays in the journal."""
+"""The time that folding may take at the end; the rest stays in the journal."""
 RETRY_S = 10.0
 LOOK_EVERY_S = 5.0
 GIVE_UP_EVERY_S = 600.0
@@ -55,7 +55,7 @@ MAX_REPORTED = 1000
 REPLACE_EVERY_S = 86_400.0
 """A store that is damaged again within this time is not replaced: the machine is at fault."""
 SHOWN_FOR = 7 * DAY
-"""How long damage is shown on the pages; in the events it stays."""
+"""The time for which damage is shown on the pages, µs; in the events it stays."""
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 log = structlog.get_logger()
@@ -74,7 +74,7 @@ MAX_PAGES = 2000
 
 
 class Upkeep:
-    """Called by the writer's thread between commits, for a short while each time."""
+    """Packs hours and gives up old readings, for a short while between two commits of the writer's thread."""
 
     def __init__(
         self,
@@ -282,7 +282,7 @@ class Writer:
             opened.upkeep.give_up_old(now)
 
     def _commit(self, recorder: Recorder) -> None:
-        """Write what waits. It goes on waiting where that fails."""
+        """Write the deliveries that wait; they go on waiting where that fails."""
         deliveries: list[Delivery] = []
         with suppress(IndexError):
             for _ in range(len(self._queue)):

@@ -80,7 +80,7 @@ def _found(
 def _of_alarm(
     connection: StoreConnection, alarm: str, last: int, start: UnixTime, end: UnixTime
 ) -> Iterator[Occurrence]:
-    """From the newest back to the one at the start of the span."""
+    """Yield the occurrences of one alarm, from the newest back to the one at the start of the span."""
     until, is_first = None, True
     for row in _edges(connection, alarm, last):
         if row["after"] not in _ACTIVE:

@@ -167,7 +167,8 @@ COLUMNS = (
 
 
 def month_at_most(since: datetime | None, until: datetime | None) -> tuple[UnixTime, UnixTime]:
-    """From ``since`` to ``until``; the last week by default. Raises Problem 422."""
+    """Return the span from ``since`` to ``until``, by default the last week. Raises Problem 422 for one that
+    is reversed or too long."""
     for name, at in (("from", since), ("to", until)):
         if at is not None:
             refuse_year(at, name)

@@ -39,7 +39,8 @@ class NamedAlarm:
 
     @property
     def shown_name(self) -> str | Message:
-        """Of a built-in one a message, which each reader has in their language."""
+        """The name as it is shown: a built-in alarm has a message, which each reader sees in their
+        language."""
         return Message(f"alarm_{self.code}") if self.alarm.endswith(f".{self.code}") else self.name
 
 
@@ -127,7 +128,7 @@ class JournalFilter:
 
 @dataclass(frozen=True, slots=True)
 class StoredAlarm:
-    """What the store keeps of an alarm."""
+    """The facts and marks of an alarm as the store keeps them."""
 
     facts: AlarmFacts
     first_out: bool
@@ -143,7 +144,7 @@ _PUT_FACTS = upsert("alarm_facts", _FACTS[:1], _FACTS[1:])
 
 
 class AlarmStore:
-    """All access to the tables of alarms."""
+    """The tables of alarms, their facts and their journal."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -190,8 +191,8 @@ class AlarmStore:
 def alarm_writer(
     entries: Sequence[JournalEntry], alarms: Iterable[Alarm]
 ) -> Callable[[StoreConnection], None]:
-    """What writes transitions and facts in a transaction. The rows are made now: the facts may change until
-    they are written."""
+    """Return a function that writes transitions and facts in a transaction. The rows are made now, as the
+    facts may change until they are written."""
     journal = [_values_of(entry) for entry in entries]
     facts = [(alarm.definition.key, *_facts_of(alarm.facts), *_marks_of(alarm)) for alarm in alarms]
 

@@ -48,7 +48,7 @@ class AlarmList:
         self.alarms = {definition.key: Alarm(definition) for definition in definitions}
         self._withdrawn: dict[str, Alarm] = {}
         self.known: Mapping[str, Alarm] = ChainMap(self.alarms, self._withdrawn)
-        """Also those whose definition has ended; the journal may be followed a moment later."""
+        """The alarms and those whose definition has ended: who follows the journal may be a moment late."""
         self._place = bus or SITE
         self._store = store
         self._entries: list[JournalEntry] = []
@@ -87,7 +87,7 @@ class AlarmList:
         self._schedule(alarm)
 
     def take_out(self, key: str) -> None:
-        """Its definition has ended, and it is normal."""
+        """Remove an alarm whose definition has ended, and which is normal."""
         self._due.pop(key, None)
         self._withdrawn[key] = self.alarms.pop(key)
         if len(self._withdrawn) > MAX_WITHDRAWN:
@@ -96,21 +96,21 @@ class AlarmList:
     # --- what happens to an alarm ---------------------------------------------------------------------
 
     def observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
-        """Its condition holds, does not, or is not known."""
+        """Apply that the condition of an alarm holds, does not, or is not known (None)."""
         if holds is alarm.holds:
             return
         alarm.holds = holds
         self.apply(alarm, state_machine.observe(alarm.facts, alarm.definition.attributes, holds, now))
 
     def suppress(self, alarm: Alarm, suppressed: bool, now: UnixTime) -> None:
-        """Suppression by design begins or ends."""
+        """Begin or end the suppression of an alarm by design."""
         if suppressed is not alarm.facts.suppressed:
             self.apply(alarm, state_machine.suppress(alarm.facts, suppressed, now))
 
     def restore(
         self, alarm: Alarm, facts: AlarmFacts, hidden_by: str, reason: str, *, unless_changed_from: AlarmFacts
     ) -> None:
-        """What a person did could not be recorded: it did not happen."""
+        """Undo what a person did and the audit log could not record, unless the alarm has changed since."""
         if alarm.facts is not unless_changed_from:
             return
         alarm.facts, alarm.hidden_by, alarm.reason = facts, hidden_by, reason
@@ -118,13 +118,13 @@ class AlarmList:
         self._has_changed(alarm)
 
     def advance(self, now: UnixTime) -> None:
-        """What time alone brings."""
+        """Apply the transitions that are due by time alone."""
         for key in [key for key, due in self._due.items() if due <= now]:
             alarm = self.alarms[key]
             self.apply(alarm, state_machine.advance(alarm.facts, alarm.definition.attributes, now))
 
     def clock_stepped(self, step_s: float) -> None:
-        """The clock of this machine was set: running times keep their length."""
+        """Shift every running time with the clock, which was set, so that it keeps its length."""
         for key, alarm in self.alarms.items():
             facts = shifted(alarm.facts, step_s)
             if facts != alarm.facts:
@@ -171,13 +171,13 @@ class AlarmList:
     # --- to the disk ----------------------------------------------------------------------------------
 
     def take_unwritten(self) -> tuple[list[JournalEntry], list[Alarm]]:
-        """Everything that is not on disk yet; the caller writes it, or gives it back."""
+        """Hand over everything that is not on disk yet; the caller writes it, or gives it back."""
         entries, alarms = self._entries, list(self._changed.values())
         self._entries, self._changed = [], {}
         return entries, alarms
 
     def give_back(self, entries: list[JournalEntry], alarms: list[Alarm]) -> None:
-        """What could not be written waits, before what came since."""
+        """Queue again what could not be written, before what came since."""
         self._entries = entries + self._entries
         self._changed = {alarm.definition.key: alarm for alarm in alarms} | self._changed
 
@@ -201,7 +201,8 @@ class AlarmList:
             self._recorded = self.observed
 
     def _is_observed_longer(self) -> bool:
-        """Than the store knows, by so much that it is stored."""
+        """Whether the alarms were observed for so much longer than the store knows that it is to be
+        stored."""
         if self.observed is None or self._recorded is None:
             return self.observed is not None
         is_other = self.observed.start != self._recorded.start
@@ -230,7 +231,7 @@ class AlarmList:
             await self._wait(ticked_at + TICK_S, clock())
 
     async def _wait(self, until: UnixTime, now: UnixTime) -> None:
-        """Until something has changed or is due, at the latest ``until``."""
+        """Wait until something has changed or is due, at the latest until ``until``."""
         due = min((until, *self._due.values()))
         with suppress(TimeoutError):
             async with asyncio.timeout(max(0.0, due - now)):

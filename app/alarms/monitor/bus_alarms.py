@@ -116,7 +116,7 @@ class BusAlarms:
         await self.list.follow(self.tick, self._clock)
 
     def tick(self) -> None:
-        """What time alone has changed."""
+        """Observe what time alone has changed: links, drift, control and the clock."""
         now = self._clock()
         self._notice_step(now)
         if self._monotonic() >= self._ages_from:
@@ -157,7 +157,8 @@ class BusAlarms:
             self._see_links(now)
 
     def _observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
-        """A suppression begins before the alarm rises, so that it is never annunciated."""
+        """Observe a condition. A suppression begins before the alarm rises, so that it is never
+        annunciated."""
         if holds and not alarm.holds and self._suppresses(alarm):
             self.list.suppress(alarm, True, now)
         self.list.observe(alarm, holds, now)
@@ -199,14 +200,14 @@ class BusAlarms:
             self._suppress(self._monitors[unit].alarms(), self._clock())
 
     def _suppress_again(self, now: UnixTime) -> None:
-        """Where what suppresses on the bus has changed, every alarm is concerned."""
+        """Judge the suppression of every alarm again where what suppresses on the bus has changed."""
         found = self._suppressing()
         if found != self._suppressors:
             self._suppressors = found
             self._suppress(self.list.alarms.values(), now)
 
     def _suppress(self, alarms: Iterable[Alarm], now: UnixTime) -> None:
-        """An alarm that is neither active nor about to be is left alone."""
+        """Judge the suppression of alarms. One that is neither active nor about to be is left alone."""
         for alarm in alarms:
             concerned = alarm.facts.suppressed or alarm.facts.active or bool(alarm.holds)
             self.list.suppress(alarm, concerned and self._suppresses(alarm), now)

@@ -36,7 +36,7 @@ class FoundAlarm(NamedTuple):
 
 
 class LineAlarms:
-    """What a person does is in the audit log, the journal and the alarm together, or nowhere."""
+    """All alarms. An act of a person is in the audit log, the journal and the alarm together, or nowhere."""
 
     def __init__(
         self,
@@ -101,7 +101,7 @@ class LineAlarms:
         return self.buses[bus].list if bus else self.site.list
 
     def every(self) -> Iterator[Alarm]:
-        """All of them."""
+        """Yield every alarm, of the site and of each bus."""
         for each in self._lists:
             yield from each.alarms.values()
 
@@ -131,7 +131,7 @@ class LineAlarms:
         return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
 
     def of_unit(self, bus: str, unit: int) -> list[Alarm]:
-        """Those of a unit that are annunciated, by :func:`rank`."""
+        """Return the annunciated alarms of a unit, by :func:`rank`."""
         of_unit = self._of_unit.get((bus, unit), {})
         return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
 

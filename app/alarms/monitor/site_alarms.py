@@ -27,7 +27,7 @@ from bus.messages import Message, number
 
 LOOK_EVERY_S = 60.0
 Expiry = tuple[UnixTime, str]
-"""When something ends, and its name."""
+"""The moment at which something ends, and its name."""
 
 
 class ExpiryWatch:
@@ -81,7 +81,7 @@ def _first(endings: Iterable[Expiry]) -> Message | Literal[False]:
 
 
 def _ending(path: Path, which: Callable[[Iterable[UnixTime]], UnixTime]) -> Expiry | None:
-    """When the certificates of a file end. None for a file that holds none; who uses it reports that."""
+    """Return when the certificates of a file end; None for a file that holds none, which its user reports."""
     try:
         found = certificates_in(path.read_text(encoding="ascii", errors="replace"))
     except (OSError, MalformedCertificateError):
@@ -121,7 +121,7 @@ def site_conditions(
 
 
 class SiteAlarms:
-    """Looks at them every second."""
+    """The alarms of the site, whose conditions are looked at every second."""
 
     def __init__(
         self,
@@ -160,7 +160,7 @@ class SiteAlarms:
             self._observe(code, None if found is None else bool(found), now)
 
     def present(self, alarm: Alarm) -> Message | None:
-        """What an alarm is about, where it names one thing."""
+        """Return what an alarm is about, where it names one thing."""
         return self._about.get(alarm.definition.code)
 
     def _observe(self, code: str, holds: bool | None, now: UnixTime) -> None:

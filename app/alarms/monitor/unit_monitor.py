@@ -169,7 +169,7 @@ class UnitMonitor:
         self.see_drift(now)
 
     def see_drift(self, now: UnixTime) -> None:
-        """The golden set, or what the unit differs in, may be another."""
+        """Observe drift: the golden set or the parameters that differ from it may have changed."""
         drifted = self._has_drift(self._unit.settings.id)
         self._observe(self._drift, of_unit.PARAMETER_DRIFT.holds(drifted), now)
 
@@ -181,12 +181,14 @@ class UnitMonitor:
 
 
 def _limit_check(alarm: Alarm, tuning: Tuning) -> LimitCheck:
-    """By the limits of the site; those of each full scale are computed once."""
+    """Return the check of a value against the limits of the site, which are computed once for a full
+    scale."""
     rule = _rules(tuning)
     return lambda value, full_scale: rule(full_scale).holds(value, alarm.facts.active)
 
 
 @cache
 def _rules(tuning: Tuning) -> Callable[[int], LimitRule]:
-    """One for all units of the same limits: a line has a thousand of these alarms."""
+    """Return the rules of a tuning, shared by all units with the same limits: a line has a thousand such
+    alarms."""
     return cache(partial(limits_of, tuning))

@@ -37,7 +37,7 @@ log = structlog.get_logger()
 
 @dataclass(slots=True)
 class OwnAlarm:
-    """One that was added on the page; ``request``: who added it, with the Idempotency-Key."""
+    """An alarm that was added on the page; ``request``: who added it, with the Idempotency-Key."""
 
     settings: AlarmSettings
     who: str
@@ -61,8 +61,8 @@ class OwnAlarmLeftAside:
 
 
 class OwnAlarmBook:
-    """One for the app. An act is in the audit log, the journal, the store and the engine together, or
-    nowhere. Call :meth:`load` before the alarms take up their states."""
+    """The alarms of the site, configured and added. An act is in the audit log, the journal, the store and
+    the engine together, or nowhere. Call :meth:`load` before the alarms take up their states."""
 
     def __init__(
         self,

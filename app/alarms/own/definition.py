@@ -87,7 +87,8 @@ _VALUES: dict[str, Callable[[UnitLive, Reading], int | None]] = {
 
 @dataclass(slots=True)
 class OwnCondition:
-    """One of them. Limits are compared in integers; they are made again when the unit's decimals change."""
+    """The condition of one alarm of the site. Limits are compared in integers, which are computed again when
+    the decimals of the unit change."""
 
     settings: AlarmSettings
     of_state: bool = field(init=False)
@@ -122,7 +123,7 @@ class OwnCondition:
         return self._rule.holds(value, active)
 
     def forget(self) -> None:
-        """The values were not known for a while."""
+        """Forget the rate of change: the values were not known for a while."""
         self._rate.forget()
 
     def present(self, bus: BusLive, unit: UnitLive) -> Message | None:
@@ -159,7 +160,7 @@ def _rule_of(settings: AlarmSettings, decimals: int) -> LimitRule:
 
 
 def proposed(written: Mapping[str, Any], buses: Sequence[BusSettings]) -> AlarmSettings:
-    """Raises Problem 422 with every fault in words."""
+    """Return the settings of an alarm as a person wrote it. Raises Problem 422 with every fault in words."""
     try:
         settings = AlarmSettings.model_validate(written)
     except ValidationError as error:

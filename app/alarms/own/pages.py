@@ -39,7 +39,7 @@ _NUMBERS = ("above", "below", "deadband", "change_per_s")
 _DELAYS = ("on_delay_s", "off_delay_s")
 _TEXTS = ("cause", "consequence", "response")
 UNNAMED = term("New alarm")
-"""One that is simulated before it has a name."""
+"""The name of an alarm that is simulated before it has one."""
 _WITHOUT_FIELD = {"realarm_s", "latch"}
 SettingsOf = Annotated[Settings, service(Settings)]
 WrittenField = Annotated[str, Field(max_length=80)]
@@ -205,7 +205,7 @@ def _name(written: Mapping[str, str], otherwise: str) -> dict[str, str]:
 
 
 def _kept(own: OwnAlarmBook, key: str) -> dict[str, Any]:
-    """What the form has no field for, as it is."""
+    """Return the settings of an alarm for which the form has no field, so that they stay."""
     former = own.added.get(key)
     return {} if former is None else former.settings.model_dump(include=_WITHOUT_FIELD)
 

@@ -42,7 +42,7 @@ def limits_of(tuning: Tuning, full_scale: int) -> LimitRule:
 
 @dataclass(slots=True)
 class ChangeRate:
-    """How fast a value changes, over at least ``SPAN_S``. Raises nothing for equal times."""
+    """The rate of change of a value, over at least ``SPAN_S`` seconds."""
 
     SPAN_S = 1.0
     _at: float | None = None
@@ -59,7 +59,7 @@ class ChangeRate:
         return self._per_s
 
     def forget(self) -> None:
-        """The value was not known for a while."""
+        """Forget the rate: the value was not known for a while."""
         self._at = self._per_s = None
 
 
@@ -114,7 +114,7 @@ class FirstOut:
 
 @dataclass(frozen=True, slots=True)
 class Suppressors:
-    """What holds on one bus now."""
+    """The conditions of one bus that suppress alarms now."""
 
     groups: Collection[SuppressionGroup] = ()
     """The groups that conditions of the bus suppress."""

@@ -20,15 +20,15 @@ WINDOW_S = 600
 """Rates are judged in windows of ten minutes."""
 DAY_S = 86_400
 MANY = 10
-"""More in a window than a person can respond to: a flood begins."""
+"""A flood begins with more alarms in a window than this: a person cannot respond to them."""
 FEW = 5
-"""With fewer in a window it is over."""
+"""A flood is over with fewer alarms than this in a window."""
 CHATTERS_S = 60.0
 """An alarm that comes three times within this chatters."""
 FLEETING_S = 10.0
-"""One that clears sooner, before a person could act, is fleeting."""
+"""An alarm that clears sooner, before a person could act, is fleeting."""
 STALE_S = 24 * 3600.0
-"""One that stays active longer is stale."""
+"""An alarm that stays active longer is stale."""
 MIN_FOR_TOP_TEN = 200
 """Of fewer annunciated alarms, ten are more than 5 % in any case: their share has no value."""
 
@@ -161,7 +161,7 @@ def _share(part: int, total: int) -> float | None:
 
 RISES_OF_CHATTER = 3
 MAX_COUNTED = 1000
-"""In ten minutes; of more the newest."""
+"""Alarms that are counted in ten minutes; of more, the newest are."""
 
 
 class AlarmRates:
@@ -219,7 +219,7 @@ def observed_until(now: UnixTime, former: ObservedSpan | None) -> ObservedSpan:
 
 
 def observed_within(spans: Iterable[ObservedSpan], start: UnixTime, end: UnixTime) -> list[ObservedSpan]:
-    """What of a time was observed: without overlaps, in order."""
+    """Return the parts of a time that were observed, without overlaps, in order."""
     found: list[ObservedSpan] = []
     for span in sorted(ObservedSpan(max(each.start, start), min(each.end, end)) for each in spans):
         if span.start >= span.end:

@@ -14,7 +14,7 @@ from bus.instants import UnixTime
 BaseState = Literal["normal", "unack_active", "ack_active", "rtn_unack", "latched_unack", "latched_ack"]
 AlarmState = Literal[BaseState, "shelved", "suppressed", "out_of_service"]
 PRESENT_STATES: tuple[AlarmState, ...] = get_args(AlarmState)[1:]
-"""All but normal."""
+"""Every state but normal."""
 BaseTrigger = Literal["rise", "clear", "acknowledge", "reset", "realarm"]
 AlarmTrigger = Literal[
     BaseTrigger, "shelve", "unshelve", "suppress", "unsuppress", "remove", "return", "silence"
@@ -80,7 +80,7 @@ condition holds, unacknowledged: G, H, I → A or B. Only a reset ends a latch."
 
 @dataclass(frozen=True, slots=True)
 class AlarmAttributes:
-    """How an alarm behaves (ISA-18.2-2016, clause 10). Durations in seconds."""
+    """The attributes of an alarm (ISA-18.2-2016, clause 10). Durations in seconds."""
 
     on_delay_s: float = 0.0
     off_delay_s: float = 0.0
@@ -148,7 +148,7 @@ class AlarmFacts:
         return "suppressed" if self.suppressed else self.base
 
     def with_base(self, base: BaseState) -> AlarmFacts:
-        """These facts in another base state."""
+        """Return these facts in another base state."""
         facts = FACTS_OF[base]
         return replace(self, active=facts.active, acknowledged=facts.acknowledged, latched=facts.latched)
 
@@ -168,20 +168,20 @@ class Transition:
 
 
 def due_at(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
-    """When the next transition comes by time alone; None: never."""
+    """Return when the next transition comes by time alone; None: never."""
     times = (detection_due(facts, attributes), facts.shelved_until, realarm_due(facts, attributes))
     return min((time for time in times if time is not None), default=None)
 
 
 def detection_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
-    """When a running delay ends."""
+    """Return when a running delay ends; None where none runs."""
     if facts.changing_since is None:
         return None
     return facts.changing_since + (attributes.off_delay_s if facts.active else attributes.on_delay_s)
 
 
 def realarm_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
-    """When an acknowledged alarm is annunciated again."""
+    """Return when an acknowledged alarm is annunciated again; None: never."""
     if attributes.realarm_s is None or facts.acknowledged_at is None or facts.is_hidden or not facts.active:
         return None
     return facts.acknowledged_at + attributes.realarm_s
@@ -218,7 +218,7 @@ class NoTransitionError(Exception):
 
 
 def observe(facts: AlarmFacts, attributes: AlarmAttributes, holds: bool | None, at: UnixTime) -> Changed:
-    """Its condition holds, does not, or is not known (None): then it neither rises nor clears."""
+    """Observe the condition of an alarm. While it is not known (None), the alarm neither rises nor clears."""
     facts, passed = advance(facts, attributes, at)
     if holds is None:
         unknown_since = at if facts.unknown_since is None else facts.unknown_since
@@ -233,7 +233,7 @@ def observe(facts: AlarmFacts, attributes: AlarmAttributes, holds: bool | None, 
 
 
 def advance(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
-    """Everything that time alone brings up to ``at``, each at its own time."""
+    """Apply every transition that is due by time alone up to ``at``, each at its own time."""
     done: tuple[Transition, ...] = ()
     while (due := due_at(facts, attributes)) is not None and due <= at:
         facts, transitions = _come_due(facts, attributes, due)
@@ -260,7 +260,7 @@ def _detect(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Cha
 
 
 def acknowledge(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
-    """A person has seen it. Raises NoTransitionError, also while it is hidden."""
+    """Acknowledge an alarm. Raises NoTransitionError, also while it is hidden."""
     if facts.is_hidden:
         raise NoTransitionError
     return _base(facts, attributes, "acknowledge", at)

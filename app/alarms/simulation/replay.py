@@ -33,7 +33,7 @@ SimulatedTime = Annotated[InstantObject | None, Field(description="ISO 8601 in U
 
 @dataclass(slots=True)
 class Annunciations:
-    """When an alarm would have been annunciated, and how long it would have stood."""
+    """The times at which an alarm would have been annunciated, and how long it would have stood."""
 
     at: list[UnixTime] = field(default_factory=list)
     lengths: list[float] = field(default_factory=list)
@@ -58,7 +58,7 @@ class Annunciations:
 
     @property
     def chattering(self) -> int:
-        """How many are among three within a minute."""
+        """The number of annunciations that are among three within a minute."""
         among: set[int] = set()
         last = CHATTERING_TIMES - 1
         for index in range(last, len(self.at)):
@@ -178,7 +178,7 @@ class Replay:
             self._see(_reading(self._settings.unit, run, at), rests, inside=at != begins)
 
     def end(self, at: UnixTime) -> None:
-        """The time is over. What stands then is counted up to it."""
+        """End the simulation at a time. An annunciation that stands then is counted up to it."""
         self._pass_gap(at)
         self._apply(state_machine.advance(self._facts, self._definition.attributes, at))
         if self._unknown_since is not None:

@@ -90,7 +90,7 @@ def _extent(
 
 
 def _feed(hour: StoredHour, replay: Replay, settings: AlarmSettings) -> float:
-    """Returns what it took, in seconds of this thread."""
+    """Feed an hour to a simulation, and return the CPU seconds of this thread that it took."""
     begun = time.thread_time()
     hour.feed(replay, settings)
     return time.thread_time() - begun
@@ -124,7 +124,8 @@ def _outcome(
 
 
 class StoredHour:
-    """One hour of a unit, on one connection. ``start`` and ``end`` in µs, complete minutes."""
+    """Feeds one hour of a unit from the store, on one connection. ``start`` and ``end``: complete minutes,
+    µs."""
 
     def __init__(
         self, connection: tables.StoreConnection, tail: Tail, bus: BusSettings, start: int, end: int

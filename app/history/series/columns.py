@@ -25,7 +25,7 @@ LEVEL = 6
 
 
 def pack(columns: Sequence[Sequence[int]], level: int = LEVEL) -> bytes:
-    """All columns, of equal length, values within ±2^62. Raises OverflowError beyond."""
+    """Pack columns of equal length, with values within ±2^62. Raises OverflowError beyond."""
     rows = len(columns[0])
     codes, planes = [], []
     for column in columns:
@@ -65,7 +65,7 @@ def _planes(column: Sequence[int]) -> tuple[str, bytes]:
 
 
 def _steady(value: int, rows: int) -> tuple[str, bytes]:
-    """Of the same value in every row: its difference to 0, then none."""
+    """Pack a column of the same value in every row: its difference to 0, then none."""
     code, rest = _narrowest((value,)), bytes(rows - 1)
     first = value.to_bytes(_SIZES[code], "little", signed=True)
     return code, b"".join([first[i : i + 1] + rest for i in range(len(first))])

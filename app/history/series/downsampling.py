@@ -43,7 +43,7 @@ class Points:
     width: int = 0
     """Length of the stretch of each point, µs; 0: single readings."""
     usual: int = 0
-    """How often the unit responds, µs."""
+    """The usual interval between two responses of the unit, µs."""
 
 
 @dataclass(slots=True)
@@ -92,7 +92,7 @@ def grid(start: int, end: int, most: int, least_width: int = _MS) -> tuple[int, 
 
 
 def series(points: Points, marks: Marks, scaling: Scaling) -> Series:
-    """In display units, with the holes."""
+    """Return the points in display units, with the holes."""
     result = Series(points.at)
     for i, j, scale in scaling.stretches(points.at):
         low, high = scale.apply_all(points.least[i:j]), scale.apply_all(points.greatest[i:j])
@@ -105,7 +105,7 @@ def series(points: Points, marks: Marks, scaling: Scaling) -> Series:
 
 
 def _opened(series: Series, after: Sequence[int], width: int) -> Series:
-    """With a null between the points of each hole."""
+    """Return a series with a null between the points of each hole."""
     if not after:
         return series
     times = [series.at[i] + max(width, (series.at[i + 1] - series.at[i]) // 2) for i in after]

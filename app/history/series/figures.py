@@ -1,4 +1,5 @@
-"""How long a unit ran and was at speed, when it stood still and why, and how far it went. Pure.
+"""Figures of a unit: how long it ran and was at speed, when and why it stood still, how far it went, and its
+draw. Pure.
 
 A unit runs while its actual speed is not 0. It is at speed while it runs with a setpoint above 0 and reports
 the bit *at speed* of ST2: its actual speed is within the window of parameter 12 around the commanded one, as

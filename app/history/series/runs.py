@@ -38,7 +38,7 @@ class Run(NamedTuple):
 
 
 PlainRun = tuple[int, int, int, int, int, int, int]
-"""The same as a plain tuple: of hundreds of thousands in memory the garbage collector looks at none."""
+"""A run as a plain tuple: of hundreds of thousands in memory the garbage collector looks at none."""
 _named: Callable[[PlainRun], Run] = partial(tuple.__new__, Run)
 COLUMNS = {name: position for position, name in enumerate(Run._fields)}
 
@@ -68,17 +68,17 @@ def follows(run: PlainRun, last: PlainRun) -> bool:
 
 
 def joined(last: PlainRun, run: PlainRun) -> PlainRun:
-    """One run of two, the second following the first."""
+    """Join two runs, the second following the first."""
     return (last[0], run[1], last[2] + run[2], *last[3:])
 
 
 def merge(one: Iterable[PlainRun], other: Iterable[PlainRun]) -> list[Run]:
-    """Both in order of time; what both hold is there once. No value that either holds is lost."""
+    """Merge runs in order of time; what both hold is there once. No value that either holds is lost."""
     return runs_of(merge_plain(one, other))
 
 
 def merge_plain(one: Iterable[PlainRun], other: Iterable[PlainRun]) -> list[PlainRun]:
-    """The same without names."""
+    """Merge plain runs in order of time; a run that both hold is there once."""
     merged: list[PlainRun] = []
     last: PlainRun | None = None
     for run in sorted(chain(one, other)):

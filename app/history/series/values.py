@@ -1,4 +1,4 @@
-"""What stored numbers mean: the values of a unit, their scales, holes between readings, bits. Pure."""
+"""The meaning of stored numbers: the values of a unit, their scales, holes between readings, bits. Pure."""
 
 from __future__ import annotations
 
@@ -245,7 +245,7 @@ def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> lis
 
 
 _PART = itemgetter(*(Run._fields.index(name) for name in ("at", "until", "word")))
-"""Of a run, the fields of an interval."""
+"""Returns the fields of a run that make an interval."""
 
 
 class Interval(NamedTuple):
