@@ -11,8 +11,8 @@ from tempfile import mkdtemp
 
 import pytest
 
-from app.cli.setup import authority
-from app.cli.setup.authority import CertificateAuthority
+from app.cli.setup import certificate
+from app.cli.setup.certificate import CertificateAuthority
 
 LOCAL = ("localhost", "127.0.0.1")
 
@@ -35,7 +35,7 @@ def _made() -> Path:
     site.issue(*_pair(folder, "misnamed"), "server", "plant", ["elsewhere.example"])
     site.issue(*_pair(folder, "worker"), "worker", "dry-end")
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(authority, "DAYS", -1)
+        patched.setattr(certificate, "DAYS", -1)
         site.issue(*_pair(folder, "expired"), "server", "plant", LOCAL)
         site.issue(*_pair(folder, "worker-expired"), "worker", "dry-end")
     other = CertificateAuthority(folder / "other", "Elsewhere")

@@ -37,14 +37,13 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "certificate": ("setup.certificate", "Create and renew certificates of server and workers: create."),
     "audit": ("site.audit", "Verify the event log: verify, rotate-key."),
     "publish": ("stores.publish", "Fill a past into the plant's database."),
-    "backup": ("api.backup", "Write the parameters of a unit or a bus to a file."),
-    "diff": ("api.diff", "Show the differences of a unit and a file, or of two files."),
-    "restore": ("api.restore", "Write the rows of a file that differ to a unit."),
+    "backup": ("api.parameters", "Write the parameters of a unit or a bus to a file."),
+    "diff": ("api.parameters", "Show the differences of a unit and a file, or of two files."),
+    "restore": ("api.parameters", "Write the rows of a file that differ to a unit."),
     "backup-store": ("stores.backup_store", "Copy the stores of a running dashboard into one file."),
     "restore-store": ("stores.restore_store", "Replace the current stores with a backup."),
 }
-"""Name → module in this package, and its line in the help. The module has a function of that name, or a
-``CommandGroup`` for a command with subcommands."""
+"""Name → module in this package, which has the click command of that name, and its line in the help."""
 
 WITHDRAWN = {"home": "home_withdrawn", "migrate-store": "migrate_store_of_former_version"}
 """Name of a former command → the code of the message that names what takes its place."""
@@ -78,12 +77,10 @@ class Lazy(click.Group):
             raise click.UsageError(str(Message(WITHDRAWN[cmd_name])))
         if cmd_name not in COMMANDS:
             return None
-        from app.cli.options import command_of
-
         with loading():
             module = import_module(f"app.cli.{COMMANDS[cmd_name][0]}")
-        named = getattr(module, cmd_name.replace("-", "_"))
-        return named if isinstance(named, click.Command) else command_of(named, cmd_name)
+        command: click.Command = getattr(module, cmd_name.replace("-", "_"))
+        return command
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """The commands that begin so, each with its line in the help; no module is imported for it."""
@@ -126,7 +123,7 @@ cli = Lazy(
             help="Show the version.",
         )
     ],
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
 )
 
 

@@ -237,13 +237,17 @@ def test_a_terminal_prompts_for_the_password_without_echo(lineside: Shell) -> No
 @pytest.mark.parametrize(
     ("words", "typed", "error"),
     [
-        (["user", "add", "ann", "--role", "king", "--password-stdin"], PASSWORD, "there is no role 'king'"),
+        (
+            ["user", "add", "ann", "--role", "king", "--password-stdin"],
+            PASSWORD,
+            "'king' is not one of 'viewer', 'operator'",
+        ),
         (["user", "add", "a b", "--role", "viewer", "--password-stdin"], PASSWORD, "1 to 40 letters"),
         (["user", "add", "ann", "--role", "viewer", "--password-stdin"], "", "12 to 256 characters"),
         (["user", "add", "ann", "--role", "viewer", "--password-stdin"], "x", "12 to 256 characters"),
         (["user", "add", "ann", "--role", "viewer", "--password-stdin"], "password1234", "easy to guess"),
         (["user", "remove", "eve"], "", "there is no user eve"),
-        (["token", "create", "t", "--role", "king"], "", "there is no role 'king'"),
+        (["token", "create", "t", "--role", "king"], "", "'king' is not one of 'viewer', 'operator'"),
         (["token", "revoke", "t"], "", "there is no token t"),
         (
             ["token", "create", "t", "--role", "worker"],

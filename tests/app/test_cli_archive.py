@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.findings.machine import Finding, findings
+from app.cli.findings.machine import Finding
+from app.cli.findings.stores import archive
 from app.cli.site.audit import proof_of
 from app.errors import StoreError
 from app.settings import Settings, load
@@ -46,6 +47,6 @@ def test_check_names_a_folder_that_is_not_there(tmp_path: Path) -> None:
     file.write_text('[audit]\narchive = "archive"\n')
     folder = tmp_path / "archive"
     missing = Message.of("audit_archive_folder_missing", folder=str(folder))
-    assert Finding(missing, is_fault=True) in findings(load(file))
+    assert Finding(missing, is_fault=True) in list(archive(load(file)))
     folder.mkdir()
-    assert Finding(Message.of("check_archive", folder=str(folder))) in findings(load(file))
+    assert Finding(Message.of("check_archive", folder=str(folder))) in list(archive(load(file)))

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli import cli
-from app.cli.setup import authority, certificate
+from app.cli.setup import certificate
 from app.cli.setup.certificate import own_addresses, server_names
 from app.settings import ServerSettings
 from bus.tls import read_certificate
@@ -132,7 +132,7 @@ def test_half_an_authority_is_not_completed(config: Path, name: str) -> None:
 
 def test_an_expired_certificate_is_renewed(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patched:
-        patched.setattr(authority, "DAYS", -1)
+        patched.setattr(certificate, "DAYS", -1)
         patched.setattr(certificate, "DAYS", -1)
         create(config)
     assert create(config).exit_code == 0
@@ -141,7 +141,7 @@ def test_an_expired_certificate_is_renewed(config: Path, monkeypatch: pytest.Mon
 
 
 def test_without_openssl_it_is_named(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(authority.shutil, "which", lambda _: None)
+    monkeypatch.setattr(certificate.shutil, "which", lambda _: None)
     result = create(config)
     assert result.exit_code == 1
     assert "openssl" in result.output

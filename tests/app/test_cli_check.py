@@ -17,13 +17,12 @@ from app.audit.chain import KeyOrigin
 from app.audit.keys import make_key_file
 from app.cli.findings import check
 from app.cli.findings import machine as findings
-from app.cli.options import command_of
 from app.database import Database
 from app.database.migration import COPYING
 from app.history.writer import MIGRATIONS
 from tests.mounted import mounted
 
-cli = command_of(check.check)
+cli = check.check
 
 UNIT = '[[bus.unit]]\nid = 1\nname = "Unwind"\n'
 

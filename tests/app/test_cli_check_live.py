@@ -19,7 +19,6 @@ from app.audit.chain import KeyOrigin
 from app.audit.keys import make_key_file
 from app.cli.findings import check
 from app.cli.findings import live as live_findings
-from app.cli.options import command_of
 from app.conditions import of_server
 from app.database import Database
 from tests.app.live_check import bus, check_live, everything_in, pseudo_terminal, run
@@ -181,7 +180,7 @@ def test_a_fault_has_the_same_exit_code_without_a_trial(
     (config.parent / "damaged.pem").write_text("-----BEGIN CERTIFICATE-----\nx\n")
     text = f"[server]\nport = {free_port()}\n[server.tls]\n{setting}{bus('/dev/ttyUSB99')}"
     tried = run(config, text)
-    untried = CliRunner().invoke(command_of(check.check), ["--config", str(config)])
+    untried = CliRunner().invoke(check.check, ["--config", str(config)])
     assert (tried.exit_code, untried.exit_code) == (code, code), tried.output + untried.output
     assert words in tried.output
     assert code == 0 or words in untried.stderr

@@ -11,14 +11,13 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from app.cli.options import command_of
 from app.cli.wire import scan
 from tests import fork_server
 
 PATIENCE_MS = 400
 """On a busy machine the simulated unit may have to wait its turn."""
 
-cli = command_of(scan.scan)
+cli = scan.scan
 
 
 @contextmanager

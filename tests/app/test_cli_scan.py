@@ -13,7 +13,6 @@ import pytest
 import serial
 from click.testing import CliRunner, Result
 
-from app.cli.options import command_of
 from app.cli.wire import scan
 from app.cli.wire.scan import announcement, bauds_to_try
 from bus.catalogue import numbers
@@ -36,7 +35,7 @@ GONE = Message.of("port_gone", port="it")
 without a unit costs this at every probe, so there are few of those.
 """
 
-cli = command_of(scan.scan)
+cli = scan.scan
 
 
 def unit(address: int, baud: int = 9600, **traits: Any) -> Unit:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.config_option import NEW_CONFIG, default_config
+from app.cli.options import NEW_CONFIG, default_config
 from tests.test_architecture import ROOT
 
 
@@ -40,7 +40,7 @@ def test_a_user_who_may_not_look_is_told_so_in_any_folder(where: str) -> None:
             each.mkdir(mode=0o700)
         (etc / "lineside.toml").touch()
         program = (
-            "import os, pathlib, app.cli.config_option as found\n"
+            "import os, pathlib, app.cli.options as found\n"
             "from bus.configuration import ConfigurationError, read\n"
             "import bus.messages; str(bus.messages.Message('configuration_missing', {'file': ''}))\n"
             "os.setgroups([]); os.setgid(4321); os.setuid(4321)\n"

@@ -8,7 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from app.cli import cli
-from app.cli.api.credentials import TOKEN_VARIABLE, bearer_token
+from app.cli.api.credentials import bearer_token
+from app.cli.options import TOKEN_VARIABLE
 from bus.errors import CallerError
 
 

@@ -15,8 +15,7 @@ from app.audit.log import EventLog
 from app.audit.proof import heads_of
 from app.audit.queries import Filter
 from app.cli.simulated.demo import configuration
-from app.cli.simulated.past import write_past
-from app.cli.simulated.past.story import PHASES, past_of
+from app.cli.simulated.past import PHASES, past_of, write_past
 from app.database import Database
 from app.history import tables
 from app.history.series.runs import HOUR, runs_of

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.findings.service import service_findings
+from app.cli.findings.machine import service
 from app.cli.setup import install_service
 from app.cli.setup.install_service import (
     carry_out,
@@ -24,6 +24,7 @@ from app.cli.setup.install_service import (
     write_configuration,
 )
 from app.cli.setup.service_unit import ServiceUnit, quoted
+from app.settings import Settings
 from bus.errors import LinesideError
 from tests import fork_server
 from tests.test_service_unit import UNITS
@@ -155,11 +156,11 @@ def test_an_edited_unit_file_is_named_line_by_line_and_kept(
 ) -> None:
     unit.configuration.parent.mkdir()
     unit_file = tmp_path / "lineside.service"
-    assert list(service_findings(unit_file)) == []
+    assert list(service(Settings(), unit_file)) == []
     edited = unit.text.replace("WatchdogSec=20", "WatchdogSec=abc").replace("Restart=", "Restrat=")
     unit_file.write_text(edited)
     if shutil.which("systemd-analyze"):
-        complaints = "\n".join(str(each.message) for each in service_findings(unit_file) if each.is_fault)
+        complaints = "\n".join(str(each.message) for each in service(Settings(), unit_file) if each.is_fault)
         assert "abc" in complaints
         assert "Restrat" in complaints
     carry_out(unit, [["systemctl", "daemon-reload"]], lambda _: None, unit_file=unit_file)

@@ -14,7 +14,6 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli.findings import check
-from app.cli.options import command_of
 from app.notification.sending import mail, programs
 from app.settings import load
 from tests.app.configured import faults_of
@@ -23,7 +22,7 @@ from tests.app.notification_servers import mail_server, receiver
 BUS = '[[bus]]\nname = "dry-end"\nport = "/dev/null"\n'
 SMTP = '[notify.smtp]\nhost = "mail"\nsender = "lineside@plant"\n'
 GROUP = '[[notify.group]]\nname = "duty"\n'
-cli = command_of(check.check)
+cli = check.check
 
 
 def test_the_example_of_the_contract_is_read(tmp_path: Path) -> None:

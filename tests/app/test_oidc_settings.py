@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from app.auth.oidc import single_sign_on
-from app.cli.findings.oidc import oidc_findings
+from app.cli.findings.check import oidc
 from app.lifespan import StartError
-from app.settings import ConfigurationError, load
+from app.settings import ConfigurationError, Settings, load
 from tests.app.complete_app import complete_app
 from tests.app.played_provider import SECRET, played_provider
 
@@ -67,7 +67,7 @@ async def test_without_the_package_the_server_does_not_start(
     with pytest.raises(StartError, match=r"pip install lineside\[oidc\]"):
         async with complete_app(tmp_path, oidc=settings):
             raise AssertionError("it has started")
-    [missing] = oidc_findings(settings)
+    [missing] = oidc(Settings.model_construct(oidc=settings))
     assert missing.is_fault
 
 
@@ -94,7 +94,9 @@ async def test_check_names_the_secret_and_the_provider(tmp_path: Path) -> None:
         settings.client_secret_file.chmod(0o604)
 
         def texts() -> list[tuple[bool, str]]:
-            return [(each.is_fault, str(each.message)) for each in oidc_findings(settings)]
+            return [
+                (each.is_fault, str(each.message)) for each in oidc(Settings.model_construct(oidc=settings))
+            ]
 
         found = await asyncio.to_thread(texts)
         assert [is_fault for is_fault, _ in found] == [False, False]

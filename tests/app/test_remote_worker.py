@@ -10,7 +10,6 @@ import pytest
 from click.testing import CliRunner
 
 from app.cli.findings import check
-from app.cli.options import command_of
 from app.cli.setup.install_service import unit_of
 from app.settings import load
 from tests import fork_server
@@ -59,7 +58,7 @@ def test_the_server_starts_no_worker_and_takes_the_one_elsewhere(config: Path) -
 def test_a_port_of_another_machine_is_left_alone(config: Path) -> None:
     write(config, ("dry-end", "/dev/null", "remote"))
     call = ["--live", "--json", "--config", str(config)]
-    result = CliRunner().invoke(command_of(check.check), call)
+    result = CliRunner().invoke(check.check, call)
     assert (result.exit_code, result.stderr) == (0, "")
     codes = {each["code"] for each in json.loads(result.stdout)["findings"]}
     assert "check_bus_remote" in codes

@@ -9,27 +9,14 @@ from __future__ import annotations
 import os
 import stat
 from pathlib import Path
-from typing import Annotated
 
 from app.cli.ending import complain
-from app.cli.options import Option
+from app.cli.options import TOKEN_VARIABLE
 from app.errors import system_error
 from bus.errors import CallerError
 from bus.messages import Message
 
-TOKEN_VARIABLE = "LINESIDE_TOKEN"
 MAX_BYTES = 4096
-
-TokenOption = Annotated[
-    str,
-    Option(
-        "--token",
-        help=f"A bearer token. Other users of this machine can see it: use --token-file or {TOKEN_VARIABLE}.",
-    ),
-]
-TokenFile = Annotated[
-    Path | None, Option("--token-file", help="A file whose first line is the bearer token.")
-]
 
 
 def bearer_token(token: str, file: Path | None, *more_variables: str, required: bool = True) -> str:

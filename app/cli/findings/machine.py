@@ -1,5 +1,5 @@
-"""What ``lineside check`` finds: whether this machine can run a configuration. Every trial is undone, and no
-port is opened."""
+"""What ``lineside check`` finds of this machine: address, folders, ports and service. Every trial is undone.
+Each function of settings is a row of the table in `check`."""
 
 from __future__ import annotations
 
@@ -7,21 +7,24 @@ import errno
 import importlib.util
 import os
 import pwd
+import shutil
 import socket
 import stat
+import subprocess
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from app.audit.anchor import anchor_file
-from app.audit.keys import KeyFileError, find_key_file, owners_of, read_key_file
 from app.cli.serving.listening import ListenError, listen
-from app.settings import ServerSettings, Settings
+from app.cli.setup.service_unit import UNIT_FILE
+from app.settings import Settings
 from bus.line.port.open_error import why_not
 from bus.messages import Message, ParamValue
 from bus.settings import BusSettings
+
+WITHIN_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,62 +79,50 @@ def existing_part(folder: Path) -> Path:
     return next(each for each in (folder, *folder.parents) if is_visible(each))
 
 
-def findings(settings: Settings) -> Iterator[Finding]:
-    """Everything worth knowing of a configuration on this machine, in the order of the file."""
+def former_settings(settings: Settings) -> Iterator[Finding]:
+    """Settings of earlier versions, which are ignored."""
     yield from map(Finding, settings.former_notices)
-    yield _address(settings.server)
-    yield from _encryption(settings.server)
-    yield _data(settings.server.data)
-    yield _key(settings.key_files, settings.server.store)
-    yield _anchor(anchor_file(settings), is_configured=settings.audit.anchor is not None)
-    yield from _archive(settings.audit.archive)
-    if not settings.bus and not settings.peer:
-        yield fault("check_no_bus")
-    for bus in settings.bus:
-        yield from _bus(bus)
 
 
-def _encryption(server: ServerSettings) -> Iterator[Finding]:
-    if server.tls is None:
-        if server.is_in_clear:
-            yield Finding(Message("check_no_tls"))
-        return
-    from app.server.tls.certificate import ServerCertificate
-    from bus.tls import TlsFileError, read_certificate
-
-    try:
-        fault_now = ServerCertificate(server.tls).fault
-        day = read_certificate(server.tls.certificate).ends_on
-    except TlsFileError as error:
-        yield fault("check_tls_refused", reason=error.message)
-        return
-    if fault_now is not None:
-        yield fault("check_tls_refused", reason=fault_now)
-    yield Finding(Message.of("check_certificate", file=str(server.tls.certificate), day=day))
-
-
-def _address(server: ServerSettings) -> Finding:
+def address(settings: Settings) -> Iterator[Finding]:
+    """Whether the dashboard can listen at its address. One in use is no fault: Lineside may be running."""
+    server = settings.server
+    place: dict[str, ParamValue] = {"host": server.host, "port": server.port}
     try:
         listen(server.host, server.port, Message("choose_port")).close()
     except ListenError as error:
         if getattr(error.__cause__, "errno", None) == errno.EADDRINUSE:
-            return Finding(Message.of("check_address_in_use", host=server.host, port=server.port))
-        return fault("check_server_refused", reason=error.message)
-    return Finding(Message.of("check_address", host=server.host, port=server.port))
+            yield Finding(Message("check_address_in_use", place))
+        else:
+            yield fault("check_server_refused", reason=error.message)
+    else:
+        yield Finding(Message("check_address", place))
 
 
-def _data(folder: Path) -> Finding:
+def data(settings: Settings) -> Iterator[Finding]:
+    """Whether the stores can be in the folder of the data."""
+    folder = settings.server.data
     existing = existing_part(folder)
-    if not existing.is_dir():
-        return fault("check_data_is_file", folder=str(existing))
-    if is_read_only(existing):
-        return fault("check_disk_read_only", path=str(existing))
     longest = os.pathconf(existing, "PC_NAME_MAX")
     is_too_long = any(len(os.fsencode(name)) > longest for name in folder.parts)
-    if is_too_long or not may_make_files_in(existing):
+    if not existing.is_dir():
+        yield fault("check_data_is_file", folder=str(existing))
+    elif is_read_only(existing):
+        yield fault("check_disk_read_only", path=str(existing))
+    elif is_too_long or not may_make_files_in(existing):
         code = "check_data_not_writable" if existing == folder else "check_data_not_creatable"
-        return fault(code, user=user(), folder=str(folder))
-    return Finding(Message.of("check_data" if existing == folder else "check_data_later", folder=str(folder)))
+        yield fault(code, user=user(), folder=str(folder))
+    else:
+        code = "check_data" if existing == folder else "check_data_later"
+        yield Finding(Message.of(code, folder=str(folder)))
+
+
+def buses(settings: Settings) -> Iterator[Finding]:
+    """The port and the units of each bus."""
+    if not settings.bus and not settings.peer:
+        yield fault("check_no_bus")
+    for bus in settings.bus:
+        yield from _bus(bus)
 
 
 def _bus(bus: BusSettings) -> Iterator[Finding]:
@@ -186,46 +177,24 @@ def _url_fault(bus: BusSettings) -> Message | None:
     return None
 
 
-def _key(paths: Sequence[Path], store: Path | None) -> Finding:
-    found = find_key_file(paths)
-    if found is None:
-        return _new_key(paths)
-    try:
-        read_key_file(found, owners_of(store if store is not None and is_visible(store) else None))
-    except KeyFileError as error:
-        return fault("check_key_refused", reason=error.message)
-    return Finding(Message.of("check_key", file=str(found)))
-
-
-def _new_key(paths: Sequence[Path]) -> Finding:
-    *others, last = paths
-    for path in others:
-        if may_make_files_in(path.parent):
-            return Finding(Message.of("check_key_new", file=str(path)))
-    if not others and not may_make_files_in(last.parent):
-        return fault("check_key_not_creatable", user=user(), file=str(last), folder=str(last.parent))
-    return Finding(Message.of("check_key_new_beside_data" if others else "check_key_new", file=str(last)))
-
-
-def _anchor(path: Path, *, is_configured: bool) -> Finding:
-    """An anchor at the default place that cannot be written is no fault: the start reports it."""
-    exists = is_visible(path)
-    # Path.is_symlink raises for a name that is too long.
-    if os.path.islink(path) or (exists and not path.is_file()):  # noqa: PTH114
-        return fault("check_anchor_no_file", file=str(path))
-    if not (os.access(path, os.W_OK) if exists else may_make_files_in(path.parent)):
-        return Finding(Message.of("check_anchor_not_writable", user=user(), file=str(path)), is_configured)
-    return Finding(Message.of("check_anchor", file=str(path)))
-
-
-def _archive(folder: Path | None) -> Iterator[Finding]:
-    if folder is None:
+def service(_: Settings, unit_file: Path = UNIT_FILE) -> Iterator[Finding]:
+    """Each line of the unit file that systemd complains of, which it mostly ignores when it starts the
+    service: it may have been edited. Nothing without an installed service."""
+    program = shutil.which("systemd-analyze")
+    if program is None or not unit_file.is_file():
         return
-    if not folder.is_dir():
-        yield fault("audit_archive_folder_missing", folder=str(folder))
-    elif is_read_only(folder):
-        yield fault("check_disk_read_only", path=str(folder))
-    elif not may_make_files_in(folder):
-        yield fault("check_archive_not_writable", user=user(), folder=str(folder))
-    else:
-        yield Finding(Message.of("check_archive", folder=str(folder)))
+    try:
+        done = subprocess.run(
+            [program, "verify", unit_file],
+            capture_output=True,
+            text=True,
+            timeout=WITHIN_S,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return
+    complaints = [line for line in done.stderr.splitlines() if unit_file.name in line]
+    for line in complaints:
+        yield fault("check_service_refused", complaint=line)
+    if not complaints:
+        yield Finding(Message.of("check_service", file=str(unit_file)))

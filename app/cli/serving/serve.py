@@ -6,14 +6,13 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated
+from pathlib import Path
 
 import click
 
 from app.audit.keys import find_key_file
-from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import complain, report
-from app.cli.options import Option
+from app.cli.options import config_option
 from app.cli.serving.listening import listen
 from app.cli.setup.service_unit import WRONG_CONFIGURATION
 from app.database.presence import presence_of, refusal_to_start
@@ -27,12 +26,10 @@ from bus.messages import Message
 NEW = "--new"
 
 
-def serve(
-    config: Config = LINESIDE_TOML,
-    new: Annotated[
-        bool, Option(NEW, help="Begin a new site where the store is missing, empty or damaged.")
-    ] = False,
-) -> None:
+@click.command
+@config_option
+@click.option(NEW, is_flag=True, help="Begin a new site where the store is missing, empty or damaged.")
+def serve(config: Path, new: bool) -> None:
     """Serve the dashboard and every bus, until Ctrl-C or SIGTERM."""
     manager = ServiceManager()
     with configuration_refused(manager):

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import click
 
-from app.cli.api.credentials import TokenFile, TokenOption, bearer_token
-from app.cli.config_option import LINESIDE_TOML
-from app.cli.options import Option
+from app.cli.api.credentials import bearer_token
+from app.cli.options import LINESIDE_TOML, PATH, token_file_option, token_option
 from bus.configuration import load_bus
 from bus.errors import CallerError
 from bus.messages import Message
@@ -21,22 +20,29 @@ if TYPE_CHECKING:
 WORKER_TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
 
 
+@click.command
+@click.option("--bus", required=True, help="Name of the bus in the configuration.")
+@click.option(
+    "--app",
+    required=True,
+    multiple=True,
+    help="Address of the dashboard, http://host:port; may be repeated for that of its spare.",
+)
+@token_option
+@token_file_option
+@click.option("--config", type=PATH, default=LINESIDE_TOML, help="The configuration that has the bus.")
+@click.option("--ca", type=PATH, help="Certificate of the dashboard's authority, by default this machine's.")
+@click.option("--certificate", type=PATH, help="The worker's certificate, where the dashboard demands one.")
+@click.option("--key", type=PATH, help="Its private key.")
 def worker(
-    bus: Annotated[str, Option(help="Name of the bus in the configuration.")],
-    app: Annotated[
-        list[str],
-        Option(help="Address of the dashboard, http://host:port; may be repeated for that of its spare."),
-    ],
-    token: TokenOption = "",
-    token_file: TokenFile = None,
-    config: Annotated[Path, Option(help="The configuration that has the bus.")] = LINESIDE_TOML,
-    ca: Annotated[
-        Path | None, Option(help="Certificate of the dashboard's authority, by default this machine's.")
-    ] = None,
-    certificate: Annotated[
-        Path | None, Option(help="The worker's certificate, where the dashboard demands one.")
-    ] = None,
-    key: Annotated[Path | None, Option(help="Its private key.")] = None,
+    bus: str,
+    app: Sequence[str],
+    token: str,
+    token_file: Path | None,
+    config: Path,
+    ca: Path | None,
+    certificate: Path | None,
+    key: Path | None,
 ) -> None:
     """Run one bus worker for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
     for url in app:

@@ -7,18 +7,16 @@ import json
 import sys
 from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
 from app.auth.accounts import Accounts
 from app.auth.store import Token, User, tokens, users
-from app.cli.config_option import LINESIDE_TOML, Config
-from app.cli.options import Argument, AsJson, CommandGroup, Option
-from app.cli.site.log import console, site_log
-from app.cli.site.reading import reading_site
+from app.cli.options import config_option, json_option
+from app.cli.site.log import console, reading_site, site_log
 from app.settings import load
-from app.web.admission.access import PEOPLE_ROLES, Role, role_named
+from app.web.admission.access import PEOPLE_ROLES, Role
 from bus.errors import CallerError
 from bus.messages import Message
 from bus.text import composed
@@ -26,12 +24,19 @@ from bus.text import composed
 T = TypeVar("T")
 MAX_LINE = 10_000
 
-user = CommandGroup(help="Manage users.")
-token = CommandGroup(help="Manage tokens of programs.")
+user_name = click.argument("name", type=composed, help="The name to log in with.")
+token_name = click.argument("name", type=composed, help="Name of the token; unique.")
+from_input = click.option("--password-stdin", is_flag=True, help="Read the password from standard input.")
 
-UserName = Annotated[str, Argument(help="The name to log in with.", convert=composed)]
-FromInput = Annotated[bool, Option("--password-stdin", help="Read the password from standard input.")]
-TokenName = Annotated[str, Argument(help="Name of the token; unique.", convert=composed)]
+
+@click.group
+def user() -> None:
+    """Manage users."""
+
+
+@click.group
+def token() -> None:
+    """Manage tokens of programs."""
 
 
 def with_accounts(config: Path, work: Callable[[Accounts], Coroutine[Any, Any, T]]) -> T:
@@ -42,15 +47,16 @@ def with_accounts(config: Path, work: Callable[[Accounts], Coroutine[Any, Any, T
         return asyncio.run(work(Accounts(database, events, buses=buses, site=settings.site.name)))
 
 
-@user.add("add")
-def add_user(
-    name: UserName,
-    role: Annotated[str, Option(help=f"One of {', '.join(PEOPLE_ROLES)}.")],
-    password_stdin: FromInput = False,
-    config: Config = LINESIDE_TOML,
-) -> None:
+@user.command("add")
+@user_name
+@click.option(
+    "--role", type=click.Choice(list(map(str, PEOPLE_ROLES))), required=True, help="What the user may do."
+)
+@from_input
+@config_option
+def add_user(name: str, role: str, password_stdin: bool, config: Path) -> None:
     """Add a user."""
-    store_user(config, name, role_named(role), _password(password_stdin))
+    store_user(config, name, Role(role), _password(password_stdin))
 
 
 def store_user(config: Path, name: str, role: Role, password: str) -> None:
@@ -58,8 +64,10 @@ def store_user(config: Path, name: str, role: Role, password: str) -> None:
     with_accounts(config, lambda accounts: accounts.add_user(name, role, password, by=console()))
 
 
-@user.add("list")
-def list_users(config: Config = LINESIDE_TOML, as_json: AsJson = False) -> None:
+@user.command("list")
+@config_option
+@json_option
+def list_users(config: Path, as_json: bool) -> None:
     """List every user: name, role, and whether it is a panel, of a company account, or disabled."""
     with reading_site(load(config)) as connection:
         found = users(connection)
@@ -76,15 +84,20 @@ def list_users(config: Config = LINESIDE_TOML, as_json: AsJson = False) -> None:
         click.echo("\t".join([each.name, each.role, *marks]))
 
 
-@user.add("password")
-def set_password(name: UserName, password_stdin: FromInput = False, config: Config = LINESIDE_TOML) -> None:
+@user.command("password")
+@user_name
+@from_input
+@config_option
+def set_password(name: str, password_stdin: bool, config: Path) -> None:
     """Set a new password of a user; every session of that user ends."""
     new = _password(password_stdin)
     with_accounts(config, lambda accounts: accounts.set_password(name, new, by=console()))
 
 
-@user.add("remove")
-def remove_user(name: UserName, config: Config = LINESIDE_TOML) -> None:
+@user.command("remove")
+@user_name
+@config_option
+def remove_user(name: str, config: Path) -> None:
     """Remove a user; the events of that user are kept."""
     with_accounts(config, lambda accounts: accounts.remove_user(name, by=console()))
 
@@ -125,28 +138,32 @@ def prompted_password() -> str:
     return typed
 
 
-@token.add("create")
-def create_token(
-    name: TokenName,
-    role: Annotated[str, Option(help=f"One of {', '.join(Role)}.")],
-    bus: Annotated[str, Option(help="Bus of a token with the role worker.")] = "",
-    expires: Annotated[
-        int | None,
-        Option(metavar="DAYS", help="Days until it expires; without it, the token does not expire."),
-    ] = None,
-    config: Config = LINESIDE_TOML,
-) -> None:
+@token.command("create")
+@token_name
+@click.option(
+    "--role", type=click.Choice(list(map(str, Role))), required=True, help="What the program may do."
+)
+@click.option("--bus", default="", show_default=False, help="Bus of a token with the role worker.")
+@click.option(
+    "--expires",
+    type=int,
+    metavar="DAYS",
+    help="Days until it expires; without it, the token does not expire.",
+)
+@config_option
+def create_token(name: str, role: str, bus: str, expires: int | None, config: Path) -> None:
     """Create a bearer token and print it once."""
-    chosen = role_named(role, Role)
     secret = with_accounts(
         config,
-        lambda accounts: accounts.create_token(name, chosen, bus=bus, expires_days=expires, by=console()),
+        lambda accounts: accounts.create_token(name, Role(role), bus=bus, expires_days=expires, by=console()),
     )
     click.echo(secret)
 
 
-@token.add("list")
-def list_tokens(config: Config = LINESIDE_TOML, as_json: AsJson = False) -> None:
+@token.command("list")
+@config_option
+@json_option
+def list_tokens(config: Path, as_json: bool) -> None:
     """List every token: name, role, creator, bus of a worker, day on which it expires."""
     with reading_site(load(config)) as connection:
         found = tokens(connection)
@@ -159,7 +176,9 @@ def list_tokens(config: Config = LINESIDE_TOML, as_json: AsJson = False) -> None
         click.echo("\t".join(columns).rstrip())
 
 
-@token.add("revoke")
-def revoke_token(name: TokenName, config: Config = LINESIDE_TOML) -> None:
+@token.command("revoke")
+@token_name
+@config_option
+def revoke_token(name: str, config: Path) -> None:
     """Revoke a token."""
     with_accounts(config, lambda accounts: accounts.revoke_token(name, by=console()))

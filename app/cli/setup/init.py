@@ -6,14 +6,14 @@ import asyncio
 import sys
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from os import geteuid
 from pathlib import Path
 
 import click
 
-from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
+from app.cli.options import config_option
 from app.cli.setup import install_service
 from app.cli.setup.rights import acting_as_owner_of
 from app.cli.setup.service_unit import CONFIGURATION, PACKAGED_UNIT, UNIT_FILE
@@ -37,7 +37,9 @@ ADDRESSES = range(1, 256)
 ALLOWED_S = 0.05
 
 
-def init(config: Config = LINESIDE_TOML) -> None:
+@click.command
+@config_option
+def init(config: Path) -> None:
     """Write a commented lineside.toml to start from, or complete the one that the service was installed
     with. A file with a bus of its own is never changed.
 
@@ -48,7 +50,7 @@ def init(config: Config = LINESIDE_TOML) -> None:
     present = present_text(config)
     text = without_bus(config) if present is None else present
     prompts = is_interactive()
-    with service_stopped(config) if prompts else service_running():
+    with service_stopped(config) if prompts else nullcontext():
         example = example_bus(config, likely_port())
         text = prompted_text(config, text) if prompts else with_bus(text, example)
         with acting_as_owner_of(config.resolve().parent):
@@ -98,12 +100,6 @@ def _exists(config: Path) -> LinesideError:
 
 
 @contextmanager
-def service_running() -> Iterator[None]:
-    """Leave the service alone."""
-    yield
-
-
-@contextmanager
 def service_stopped(config: Path) -> Iterator[None]:
     """Stop the installed service of this configuration, which may have the port open, and start it again in
     any case. Only root may, and only systemd has one."""
@@ -143,8 +139,7 @@ def prompted_text(config: Path, text: str) -> str:
 def _scanned(port: str) -> str:
     """Return the bus with the units that respond; empty where there is none, or no port, which it prints."""
     # The scanner is the bus worker's: a file without a scan does not need it.
-    from app.cli.wire.bus_table import bus_table
-    from app.cli.wire.scan import allowed_ms, bauds_to_try, scan_bauds, units_of
+    from app.cli.wire.scan import allowed_ms, bauds_to_try, bus_table, scan_bauds, units_of
     from bus.line.scan.scanner import BaudScan
 
     scans: list[BaudScan] = []

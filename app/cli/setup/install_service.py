@@ -11,12 +11,11 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
 
 import click
 
 from app.cli.ending import report, wrong_option
-from app.cli.options import Option
+from app.cli.options import PATH
 from app.cli.setup.service_unit import CONFIGURATION, DATA, UNIT_FILE, USER, ServiceUnit
 from app.cli.setup.starting_file import first_configuration
 from app.errors import system_error
@@ -29,13 +28,15 @@ BOOTED = Path("/run/systemd/system")
 Runner = Callable[[Sequence[str]], None]
 
 
-def install_service(
-    config: Annotated[Path, Option(help="The configuration; created where there is none.")] = CONFIGURATION,
-    user: Annotated[str, Option(help="The user that runs it; created where there is none.")] = USER,
-    dry_run: Annotated[bool, Option(help="Print the unit file and the steps, and change nothing.")] = False,
-    remove: Annotated[bool, Option(help="Stop and remove the service; configuration and data stay.")] = False,
-    json_output: Annotated[bool, Option("--json", help="Print the unit file and the steps as JSON.")] = False,
-) -> None:
+@click.command
+@click.option(
+    "--config", type=PATH, default=CONFIGURATION, help="The configuration; created where there is none."
+)
+@click.option("--user", default=USER, help="The user that runs it; created where there is none.")
+@click.option("--dry-run", is_flag=True, help="Print the unit file and the steps, and change nothing.")
+@click.option("--remove", is_flag=True, help="Stop and remove the service; configuration and data stay.")
+@click.option("--json", "json_output", is_flag=True, help="Print the unit file and the steps as JSON.")
+def install_service(config: Path, user: str, dry_run: bool, remove: bool, json_output: bool) -> None:
     """Install Lineside as a service of systemd, and start it; again, to bring it up to date."""
     if not re.fullmatch(r"[a-z_][a-z0-9_-]{0,30}", user):
         raise wrong_option("--user", "user_not_of_unix", value=user)

@@ -7,11 +7,12 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from app.cli.options import INSTALLED_CONFIG
 from bus.errors import LinesideError
 from bus.messages import Message
 
 USER = "lineside"
-CONFIGURATION = Path("/etc/lineside/lineside.toml")
+CONFIGURATION = INSTALLED_CONFIG
 DATA = Path("/var/lib/lineside")
 INSTALLED = Path("/opt/lineside/bin/lineside")
 UNIT_FILE = Path("/etc/systemd/system/lineside.service")

@@ -9,9 +9,11 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from app.cli.options import Option
+import click
+
+from app.cli.options import ADDRESS, TCP_PORT
 from app.cli.serving.listening import listen, listen_from
 from app.errors import StoreError
 from app.server.service_manager import ServiceManager
@@ -25,13 +27,12 @@ HOST, PORT = "127.0.0.1", 8000
 CHOOSE = Message("choose_port_demo")
 
 
-def demo(
-    units: Annotated[int, Option(min=1, max=255, help="Number of units.")] = 8,
-    port: Annotated[
-        int | None,
-        Option(min=0, max=65535, help=f"Port of the dashboard; without it {PORT}, or the next that is free."),
-    ] = None,
-) -> None:
+@click.command
+@click.option("--units", type=ADDRESS, default=8, help="Number of units.")
+@click.option(
+    "--port", type=TCP_PORT, help=f"Port of the dashboard; without it {PORT}, or the next that is free."
+)
+def demo(units: int, port: int | None) -> None:
     """Run a simulated line with a past and its dashboard until Ctrl-C. Its data is deleted afterwards."""
     since = monotonic_now()
     with (

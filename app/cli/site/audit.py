@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 import click
 
@@ -15,12 +14,10 @@ from app.audit.chain import ROTATED, KeyRing, newest_of
 from app.audit.former import Ends, origin_of
 from app.audit.keys import find_key_file, owners_of, read_key_file
 from app.audit.proof import AuditVerification, cuts_of, heads_of, prove
-from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
-from app.cli.options import AsJson, CommandGroup, Option
+from app.cli.options import PATH, config_option, json_option
 from app.cli.serving.serve import check_store
-from app.cli.site.log import record, site_log
-from app.cli.site.reading import has_store, reading_site
+from app.cli.site.log import has_store, reading_site, record, site_log
 from app.database.connection import examining
 from app.database.words import in_words
 from app.errors import StoreError
@@ -33,26 +30,25 @@ from app.web.api.shape import message_shown
 from bus.errors import CallerError
 from bus.messages import Message, in_english
 
-audit = CommandGroup(help="Verify the event log, or begin a new key.")
-AnchorFile = Annotated[
-    Path | None,
-    Option(help="The file with its anchors; without it, the one of the configuration or beside the key."),
-]
-ArchiveFolder = Annotated[
-    Path | None, Option(help="The folder with archived events; without it, the one of the configuration.")
-]
+
+@click.group
+def audit() -> None:
+    """Verify the event log, or begin a new key."""
 
 
-@audit.add("verify")
-def verify(
-    config: Config = LINESIDE_TOML,
-    anchor: AnchorFile = None,
-    archive: ArchiveFolder = None,
-    postgresql: Annotated[
-        bool, Option("--postgresql", help="Compare it with the events in the plant's database, too.")
-    ] = False,
-    as_json: AsJson = False,
-) -> None:
+@audit.command("verify")
+@config_option
+@click.option(
+    "--anchor",
+    type=PATH,
+    help="The file with its anchors; without it, the one of the configuration or beside the key.",
+)
+@click.option(
+    "--archive", type=PATH, help="The folder with archived events; without it, the one of the configuration."
+)
+@click.option("--postgresql", is_flag=True, help="Compare it with the events in the plant's database, too.")
+@json_option
+def verify(config: Path, anchor: Path | None, archive: Path | None, postgresql: bool, as_json: bool) -> None:
     """Verify every entry of the log, its seals and anchors, the archived events, and that the store has the
     signatures of shifts that the log names. Exit 0 when all is intact, 1 with the first altered entry."""
     settings = load(config)
@@ -66,8 +62,9 @@ def verify(
         report(line)
 
 
-@audit.add("rotate-key")
-def rotate_key(config: Config = LINESIDE_TOML) -> None:
+@audit.command("rotate-key")
+@config_option
+def rotate_key(config: Path) -> None:
     """Seal new entries with a new key, also while the dashboard runs. The older keys stay in the file: they
     verify the entries that they sealed."""
     with site_log(load(config)) as (_, events):

@@ -1,4 +1,4 @@
-"""The event log of a site from the command line, whether the dashboard runs or not."""
+"""The main store of a site and its event log for a command, whether the dashboard runs or not."""
 
 from __future__ import annotations
 
@@ -14,8 +14,12 @@ from app.audit.log import EventLog
 from app.audit.proof import heads_of
 from app.cli.serving.serve import check_store
 from app.cli.setup.rights import become_owner_of
-from app.database import Database
+from app.database import Database, StoreConnection
+from app.database.connection import examining
+from app.database.migration import require_version
+from app.database.presence import presence_of
 from app.database.private import make_private
+from app.errors import StoreError
 from app.settings import Settings
 from app.web.admission.access import Person, Role
 from bus.messages import Message
@@ -50,3 +54,20 @@ def site_log(settings: Settings) -> Iterator[tuple[Database, EventLog]]:
     make_private(settings.server.data)
     with closing(Database(settings.server.store, checkpoints=False)) as database:
         yield database, open_log(database, settings.key_files)
+
+
+def has_store(settings: Settings) -> bool:
+    """Whether the site has a main store. Raises StoreError."""
+    return presence_of(settings.server.store) != "missing"
+
+
+@contextmanager
+def reading_site(settings: Settings) -> Iterator[StoreConnection]:
+    """Read the main store as it is, also on a read-only disk: nothing is made or changed. Raises StoreError,
+    also for one of another version."""
+    check_store(settings)
+    if not has_store(settings):
+        raise StoreError(Message.of("store_missing", path=str(settings.server.store)))
+    with examining(settings.server.store) as connection:
+        require_version(connection, settings.server.store)
+        yield connection

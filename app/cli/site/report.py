@@ -6,14 +6,14 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from datetime import datetime, timedelta
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import click
 
-from app.cli.config_option import LINESIDE_TOML, Config
-from app.cli.options import AsJson, Option
-from app.cli.site.reading import reading_site
+from app.cli.options import config_option, json_option
+from app.cli.site.log import reading_site
 from app.database import StoreConnection
 from app.database.connection import examining, snapshot
 from app.handover.rules.scope import EVERYTHING
@@ -37,21 +37,25 @@ MAX_LINES = 50
 """Of a section of the printed report; all are in the JSON."""
 
 
+@click.command
+@click.option(
+    "--shift",
+    default="last",
+    help="When the shift starts, such as 2026-11-26T06:00; or 'now', or 'last' for the one before.",
+)
+@click.option(
+    "--since",
+    default="",
+    show_default=False,
+    help="Instead of a shift, the span from this time on, such as 2026-11-26T06:00.",
+)
+@click.option("--until", default="", show_default=False, help="End of the span; without it, now.")
+@config_option
+@json_option
+@click.option("--csv", "as_csv", is_flag=True, help="The units as CSV, one in a row.")
+@click.option("--stops", is_flag=True, help="The stops of all units as CSV, one in a row.")
 def report(
-    shift: Annotated[
-        str,
-        Option(
-            help="When the shift starts, such as 2026-11-26T06:00; or 'now', or 'last' for the one before."
-        ),
-    ] = "last",
-    since: Annotated[
-        str, Option(help="Instead of a shift, the span from this time on, such as 2026-11-26T06:00.")
-    ] = "",
-    until: Annotated[str, Option(help="End of the span; without it, now.")] = "",
-    config: Config = LINESIDE_TOML,
-    as_json: AsJson = False,
-    as_csv: Annotated[bool, Option("--csv", help="The units as CSV, one in a row.")] = False,
-    stops: Annotated[bool, Option("--stops", help="The stops of all units as CSV, one in a row.")] = False,
+    shift: str, since: str, until: str, config: Path, as_json: bool, as_csv: bool, stops: bool
 ) -> None:
     """Show the report of a shift, or of a span: run time, time at speed, stops with their causes, length
     and draw of each unit, alarms, drift, changes and notes. It is read from the stores of this machine, also

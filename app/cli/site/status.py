@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import ssl
+from pathlib import Path
 from typing import Any
 
 import click
 import httpx
 
-from app.cli.api.credentials import TokenFile, TokenOption, bearer_token
+from app.cli.api.credentials import bearer_token
 from app.cli.api.dashboard import dashboard
-from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
-from app.cli.options import AsJson
+from app.cli.options import config_option, json_option, token_file_option, token_option
 from app.cli.serving.listening import url_of
 from app.cli.site.status_lines import facts_json, facts_lines, site_facts
 from app.server.settings import TlsSettings
@@ -29,12 +29,12 @@ NO_CHECK_TIME = 0x200000
 """X509_V_FLAG_NO_CHECK_TIME (openssl/x509_vfy.h), which the module ssl has no name for."""
 
 
-def status(
-    config: Config = LINESIDE_TOML,
-    token: TokenOption = "",
-    token_file: TokenFile = None,
-    as_json: AsJson = False,
-) -> None:
+@click.command
+@config_option
+@token_option
+@token_file_option
+@json_option
+def status(config: Path, token: str, token_file: Path | None, as_json: bool) -> None:
     """Show whether the dashboard serves, the version, the stores with their sizes, for how long the disk is
     enough, the ends of certificates, and the newest and the next backup; with a token of any role but worker
     also the state of each bus and what is degraded of the server.

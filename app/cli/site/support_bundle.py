@@ -17,15 +17,13 @@ import time
 from collections.abc import Iterable, Iterator
 from importlib.metadata import distributions
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from app.cli.config_option import LINESIDE_TOML, Config
+import click
+
 from app.cli.ending import report
-from app.cli.findings.backup import backup_findings
-from app.cli.findings.machine import findings
-from app.cli.findings.service import service_findings
-from app.cli.findings.stores import store_findings
-from app.cli.options import Option
+from app.cli.findings.check import OF_MACHINE
+from app.cli.options import PATH, config_option
 from app.cli.setup.service_unit import UNIT_FILE
 from app.database.connection import examining
 from app.database.private import fresh_file
@@ -56,10 +54,15 @@ WRITTEN = frozenset(("text", "value"))
 _EVENTS = "SELECT id, time, kind, bus, unit, what, outcome FROM events ORDER BY id DESC LIMIT ?"
 
 
-def support_bundle(
-    out: Annotated[Path, Option(help="The file to write, such as support.tar.gz; it must not exist yet.")],
-    config: Config = LINESIDE_TOML,
-) -> None:
+@click.command
+@click.option(
+    "--out",
+    type=PATH,
+    required=True,
+    help="The file to write, such as support.tar.gz; it must not exist yet.",
+)
+@config_option
+def support_bundle(out: Path, config: Path) -> None:
     """Write what helps to find a fault into one file: versions, configuration, findings, events, log. It has
     no password, token, key or value. Nothing else is changed."""
     if out.exists():
@@ -121,12 +124,7 @@ def _about() -> dict[str, Any]:
 
 def _found(settings: Settings) -> Iterator[Message]:
     try:
-        for finding in (
-            *findings(settings),
-            *store_findings(settings),
-            *backup_findings(settings),
-            *service_findings(),
-        ):
+        for finding in (found for row in OF_MACHINE for found in row(settings)):
             yield finding.message
     except (LinesideError, OSError) as error:
         yield Message.of("system_error", error=str(error))

@@ -5,31 +5,29 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
 
 import click
 
 from app.backup.archive import write_archive
 from app.backup.files import files_of
 from app.backup.folder import write_to_folder
-from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
-from app.cli.options import Argument, AsJson, Option
+from app.cli.options import PATH, config_option, json_option
 from app.settings import load
 from bus.instants import unix_now
 from bus.messages import Message
 
 
-def backup_store(
-    file: Annotated[
-        Path, Argument(help="A folder of backups of this site, or a file to write; it must not exist yet.")
-    ],
-    config: Config = LINESIDE_TOML,
-    as_json: AsJson = False,
-    share_events: Annotated[  # noqa: ARG001
-        bool, Option("--share-events", help="No effect; a folder has archived events once.", hidden=True)
-    ] = False,
-) -> None:
+@click.command
+@click.argument(
+    "file", type=PATH, help="A folder of backups of this site, or a file to write; it must not exist yet."
+)
+@config_option
+@json_option
+@click.option(
+    "--share-events", is_flag=True, hidden=True, expose_value=False, help="No effect; kept for scripts."
+)
+def backup_store(file: Path, config: Path, as_json: bool) -> None:
     """Copy every store (events, users, sets, history, pictures) of this configuration while the dashboard
     runs, with the archived events, the configuration and its versions; with [backup] key_file also,
     encrypted, the key of the audit log, certificates and files of passwords. Into a folder of backups it

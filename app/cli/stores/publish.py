@@ -6,15 +6,14 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from datetime import datetime
-from typing import Annotated
+from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import click
 
-from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
-from app.cli.options import Option
-from app.cli.site.reading import reading_site
+from app.cli.options import config_option
+from app.cli.site.log import reading_site
 from app.database import StoreConnection
 from app.database.connection import examining
 from app.handover.rules.shift_times import site_time
@@ -29,13 +28,16 @@ from bus.instants import UnixTime, unix_now
 from bus.messages import Message, number
 
 
-def publish(
-    since: Annotated[
-        str, Option("--from", help="From when on, such as 2026-01-01 or 2026-01-01T06:00, in local time.")
-    ],
-    until: Annotated[str, Option("--to", help="Up to when; without it, now.")] = "",
-    config: Config = LINESIDE_TOML,
-) -> None:
+@click.command
+@click.option(
+    "--from",
+    "since",
+    required=True,
+    help="From when on, such as 2026-01-01 or 2026-01-01T06:00, in local time.",
+)
+@click.option("--to", "until", default="", show_default=False, help="Up to when; without it, now.")
+@config_option
+def publish(since: str, until: str, config: Path) -> None:
     """Fill a past into the plant's database of [postgresql]: readings, minutes, events and alarms. It may be
     repeated, and the dashboard may run: what is there already is not written again."""
     settings = load(config)

@@ -11,7 +11,6 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated
 from zoneinfo import ZoneInfo
 
 import click
@@ -25,12 +24,10 @@ from app.backup.backup import Backup
 from app.backup.files import place_files
 from app.backup.folder import open_newest
 from app.backup.stores import STORES, fault_of
-from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
-from app.cli.options import Argument, Option
+from app.cli.options import PATH, config_option, yes_option
 from app.cli.setup.rights import become_owner_of
-from app.cli.site.log import open_log, record
-from app.cli.site.reading import reading_site
+from app.cli.site.log import open_log, reading_site, record
 from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
 from app.database import Database, StoreConnection
 from app.database.connection import examining, open_for_reading
@@ -47,28 +44,42 @@ from bus.messages import Message, joined
 ASIDE = ".before-restore"
 
 
+@click.command
+@click.argument("file", type=PATH, required=False, help="A backup in one file.")
+@config_option
+@click.option(
+    "--from",
+    "folder",
+    type=PATH,
+    help="Instead of a file: a folder of backups, of which the newest is taken.",
+)
+@click.option(
+    "--at",
+    default="",
+    show_default=False,
+    help="With --from: the newest that was begun until this time, as 2026-11-29T10:30.",
+)
+@yes_option
+@click.option(
+    "--keep-tokens", is_flag=True, help="Keep also tokens of the backup that the present store does not know."
+)
+@click.option(
+    "--files-to",
+    type=PATH,
+    help="Restore no store: write the configuration and the other files into this new folder.",
+)
+@click.option(
+    "--key-file", type=PATH, help="The key of [backup] that the files are encrypted with, for --files-to."
+)
 def restore_store(
-    file: Annotated[Path | None, Argument(help="A backup in one file.")] = None,
-    config: Config = LINESIDE_TOML,
-    folder: Annotated[
-        Path | None,
-        Option("--from", help="Instead of a file: a folder of backups, of which the newest is taken."),
-    ] = None,
-    at: Annotated[
-        str, Option(help="With --from: the newest that was begun until this time, as 2026-11-29T10:30.")
-    ] = "",
-    yes: Annotated[bool, Option("--yes", help="Skip the confirmation.")] = False,
-    keep_tokens: Annotated[
-        bool,
-        Option("--keep-tokens", help="Keep also tokens of the backup that the present store does not know."),
-    ] = False,
-    files_to: Annotated[
-        Path | None,
-        Option(help="Restore no store: write the configuration and the other files into this new folder."),
-    ] = None,
-    key_file: Annotated[
-        Path | None, Option(help="The key of [backup] that the files are encrypted with, for --files-to.")
-    ] = None,
+    file: Path | None,
+    config: Path,
+    folder: Path | None,
+    at: str,
+    yes: bool,
+    keep_tokens: bool,
+    files_to: Path | None,
+    key_file: Path | None,
 ) -> None:
     """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
     must not run. Every session ends. Users disabled since the backup stay so; tokens that are not known now

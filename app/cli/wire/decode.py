@@ -6,12 +6,11 @@ import json
 import re
 import sys
 from pathlib import Path
-from typing import Annotated
 
 import click
 
 from app.cli.ending import complain
-from app.cli.options import Argument, AsJson, Option
+from app.cli.options import PATH, json_option
 from app.commands.api.trace_file import is_trace_line, parse_trace_line
 from bus.contract import Frame
 from bus.errors import CallerError
@@ -25,15 +24,13 @@ _HEX = re.compile(r"(?:[0-9a-fA-F]{2})+")
 _STANDARD_INPUT = "-"
 
 
-def decode(
-    hex_bytes: Annotated[
-        list[str] | None, Argument(metavar="HEX…", help="Bytes as hex; - reads standard input.")
-    ] = None,
-    file: Annotated[Path | None, Option(help="A trace file, or a file of hex.")] = None,
-    as_json: AsJson = False,
-) -> None:
+@click.command
+@click.argument("hex_bytes", nargs=-1, metavar="HEX…", help="Bytes as hex; - reads standard input.")
+@click.option("--file", type=PATH, help="A trace file, or a file of hex.")
+@json_option
+def decode(hex_bytes: tuple[str, ...], file: Path | None, as_json: bool) -> None:
     """Decode frames. Exit 0, 1 when no frame is valid, 2 when the bytes are not hex."""
-    found = decode_text(_given_text(hex_bytes or [], file))
+    found = decode_text(_given_text(hex_bytes, file))
     frames = [item for item in found if isinstance(item, Described)]
     if as_json:
         click.echo(json.dumps([frame.as_json() for frame in frames]))
@@ -80,11 +77,11 @@ def _decode_trace(traced: list[Frame]) -> list[Described | DescribedNoise]:
     return described
 
 
-def _given_text(hex_bytes: list[str], file: Path | None) -> str:
+def _given_text(hex_bytes: tuple[str, ...], file: Path | None) -> str:
     if file is not None:
         if hex_bytes:
             raise CallerError(Message("bytes_and_file"))
         return file.read_text(encoding="utf-8", errors="replace")
-    if hex_bytes == [_STANDARD_INPUT]:
+    if hex_bytes == (_STANDARD_INPUT,):
         return sys.stdin.read()
     return " ".join(hex_bytes)

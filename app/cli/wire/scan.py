@@ -5,15 +5,16 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
+from collections import Counter
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Any
 
 import click
 
-from app.cli.ending import complain, ending, report, wrong_option
-from app.cli.options import AsJson, Option
-from app.cli.wire.bus_table import bus_table
-from app.web.api.shape import message_shown
+from app.cli.ending import complain, report, wrong_option
+from app.cli.options import ADDRESS, json_option
+from app.web.api.shape import maybe_shown, message_shown
+from bus.errors import LinesideError
 from bus.line.scan.found import Found, conclude, settings_seen
 from bus.line.scan.passes import PASSES, no_response_s
 from bus.line.scan.scanner import BaudScan, scan_baud
@@ -25,70 +26,80 @@ FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
 """9600 is the default of a unit, and the quickest to try."""
 INTERRUPTED = 130
 """As a shell reports a program that SIGINT ended."""
+BUS_NAME = "line-1"
 _SOCKET = "socket://"
 _KINDS = {"digimax": "found_digimax", "garbled": "found_kind_garbled", "foreign": "found_kind_foreign"}
 
 
+@click.command
+@click.option("--port", required=True, help="A device path, socket://host:port or rfc2217://host:port.")
+@click.option(
+    "--baud",
+    type=click.Choice(FASTEST_FIRST),
+    help="Only this baud rate; else all six, fastest first, until a unit responds.",
+)
+@click.option("--first", type=ADDRESS, default=1, help="The first address to poll.")
+@click.option("--last", type=ADDRESS, default=255, help="The last address to poll.")
+@click.option(
+    "--turnaround-ms",
+    type=click.FloatRange(0, 5000),
+    default=50.0,
+    help="Milliseconds that a unit may take to start its response.",
+)
+@click.option("--every-baud", is_flag=True, help="Scan at all six baud rates, even after a response.")
+@json_option
+@click.option("--toml", "as_toml", is_flag=True, help="The result as a [[bus]] to paste into lineside.toml.")
 def scan(
-    port: Annotated[str, Option(help="A device path, socket://host:port or rfc2217://host:port.")],
-    baud: Annotated[
-        int | None,
-        Option(help="Only this baud rate; else all six, fastest first, until a unit responds."),
-    ] = None,
-    first: Annotated[int, Option(min=1, max=255, help="The first address to poll.")] = 1,
-    last: Annotated[int, Option(min=1, max=255, help="The last address to poll.")] = 255,
-    turnaround_ms: Annotated[
-        float, Option(min=0, max=5000, help="Milliseconds that a unit may take to start its response.")
-    ] = 50.0,
-    every_baud: Annotated[
-        bool, Option("--every-baud", help="Scan at all six baud rates, even after a response.")
-    ] = False,
-    as_json: AsJson = False,
-    as_toml: Annotated[
-        bool, Option("--toml", help="The result as a [[bus]] to paste into lineside.toml.")
-    ] = False,
+    port: str,
+    baud: int | None,
+    first: int,
+    last: int,
+    turnaround_ms: float,
+    every_baud: bool,
+    as_json: bool,
+    as_toml: bool,
 ) -> None:
     """Poll every address, twice without a response; nothing is written to any unit.
 
-    Exit 0 when a unit responded, 1 when none did, 130 when interrupted by Ctrl-C.
+    Exit 0 when a unit responded, 1 when none did, 130 when interrupted by Ctrl-C. The JSON has the reason as
+    `failure` unless it is 0.
     """
-    _refuse_wrong_use(port, baud, first, last, as_json and as_toml)
-    bauds = bauds_to_try(port, baud)
+    _refuse_wrong_use(port, first, last, as_json and as_toml)
+    bauds, turnaround_s = bauds_to_try(port, baud), turnaround_ms / 1000
     addresses = range(first, last + 1)
-    report(announcement(port, bauds, addresses, turnaround_ms / 1000, every_baud), err=True)
+    report(announcement(port, bauds, addresses, turnaround_s, every_baud), err=True)
     scans: list[BaudScan] = []
-    failure: Message | None = None
-    code = 0
+    failures, code = [], 1
     try:
-        with ending():
-            asyncio.run(scan_bauds(scans, port, bauds, addresses, turnaround_ms / 1000, every_baud))
-    except click.exceptions.Exit:
-        if not any(done.found for done in scans):
-            raise
-        failure, code = Message("scan_port_lost"), 1
+        asyncio.run(scan_bauds(scans, port, bauds, addresses, turnaround_s, every_baud))
+    except LinesideError as error:
+        failures = [error.message, *([Message("scan_port_lost")] if units_of(scans) else [])]
     except KeyboardInterrupt:
-        failure, code = Message("scan_interrupted"), INTERRUPTED
-    if as_toml:
+        failures, code = [Message("scan_interrupted")], INTERRUPTED
+    is_complete = not failures
+    if is_complete and not units_of(scans):
+        failures = [Message.of("scan_no_response", bauds=[done.baud for done in scans])]
+    if as_json:
+        document = _document(port, scans, turnaround_ms)
+        why = maybe_shown(failures[0] if failures else None)
+        click.echo(json.dumps({**document, "complete": is_complete, "failure": why}))
+    elif as_toml and (is_complete or units_of(scans)):
         click.echo(bus_table(port, units_of(scans), allowed_ms(scans)), nl=False)
-    else:
-        _report(port, scans, as_json, turnaround_ms, complete=failure is None)
-    if failure is not None:
+    elif not as_toml:
+        _print(scans, turnaround_ms)
+    for failure in failures:
         complain(failure)
+    if failures:
         raise click.exceptions.Exit(code)
-    if not any(done.found for done in scans):
-        complain(Message.of("scan_no_response", bauds=[done.baud for done in scans]))
-        raise click.exceptions.Exit(1)
 
 
-def _refuse_wrong_use(port: str, baud: int | None, first: int, last: int, is_twofold: bool) -> None:
+def _refuse_wrong_use(port: str, first: int, last: int, is_twofold: bool) -> None:
     try:
         check_port(port)
     except ValueError as error:
         raise wrong_option(
             "--port", "option_port_refused", port=without_credentials(repr(port)), reason=error.args[0]
         ) from error
-    if baud is not None and baud not in BAUDS:
-        raise wrong_option("--baud", "option_none_of", value=baud, known=list(BAUDS))
     if is_twofold:
         raise wrong_option("--toml", "option_not_both", other="--json")
     if first > last:
@@ -153,35 +164,37 @@ def units_of(scans: Sequence[BaudScan]) -> list[Found]:
 
 def allowed_ms(scans: Sequence[BaudScan]) -> int:
     """What units were allowed to take in the end."""
-    return max(round(1000 * done.turnaround_s) for done in scans)
+    return max((round(1000 * done.turnaround_s) for done in scans), default=0)
 
 
-def _report(
-    port: str, scans: Sequence[BaudScan], as_json: bool, turnaround_ms: float, *, complete: bool
-) -> None:
-    found = units_of(scans)
-    remarks = conclude(found)
+def _remarks_on(scans: Sequence[BaudScan], turnaround_ms: float) -> list[Message]:
+    """What is said of the port as a whole."""
+    remarks = conclude(units_of(scans))
     if any(done.echoes for done in scans):
         remarks.append(Message("scan_echo"))
-    needed_ms = allowed_ms(scans)
-    if needed_ms > turnaround_ms:
+    if (needed_ms := allowed_ms(scans)) > turnaround_ms:
         remarks.append(Message.of("scan_turnaround", value=needed_ms))
-    if as_json:
-        document = {
-            "port": port,
-            "bauds": [{"baud": done.baud, "seconds": round(done.seconds, 3)} for done in scans],
-            "units": [_unit_json(one) for one in found],
-            **_remarks(remarks),
-            "settings": {**settings_seen(found), "turnaround_ms": needed_ms},
-            "complete": complete,
-        }
-        click.echo(json.dumps(document))
-        return
-    for one in found:
+    return remarks
+
+
+def _document(port: str, scans: Sequence[BaudScan], turnaround_ms: float) -> dict[str, Any]:
+    found = units_of(scans)
+    return {
+        "port": port,
+        "bauds": [{"baud": done.baud, "seconds": round(done.seconds, 3)} for done in scans],
+        "units": [_unit_json(one) for one in found],
+        **_remarks(_remarks_on(scans, turnaround_ms)),
+        "settings": {**settings_seen(found), "turnaround_ms": allowed_ms(scans)},
+        "bus": bus_found(port, found, allowed_ms(scans)),
+    }
+
+
+def _print(scans: Sequence[BaudScan], turnaround_ms: float) -> None:
+    for one in units_of(scans):
         report(_line(one))
         for remark in one.remarks:
             click.echo(f"    {remark}")
-    for remark in remarks:
+    for remark in _remarks_on(scans, turnaround_ms):
         report(remark)
 
 
@@ -219,3 +232,33 @@ def _remarks(remarks: Sequence[Message]) -> dict[str, Any]:
         "remarks": [str(remark) for remark in remarks],
         "remark_messages": [message_shown(remark) for remark in remarks],
     }
+
+
+def bus_found(port: str, found: Sequence[Found], turnaround_ms: float) -> dict[str, Any]:
+    """Return the ``[[bus]]`` of a scan, with its drives in the order of addresses. A bus has one baud rate:
+    that of most units. ``turnaround_ms``: what was needed."""
+    drives = [one for one in found if one.kind == "digimax"]
+    baud = Counter(one.baud for one in drives).most_common(1)[0][0] if drives else 9600
+    own = [one for one in drives if one.baud == baud]
+    settings = {key: value for key, value in settings_seen(own).items() if value is not None}
+    units = [{"id": one.unit, "name": f"Unit {one.unit}"} for one in own]
+    bus = {"name": BUS_NAME, "port": port, "baud": baud, "turnaround_ms": turnaround_ms}
+    return {**bus, **settings, "unit": units}
+
+
+def bus_table(port: str, found: Sequence[Found], turnaround_ms: float) -> str:
+    """Return the bus as TOML, with a comment for each device that is not part of it."""
+    bus = bus_found(port, found, turnaround_ms)
+    tables = [("[[bus]]", bus), *(("\n[[bus.unit]]", unit) for unit in bus["unit"])]
+    lines = [
+        line
+        for head, table in tables
+        for line in (head, *(f"{key} = {json.dumps(table[key])}" for key in table if key != "unit"))
+    ]
+    own = {(unit["id"], bus["baud"]) for unit in bus["unit"]}
+    lines += [
+        f"# Address {one.unit} at {one.baud} baud: {one.kind}."
+        for one in found
+        if (one.unit, one.baud) not in own
+    ]
+    return "".join(f"{line}\n" for line in lines)
