@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import sys
-import tomllib
 from asyncio.subprocess import DEVNULL, PIPE
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from app.errors import Problem
 from bus.messages import Message
 
 BY_ID = Path("/dev/serial/by-id")
 DEVICES = Path("/dev")
-OPTIONS = ("--toml",)
-_COMPLAINT = "lineside: "
+OPTIONS = ("--json",)
 
 
 def adapters(folder: Path = BY_ID) -> list[str]:
@@ -77,9 +78,14 @@ class PortScan:
             if process.returncode is None:
                 process.kill()
                 await process.wait()
-        if process.returncode == 0:
-            [self.found] = tomllib.loads(output.decode())["bus"]
+        try:
+            document = json.loads(output)
+        except ValueError:  # it ended early, such as for want of memory
+            *_, reason = errors.decode(errors="replace").splitlines() or [f"exit code {process.returncode}"]
+            self.fault = Message.of("port_scan_failed", reason=reason)
             return
-        lines = [line for line in errors.decode(errors="replace").splitlines() if line.startswith(_COMPLAINT)]
-        reason = lines[-1].removeprefix(_COMPLAINT) if lines else f"exit code {process.returncode}"
-        self.fault = Message.of("port_scan_failed", reason=reason)
+        if document["failure"] is None:
+            self.found = document["bus"]
+        else:
+            failure = msgspec.convert(document["failure"], Message)
+            self.fault = Message.of("port_scan_failed", reason=failure)

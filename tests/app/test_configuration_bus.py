@@ -25,7 +25,7 @@ FIRST, NEXT = "/configuration/bus/0", "/configuration/bus/1"
 
 @pytest.fixture
 async def admin(house: House, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[httpx.AsyncClient]:
-    monkeypatch.setattr(port_scan, "OPTIONS", ("--toml", "--last=5", "--baud=9600"))
+    monkeypatch.setattr(port_scan, "OPTIONS", ("--json", "--last=5", "--baud=9600"))
     yield await house.signed_in(Role.ADMIN)
     await house.services[PortScan].stop()
 
@@ -138,6 +138,13 @@ async def test_a_port_that_is_not_scanned(admin: httpx.AsyncClient, port: str, w
     await admin.post(f"{NEXT}/scan", data={"act": "scan", "port": port})
     await scan_ended(admin)
     assert words in unescape((await admin.get(NEXT)).text)
+
+
+async def test_the_reason_of_a_scan_is_in_the_language_of_the_page(admin: httpx.AsyncClient) -> None:
+    await admin.post(f"{NEXT}/scan", data={"act": "scan", "port": "/dev/no-such-port"})
+    await scan_ended(admin)
+    page = unescape((await admin.get(NEXT, headers={"Accept-Language": "de"})).text)
+    assert "/dev/no-such-port gibt es nicht" in page
 
 
 async def test_a_scan_ends_when_it_is_told_to(admin: httpx.AsyncClient, house: House) -> None:
