@@ -107,10 +107,10 @@ class FolderBackup(Backup):
             return part[1].stat().st_size
         return 0
 
-    def _sound_parts(self, store: str) -> Iterator[Path]:
+    def _sound_parts(self, store: str) -> Iterator[tuple[str, Path]]:
         for key, place in self._parts(store):
             if is_sound(place):
-                yield place
+                yield key, place
             else:
                 self.lost.append(key)
 

@@ -67,6 +67,8 @@ TAKEN_APART = {
     store: {table for kind in KINDS.values() if kind.store == store for table in kind.queries}
     for store in (HISTORY, PICTURES)
 }
+CHANGED = "changed"
+"""The versions of the parts. They are not backed up: a restored part gets a version of its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +89,8 @@ class Part:
         """Return the rows as a small database; nothing where there are none."""
         count, span = 0, {"start": self.start, "end": self.end}
         with closing(sqlite3.connect(":memory:")) as copy:
+            # Rows of a few kB fill small pages better.
+            copy.execute("PRAGMA page_size = 1024")
             for table, query in KINDS[self.kind].queries.items():
                 count += _copy_rows(store.execute(query, span), copy, table)
             return copy.serialize() if count else b""
@@ -98,7 +102,7 @@ def parts_of(name: str, store: sqlite3.Connection, now: UnixTime) -> list[Part]:
     if name == PICTURES:
         rows = store.execute("SELECT rowid, digest FROM picture")
         return [Part("picture", row, row + 1, digest) for row, digest in rows]
-    if not has_table(store, "changed"):
+    if not has_table(store, CHANGED):
         raise StoreError(Message.of("store_of_earlier_version", path=name))
     today = micros(now) - micros(now) % DAY
     versions: dict[tuple[str, int, int], list[tuple[int, int]]] = {}
@@ -116,24 +120,25 @@ def export_frame(name: str, store: sqlite3.Connection) -> bytes:
         tables = _definitions(store, "table")
         for table, sql in tables.items():
             frame.execute(sql)
-            if table not in TAKEN_APART[name]:
+            if table not in TAKEN_APART[name] | {CHANGED}:
                 _copy_rows(store.execute(f'SELECT * FROM "{table}"'), frame, table, is_new=False)
         for sql in (*_definitions(store, "index").values(), *_definitions(store, "trigger").values()):
             frame.execute(sql)
         return frame.serialize()
 
 
-def assemble(frame: Path, parts: Iterable[Path], place: Path) -> None:
-    """Make a store at ``place``, an empty file, of a frame and its parts. Rows come before indexes and
+def assemble(frame: Path, parts: Iterable[tuple[str, Path]], place: Path) -> None:
+    """Make a store at ``place``, an empty file, of a frame and its parts by key. Rows come before indexes and
     triggers: that is faster, and restored rows are no changes."""
     with in_words(place), closing(sqlite3.connect(place.as_uri(), uri=True, isolation_level=None)) as store:
         for setting in ("auto_vacuum = INCREMENTAL", "journal_mode = OFF", "synchronous = OFF"):
             store.execute(f"PRAGMA {setting}")
         with closing(open_for_reading(frame)) as source:
-            for table, sql in _definitions(source, "table").items():
+            tables = _definitions(source, "table")
+            for table, sql in tables.items():
                 store.execute(sql)
                 _copy_rows(source.execute(f'SELECT * FROM "{table}"'), store, table, is_new=False)
-            for part in parts:
+            for key, part in parts:
                 store.execute("ATTACH ? AS part", (f"{part.as_uri()}?mode=ro&immutable=1",))
                 names = [row[0] for row in store.execute("SELECT name FROM part.sqlite_master")]
                 store.execute("BEGIN")
@@ -141,6 +146,9 @@ def assemble(frame: Path, parts: Iterable[Path], place: Path) -> None:
                     store.execute(f'INSERT INTO main."{table}" SELECT * FROM part."{table}"')
                 store.execute("COMMIT")
                 store.execute("DETACH part")
+                if CHANGED in tables:
+                    kind, start, _ = key.split("-")
+                    store.execute(f"INSERT INTO {CHANGED} VALUES (?, ?, random())", (kind, int(start)))
             for kind in ("index", "trigger"):
                 for sql in _definitions(source, kind).values():
                     store.execute(sql)
