@@ -222,6 +222,7 @@ def put_back(
     store of the backup is checked, and the main one prepared, before the first is put in its place.
     """
     # Not before: only root may be able to read the backup.
+    message = backup.message
     become_owner_of(data)
     make_private(data)
     if backup.manifest.all_events:
@@ -241,7 +242,7 @@ def put_back(
         if fresh in proved:
             try:
                 present = data / STORE_FILE
-                withheld = make_ready(fresh, present, backup.message, key_files, keep_tokens=keep_tokens)
+                withheld = make_ready(fresh, present, message, key_files, keep_tokens=keep_tokens)
             except (sqlite3.Error, ValueError) as error:
                 raise _unsound(backup.path, STORE_FILE, str(error)) from error
             if backup.manifest.all_events and event_archive:
