@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -120,23 +121,70 @@ def fresh_database() -> Iterator[str]:
     yield url_of(name)
 
 
-def serve(folder: Path) -> None:
-    """Start PostgreSQL, serve while a test uses it, remove everything."""
-    programs = binaries()
-    assert programs is not None
-    data = folder / "data"
+def _user() -> str | None:
+    """PostgreSQL refuses to run as root."""
+    return "nobody" if os.geteuid() == 0 else None
+
+
+def _initialized(folder: Path) -> Path:
+    """The data of a new PostgreSQL, in a folder that its user has from now on."""
+    data, user = folder / "data", _user()
     data.mkdir(mode=0o700)
-    # PostgreSQL refuses to run as root.
-    user = "nobody" if os.geteuid() == 0 else None
     if user:
         shutil.chown(data, user)
         shutil.chown(folder, user)
-    initialize = f"{programs}/initdb -U {USER} -A trust -E UTF8 --locale=C --no-sync --no-instructions -D"
-    subprocess.run([*initialize.split(), data], check=True, user=user, cwd="/")
+    initialize = f"{binaries()}/initdb -U {USER} -A trust -E UTF8 --locale=C --no-sync --no-instructions -D"
+    subprocess.run([*initialize.split(), data], check=True, user=user, cwd="/", stdout=subprocess.DEVNULL)
     rules = data / "pg_hba.conf"
     rules.write_text(f"local all {GUARDED} scram-sha-256\n{rules.read_text()}")
+    return data
+
+
+def _started(folder: Path, data: Path) -> subprocess.Popen[bytes]:
     options = [word for name, value in OPTIONS.items() for word in ("-c", f"{name}={value}")]
-    server = subprocess.Popen([programs / "postgres", "-D", data, "-k", folder, *options], user=user, cwd="/")
+    words = [f"{binaries()}/postgres", "-D", data, "-k", folder, *options]
+    return subprocess.Popen(words, user=_user(), cwd="/", stderr=subprocess.DEVNULL)
+
+
+class OwnPostgresql:
+    """A PostgreSQL of one test, which may be killed and started again."""
+
+    def __init__(self) -> None:
+        # The path of a socket is short, and the user must be able to enter each folder above.
+        self._folder = Path(tempfile.mkdtemp(prefix="lineside-own-", dir="/tmp"))
+        self._folder.chmod(0o755)
+        self._data = _initialized(self._folder)
+        self.url = f"postgresql://{USER}@/postgres?host={self._folder}"
+        self.start()
+
+    def start(self) -> None:
+        """Start it, and wait until it takes connections."""
+        import psycopg
+
+        self._process = _started(self._folder, self._data)
+        end = time.monotonic() + START_S
+        while True:
+            try:
+                psycopg.connect(self.url).close()
+                return
+            except psycopg.OperationalError:
+                if time.monotonic() > end:
+                    raise
+                time.sleep(0.02)
+
+    def kill(self) -> None:
+        """End it in the midst of everything."""
+        self._process.send_signal(signal.SIGQUIT)
+        self._process.wait()
+
+    def close(self) -> None:
+        self.kill()
+        shutil.rmtree(self._folder)
+
+
+def serve(folder: Path) -> None:
+    """Start PostgreSQL, serve while a test uses it, remove everything."""
+    server = _started(folder, _initialized(folder))
     try:
         _make_guarded_user(folder)
         (folder / "ready").touch()

@@ -17,7 +17,7 @@ from app.configuration.api import MAX_REASON, ConfigurationChanger, FileOfServer
 from app.configuration.difference import difference, masked
 from app.configuration.document import at, content_of
 from app.configuration.edits import act_on, edit_of
-from app.configuration.service import ConfigurationFile, ConfigurationReview, PresentFile
+from app.configuration.service import ConfigurationFile, ConfigurationReview, PresentFile, SystemsBeside
 from app.configuration.tables import (
     ALARM_CODES,
     FORMS,
@@ -34,6 +34,7 @@ from app.notification.settings import DAYS
 from app.web.admission.access import Person
 from app.web.rendering.formats import Formats
 from app.web.rendering.templating import render, templates_of
+from app.web.services import service
 from bus.configuration import lines_of, statements
 from bus.errors import CallerError
 from bus.messages import Message
@@ -66,6 +67,7 @@ async def configuration_page(
     _: ConfigurationChanger,
     file: FileOfServer,
     restart: RestartOfServer,
+    beside: Annotated[SystemsBeside, service(SystemsBeside)],
     done: int = 0,
     restarting: bool = False,
 ) -> Response:
@@ -92,6 +94,7 @@ async def configuration_page(
         done=done,
         can_restart=restart.is_offered and not present.faults,
         restarting=restarting,
+        beside=[state_of() for state_of in beside],
     )
 
 

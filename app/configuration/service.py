@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
@@ -53,6 +54,10 @@ class ConfigurationReview(NamedTuple):
     text: str
     lines: list[DifferenceLine]
     faults: tuple[Message, ...]
+
+
+class SystemsBeside(list[Callable[[], Message]]):
+    """How each system is that the server is connected to, in a sentence; its feature adds it."""
 
 
 class ConfigurationFile:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from app.errors import StoreError
@@ -15,6 +15,7 @@ from app.postgresql.schema import (
     SchemaError,
     add_month,
     clock_difference,
+    later,
     month_of,
     partitioned,
     prepare,
@@ -33,6 +34,16 @@ CONNECT_S = 10
 STATEMENT_S = 60
 SILENCE_S = 30
 """After which a database that does not respond is given up."""
+OPTIONS = " ".join(
+    f"-c {name}={value}"
+    for name, value in {
+        "statement_timeout": f"{STATEMENT_S}s",
+        "timezone": "UTC",
+        "client_min_messages": "error",
+        # The cursor goes past what is committed: that must outlive a crash of the database.
+        "synchronous_commit": "on",
+    }.items()
+)
 BEGINNING = instant(0)
 """From when on a unit is called as it is the first time that it is published: its past is filled in later."""
 
@@ -110,26 +121,23 @@ class Destination:
                 said = f"UPDATE {self._settings.quoted_schema}.site SET published_at = to_timestamp(%s)"
                 connection.execute(f"{said} WHERE name = %s".encode(), (float(published_at), self._site))
 
-    def remove_old(self, now: UnixTime) -> int:
-        """Remove what is older than it is to be kept; return how many months. Which month it is, the earlier
-        of both clocks says: one that is ahead removes nothing. Raises PublishError."""
-        if self._settings.keep_months is None:
-            return 0
+    def keep_up(self, now: UnixTime) -> None:
+        """Make the partitions of the next month, and remove what is older than it is to be kept. What is old,
+        the earlier of both clocks says: one that is ahead removes nothing. Raises PublishError."""
         self.connect()
+        schema, keep_months = self._settings.quoted_schema, self._settings.keep_months
         with self._in_words():
             connection = self._connection
             assert connection is not None
-            earlier = float(now) + min(0.0, clock_difference(connection, float(now)))
+            today = datetime.fromtimestamp(float(now), UTC)
+            earlier = today + timedelta(seconds=min(0.0, clock_difference(connection, float(now))))
             with connection.transaction():
-                removed = remove_old(
-                    connection,
-                    self._settings.quoted_schema,
-                    self._site,
-                    datetime.fromtimestamp(earlier, UTC),
-                    self._settings.keep_months,
-                )
+                for table in MONTHLY:
+                    if table.name in self._partitioned:
+                        add_month(connection, schema, table, later(month_of(today), 1))
+                if keep_months is not None:
+                    remove_old(connection, schema, self._site, earlier, keep_months)
             self._months.clear()
-            return removed
 
     def hashes(self, after: int, limit: int) -> list[tuple[int, list[str]]]:
         """The next events of the site behind a number: the number of each, and every hash that it was ever
@@ -181,7 +189,7 @@ class Destination:
             keepalives_idle=SILENCE_S // 2,
             keepalives_interval=SILENCE_S // 6,
             tcp_user_timeout=SILENCE_S * 1000,
-            options=f"-c statement_timeout={STATEMENT_S}s -c timezone=UTC -c client_min_messages=error",
+            options=OPTIONS,
             password=password,
         )
 

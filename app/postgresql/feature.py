@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from app.alarms.monitor.site_alarms import SiteAlarms
 from app.conditions import of_server
+from app.configuration.service import SystemsBeside
 from app.database import Database
 from app.feature import Feature, Services
 from app.history.service import History
@@ -26,6 +27,7 @@ def make(services: Services) -> None:
     def day_behind() -> bool:
         return of_server.PUBLISHER_DAY_BEHIND.holds(publisher.status.lag_s(unix_now()))
 
+    services[SystemsBeside].append(lambda: publisher.status.state(unix_now()))
     services[SiteAlarms].watch("publisher_behind", behind)
     services[SiteAlarms].watch("publisher_day_behind", day_behind)
 

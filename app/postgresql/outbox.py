@@ -16,8 +16,8 @@ from app.database.connection import snapshot, upsert
 from app.history import tables
 from app.history.query import SeriesQuery, has_raw, scale_of
 from app.history.series.downsampling import series
-from app.history.series.figures import runs_of_minutes, stretches
-from app.history.series.runs import HOUR, MINUTE, SECOND, PlainRun, runs_of
+from app.history.series.figures import RunFigures, runs_of_minutes, stretches
+from app.history.series.runs import HOUR, MINUTE, SECOND, PlainRun, Run, runs_of
 from app.history.series.values import VALUES, Marks
 from app.history.tables import BlockKey
 from app.history.tail import Tail
@@ -252,15 +252,11 @@ class HistoryRows:
         start, end = span
         lost = tables.lost_between(connection, start, end + MINUTE, unit.key)
         batch.add(READING, (lost_row(unit.place, at, link) for _, at, link in lost))
-        source = stored_unit(connection, tail, *unit.place, start, end)
-        if source is not None:
-            with snapshot(connection):
-                runs = runs_between(source, start, end)
-            points = steps_of(runs, self._step) if self._step else points_of(runs)
-            batch.add(READING, reading_rows(unit.place, points, unit.scales, unit.bus.estop_healthy))
-            self.damaged += source.damaged
         # A reading counts until the next one: the minute before ends with the first of this one.
-        self._add_minutes(connection, tail, unit, (start - MINUTE, end), batch)
+        runs = self._add_minutes(connection, tail, unit, (start - MINUTE, end), batch)
+        within = [run for run in runs if start <= run.at < end]
+        points = steps_of(within, self._step) if self._step else points_of(within)
+        batch.add(READING, reading_rows(unit.place, points, unit.scales, unit.bus.estop_healthy))
 
     def _add_minutes(
         self,
@@ -269,20 +265,23 @@ class HistoryRows:
         unit: PublishedUnit,
         span: tuple[int, int],
         batch: Batch,
-    ) -> None:
+    ) -> list[Run]:
+        """Add the minutes of a span; return the runs that are kept of it, and of a minute around it."""
         start, end = span
         source = stored_unit(connection, tail, *unit.place, start - MINUTE, end + MINUTE)
         if source is None:
-            return
+            return []
         with snapshot(connection):
             points = rollups(source, "minutes", VALUES["actual"], start, end)
-            figures = None if self._is_ratio(source, unit, end) else _figures(source, unit, start, end)
+            runs = runs_between(source, start - MINUTE, end + MINUTE)
+            figures = None if self._is_ratio(source, unit, end) else _figures(source, unit, span, runs)
         # Each minute by itself: what lies between two does not matter here.
         alone = replace(points, solid=[True] * len(points.at))
         shown = series(alone, Marks(), unit.scales.actual)
         length = length_of(unit.settings)
         batch.add(MINUTE_TABLE, minute_rows(unit.place, shown, points.weight, figures, length and length[1]))
         self.damaged += source.damaged
+        return runs
 
     def _is_ratio(self, source: StoredUnit, unit: PublishedUnit, end: int) -> bool:
         if unit.bus.follower_speed != "ratio":
@@ -300,7 +299,7 @@ class HistoryRows:
                 unit = units[key]
                 batch.add(READING, reading_rows(unit.place, points, unit.scales, unit.bus.estop_healthy))
 
-    def _newest(self, plain: Sequence[PlainRun]) -> Iterator[tuple[int, Any]]:
+    def _newest(self, plain: Sequence[PlainRun]) -> Iterator[tuple[int, Run]]:
         runs = runs_of(plain)
         if self._step:
             return steps_of(runs, self._step)
@@ -325,11 +324,14 @@ def _unit(connection: StoreConnection, key: int, bus: BusSettings, number: int) 
     return PublishedUnit(key, bus, number, Scales(commanded, actual, analog), settings)
 
 
-def _figures(source: StoredUnit, unit: PublishedUnit, start: int, end: int) -> Any:
-    around = start - MINUTE, end + MINUTE
-    is_kept = has_raw(source.connection, source.unit, start)
-    runs = runs_between(source, *around) if is_kept else runs_of_minutes(minutes_of(source, *around))
-    marks = source.marks(*around)
+def _figures(
+    source: StoredUnit, unit: PublishedUnit, span: tuple[int, int], runs: Sequence[Run]
+) -> dict[int, RunFigures]:
+    """The figures of each minute of a span, from its runs where all of them are kept, else from averages."""
+    start, end = span
+    if not has_raw(source.connection, source.unit, start):
+        runs = runs_of_minutes(minutes_of(source, start - MINUTE, end + MINUTE))
+    marks = source.marks(start - MINUTE, end + MINUTE)
     scales = unit.scales.actual
     return figures_by_minute(
         stretches(runs, start, end, marks), unit.bus.estop_healthy, lambda at, raw: scales.at(at).apply(raw)

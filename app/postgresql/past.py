@@ -17,6 +17,7 @@ from bus.instants import unix_now
 
 MAX_ROWS = 20_000
 """Rows that are sent together."""
+PIECE = 4 * HOUR
 Progress = Iterator[tuple[int, int]]
 """Up to when, µs, and how many rows were sent since the last one."""
 
@@ -95,7 +96,7 @@ def _readings(
     start -= start % HOUR
     batch = Batch()
     while start < end:
-        until = min(end, start + _length(history, start))
+        until = min(end, _end_of_piece(history, start))
         for unit in rows.units(history).values():
             rows.add_span(history, tail, unit, (start, until), batch)
             if batch.size >= MAX_ROWS:
@@ -105,6 +106,8 @@ def _readings(
     yield end, sender.send(batch)
 
 
-def _length(history: StoreConnection, start: int) -> int:
-    """How much is read at a time, µs: a day of minutes, an hour of readings."""
-    return DAY if start + DAY <= tables.raw_from(history) else HOUR
+def _end_of_piece(history: StoreConnection, start: int) -> int:
+    """Up to when is read at a time, µs: a day of minutes, a few hours of readings. The hours beside a piece
+    are read with it, so a longer one costs less."""
+    kept_from = tables.raw_from(history)
+    return min(start + DAY, kept_from) if start < kept_from else start + PIECE

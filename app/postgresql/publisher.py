@@ -48,7 +48,7 @@ STORE_EVERY_S = 10.0
 """How often the cursor is stored. After a crash what was sent since is sent again."""
 AGAIN = 2 * MINUTE
 """How much is sent again after a start: a store from a backup may be a moment older than the cursor, µs."""
-REMOVE_EVERY_S = 6 * 3600.0
+KEEP_UP_EVERY_S = 6 * 3600.0
 log = structlog.get_logger()
 
 
@@ -70,7 +70,7 @@ class Publisher:
         self._step = to.step
         self._cursor: Cursor | None = None
         self._stored: Cursor | None = None
-        self._store_at = self._remove_at = Monotonic(0.0)
+        self._store_at = self._keep_up_at = Monotonic(0.0)
         self._shown_until = 0
         self._failures = 0
         self.status = PublisherStatus(to.place, clock())
@@ -156,10 +156,10 @@ class Publisher:
         if monotonic_now() >= self._store_at:
             self._store_at = monotonic_now() + STORE_EVERY_S
             await self._store(cursor)
-        if monotonic_now() >= self._remove_at:
-            self._remove_at = monotonic_now() + REMOVE_EVERY_S
+        if monotonic_now() >= self._keep_up_at:
+            self._keep_up_at = monotonic_now() + KEEP_UP_EVERY_S
             now = self._clock()
-            await in_thread(partial(self._destination.remove_old, now), stop=self._destination.abandon)
+            await in_thread(partial(self._destination.keep_up, now), stop=self._destination.abandon)
 
     async def _store(self, cursor: Cursor) -> None:
         await self._database.write(lambda connection: write_cursor(connection, cursor))

@@ -107,14 +107,16 @@ def steps_of(runs: Iterable[Run], step: int) -> Iterator[tuple[int, Run]]:
     """The last reading of each step in which the unit responded, by the beginning of the step, µs."""
     last: dict[int, Run] = {}
     for run in runs:
-        last.update(dict.fromkeys(_steps_within(run, step), run))
+        first = run.at - run.at % step
+        if run.until < first + step:
+            last[first] = run
+        else:
+            last.update(dict.fromkeys(_steps_within(run, step), run))
     yield from sorted(last.items())
 
 
 def _steps_within(run: Run, step: int) -> Iterable[int]:
     first, final = run.at - run.at % step, run.until - run.until % step
-    if first == final:
-        return (first,)
     apart = (run.until - run.at) / max(1, run.readings - 1)
     if apart <= step:
         return range(first, final + step, step)

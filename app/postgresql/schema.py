@@ -160,10 +160,10 @@ def _bound(month: tuple[int, int]) -> str:
 
 def remove_old(
     connection: psycopg.Connection[Any], schema: str, site: str, now: datetime, keep_months: int
-) -> int:
-    """Remove the rows of a site that are older than so many complete months before the current one; return
-    how many months that were. A month without rows of another site goes at once, as a table."""
-    first, removed = later(month_of(now), -keep_months), 0
+) -> None:
+    """Remove the rows of a site that are older than so many complete months before the current one. A month
+    without rows of another site goes at once, as a table."""
+    first = later(month_of(now), -keep_months)
     for table in MONTHLY:
         query = "SELECT inhrelid::regclass::text FROM pg_inherits WHERE inhparent = %s::regclass"
         parts = connection.execute(query, (f"{schema}.{table.name}",)).fetchall()
@@ -172,13 +172,9 @@ def remove_old(
             if month is None or (int(month[1]), int(month[2])) >= first:
                 continue
             if _one(connection, f"SELECT 1 FROM {name} WHERE site <> %s LIMIT 1", site):
-                removed += bool(
-                    connection.execute(f"DELETE FROM {name} WHERE site = %s".encode(), (site,)).rowcount
-                )
+                _run(connection, f"DELETE FROM {name} WHERE site = %s", site)
             else:
                 _run(connection, f"DROP TABLE {name}")
-                removed += 1
-    return removed
 
 
 def _run(connection: psycopg.Connection[Any], statement: str, *values: object) -> None:

@@ -26,6 +26,13 @@ class PublisherStatus:
         """For how many seconds nothing, or not everything, was published."""
         return max(0.0, float(now - self.until))
 
+    def state(self, now: UnixTime) -> Message:
+        """How the database is, in a sentence."""
+        seconds = number(f"{self.lag_s(now):.0f}")
+        if self.fault is not None:
+            return Message.of("publisher_lacks", reason=self.fault, seconds=seconds)
+        return Message.of("publisher_has", place=self.place, seconds=seconds)
+
     @property
     def notice(self) -> Message | None:
         """What a person should know of the database, though it takes rows."""

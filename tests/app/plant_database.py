@@ -35,7 +35,9 @@ SCALES: list[Update] = [
 """One decimal, and an analog input of 0 to 510."""
 
 
-def write_configuration(folder: Path, url: str, readings: str, more: str = "", name: str = "Mill 7") -> Path:
+def write_configuration(
+    folder: Path, url: str, readings: str, more: str = "", name: str = "Mill 7", unwind: str = "Unwind"
+) -> Path:
     config = folder / "lineside.toml"
     folder.mkdir(exist_ok=True)
     config.write_text(
@@ -53,7 +55,7 @@ name = "dry-end"
 port = "/dev/null"
 [[bus.unit]]
 id = 1
-name = "Unwind"
+name = "{unwind}"
 labels.unit = "m/min"
 labels.output.2 = "Brake"
 [[bus.unit]]
@@ -67,10 +69,15 @@ name = "Nip"
 
 @asynccontextmanager
 async def publishing(
-    folder: Path, url: str, readings: str = "all", more: str = "", name: str = "Mill 7"
+    folder: Path,
+    url: str,
+    readings: str = "all",
+    more: str = "",
+    name: str = "Mill 7",
+    unwind: str = "Unwind",
 ) -> AsyncIterator[House]:
     """The app of a site with two units, which publishes."""
-    config = write_configuration(folder, url, readings, more, name)
+    config = write_configuration(folder, url, readings, more, name, unwind)
     async with complete_app(folder, config=config) as house:
         yield house
 
@@ -104,7 +111,7 @@ async def compare_readings(
     for unit in UNITS:
         for value in (*NUMBERS, *BITS):
             query = {"bus": "dry-end", "unit": unit, "value": value, "points": 20_000, "format": "epoch"}
-            span = {"from": _iso(start), "to": _iso(end)}
+            span = {"from": iso(start), "to": iso(end)}
             response = await program.get("/api/v1/history", params={**query, **span})
             assert response.status_code == 200, response.text
             shown = response.json()
@@ -119,7 +126,8 @@ async def compare_readings(
                 continue
             found = dict(_column(url, unit, value, start, end))
             expected = _last_of_steps(known, round(step * 1e6)) if step else known
-            assert found == expected, f"{unit} {value}"
+            differing = sorted(set(found.items()) ^ set(expected.items()))
+            assert not differing, f"{unit} {value}: {len(differing)} rows, {differing[:5]} of {len(expected)}"
             compared += len(found)
     return compared
 
@@ -180,7 +188,7 @@ async def compare_events(program: httpx.AsyncClient, url: str, first: int) -> in
     return len(expected)
 
 
-def _iso(at: float) -> str:
+def iso(at: float) -> str:
     return datetime.fromtimestamp(at, UTC).isoformat().replace("+00:00", "Z")
 
 

@@ -88,14 +88,13 @@ def _compared(settings: Settings, config: Path) -> list[Message]:
     if settings.postgresql is None:
         raise CallerError(Message.of("publish_not_configured", config=str(config)))
     with reading_site(settings) as connection:
-        destination = Destination(
-            settings.postgresql, settings.site.name, read_identity(connection), settings.bus
-        )
+        place, identity = settings.postgresql.place, read_identity(connection)
+        destination = Destination(settings.postgresql, settings.site.name, identity, settings.bus)
         try:
             found = compare(connection, destination)
         finally:
             destination.abandon()
-    remarks = [Message.of("audit_witness_agrees", n=found.same, place=settings.postgresql.place)]
+    remarks = [Message.of("audit_witness_agrees", n=found.same, place=place)]
     if found.replaced:
         remarks.append(Message.of("audit_witness_replaced", n=found.replaced))
     if found.unpublished:
