@@ -54,6 +54,7 @@ CODES = {
     *("HistoryStatus.put_aside", "ShiftNote.alarm", "ShiftNote.pictures", "time_zone"),
     *("ShiftSignatures.digest", "ShiftSignatures.page_digest"),
     *("AlarmTransition.alarm", "ReportedAlarm.alarm", "ReportedAlarm.at_end", "ShiftAlarm.alarm"),
+    *("LineCause.motion", "LinesOfSites.version", "LinesOfSites.instance"),
     *("ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
     *(
         "NotificationDelivery.alarms",
@@ -68,6 +69,7 @@ TYPED_BY_PEOPLE = {
     *("analog", "analog_unit", "bus", "comment", "group", "id", "input", "measure", "name", "output", "port"),
     *("CommandBlock.reason", "site", "unit", "who", "by", "changed_by", "holder"),
     *("Alarm.hidden_by", "Alarm.reason"),
+    *("LineOfSite.peer", "LineOfSite.url", "LineOfSite.place", "PeerOfSite.url"),
     *("AlarmTransition.reason", "ReportedAlarm.reason", "ShiftAlarm.reason"),
     *(f"OwnAlarm.{name}" for name in ("cause", "consequence", "response")),
     *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
