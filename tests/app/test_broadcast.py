@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from app.live.browsers.broadcast import Broadcast
-from app.live.browsers.browser import Browser
+from app.live.browsers.browser import Browser, Diff
 from app.live.browsers.flow import FEW_PAGES
 from tests.app.screens import line, screen
 
@@ -95,23 +95,13 @@ async def test_without_changes_only_a_heartbeat_is_sent(always: bool, number: in
 async def test_no_reader_is_always_the_last() -> None:
     made, order = broadcast(), list[str]()
 
-    class Noting:
-        def __init__(self, name: str) -> None:
-            self.name = name
-
-        def write(self, _frame: bytes, /) -> bool:
+    class Noting(Browser):
+        def send_diff(self, diff: Diff) -> None:
             order.append(self.name)
-            return True
+            super().send_diff(diff)
 
-    waiting = []
     for name in "abc":
-        browser = Browser(name, "operator", "en", Noting(name))
-        made.join(browser)
-        await browser.next()
-        waiting.append(asyncio.create_task(browser.next()))
-    await asyncio.sleep(0)
+        made.join(Noting(name, "operator", "en"))
     for n in range(3):
         made.publish({GROUP: {"actual": str(n)}})
     assert {order[n : n + 3][-1] for n in (0, 3, 6)} == {"a", "b", "c"}
-    for task in waiting:
-        task.cancel()
