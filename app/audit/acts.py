@@ -45,7 +45,7 @@ class ActLimit:
 
 
 class _Performs(Requires):
-    """A dependency that counts what it lets in, but for pages about it, among the acts of the account."""
+    """A dependency that counts the requests it lets in as acts of the account, except those for pages."""
 
     async def resolve(self, connection: HTTPConnection) -> Person:
         person = await super().resolve(connection)
@@ -91,6 +91,7 @@ class Act:
         refuse_without(self.role, person)
 
     def by(self, person: Person, **params: ParamValue) -> Performed:
-        """What the audit log records of it: ``events.record(**RETIRE.by(person, name=name), bus=bus)``."""
+        """Return what the audit log records of it: ``events.record(**RETIRE.by(person, name=name),
+        bus=bus)``."""
         what = Message.of(self.event, **params)
         return {"kind": self.kind, **person.author, "what": what}

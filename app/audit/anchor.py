@@ -94,13 +94,13 @@ class Anchors:
 
 
 def anchor_file(settings: Settings) -> Path:
-    """The anchor of a site: as configured, or beside its key."""
+    """Return the file of the anchor of a site: as configured, or beside its key."""
     key_file = find_key_file(settings.key_files) or settings.key_files[0]
     return settings.audit.anchor or key_file.with_name(f"{key_file.name}.anchor")
 
 
 def anchor_line(head: Head, at: UnixTime, ring: KeyRing) -> bytes:
-    """The newest entry of an instant as a line of the file."""
+    """Return the newest entry, as of an instant, as a line of the file."""
     time_text = datetime.fromtimestamp(float(at), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     line = _AnchorLine(head.id, head.hash, time_text, ring.newest)
     line.seal = ring.seal("anchor", *line.sealed_parts)
@@ -322,7 +322,8 @@ class Anchoring:
 
 
 def anchor_notice(status: AnchorStatus, formats: Formats, now: UnixTime) -> Message | None:
-    """The notice about an anchor that is behind, or a log that was altered. ``now``: Unix time in seconds."""
+    """Return the notice about an anchor that is behind, or a log that was altered. ``now``: Unix time in
+    seconds."""
     if status.altered is not None:
         return Message("audit_altered_after_anchor")
     if status.unwritten is not None:

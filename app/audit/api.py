@@ -109,7 +109,7 @@ async def wanted_events(
     until: Annotated[ZonedTime | None, Query(alias="to")] = None,
     search: Annotated[TypedText, Query(max_length=200)] = "",
 ) -> Filter:
-    """The filter of the query."""
+    """Return the filter of the query."""
     begin = UnixTime(since.timestamp()) if since else None
     end = UnixTime(until.timestamp()) if until else None
     return Filter(before, kind or None, bus or None, unit, who or None, begin, end, search)
@@ -119,7 +119,7 @@ Wanted = Annotated[Filter, Depends(wanted_events)]
 
 
 def shown(event: Event) -> dict[str, Any]:
-    """An event as the API gives it."""
+    """Return an event as the API gives it."""
     return {
         **{name: event[name] for name in (*COLUMNS, "unreadable", "messages")},
         "time": iso(event["time"]) if is_moment(event["time"]) else None,

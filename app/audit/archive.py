@@ -76,13 +76,13 @@ class Month(NamedTuple):
 
 
 def month_of(at: UnixTime, zone: ZoneInfo) -> Month:
-    """The month in which a time is."""
+    """Return the month in which a time is."""
     local = datetime.fromtimestamp(float(at), zone)
     return Month(local.year, local.month)
 
 
 def months_due(oldest: UnixTime, now: UnixTime, keep: int, zone: ZoneInfo) -> list[Month]:
-    """The months that are over for more than ``keep`` months, from that of the oldest event."""
+    """Return the months that are over for more than ``keep`` months, from that of the oldest event."""
     kept, first = month_of(now, zone).after(-keep), month_of(oldest, zone)
     over = 12 * (kept.year - first.year) + kept.month - first.month
     return [first.after(months) for months in range(over)]
@@ -135,14 +135,14 @@ class ArchiveWriter:
 
 
 def digest_of(path: Path) -> str:
-    """SHA-256 of a file, in hex. Raises OSError."""
+    """Return the SHA-256 of a file, in hex. Raises OSError."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def entries_in(path: Path) -> Iterator[Entry]:
-    """The entries of a file as the store had them, without what they are a part of. Raises EventArchiveError,
-    OSError."""
+    """Return the entries of a file as the store had them, without what they are a part of. Raises
+    EventArchiveError, OSError."""
     try:
         if not path.is_file():
             raise ValueError("no file")

@@ -119,7 +119,7 @@ class Head:
 
 
 def newest_of(heads: Iterable[Head]) -> Head:
-    """The newest entry of all; number 0 where there is none."""
+    """Return the newest entry of all; number 0 where there is none."""
     return max(heads, key=lambda head: head.id, default=Head())
 
 
@@ -154,7 +154,7 @@ def is_sound_alone(entry: Mapping[str, Any], ring: KeyRing) -> bool:
 
 
 def sealed_head(entry: Mapping[str, Any], ring: KeyRing, chain: str = "") -> Head:
-    """A sealed entry as the newest of a chain."""
+    """Return a sealed entry as the newest of a chain."""
     number, digest = entry["id"], entry["hash"]
     return Head(number, digest, ring.newest, ring.seal("head", *_head_parts(number, digest, chain)), chain)
 

@@ -41,7 +41,8 @@ def differences(before: Any, now: Any) -> list[str]:
 
 
 def change_since_last(folder: Path, now: dict[str, Any]) -> str:
-    """The changes in one text; empty when there are none. Stores the configuration for the next time."""
+    """Return the changes in one text, empty when there are none; store the configuration for the next
+    time."""
     file = folder / FILE
     try:
         before = json.loads(file.read_text(encoding="utf-8"))

@@ -121,7 +121,8 @@ class EventLog:
         return (await self._append_all([entry], also))[0]
 
     async def close_open_intents(self) -> int:
-        """At the start: what was open when the last run ended is unverified. Returns how many there were."""
+        """Note as unverified, at the start, what was open when the last run ended; return how many there
+        were."""
         left = await self._database.read(queries.open_intents)
         for first in range(0, len(left), CHUNK):
             chunk = left[first : first + CHUNK]
@@ -145,7 +146,7 @@ class EventLog:
             wanted = replace(wanted, before=after)
 
     async def kinds(self) -> list[str]:
-        """Every kind there is an event of."""
+        """Return every kind there is an event of."""
         return await self._database.read_costly(queries.kinds)
 
     async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:

@@ -54,7 +54,7 @@ async def events_page(
     until: Annotated[str, Query(max_length=10)] = "",
     search: Annotated[TypedText, Query(max_length=200)] = "",
 ) -> HTMLResponse:
-    """A form's empty fields do not narrow; the days are days at the site."""
+    """Show the events of a filter. Empty fields of its form do not narrow; days are those of the site."""
     chosen = dict(zip(FIELDS, (kind, bus, unit, who, since, until, search), strict=True))
     templates = templates_of(request)
     site_zone, formats = templates.site.zone, templates.formats(templates.language_of(request).tag)
@@ -126,7 +126,7 @@ async def page_of(events: EventLog, wanted: Filter, limit: int) -> tuple[list[Ev
 
 
 def _group_of(part: Event, ordered: Sequence[int]) -> int:
-    """The parts of a change stand right behind it."""
+    """Return the number of the change that an event is a part of: its parts follow it."""
     return ordered[bisect_left(ordered, part["id"]) - 1]
 
 
@@ -139,7 +139,7 @@ LAST = 100
 
 
 def units_named(settings: Settings, typed: str) -> tuple[UnitPlace, ...]:
-    """The units that people call so."""
+    """Return the units with this name."""
     words = words_of(typed)
     if not words:
         return ()

@@ -75,7 +75,7 @@ class Walk:
         """Why what was followed so far is not intact; None: it is."""
 
     def follow(self, entries: Iterable[Mapping[str, Any]]) -> None:
-        """The next entries, in order. Nothing more is looked at after the first broken one."""
+        """Follow the next entries, in order. Nothing more is looked at after the first broken one."""
         for entry in entries:
             if self.fault is not None:
                 return
@@ -93,7 +93,7 @@ class Walk:
                 self._number = number
 
     def end(self, heads: Ends) -> AuditVerification:
-        """The verdict once every entry was followed; ``heads``: what was noted apart as the newest."""
+        """Return the verdict once every entry was followed; ``heads``: what was noted apart as the newest."""
         if self.fault is None:
             self._check_end(heads)
         if self.fault is not None:
@@ -174,7 +174,7 @@ class Cut:
         return {chain: Head(*end, chain=chain) for chain, end in ends.items()}
 
     def sealed(self, ring: KeyRing) -> Cut:
-        """The same, sealed with the newest key."""
+        """Return the cut, sealed with the newest key."""
         return replace(self, key=ring.newest, seal=ring.seal("cut", *self._sealed_parts))
 
     def is_sealed(self, ring: KeyRing) -> bool:
@@ -197,7 +197,7 @@ _CUT = ", ".join(field.name for field in fields(Cut))
 
 
 def cuts_of(connection: StoreConnection) -> list[Cut]:
-    """Every cut, oldest first; of a store of any version."""
+    """Return every cut, oldest first; of a store of any version."""
     if not has_column(connection, "events_archive", "last"):
         return []
     return [Cut(*row) for row in connection.execute(f"SELECT {_CUT} FROM events_archive ORDER BY last")]

@@ -118,7 +118,7 @@ def select(connection: StoreConnection, wanted: Filter, limit: int) -> list[dict
 
 
 def one(connection: StoreConnection, number: int) -> dict[str, Any] | None:
-    """One event with its outcome."""
+    """Return one event with its outcome."""
     row = connection.execute(f"{_FOLDED} AND e.id = ?", (number,)).fetchone()
     return readable(dict(row)) if row else None
 
@@ -134,7 +134,7 @@ def kinds(connection: StoreConnection) -> list[str]:
 
 
 def open_intents(connection: StoreConnection) -> list[int]:
-    """The numbers of commands without an outcome."""
+    """Return the numbers of commands without an outcome."""
     query = (
         "SELECT id FROM events e WHERE e.kind = 'command' AND e.about IS NULL AND e.outcome IS NULL "
         "AND NOT EXISTS (SELECT 1 FROM events f WHERE f.about = e.id)"

@@ -41,7 +41,7 @@ class RepeatedEvents:
     async def count(
         self, kind: EventKind, what: _Text, *, who: _Text = "", origin: _Text = "", message: _Text = ""
     ) -> None:
-        """Something that a stranger can cause as often as they like."""
+        """Count one more of what a stranger can cause as often as they like."""
         event = (kind, what, who, origin, message, self._clock())
         first = self._groups[kind, who].note((what, origin, message), event, self._now())
         if first is not None:

@@ -65,7 +65,7 @@ class Manifest(msgspec.Struct, omit_defaults=True):
 
     @property
     def is_plausible(self) -> bool:
-        """Whether it names nothing but what a backup has."""
+        """Whether the manifest names nothing but what a backup can have."""
         is_named = self.stores.keys() <= {*STORES} and all(map(ARCHIVED.fullmatch, self.all_events))
         return is_named and self.events.keys().isdisjoint(self.kept_events)
 
@@ -104,16 +104,16 @@ class Backup:
         """Parts of history and pictures that :meth:`unpack` left out, as they were missing or damaged."""
 
     def size_of(self, name: str) -> int:
-        """Bytes of a content. Raises OSError."""
+        """Return the bytes of a content. Raises OSError."""
         raise NotImplementedError
 
     def chunks(self, name: str) -> Iterator[bytes]:
-        """A content, a piece at a time. Raises OSError, BackupError."""
+        """Yield a content, a piece at a time. Raises OSError, BackupError."""
         raise NotImplementedError
 
     @property
     def message(self) -> Message:
-        """Its file, when it was taken and its SHA-256, hexadecimal."""
+        """Return the file of the backup, when it was taken and its SHA-256, hexadecimal."""
         taken = datetime.fromtimestamp(self.manifest.time, UTC).isoformat(timespec="seconds")
         return Message.of("backup_of", file=self.path.name, time=taken, digest=digest_of(self.path))
 
@@ -201,7 +201,7 @@ def open_plain(path: Path) -> BufferedReader:
 
 
 def chunks_of(file: BufferedReader, size: int) -> Iterator[bytes]:
-    """So many bytes of a file from where it is. Raises BackupError where they are not there."""
+    """Yield so many bytes of a file from its present position. Raises BackupError where it ends before."""
     while size:
         chunk = file.read(min(size, _CHUNK))
         if not chunk:

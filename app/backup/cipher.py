@@ -37,7 +37,7 @@ def read_key(file: Path) -> bytes:
 
 
 def encrypt(content: bytes, key: bytes) -> bytes:
-    """The content under a key."""
+    """Encrypt the content with a key."""
     salt = secrets.token_bytes(SALT_BYTES)
     password, seal_key = _keys(key, salt)
     hidden = _counted(content, password)
@@ -67,6 +67,6 @@ def _seal(key: bytes, salt: bytes, hidden: bytes) -> bytes:
 
 
 def _counted(content: bytes, password: bytes) -> bytes:
-    """In counter mode both directions are the same."""
+    """Encrypt or decrypt in counter mode, in which both are the same."""
     derived = hashlib.pbkdf2_hmac("sha256", password.hex().encode(), b"", PBKDF2_ROUNDS, 48)
     return Cipher(AES256(derived[:32]), CTR(derived[32:])).encryptor().update(content)

@@ -104,7 +104,7 @@ def _packed(paths: Sequence[Path]) -> bytes:
 
 
 def _below(folder: Path, path: str) -> Path:
-    """Anyone may have forged the path."""
+    """Return where a path of a backup is below the folder: anyone may have forged it."""
     pure = PurePosixPath(path)
     if not pure.is_absolute() or ".." in pure.parts or "\0" in path:
         raise StoreError(Message("backup_files_damaged"))

@@ -74,7 +74,7 @@ def too_many(names: Iterable[str], keep: int, written: str, zone: ZoneInfo) -> l
     past = sorted((name for name, at in times.items() if at <= now), key=times.__getitem__, reverse=True)
 
     def first_of(key: Callable[[datetime], tuple[int, ...]], most: int) -> set[str]:
-        """The newest backup of each of the newest so many periods."""
+        """Return the newest backup of each of the newest so many periods."""
         found: dict[tuple[int, ...], str] = {}
         for name in past:
             found.setdefault(key(datetime.fromtimestamp(float(times[name]), zone)), name)

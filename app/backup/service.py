@@ -69,7 +69,7 @@ class Backups:
 
     @property
     def missing(self) -> Message | bool:
-        """Whether the newest backup is too old, with the reason where the last attempt failed."""
+        """Return whether the newest backup is too old; where the last attempt failed, the reason instead."""
         every = self._settings.every_s
         after_s = BACKUP_S if every is None else max(3600.0, 2.5 * every)
         return BACKUP_OVERDUE.holds(self.newest, self._clock(), after_s) and (self.failing or True)
@@ -111,7 +111,7 @@ class Backups:
         await self._events.record(kind="server", what=what, message=reason)
 
     async def _by_command(self) -> Written:
-        """By ``lineside backup-store``. Raises FailedBackup with what it complained of."""
+        """Run ``lineside backup-store``. Raises FailedBackup with its complaint."""
         if not self._folder.is_dir():
             # A folder that is not there is not made, nor a file in its place: its disk may not be mounted.
             raise FailedBackup(Message.of("backup_folder_missing", folder=str(self._folder)))

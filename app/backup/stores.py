@@ -187,13 +187,13 @@ def copy_store(store: Path, copy: Path) -> None:
 
 
 def fault_of(store: sqlite3.Connection) -> str:
-    """The first fault that SQLite finds; empty: it is sound."""
+    """Return the first fault that SQLite finds; empty: the store is sound."""
     (verdict,) = store.execute("PRAGMA quick_check(1)").fetchone()
     return "" if verdict == "ok" else str(verdict)
 
 
 def site_of(store: sqlite3.Connection) -> str | None:
-    """What tells a site from others. None: an earlier version made the store."""
+    """Return what tells a site from others. None: an earlier version made the store."""
     return read_identity(store) if has_table(store, "publisher_identity") else None
 
 

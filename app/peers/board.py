@@ -33,7 +33,7 @@ class Peer:
     fault: Message | None = None
 
     def age_s(self, now: Monotonic) -> float | None:
-        """Seconds since its report; None where there was none."""
+        """Return the seconds since its report; None where there was none."""
         return None if self.reported_at is None else now - self.reported_at
 
 
@@ -54,14 +54,14 @@ class LineOnBoard:
 
     @property
     def site(self) -> str:
-        """Where it is: the name of the peer as it is called here, or that of this site."""
+        """Return where it is: the name of the peer as it is called here, or that of this site."""
         if self.peer is not None:
             return self.peer.settings.name
         return "" if self.summary is None else self.summary.site
 
     @property
     def href(self) -> str:
-        """Its own page: of a peer, that on its server."""
+        """Return the address of its page; of a line of a peer, that on its server."""
         own = f"/?bus={self.bus}" if self.bus else "/"
         return own if self.peer is None else f"{self.peer.settings.url}{own}"
 

@@ -89,7 +89,7 @@ async def fault_of(settings: PeerSettings) -> Message | None:
 
 @asynccontextmanager
 async def _client(settings: PeerSettings) -> AsyncIterator[httpx.AsyncClient]:
-    """With the token of the peer. Raises PeerError."""
+    """Return a client with the token of the peer. Raises PeerError."""
     import httpx  # a tenth of a second of the start
 
     ca_file = None if settings.ca_file is None else str(settings.ca_file)

@@ -51,7 +51,7 @@ class LastEvents:
         self.events.subscribe(self._note)
 
     def of(self, bus: str) -> EventSummary | None:
-        """None where there is none yet."""
+        """Return the last event of a line, None where there is none yet."""
         return self._last.get(bus)
 
     def _note(self, event: Event) -> None:
@@ -75,7 +75,8 @@ class LastEvents:
                     self._last[bus] = EventSummary(float(last["time"]), self._text(last))
 
     def _text(self, event: Event) -> Message:
-        """``Dryer 2 · speed set: 120.0 → 121.0``, with the result where the command was not carried out."""
+        """Return the text of an event, such as ``Dryer 2 · speed set: 120.0 → 121.0``, with the result where
+        the command was not carried out."""
         unit = self.live.buses[event["bus"]].units.get(event["unit"] or 0)
         old, new = _field(event, "old"), _field(event, "new")
         if old and new:

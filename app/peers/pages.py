@@ -79,13 +79,13 @@ class LineOnWall:
 
     @property
     def href(self) -> str:
-        """The wallboard of this line alone."""
+        """Return the address of the wallboard of this line alone."""
         query = {"bus": self.bus} | ({"peer": self.peer} if self.peer else {})
         return f"/wallboard?{urlencode(query)}"
 
     @property
     def size(self) -> Size:
-        """How much of each section has room."""
+        """Return how much of each section has room."""
         return next(size for size, most in MAX_OF.items() if len(self.units) <= most)
 
 

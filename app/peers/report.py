@@ -244,7 +244,8 @@ def _version_in(content: bytes) -> str:
 
 
 def _summary(line: LineOfSite) -> LineSummary:
-    """A line of a peer. Raises ValueError, OverflowError and MsgspecError for one that cannot be shown."""
+    """Return a line of a peer. Raises ValueError, OverflowError and MsgspecError for one that cannot be
+    shown."""
     alarms, cause, event = line["alarms"], line["cause"], line["event"]
     if not line["bus"] or alarms is None or line["site"] is None:
         raise ValueError("a line of the peer itself has a summary")
@@ -283,7 +284,8 @@ def _cause(cause: LineCauseShown) -> CauseSummary:
 
 
 def _message(given: MessageShown) -> Message:
-    """A message of another server; where this version lacks its text, what it is in English."""
+    """Return a message of another server; where this version lacks its text, the English one that came with
+    it."""
     if given["code"] in TEXTS:
         return msgspec.convert(given, Message)
     return Message.of("peer_text", text=given["detail"][:MAX_TEXT])

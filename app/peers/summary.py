@@ -155,14 +155,15 @@ def summary_of(
 
 
 def view_of(bus: BusLive, number: int, blocked: Message | None, drifted: str, now: UnixTime) -> UnitView:
-    """How a unit looks."""
+    """Return how a unit looks on a tile of its line."""
     unit = bus.units[number]
     cause = shown_cause(bus, unit, unit_cause(bus, unit, now), now, blocked=blocked, drifted=drifted)
     return UnitView(unit, unit_link_now(bus, unit, now), cause)
 
 
 def _worst(bus: BusLive, views: list[UnitView], now: UnixTime) -> tuple[str, Cause | None]:
-    """What the verdict names: a cause of the bus, else that of the first unit of the highest priority."""
+    """Return what the verdict names: a cause of the bus, else that of the first unit of the highest
+    priority."""
     of_bus = bus_cause(bus, now) or all_offline(bus, now)
     if of_bus is not None:
         return bus.settings.name, of_bus

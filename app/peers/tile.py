@@ -87,13 +87,13 @@ def _event(summary: LineSummary, translator: Translator, now: UnixTime) -> Field
 
 
 def shown_level(line: LineOnBoard) -> Level:
-    """Its priority; of one whose present state is not known high at least."""
+    """Return the priority of a line; of one whose present state is not known high at least."""
     level = "" if line.summary is None else line.summary.level
     return "high" if line.is_stale and level not in ("urgent", "high") else level
 
 
 def verdict_text(summary: LineSummary, translator: Translator, now: UnixTime) -> str:
-    """The verdict, after the name of the unit that it is about."""
+    """Return the verdict, after the name of the unit that it is about."""
     place, text = _place_and_verdict(summary, translator, now)
     return f"{translator.isolated(place)} · {text}" if place else text
 
@@ -107,7 +107,7 @@ def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTi
 
 
 def no_report(line: LineOnBoard) -> Message:
-    """That a peer does not report a line, since when and why."""
+    """Return the text that a peer does not report a line, since when and why."""
     peer = line.peer
     assert peer is not None, "a line of this server is always reported"
     name = peer.settings.name
@@ -121,7 +121,8 @@ def no_report(line: LineOnBoard) -> Message:
 
 
 def outline(speeds: list[float | None]) -> str:
-    """An SVG path over ten minutes, the newest at the right; an unknown value lifts the pen."""
+    """Return an SVG path of speeds over ten minutes, the newest at the right; an unknown value lifts the
+    pen."""
     known = [speed for speed in speeds if speed is not None]
     if not known:
         return ""
@@ -147,7 +148,7 @@ def _counts(summary: LineSummary, translator: Translator) -> str:
 
 
 def _alarms(summary: LineSummary, translator: Translator) -> str:
-    """How many are active, by priority, and how many wait for an acknowledgement."""
+    """Return how many alarms are active, by priority, and how many wait for an acknowledgement."""
     parts = _by_priority(summary.active, translator)
     if waiting := sum(summary.waiting.values()):
         parts.append(translator.t(Message.of("line_alarms_waiting", n=waiting)))
@@ -172,11 +173,11 @@ class LineTiles:
         self._shown: dict[str, Groups] = {}
 
     def shown(self, translator: Translator) -> Groups:
-        """The fields of all lines now, the worst first."""
+        """Return the fields of all lines now, the worst first."""
         return self.fields_of(self.board.lines(), translator)
 
     def fields_of(self, lines: list[LineOnBoard], translator: Translator) -> Groups:
-        """The fields of these lines, in their order."""
+        """Return the fields of these lines, in their order."""
         now = self._clock()
         return {
             line.key: tile_fields(line, translator, now) | {"rank": str(rank)}
@@ -184,8 +185,8 @@ class LineTiles:
         }
 
     def changes(self, translator: Translator) -> Groups:
-        """The fields that are different from those of the last call for this language. A line that is no
-        longer there has the quality ``gone``."""
+        """Return the fields that are different from those of the last call for this language. A line that is
+        no longer there has the quality ``gone``."""
         shown = self._shown.setdefault(translator.language.tag, {})
         changed, fields = Groups(), self.shown(translator)
         for key in shown.keys() - fields.keys():
@@ -196,7 +197,7 @@ class LineTiles:
         return changed
 
     def forget(self, tag: str) -> None:
-        """No page in this language follows them."""
+        """Forget what pages of a language have, as no page follows the lines in it."""
         self._shown.pop(tag, None)
 
 

@@ -214,7 +214,7 @@ class Destination:
             cursor.execute(f"TRUNCATE incoming_{table.name}".encode())
 
     def _send_units(self, connection: psycopg.Connection[Any]) -> None:
-        """A new row of each unit that is called otherwise than in its newest one."""
+        """Send a new row of each unit whose names have changed since its newest one."""
         names = ", ".join(UNIT.columns)
         query = f"SELECT {names} FROM {self._settings.quoted_schema}.unit_now WHERE site = %s"
         newest = {row[1:3]: row for row in connection.execute(query.encode(), (self._site,))}

@@ -71,7 +71,7 @@ _NAMES = tuple(each.name for each in fields(Cursor))
 
 
 def read_cursor(connection: StoreConnection) -> Cursor | None:
-    """The stored cursor; None: nothing was published yet."""
+    """Return the stored cursor; None: nothing was published yet."""
     found = dict(map(tuple, connection.execute("SELECT name, value FROM publisher_cursor")))
     return Cursor(**found) if found.keys() >= set(_NAMES) else None
 
@@ -83,7 +83,7 @@ def write_cursor(connection: StoreConnection, cursor: Cursor) -> None:
 
 
 def read_identity(connection: StoreConnection) -> str:
-    """As who the site is known in the plant's database: 32 hex digits that no other site has."""
+    """Return what names the site in the plant's database: 32 hex digits that no other site has."""
     return str(connection.execute("SELECT id FROM publisher_identity").fetchone()[0])
 
 
@@ -111,7 +111,7 @@ class Batch:
     rows: dict[Table, dict[Row, Row]] = field(default_factory=dict)
 
     def add(self, table: Table, rows: Iterable[Row]) -> None:
-        """Rows of a table; one replaces that of the same key."""
+        """Add rows of a table; one replaces that of the same key."""
         places = [table.columns.index(name) for name in table.key]
         of_table = self.rows.setdefault(table, {})
         for row in rows:
@@ -119,7 +119,7 @@ class Batch:
 
     @property
     def size(self) -> int:
-        """How many rows it has."""
+        """Return how many rows it has."""
         return sum(map(len, self.rows.values()))
 
 
@@ -204,7 +204,7 @@ class HistoryRows:
         self.damaged: list[BlockKey] = []
 
     def units(self, connection: StoreConnection) -> dict[int, PublishedUnit]:
-        """The units by their keys; read again when a unit or a scale has come."""
+        """Return the units by their keys; they are read again when a unit or a scale has come."""
         query = "SELECT (SELECT count(*) FROM unit), count(*), max(at), total(raw) FROM parameter"
         known = tuple(connection.execute(query).fetchone())
         if known != self._known:

@@ -107,7 +107,7 @@ def _readings(
 
 
 def _end_of_piece(history: StoreConnection, start: int) -> int:
-    """Up to when is read at a time, µs: a day of minutes, a few hours of readings. The hours beside a piece
-    are read with it, so a longer one costs less."""
+    """Return up to when is read at a time, µs: a day of minutes, a few hours of readings. The hours beside a
+    piece are read with it, so a longer one costs less."""
     kept_from = tables.raw_from(history)
     return min(start + DAY, kept_from) if start < kept_from else start + PIECE

@@ -53,7 +53,7 @@ log = structlog.get_logger()
 
 
 class Publisher:
-    """Follows the stores of a site. Whatever fails, it waits and goes on where it was."""
+    """Publishes what the stores of a site have. After any failure it waits and goes on where it was."""
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class Publisher:
             self._destination.abandon()
 
     async def end(self) -> None:
-        """Store how far it came."""
+        """Store the cursor as the server ends."""
         if self._cursor is not None and self._cursor != self._stored:
             await self._store(self._cursor)
 
@@ -140,7 +140,8 @@ class Publisher:
         return cursor, True, end
 
     async def _begin(self) -> Cursor:
-        """The stored cursor, or one at the end of what is stored: its past is filled in by a command."""
+        """Return the stored cursor, or one at the end of what is stored: its past is filled in by a
+        command."""
         stored = await self._database.read(read_cursor)
         if stored is None:
             events, alarms = await self._database.read(end_of_logs)

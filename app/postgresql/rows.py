@@ -83,12 +83,12 @@ TABLES = (READING, MINUTE_TABLE, EVENT, ALARM, UNIT)
 
 
 def instant(at: int) -> datetime:
-    """µs since the epoch as an instant, exactly."""
+    """Convert µs since the epoch to an instant, exactly."""
     return _EPOCH + timedelta(microseconds=at)
 
 
 def instant_of(at: float | None) -> datetime | None:
-    """Unix time as an instant; 1970 for one that no calendar has."""
+    """Convert Unix time to an instant; 1970 for one that no calendar has."""
     return None if at is None else instant(round(at * SECOND) if is_moment(at) else 0)  # type: ignore[arg-type]
 
 
@@ -157,7 +157,7 @@ def _bits(word: int, estop_healthy: int) -> tuple[bool, ...]:
 
 
 def lost_row(place: tuple[str, int], at: int, link: str) -> Row:
-    """The row of the moment at which a unit or its bus was lost: it has no values."""
+    """Return the row of the moment at which a unit or its bus was lost: it has no values."""
     values = (None,) * (len(READING.columns) - len(READING.key) - 1)
     return (instant(at), *place, *values, link)
 
@@ -241,7 +241,7 @@ def alarm_row(transitions: Sequence[Mapping[str, Any]]) -> Row | None:
 
 
 def unit_row(bus: BusSettings, unit: UnitSettings, valid_from: datetime) -> Row:
-    """A unit as it is called from a time on."""
+    """Return the row of a unit, with its names from a time on."""
     length, labels = length_of(unit), unit.labels
     return (
         valid_from,
@@ -258,5 +258,5 @@ def unit_row(bus: BusSettings, unit: UnitSettings, valid_from: datetime) -> Row:
 
 
 def _text(value: Any) -> Any:
-    """PostgreSQL has no NUL in a text."""
+    """Return a text without NUL, which PostgreSQL does not take."""
     return value.replace("\0", "\ufffd") if isinstance(value, str) else value

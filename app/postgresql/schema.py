@@ -49,7 +49,7 @@ def _table(schema: str, table: Table) -> str:
 
 
 def _first_step(schema: str) -> Iterable[str]:
-    """The tables of version 1."""
+    """Make the tables of version 1."""
     yield f"CREATE TABLE {schema}.{MARK} (version integer NOT NULL)"
     yield f"INSERT INTO {schema}.{MARK} VALUES (0)"
     yield f"CREATE TABLE {schema}.site (name text PRIMARY KEY, id text NOT NULL, published_at timestamptz)"
@@ -114,7 +114,7 @@ def _claim(connection: psycopg.Connection[Any], schema: str, site: str, identity
 
 
 def clock_difference(connection: psycopg.Connection[Any], now: float) -> float:
-    """By how many seconds the clock of the database is ahead of a time of this machine, Unix time."""
+    """Return by how many seconds the clock of the database is ahead of a time of this machine, Unix time."""
     found = _one(connection, "SELECT extract(epoch FROM clock_timestamp())::float8")
     assert found is not None
     return float(found[0]) - now
@@ -124,7 +124,7 @@ def clock_difference(connection: psycopg.Connection[Any], now: float) -> float:
 
 
 def month_of(at: datetime) -> tuple[int, int]:
-    """The year and the month of a row, by UTC."""
+    """Return the year and the month of a row, by UTC."""
     at = at.astimezone(UTC)
     return at.year, at.month
 

@@ -56,17 +56,17 @@ class PostgresqlSettings(StrictModel):
 
     @property
     def step(self) -> int:
-        """The distance of two rows of a unit, µs; 0: every reading is one."""
+        """Return the distance of two rows of a unit, µs; 0: every reading is a row."""
         return STEPS_US[self.readings]
 
     @property
     def quoted_schema(self) -> str:
-        """As SQL has it, also where it is a word of SQL."""
+        """Return the name of the schema quoted for SQL."""
         return f'"{self.db_schema}"'
 
     @property
     def place(self) -> str:
-        """Names the database in messages: the host and the database, without the user."""
+        """Return how messages name the database: the host and the database, without the user."""
         parts = urlsplit(self.url)
         query = dict(parse_qsl(parts.query))
         host = parts.netloc.rpartition("@")[2] or query.get("host", "localhost")

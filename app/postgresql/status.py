@@ -23,11 +23,11 @@ class PublisherStatus:
     rows: int = 0
 
     def lag_s(self, now: UnixTime) -> float:
-        """For how many seconds nothing, or not everything, was published."""
+        """Return for how many seconds nothing, or not everything, was published."""
         return max(0.0, float(now - self.until))
 
     def state(self, now: UnixTime) -> Message:
-        """How the database is, in a sentence."""
+        """State in a sentence how up to date the database is."""
         seconds = number(f"{self.lag_s(now):.0f}")
         if self.fault is not None:
             return Message.of("publisher_lacks", reason=self.fault, seconds=seconds)
@@ -35,7 +35,8 @@ class PublisherStatus:
 
     @property
     def notice(self) -> Message | None:
-        """What a person should know of the database, though it takes rows."""
+        """Return why nothing is published, or that the clock of the database differs; None where neither is
+        so."""
         if self.fault is not None:
             return self.fault
         if abs(self.clock_ahead_s) < CLOCK_SAID_S:

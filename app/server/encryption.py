@@ -21,7 +21,7 @@ class Encryption:
 
     @property
     def fault(self) -> Message | None:
-        """What an administrator has to do about it."""
+        """Return the fault of the certificate, or that encryption is missing; None where neither is so."""
         if self.certificate is not None:
             return self.certificate.fault
         return Message("tls_missing") if self.is_missing else None

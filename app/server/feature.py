@@ -29,7 +29,7 @@ def make(services: Services) -> None:
 
 
 async def _record(events: EventLog, what: Message, fault: Message | None) -> None:
-    """An event of the certificate."""
+    """Record an event about the certificate."""
     log = _log.info if fault is None else _log.warning
     log(str(what), **({} if fault is None else {"why": str(fault)}))
     await events.record(kind="server", what=what, message=fault or "")

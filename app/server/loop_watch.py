@@ -32,12 +32,12 @@ class LoopWatch:
         return self._before_last
 
     def earliest(self) -> Monotonic:
-        """The earliest moment at which what the loop delivers now can have arrived."""
+        """Return the earliest moment at which what the loop delivers now can have arrived."""
         now = self.now()
         return now if now - self.polled_after <= ORDINARY_TURN_S else self.polled_after
 
     def start(self) -> None:
-        """Begin; the ticks end with :meth:`stop`."""
+        """Begin to tick; :meth:`stop` ends the ticks."""
         self._tick()
 
     def stop(self) -> None:

@@ -25,15 +25,16 @@ class ServiceManager:
         self.is_there = bool(address)
 
     def ready(self, status: str) -> None:
-        """The server responds. ``status``: a line for ``systemctl status``."""
+        """Tell systemd that the server responds. ``status``: a line for ``systemctl status``."""
         self._send("READY=1", f"STATUS={status}")
 
     def alive(self) -> None:
-        """Every part has moved on: the watchdog begins its time again."""
+        """Tell systemd that every part has moved on: its watchdog begins its time again."""
         self._send("WATCHDOG=1")
 
     def restarting(self, environment: MutableMapping[str, str] = os.environ) -> None:
-        """The server starts again in this process, which finds the socket in its environment."""
+        """Tell systemd that the server starts again in this process, which finds the socket in its
+        environment."""
         self._send("RELOADING=1", "STATUS=restarts with the changed configuration")
         if self.is_there:
             environment[NOTIFY_SOCKET] = self._address.replace("\0", "@", 1)
@@ -61,5 +62,5 @@ class PartsProgress:
         self._at[part] = now
 
     def stands_still(self, now: Monotonic) -> list[str]:
-        """The parts that have not moved on for too long."""
+        """Return the parts that have not moved on for too long."""
         return [part for part, at in self._at.items() if now - at > self._max_still_s[part]]

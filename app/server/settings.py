@@ -29,7 +29,7 @@ def check_web_url(written: str) -> str:
 
 
 def url_refusal(message: Message) -> PydanticCustomError:
-    """The fault of a URL; it is shown without the URL, which may be a secret."""
+    """Return the fault of a URL; it is shown without the URL, which may be a secret."""
     return PydanticCustomError("web_url", "no such URL", {"message": message, "at": ()})
 
 

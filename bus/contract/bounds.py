@@ -58,8 +58,6 @@ Total = Annotated[int, Meta(ge=0, le=2**53)]
 Stamp = Annotated[UnixTime, Meta(ge=0.0, le=32_503_680_000.0)]
 """Seconds since the epoch, to the year 3000; whether it is near enough to now, the receiver judges."""
 DurationSeconds = Annotated[float, Meta(ge=0.0, le=1e7)]
-MonotonicSeconds = Annotated[float, Meta(ge=0.0, le=1e10)]
-"""On the clock of the side that sent it, and only for that side."""
 ClockDifference = Annotated[float, Meta(ge=-1e11, le=1e11)]
 """Seconds between two clocks."""
 Hertz = Annotated[float, Meta(ge=0.0, le=1e6)]

@@ -16,7 +16,7 @@ export function received(serverTime) {
   offset = Math.max(...seen);
 }
 
-/** Forget what was measured: the device slept, or another server responds. */
+/** Forget what was measured: the device slept, or the page is connected again. */
 export function forget() {
   seen.length = 0;
 }

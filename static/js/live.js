@@ -102,7 +102,7 @@ function onLines(lines) {
   document.dispatchEvent(new CustomEvent("lineside:lines", { detail: Object.keys(lines) }));
 }
 
-/** Whether the page is of before the last start of its server. Once for each digest: two servers may take turns.
+/** Whether the page is of before the last start of its server. Once for each digest: copies of an overview may take turns.
  * @param {string} digest */
 function isOutdated(digest) {
   if (digest === body.dataset.digest || sessionStorage.getItem(RELOADED) === digest) return false;

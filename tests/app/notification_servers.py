@@ -89,15 +89,6 @@ class PlayedMailServer:
             await self.arrived.wait_for(lambda: len(self.mails) >= count)
         return self.mails[count - 1]
 
-    async def containing(self, text: str) -> EmailMessage:
-        """The first mail with this text, once it is there."""
-        async with asyncio.timeout(LIMIT_S), self.arrived:
-            while True:
-                for mail in self.mails:
-                    if text in mail.get_content():
-                        return mail
-                await self.arrived.wait()
-
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if not self.greeting:
             await reader.read()

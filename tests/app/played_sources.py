@@ -71,10 +71,6 @@ class NoLines:
         """Nothing."""
         return {}
 
-    def alarms_elsewhere(self, _translator: Translator) -> Fields:
-        """None."""
-        return {}
-
     def forget(self, _tag: str) -> None:
         """Nothing is kept."""
 

@@ -96,7 +96,6 @@ TIMES = {
     ),
     *("created_at", "end", "made_at", "start", "tried_at", "until", "written_at", "Shifts.next"),
     *("HistoryStatus.begun", "HistoryStatus.oldest_reading"),
-    *(f"HistoryStatus.{name}" for name in ("away_since", "spooled_from", "spooled_to")),
     *(f"RecurringMaintenance.{name}" for name in ("starts", "ends", "last_day")),
     *(
         "covered_from",

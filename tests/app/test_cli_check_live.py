@@ -99,13 +99,13 @@ def data(config: Path) -> Path:
 def test_folders_and_store_are_tried_and_left_as_they_are(
     config: Path, data: Path, terminal: tuple[int, str]
 ) -> None:
-    (data / "spool").mkdir()
+    (data / "configuration").mkdir()
     config.write_text(bus(terminal[1]))
     before = everything_in(config.parent)
     result = run(config, config.read_text(), "--json")
     assert result.exit_code == 0
     codes = [each["code"] for each in json.loads(result.stdout)["findings"]]
-    assert codes.count("live_folder") == 3, "data, spool, and that of the anchor"
+    assert codes.count("live_folder") == 3, "data, the folder in it, and that of the anchor"
     assert {"live_user", "live_store", "live_address_free", "live_port_opens"} <= set(codes)
     before.pop(config)
     assert before.items() <= everything_in(config.parent).items()

@@ -22,7 +22,6 @@ from app.notification.rules.roster import DutyRoster
 from bus.instants import UnixTime
 
 LOCAL = datetime(2026, 11, 22, 12)
-T0 = UnixTime(1000.0)
 
 
 def entry(

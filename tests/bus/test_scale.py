@@ -77,12 +77,6 @@ class KeypadUnit(Unit):
         self.tolerances.append((now, self.tolerance))
 
 
-def was_shown(texts: list[tuple[float, str]], text: str, since: float) -> bool:
-    """Whether the display has shown it after ``since``."""
-    ends = [at for at, _ in texts[1:]] + [inf]
-    return any(shown == text and end > since for (_, shown), end in zip(texts, ends, strict=True))
-
-
 @dataclass
 class Keypads:
     """The units of a cable, in the place of the simulated line."""

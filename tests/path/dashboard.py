@@ -98,7 +98,6 @@ def dashboard(
         with (folder / "serve.log").open("ab") as log:
             server = fork_server.start("serve", "--config", config, stdout=log, stderr=log)
             try:
-                # A home whose server does not get a turn for four seconds is given up.
                 run_in_time(server)
                 wait_until_it_serves(server, folder / "serve.log", lambda: _serves(made))
                 for unit in units:

@@ -24,9 +24,6 @@ from bus.messages import Message
 )
 @config_option
 @json_option
-@click.option(
-    "--share-events", is_flag=True, hidden=True, expose_value=False, help="No effect; kept for scripts."
-)
 def backup_store(file: Path, config: Path, as_json: bool) -> None:
     """Copy every store (events, users, sets, history, pictures) of this configuration while the dashboard
     runs, with the archived events, the configuration and its versions; with [backup] key_file also,

@@ -15,7 +15,7 @@ MAX_REMEMBERED = 1024
 
 
 def parse_address(text: str) -> Address | None:
-    """An address, an IPv4 one also where a dual-stack socket writes it as ``::ffff:10.0.0.5``."""
+    """Parse an address, an IPv4 one also where a dual-stack socket writes it as ``::ffff:10.0.0.5``."""
     try:
         address = ip_address(text)
     except ValueError:
@@ -24,13 +24,14 @@ def parse_address(text: str) -> Address | None:
 
 
 def canonical(text: str) -> str:
-    """The address in its one usual form; anything else as it is."""
+    """Return an address in its one usual form; anything else as it is."""
     return str(parse_address(text) or text)
 
 
 @lru_cache(maxsize=MAX_REMEMBERED)
 def source_of(text: str) -> str:
-    """The key by which a client is counted: an IPv4 address, the /64 of an IPv6 one, else ``address``."""
+    """Return the key by which a client is counted: an IPv4 address, the /64 of an IPv6 one, else
+    ``address``."""
     address = parse_address(text)
     if isinstance(address, IPv6Address):
         return str(ip_network((int(address) >> SUBNET_BITS << SUBNET_BITS, SUBNET_BITS)))

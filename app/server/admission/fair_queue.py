@@ -88,7 +88,8 @@ class FairQueue(Generic[K]):
 
     @asynccontextmanager
     async def turn(self, key: K, *, known: bool = True) -> AsyncIterator[None]:
-        """Raises TooManyWaitingError where this key, or all together, have enough waiting."""
+        """Wait for a turn. Raises TooManyWaitingError where this key, or all together, have enough
+        waiting."""
         await self._wait(key, known)
         loop = asyncio.get_running_loop()
         begun = loop.time()
@@ -101,7 +102,7 @@ class FairQueue(Generic[K]):
                 self._end(key)
 
     def count_of(self, key: K) -> int:
-        """Its turns, and what waits for one."""
+        """Return how many turns a key has, those that wait included."""
         return self._busy[key] + sum(waiting.count_of(key) for waiting in self._waiting.values())
 
     async def _wait(self, key: K, known: bool) -> None:

@@ -15,7 +15,8 @@ MEDIA_TYPE = "application/problem+json"
 
 
 def last_response(status: int, media_type: str, body: bytes, **more: str) -> bytes:
-    """A complete HTTP response with which its connection ends. ``more``: further headers by their names."""
+    """Return a complete HTTP response with which its connection ends. ``more``: further headers by their
+    names."""
     own = {"Content-Type": media_type, "Content-Length": len(body), "Connection": "close"}
     headers = {**HEADERS, **own, **more}
     lines = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
@@ -33,11 +34,11 @@ class Refusal:
     """After which it may be tried again; 0: it is not stated."""
 
     def response(self) -> bytes:
-        """The complete HTTP response."""
+        """Return the refusal as a complete HTTP response."""
         return last_response(self.status, MEDIA_TYPE, self._body(), **self._wait())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """As an ASGI app."""
+        """Respond with the refusal, as an ASGI app."""
         headers = {**HEADERS, **self._wait()}
         await Response(self._body(), self.status, headers, MEDIA_TYPE)(scope, receive, send)
 

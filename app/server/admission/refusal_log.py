@@ -41,7 +41,7 @@ class RefusalLog:
         self._repeats = Repeats[str]()
 
     def note(self, address: str, reason: str, request: str = "") -> None:
-        """One more. ``request``: its path, of which the first is shown."""
+        """Count one more refusal. ``request``: its path, of which the first is shown."""
         source = source_of(address)
         if self._repeats.note(source, source, self._now()):
             _log.warning("request refused", address=source, reason=reason, request=request[:MAX_SHOWN])
@@ -70,7 +70,7 @@ class ErrorLines(logging.Handler):
             _log.error(text, exc_info=error)
 
     def install(self) -> None:
-        """Log in the place of all other handlers."""
+        """Make this the only handler of these loggers."""
         for name in ("uvicorn", "asyncio"):
             logger = logging.getLogger(name)
             logger.handlers, logger.propagate = [self], False
@@ -83,7 +83,7 @@ class ErrorLines(logging.Handler):
 
 
 def _place_of(error: BaseException | None) -> str:
-    """Where it was raised."""
+    """Return the place at which an exception was raised."""
     trace = error.__traceback__ if error else None
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

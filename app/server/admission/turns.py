@@ -52,7 +52,7 @@ class LoopTurns:
         return turn.cancel
 
     def _turn(self, key: object) -> asyncio.Future[None] | None:
-        """None: it is now."""
+        """Return what to wait for; None: the turn of ``key`` is now."""
         loop = asyncio.get_running_loop()
         if not self._is_taken:
             self._is_taken = True
@@ -98,5 +98,5 @@ class RequestAdmission:
 
 
 def sender_of(headers: Collection[tuple[bytes, bytes]]) -> bytes:
-    """The credential of a request, good or not; empty where it has none."""
+    """Return the credential of a request, valid or not; empty where it has none."""
     return next((value for name, value in headers if name in _CREDENTIALS), b"")

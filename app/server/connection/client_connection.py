@@ -24,7 +24,7 @@ class ClientConnection(Protocol):
 
 
 class NoClientConnection:
-    """Where the server offers none."""
+    """Takes the place of a connection where the server offers none."""
 
     def identify(self, account: str) -> None: ...
 
@@ -35,6 +35,6 @@ class NoClientConnection:
 
 
 def client_connection(scope: Scope) -> ClientConnection:
-    """What the server put into the scope of a request or a WebSocket."""
+    """Return the connection that the server put into the scope of a request or a WebSocket."""
     offered = scope.get("state", {}).get(CONNECTION)
     return NoClientConnection() if offered is None else cast(ClientConnection, offered)

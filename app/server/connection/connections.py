@@ -26,7 +26,7 @@ class ConnectionHolder(Protocol):
     """The protocol that serves a connection."""
 
     def give_way(self) -> None:
-        """End it now."""
+        """End the connection now."""
 
     def is_idle(self) -> bool:
         """Whether the client keeps the server waiting."""
@@ -52,7 +52,7 @@ class Connection:
 
 
 class Connections:
-    """Those that are open now; ``most``: how many the system allows."""
+    """The connections that are open now; ``most``: how many the system allows."""
 
     def __init__(self, trusted_proxies: Collection[Network] = (), most: int = MAX_IN_ALL) -> None:
         self._trusted = trusted_proxies
@@ -62,7 +62,8 @@ class Connections:
         self._count = {True: 0, False: 0}
 
     def open(self, connection: Connection) -> None:
-        """Count one more. A trusted proxy counts as one account: it has its own limits for its clients."""
+        """Count one more connection. A trusted proxy counts as one account: it has its own limits for its
+        clients."""
         if is_within(connection.address, self._trusted):
             connection.account = f"proxy {connection.address}"
         self._add(connection)
@@ -76,7 +77,7 @@ class Connections:
         self._add(connection)
 
     def close(self, connection: Connection) -> None:
-        """Count one less, unless it was dropped before."""
+        """Stop counting a connection, unless it was dropped before."""
         groups, key = self._groups(connection), self._key(connection)
         if connection in groups.get(key, ()):
             del groups[key][connection]

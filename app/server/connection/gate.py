@@ -72,8 +72,8 @@ MakeProtocol = Callable[[Mapping[str, Any]], asyncio.Protocol]
 
 @dataclass
 class Gates:
-    """Those that are open, and what they share. ``in_clear``: the address where none is encrypted although
-    ``choose_context`` is set."""
+    """The gates that are open, and what they share. ``in_clear``: the address where none is encrypted
+    although ``choose_context`` is set."""
 
     connections: Connections
     refusals: RefusalLog
@@ -85,7 +85,7 @@ class Gates:
     is_over: bool = False
 
     def make(self, make_protocol: Callable[..., asyncio.Protocol], **options: Any) -> Gate:
-        """A connection, as uvicorn makes one with the ``options``."""
+        """Make the gate of a connection, with uvicorn's protocol made by its ``options``."""
 
         def make(state: Mapping[str, Any]) -> asyncio.Protocol:
             return make_protocol(**{**options, "app_state": {**options["app_state"], **state}})
@@ -99,7 +99,7 @@ class Gates:
             gate.check(now)
 
     def end(self) -> None:
-        """End those that uvicorn does not know, or has ended, and all that are to come."""
+        """End the connections that uvicorn does not know, or has ended, and all that are to come."""
         self.is_over = True
         for gate in tuple(self.open):
             gate.leave()
@@ -137,7 +137,7 @@ class Gate(asyncio.Protocol):
     # --- as the protocol of the socket -------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """The first request is awaited from here on, the handshake of TLS included."""
+        """Await the first request from here on, the handshake of TLS included."""
         self.transport = transport
         self._address = (transport.get_extra_info("peername") or ("",))[0]
         self._read_since, earliest = self._gates.watch.now(), self._gates.watch.earliest()
@@ -199,7 +199,7 @@ class Gate(asyncio.Protocol):
     # --- as app.server.connection.connections.ConnectionHolder -------------------------------------
 
     def give_way(self) -> None:
-        """Make room at once."""
+        """End the connection at once, to make room for another."""
         if self._is_refusable():
             self._write(TOO_MANY.response())
             self._finish()
@@ -221,7 +221,7 @@ class Gate(asyncio.Protocol):
 
     @property
     def is_encrypted(self) -> bool:
-        """Whether it has TLS."""
+        """Whether the connection is encrypted by TLS."""
         return self._tls is not None
 
     def trust(self) -> None:
@@ -230,7 +230,8 @@ class Gate(asyncio.Protocol):
     # --- called by Stages --------------------------------------------------------------------------
 
     def begin(self, scope: Scope) -> Refusal | None:
-        """A request begins whose head is complete, or a WebSocket. Return what it is refused with."""
+        """Note that a request with a complete head, or a WebSocket, begins; return its refusal if it has
+        one."""
         is_request = scope["type"] == "http"
         self._seen, self._body_left = 0, _body_length(scope["headers"]) if is_request else 0
         self._expect(Awaited.BODY if self._body_left else Awaited.NOTHING)
@@ -241,11 +242,11 @@ class Gate(asyncio.Protocol):
 
     @property
     def arrived_at(self) -> Monotonic:
-        """When the first byte of this request can have arrived at the earliest."""
+        """Return when the first byte of this request can have arrived at the earliest."""
         return self._arrived_at
 
     def received(self, size: int, *, is_all: bool) -> None:
-        """The app has taken so many bytes of a body, or a message."""
+        """Note that the app has taken so many bytes of a body, or a message."""
         self._pace.received += size if self._body_left == inf else 0
         if self._is_socket:
             self._seen = 0
@@ -260,19 +261,20 @@ class Gate(asyncio.Protocol):
         return self._body_left > 0
 
     def responded(self) -> None:
-        """The response is complete: the client may send the next request."""
+        """Note that the response is complete: the client may send the next request."""
         if self._ended_at is None:
             self._expect(Awaited.NEXT)
             self._loop.call_soon(self.go_on)
 
     def opened(self) -> None:
-        """The WebSocket is open. A client that does not read is waited for after one message, not 64 KiB."""
+        """Note that the WebSocket is open. A client that does not read is waited for after one message, not
+        64 KiB."""
         self._is_socket, self._most = True, min(self._most, MAX_MESSAGE_BYTES)
         self.transport.set_write_buffer_limits(high=0)
         self._loop.call_soon(self.go_on)
 
     def closed(self) -> None:
-        """The app has closed the WebSocket; uvicorn waits for the client's Close frame."""
+        """Note that the app has closed the WebSocket; uvicorn waits for the client's Close frame."""
         self._seen, self._most = 0, MAX_AFTER_CLOSE_BYTES
 
     # --- turns -------------------------------------------------------------------------------------
@@ -306,7 +308,7 @@ class Gate(asyncio.Protocol):
         self.go_on()
 
     def _feed(self) -> None:
-        """Give uvicorn one slice."""
+        """Give uvicorn one slice of what was received."""
         is_first = self._pace.awaited in (Awaited.FIRST, Awaited.NEXT) and not self._is_socket
         arrived_at, data = self._slice(is_first=is_first)
         if not data:
@@ -332,7 +334,8 @@ class Gate(asyncio.Protocol):
             self._loop.call_soon(self._heard)
 
     def _slice(self, *, is_first: bool) -> tuple[Monotonic, bytes]:
-        """Of what waits: to the end of a head, so that nothing of the next request goes with it."""
+        """Return a slice of what waits: to the end of a head, so that nothing of the next request goes with
+        it."""
         arrived_at, chunk = self._held[0]
         before = len(chunk)
         if is_first:
@@ -376,7 +379,7 @@ class Gate(asyncio.Protocol):
         self.go_on()
 
     def _hold_back(self) -> None:
-        """Leave what follows in the system."""
+        """Stop reading: what follows stays in the buffers of the system."""
         if self._read_since < NEVER and not self.transport.is_closing():
             self._floor, self._read_since = self._arrival(), NEVER
             self.transport.pause_reading()
@@ -387,13 +390,13 @@ class Gate(asyncio.Protocol):
             self.transport.resume_reading()
 
     def _arrival(self) -> Monotonic:
-        """When what is delivered now can have arrived at the earliest."""
+        """Return when what is delivered now can have arrived at the earliest."""
         if self._gates.watch.polled_after > self._read_since:
             self._floor = NEVER  # what had waited until it was read has been delivered
         return min(self._gates.watch.earliest(), self._floor)
 
     def _sender(self) -> str:
-        """The account, or the address of a stranger: one with many connections has no more turns."""
+        """Return the account, or the address of a stranger: one with many connections has no more turns."""
         return self.connection.account or source_of(self._address)
 
     def _expect(self, awaited: Awaited) -> None:
@@ -454,7 +457,7 @@ class Gate(asyncio.Protocol):
             self._refuse(TOO_SLOW)
 
     def leave(self) -> None:
-        """End it where uvicorn does not."""
+        """End the connection where uvicorn does not."""
         if self.inner is None or self._ended_at is not None:
             self.transport.abort()
 
@@ -464,7 +467,7 @@ class Gate(asyncio.Protocol):
         return self._ended_at is not None or self.transport.is_closing()
 
     def write(self, data: bytes) -> None:
-        """Of uvicorn; what it writes of what cannot be parsed becomes a refusal of ours."""
+        """Write for uvicorn; its response to what cannot be parsed becomes a refusal of ours."""
         if self.is_over:
             return
         if self._is_feeding and not self._is_socket and data.startswith(b"HTTP/1.1 400 "):
@@ -473,8 +476,8 @@ class Gate(asyncio.Protocol):
             self._write(data)
 
     def close(self) -> None:
-        """Of uvicorn. To close with bytes unread resets the connection, and the client may never see the
-        response (RFC 9112, 9.6): the rest is read and passed over for a while."""
+        """Close for uvicorn. To close with bytes unread resets the connection, and the client may never see
+        the response (RFC 9112, 9.6): the rest is read and passed over for a while."""
         self._finish(linger=self._body_left > 0 or self._held_bytes > 0)
 
     def _is_refusable(self) -> bool:
@@ -540,7 +543,7 @@ class Wire:
         return self._gate.transport.get_extra_info(name, default)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
-        """A WebSocket goes on with the connection."""
+        """Give the connection to the protocol of a WebSocket."""
         self._gate.inner = protocol
 
     def is_closing(self) -> bool:
@@ -550,13 +553,13 @@ class Wire:
         self._gate.inner_pauses = True
 
     def resume_reading(self) -> None:
-        """Not in this call: uvicorn is in the midst of ending a response."""
+        """Go on reading, but not in this call: uvicorn is still ending a response."""
         self._gate.inner_pauses = False
         asyncio.get_running_loop().call_soon(self._gate.go_on)
 
 
 def _refusal_of(scope: Scope) -> Refusal | None:
-    """What cannot be met."""
+    """Return the refusal of a request that cannot be met, None where it can."""
     if scope["http_version"] not in VERSIONS:
         return NO_SUCH_VERSION
     if len(scope["headers"]) > MAX_HEADERS:
@@ -567,7 +570,7 @@ def _refusal_of(scope: Scope) -> Refusal | None:
 
 
 def _body_length(headers: list[tuple[bytes, bytes]]) -> float:
-    """Of a request; infinite where it comes in chunks."""
+    """Return the length of the body of a request; infinite where it comes in chunks."""
     if any(name == b"transfer-encoding" for name, _ in headers):
         return inf
     with suppress(ValueError):

@@ -34,14 +34,14 @@ PROMPT_S = 0.25
 
 @dataclass(slots=True)
 class Pace:
-    """The awaited part, since when it is awaited, and how many of its bytes have arrived."""
+    """The part that is awaited, since when, and how many of its bytes have arrived."""
 
     since: float
     awaited: Awaited = Awaited.FIRST
     received: int = 0
 
     def expect(self, awaited: Awaited, now: float) -> None:
-        """Await this from now on."""
+        """Await this part from now on."""
         self.awaited, self.since, self.received = awaited, now, 0
 
     def is_idle(self, now: float) -> bool:

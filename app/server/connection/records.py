@@ -34,7 +34,7 @@ class TlsSession:
         """``is_over``: the client has announced its end."""
 
     def decrypt(self, data: bytes) -> bytes:
-        """What was received, as far as it is complete. Raises ssl.SSLError and NoTlsError."""
+        """Decrypt what was received, as far as it is complete. Raises ssl.SSLError and NoTlsError."""
         if self._tls is None:
             self._hello += data
             if not self._has_hello():
@@ -53,7 +53,7 @@ class TlsSession:
         return b"".join(parts)
 
     def encrypt(self, data: bytes) -> bytes:
-        """As records of at most 16 KiB."""
+        """Encrypt data as records of at most 16 KiB."""
         assert self._tls is not None
         left = memoryview(data)
         while left:
@@ -61,14 +61,14 @@ class TlsSession:
         return self.take_outgoing()
 
     def end(self) -> bytes:
-        """Announce the end (RFC 8446, 6.1)."""
+        """Announce the end of the session (RFC 8446, 6.1)."""
         if self._tls is not None and self.is_established:
             with suppress(ssl.SSLError):
                 self._tls.unwrap()
         return self.take_outgoing()
 
     def take_outgoing(self) -> bytes:
-        """A part of the handshake, a key, an alert."""
+        """Return what is to be sent besides data: a part of the handshake, a key, an alert."""
         return self._outgoing.read()
 
     def is_certified(self) -> bool:

@@ -19,8 +19,8 @@ class TcpSocket(Protocol):
 
 
 def age_s(connection: TcpSocket | None) -> float | None:
-    """Seconds, the time before it was accepted included, of a connection on which nothing was sent yet; None
-    where the system does not report it."""
+    """Return the age in seconds, the time before it was accepted included, of a connection on which nothing
+    was sent yet; None where the system does not report it."""
     option = getattr(socket, "TCP_INFO", None)
     if connection is None or option is None:
         return None

@@ -33,8 +33,9 @@ OnReload = Callable[[Message, Message | None], Awaitable[None]]
 
 @dataclass(frozen=True, slots=True)
 class Contexts:
-    """What one state of the files gives. Only a client that announces itself as a worker is requested to show
-    a certificate: a browser would let its user choose one, and some open no WebSocket then."""
+    """The TLS contexts of one state of the files. Only a client that announces itself as a worker is
+    requested to show a certificate: a browser would let its user choose one, and some open no WebSocket
+    then."""
 
     certificate: Certificate
     browsers: ssl.SSLContext
@@ -42,8 +43,8 @@ class Contexts:
 
 
 class ServerCertificate:
-    """Raises TlsFileError for files that cannot be used. One that has expired can, at the start: a page
-    behind a warning is better than none."""
+    """The certificate in use. Raises TlsFileError for files that cannot be used. An expired one can, at the
+    start: a page behind a warning is better than none."""
 
     def __init__(self, settings: TlsSettings, clock: Clock = unix_now) -> None:
         self._settings = settings
@@ -59,18 +60,18 @@ class ServerCertificate:
         return self._refusal or date_fault(self._contexts.certificate, file, self._clock())
 
     def context_for(self, client_hello: bytes) -> ssl.SSLContext:
-        """The context for a client by its first record."""
+        """Return the context for a client by its first record."""
         is_worker = WORKER_ALPN.encode() in client_hello
         return self._contexts.workers if is_worker else self._contexts.browsers
 
     async def follow(self, on_reload: OnReload) -> None:
-        """Look at the files without end."""
+        """Look at the files again and again, without end."""
         while True:
             await asyncio.sleep(LOOK_EVERY_S)
             await self.look(on_reload)
 
     async def look(self, on_reload: OnReload) -> None:
-        """Look once; take what has changed and was found so before."""
+        """Look at the files once; use what has changed and was found the same before."""
         found, before = await asyncio.to_thread(self._stamps), self._seen
         self._seen = found
         if found == self._taken or found != before:
@@ -97,7 +98,7 @@ class ServerCertificate:
 
 
 def _read(settings: TlsSettings) -> Contexts:
-    """Raises TlsFileError."""
+    """Read the files. Raises TlsFileError."""
     (browsers, certificate), (workers, _) = _context(settings), _context(settings)
     if settings.client_ca is not None:
         load_authority(workers, settings.client_ca)

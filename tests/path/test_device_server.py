@@ -1,4 +1,4 @@
-"""The examples of ``docs/scale.md``: the systemd drop-in of a worker, and the device server."""
+"""The device server of ``docs/hardware.md``, and the systemd drop-in of a worker in ``docs/spare.md``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.free_port import free_port
 from tests.test_architecture import ROOT, text_of
 from tests.test_service_unit import INSTALLED, LINESIDE, UNITS
 
-TEXT = text_of(ROOT / "docs" / "scale.md")
+TEXT = "".join(text_of(ROOT / "docs" / name) for name in ("hardware.md", "spare.md"))
 DROP_INS = re.findall(r"`/etc/systemd/system/(\S+?\.service)\.d/(\S+?)[`;].*?```ini\n(.*?)```", TEXT, re.S)
 READ = bytes.fromhex("10 02 01 81 10 03 7E")
 
