@@ -17,7 +17,7 @@ from app.sets.restore.effects import warning_of
 from app.sets.saving.reading import known_rows, status_of
 from app.web.admission.access import Person
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
-from bus.catalogue.parameter import Parameter, check_writable_value
+from bus.catalogue.parameter import Parameter, Scale, check_writable_value
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits
 from bus.catalogue.values import is_follower, parameter_raw
@@ -123,6 +123,8 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
     if not typed:
         return row
     try:
+        if parameter.scale is Scale.SPEED_OR_RATIO and FOLLOWER_MODE not in unit.parameters:
+            raise CallerError(Message.of("unit_mode_unknown", unit=unit.settings.id))
         follower = is_follower(unit.parameter_raw(FOLLOWER_MODE))
         wanted = parameter_raw(parameter, typed, unit.parameter_raw(DECIMALS), follower=follower)
         check_writable_value(parameter, wanted)

@@ -98,7 +98,7 @@ class BusLink(TaggedStruct, frozen=True, tag="bus_link"):
 class Staged(TaggedStruct, frozen=True, tag="staged"):
     """The speed a unit has acknowledged by 82h and not yet executed; None once executed or withdrawn.
 
-    ``unknown``: the unit was away since, and may or may not hold it still; 82h cannot be read back.
+    ``unknown``: it did not acknowledge 82h, or was away since: what it holds cannot be read back.
     """
 
     unit: UnitId

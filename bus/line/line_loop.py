@@ -50,6 +50,7 @@ from bus.wire.commands import (
     ReadParameterRequest,
     ReadStatusRequest,
     Request,
+    StageSpeedRequest,
     WriteParameterRequest,
 )
 from bus.wire.exchange import Exchange
@@ -174,6 +175,8 @@ class LineLoop:
         self.trace.witness = None
         (turn, ended), self._ended = self._ended, None
         result = ended.result(self.clock)
+        if result.reply is None and isinstance(result.request, StageSpeedRequest):
+            self._events += self.roster.stage_unanswered(result.request.unit, self.clock.epoch(result.ended))
         if result.reply is not None or self.link.open:
             self._learn(result)
         if result.overdue:

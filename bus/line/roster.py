@@ -51,7 +51,7 @@ class UnitRecord:
     parameters: dict[int, ParameterValue] = field(default_factory=dict)
     staged: int | None = None
     staged_unknown: bool = False
-    """The unit was away while it held a staged speed: it may hold it still, or another."""
+    """It did not acknowledge 82h, or was away while it held a staged speed: it may hold that, or another."""
     staged_scale: UnitScale = field(default_factory=dict)
     """What the staged speed was converted with; empty where it was given raw."""
     statistics: UnitStatistics = field(init=False)
@@ -173,6 +173,12 @@ class Roster:
         former = record.staged, record.staged_unknown
         record.staged, record.staged_unknown, record.staged_scale = raw, unknown, {}
         return [] if former == (raw, unknown) else [Staged(unit, at, raw, unknown)]
+
+    def stage_unanswered(self, unit: int, at: UnixTime) -> list[UnitUpdate]:
+        """Note that 82h got no response: ``unit`` may hold the new speed or what it held before. One that was
+        away already has most likely received nothing."""
+        away = self[unit].link.link not in ("online", "stale")
+        return [] if away else self.stage(unit, None, at, unknown=True)
 
     def _link(
         self, record: UnitRecord, link: UnitLinkState, at: UnixTime, cause: Message | None

@@ -308,6 +308,7 @@ def test_limits_that_were_typed_for_another_display_are_refused_but_for_speed_ze
     check(SetSpeed(1, 0), other)
     with pytest.raises(Problem, match="since its limits were set"):
         check(SetSpeed(1, 1100), other)
+    check(SetSpeed(1, 1100), circumstances(bus, limits=Limits(decimals=0)))
 
 
 def test_a_change_of_several_units_may_wait_for_its_stages_and_be_withdrawn_from_each() -> None:

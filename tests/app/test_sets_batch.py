@@ -36,6 +36,16 @@ def test_the_review_warns_of_a_ramp_of_nothing() -> None:
     assert [row.warning for row in rows] == [NO_RAMP, None]
 
 
+def test_a_speed_or_ratio_is_not_converted_while_it_is_not_known_which_it_is() -> None:
+    """A follower's ratio of 1.5, taken for a speed, would be a ratio of 0.0015."""
+    live = line(run=False)
+    unit = live.buses["dry-end"].units[1]
+    assert [row.wanted for row in typed(live, 9, "1.5", "")] == [15, None]
+    del unit.parameters[8]
+    [row, _] = typed(live, 9, "1.5", "")
+    assert (row.wanted, row.fault) == (None, Message.of("unit_mode_unknown", unit=1))
+
+
 def test_a_value_that_moved_since_the_review_is_not_written() -> None:
     live = line(run=False)
     reviewed = {row.unit: row.reviewed for row in typed(live, 6, "20", "")}

@@ -151,6 +151,21 @@ async def test_a_request_has_the_time_at_which_its_first_byte_arrived(site: TlsS
     assert first <= float(begun) < second
 
 
+async def test_a_record_that_began_with_the_end_of_another_has_the_time_of_its_own_first_byte(
+    site: TlsSite,
+) -> None:
+    """Also where the network held up the rest: the command in it was made before that."""
+    client = await by_hand(site)
+    first, second = client.records(GET), client.records(GET)
+    client.writer.write(first + second[: HEADER_BYTES + 3])
+    await client.text(b"hello")
+    begun = monotonic_now()
+    await asyncio.sleep(0.3)
+    client.writer.write(second[HEADER_BYTES + 3 :])
+    await client.text(b"hello")
+    assert site.arrivals[1] <= float(begun)
+
+
 async def test_a_handshake_without_an_end_has_the_time_of_a_first_request(site: TlsSite) -> None:
     idle, begun = await site.plain(), ByHand(site, await site.plain())
     begun.writer.write(begun.hello())

@@ -79,6 +79,17 @@ async def test_undo_is_the_command_back(stage: Stage, action: Action, undo: Acti
 
 
 @pytest.mark.usefixtures("obeying")
+async def test_nothing_is_offered_that_would_be_another_value_in_the_scale_that_the_unit_has_now(
+    stage: Stage,
+) -> None:
+    """Speed 0 needs no scale of its own, but what was there before it does."""
+    undo = await send(stage, SetSpeed(unit=1, raw=0), "first-id", scales={1: {}})
+    assert undo == SetSpeed(unit=1, raw=1000)
+    stage.live.buses["dry-end"].apply([ParameterValue(unit=1, number=3, at=time.time(), raw=0)])
+    assert stage.commands.undo.offer(ANNA, "first-id") is None
+
+
+@pytest.mark.usefixtures("obeying")
 async def test_a_change_of_several_has_its_undo_while_another_unit_holds_a_staged_value(stage: Stage) -> None:
     """That unit keeps its speed and its staged value (bus/line/commands/staging.py)."""
     stage.live.buses["dry-end"].apply([Staged(unit=16, at=time.time(), raw=700)])

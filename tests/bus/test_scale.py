@@ -409,3 +409,45 @@ def test_what_a_unit_holds_staged_is_not_known_after_it_was_away_and_is_not_exec
         assert not line.worker.line.roster[1].staged_unknown, "its present speed was staged instead"
 
     play(scene)
+
+
+def test_what_82h_left_in_a_unit_without_a_response_is_not_known_and_moves_with_no_other() -> None:
+    """Never broadcast while a stage is unacknowledged (protocol, 5)."""
+
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        first = keypads.units[0]
+        assert (await line.perform(SetSpeed(1, 600, execute=False))).outcome == "acknowledged"
+        first.mute_on.add(0x82)
+        assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "unverified"
+        first.mute_on.clear()
+        assert first.staged == 700
+        assert line.worker.line.roster[1].staged_unknown
+        for action in (ExecuteSpeed(1), ExecuteAll()):
+            assert ((await line.perform(action)).outcome, first.commanded) == ("refused", 500)
+        result = await line.perform(SetLine({2: 800, 3: 800}))
+        assert (result.outcome, first.commanded) == ("verified", 500)
+
+    play(scene)
+
+
+def test_a_unit_that_is_away_does_not_keep_the_others_from_a_change_after_one_with_it_has_failed() -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        keypads.units[0].off = True
+        await line.until(lambda: line.worker.line.roster[1].link.link == "offline")
+        assert (await line.perform(SetLine({1: 800, 2: 800}))).outcome == "unverified"
+        assert (await line.perform(SetLine({2: 800, 3: 800}))).outcome == "verified"
+
+    play(scene)
+
+
+@pytest.mark.parametrize("action", [SetSpeed(1, 700), ExecuteSpeed(1)])
+def test_a_unit_that_shows_the_speed_holds_none_staged_although_its_response_was_lost(
+    action: SetSpeed | ExecuteSpeed,
+) -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "acknowledged"
+        keypads.units[0].mute_on |= {0x83, 0x84}
+        assert (await line.perform(action)).outcome == "verified"
+        assert line.worker.line.roster[1].staged is None
+
+    play(scene)

@@ -75,7 +75,8 @@ def commanded_setpoint(live: UnitLive, bus: BusLive) -> int | None:
 
 def _check_scale(live: UnitLive, raw: int, limits: Limits) -> None:
     """Limits that were typed for another display are other limits by now; speed 0 needs none."""
-    if limits.decimals not in (None, setpoint_decimals(live)) and (raw or follower(live)):
+    are_other = limits.are_set and limits.decimals not in (None, setpoint_decimals(live))
+    if are_other and (raw or follower(live)):
         unit = live.settings.id
         raise objection("invalid", Message.of("limits_of_other_scale", unit=unit), unit=unit)
 

@@ -32,6 +32,11 @@ class Limits:
     decimals: int | None = None
 
     @property
+    def are_set(self) -> bool:
+        """Whether there is any."""
+        return replace(self, decimals=None) != NO_LIMITS
+
+    @property
     def message(self) -> Message:
         parts = [
             Message(code, {"value": limit})

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from app.commands.catalogue import kind_of_command
+from app.commands.scale import Scales, scales_of
 from app.commands.service.command_request import CommandRequest
 from app.commands.undo.changes import ValuePlace, Values, action_for, is_undo, value_now, values_set
 from app.commands.undo.overlap import WritesUnderWay
@@ -52,6 +53,8 @@ class Undoing:
             return
         new = values_set(request.action, self._bus) or {}
         before = self._now(new)
+        scale = _parameters(scales_of(action_for(before), self._bus) if before else {})
+        scale |= _parameters(request.scales or {})
         results: list[Result] = []
 
         def follow(result: Result) -> Result:
@@ -64,9 +67,11 @@ class Undoing:
         finally:
             alone = self._writes.end(number)
             for result in results:
-                self._note(request, result, new, before if alone else {})
+                self._note(request, result, new, before if alone else {}, scale)
 
-    def _note(self, request: CommandRequest, result: Result, new: Values, before: Values) -> None:
+    def _note(
+        self, request: CommandRequest, result: Result, new: Values, before: Values, scale: Values
+    ) -> None:
         if result.outcome not in CHANGED:
             return
         self._analog |= {
@@ -77,7 +82,7 @@ class Undoing:
             self._stack.undone(sender, request.undoes)
         elif request.can_be_undone and new and request.key is not None:
             known = before if before != new else {}
-            self._stack.push(sender, SentCommand(request.key, new, known, self._clock(), _scale(request)))
+            self._stack.push(sender, SentCommand(request.key, new, known, self._clock(), scale))
 
     def refuse_over(self, request: CommandRequest) -> None:
         """Raises Problem 409 for the undo of a command of which something has changed since its review, or
@@ -123,11 +128,11 @@ class Undoing:
         return known if len(known) == len(found) else {}
 
 
-def _scale(request: CommandRequest) -> Values:
-    """What the values of a command were shown with, as far as the units have these parameters."""
+def _parameters(scales: Scales) -> dict[ValuePlace, int]:
+    """What values are shown with, as far as the units have these parameters."""
     return {
         ValuePlace("parameter", unit, number): raw
-        for unit, scale in (request.scales or {}).items()
+        for unit, scale in scales.items()
         for number, raw in scale.items()
         if raw is not None
     }

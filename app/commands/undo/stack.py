@@ -28,7 +28,8 @@ class SentCommand:
     before: Values
     at: Monotonic
     scale: Values = field(default_factory=dict)
-    """The parameters that its values were shown with: with others the same numbers are other values."""
+    """The parameters that the values before and after it were shown with: with others the same numbers are
+    other values."""
 
     def ends_at(self) -> Monotonic:
         return self.at + LASTS_S

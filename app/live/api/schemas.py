@@ -126,7 +126,7 @@ class UnitShown(TypedDict):
     ]
     staged_unknown: Annotated[
         bool,
-        Field(description="It was away after a speed was staged in it; what it holds is not known."),
+        Field(description="It did not acknowledge 82h, or was away since; what it would execute is unknown."),
     ]
     staged: DisplayedValue
 

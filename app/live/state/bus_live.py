@@ -74,7 +74,7 @@ class UnitLive:
     parameters: dict[int, ParameterValue] = field(default_factory=dict)
     staged: int | None = None
     staged_unknown: bool = False
-    """It was away while it held a staged speed, and may hold it still."""
+    """It did not acknowledge 82h, or was away while it held a staged speed: what it holds is not known."""
     may_differ_since: UnixTime | None = None
     """When a parameter was found changed, or the unit was back after it was offline: whoever has changed one
     at the keypad may have changed others, and what was read before counts as old until it is read again."""

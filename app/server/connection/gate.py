@@ -435,9 +435,12 @@ class Gate(asyncio.Protocol):
             self._held_bytes += len(data) - len(sealed)
             if data:
                 self._held.append((self._sealed_at, bytearray(data)))
-                self._sealed_at = NEVER
             elif self._tls.is_over:
                 self._finish()
+            if not self._tls.is_within_record:
+                self._sealed_at = NEVER
+            elif data:
+                self._sealed_at = arrived_at
 
     # --- its end -----------------------------------------------------------------------------------
 

@@ -23,6 +23,7 @@ from bus.line.commands.procedure import (
     ProcedureResult,
     ReportProgress,
     Subprocedure,
+    Unstage,
     send,
 )
 from bus.line.commands.readback import (
@@ -68,6 +69,8 @@ def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext
     outcome = yield from _write_unscaled(record, action, context)
     if isinstance(action, SetSpeed) and not action.execute and outcome.outcome == "acknowledged" and guarded:
         yield NoteStagedScale(unit, scale)
+    if isinstance(action, SetSpeed | ExecuteSpeed) and outcome.outcome == "verified":
+        yield Unstage(unit)  # also where its acknowledgement was lost
     after = ScaleReading(unit, scale)
     if outcome.outcome in SUCCEEDED:
         yield from after.read_all()
