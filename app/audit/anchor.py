@@ -108,7 +108,7 @@ def anchor_line(head: Head, at: UnixTime, ring: KeyRing) -> bytes:
 
 
 def read_anchors(lines: Iterable[bytes], ring: KeyRing) -> Anchors:
-    """The content of the lines. Of two different hashes of one entry the second counts as forged."""
+    """Return the content of the lines. Of two different hashes of one entry the second counts as forged."""
     hashes: dict[int, str] = {}
     unreadable = 0
     for number, text in enumerate(lines, start=1):
@@ -142,8 +142,8 @@ def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
 
 
 def newest_anchor(path: Path, ring: KeyRing) -> Head:
-    """The entry that a file names last, number 0 where there is no file yet or none in it; the file becomes
-    readable by its user alone. Raises AnchorError."""
+    """Return the entry that a file names last, number 0 where there is no file yet or none in it; the file
+    becomes readable by its user alone. Raises AnchorError."""
     with suppress(OSError, StoreError):
         restrict(path)
     lines = (line for line in _newest_lines(path) if line.is_sealed(ring))
@@ -169,7 +169,7 @@ def put_aside(path: Path) -> Path | None:
 
 
 def _newest_lines(path: Path) -> Iterator[_AnchorLine]:
-    """The readable lines at the end of a file, the newest first."""
+    """Yield the readable lines at the end of a file, the newest first."""
     with _in_words(path), suppress(FileNotFoundError), path.open("rb") as file:
         file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL_BYTES))
         decoded = [_decoded(text) for text in file.read().splitlines()]

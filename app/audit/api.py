@@ -163,7 +163,7 @@ async def _csv(events: EventLog, wanted: Filter, form: CsvForm) -> AsyncIterator
 
 
 def _cells(event: Event, language: Language | None) -> Iterator[Cell]:
-    """An event in a row; for a reader as the page of the events shows it."""
+    """Yield the cells of an event in a row; for a reader as the page of the events shows them."""
     event = {**event, "count": event["count"] or 1}
     for name in COLUMNS:
         if name == "time":

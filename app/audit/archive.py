@@ -263,8 +263,8 @@ class EventArchive:
                 log.error("failure of the archive not logged", why=str(error))
 
     async def _next_due(self) -> _Due | None:
-        """The next entries to archive. They end before the first entry of a later month, so that the newest
-        ones always stay, and no clock that is ahead archives all."""
+        """Return the next entries to archive. They end before the first entry of a later month, so that the
+        newest ones always stay, and no clock that is ahead archives all."""
         cut = await self._newest_cut()
         now, first, last = self._clock(), None, 0 if cut is None else cut.last
         begin = last + 1
@@ -340,8 +340,8 @@ def _times_after(connection: StoreConnection, number: int) -> list[tuple[int, Un
 
 
 def _before_unfinished(connection: StoreConnection, first: int, last: int) -> int:
-    """The highest number up to ``last`` at which the log can be cut without parting a command from its result
-    or a change from its parts."""
+    """Return the highest number up to ``last`` at which the log can be cut without parting a command from its
+    result or a change from its parts."""
     while True:
         span = (first, last, last)
         about = "SELECT min(about) FROM events WHERE about >= ? AND about <= ? AND id > ?"
@@ -354,7 +354,7 @@ def _before_unfinished(connection: StoreConnection, first: int, last: int) -> in
 
 
 def _entries_between(connection: StoreConnection, first: int, last: int) -> list[Entry]:
-    """Entries as they are stored; ``part_of``: the change that one is a part of."""
+    """Return entries as they are stored; ``part_of``: the change that one is a part of."""
     query = (
         "SELECT e.*, p.change AS part_of FROM events e LEFT JOIN event_parts p ON p.event = e.id "
         "WHERE e.id >= ? AND e.id <= ? ORDER BY e.id LIMIT ?"

@@ -72,7 +72,7 @@ class KeyRing:
         return _key_id(self.keys[-1])
 
     def rank(self, key_id: str) -> int | None:
-        """The place of a key in the order of their making, None for one that is not here."""
+        """Return the place of a key in the order of their making, None for one that is not here."""
         return self._ranks.get(key_id)
 
     def seal(self, purpose: Purpose, *parts: str) -> str:
@@ -89,7 +89,7 @@ class KeyRing:
         return any(_equal(seal, _seal(key, purpose, parts)) for key in self.keys)
 
     def with_key(self, key: bytes) -> KeyRing:
-        """A ring with a newer key beside these."""
+        """Return a ring with a newer key beside these."""
         return KeyRing((*self.keys, key), self.origin)
 
 
@@ -124,7 +124,7 @@ def newest_of(heads: Iterable[Head]) -> Head:
 
 
 def entry_hash(previous: str, entry: Mapping[str, Any]) -> str:
-    """SHA-256, in hex, over the previous hash and the entry as JSON with sorted keys.
+    """Return the SHA-256, in hex, over the previous hash and the entry as JSON with sorted keys.
 
     An entry with a key is covered in every column that is not NULL, also in those of later versions.
     """
@@ -136,7 +136,7 @@ def entry_hash(previous: str, entry: Mapping[str, Any]) -> str:
 
 
 def sealed_entry(previous: str, entry: Mapping[str, Any], ring: KeyRing) -> dict[str, Any]:
-    """``entry``, which has its id, chained to the hash before and sealed with the newest key."""
+    """Return ``entry``, which has its id, chained to the hash before and sealed with the newest key."""
     sealed = {**entry, "previous": previous, "key": ring.newest}
     sealed["hash"] = digest = entry_hash(previous, sealed)
     sealed["seal"] = ring.seal("entry", digest)
@@ -169,7 +169,8 @@ def confirms_head(head: Head, ring: KeyRing) -> bool:
 
 
 def remark_on(head: Head, ring: KeyRing) -> Message | None:
-    """What an entry must state of the log itself before anything is added to ``head``; mostly nothing."""
+    """Return what an entry must state of the log itself before anything is added to ``head``; mostly
+    nothing."""
     if head.id == 0 or confirms_head(head, ring):
         return None
     if not head.key:

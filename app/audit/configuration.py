@@ -14,7 +14,7 @@ FILE = "configuration.json"
 
 
 def flat(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Every leaf with its path: ``bus.dry-end.unit.1.name``. Elements go by their id or name."""
+    """Yield every leaf with its path: ``bus.dry-end.unit.1.name``. Elements go by their id or name."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
             yield from flat(inner, f"{path}.{key}" if path else str(key))
@@ -31,7 +31,7 @@ def _name(element: Any, index: int) -> str:
 
 
 def differences(before: Any, now: Any) -> list[str]:
-    """Each leaf that is new, gone or other than it was, as a phrase."""
+    """Return each leaf that is new, gone or other than it was, as a phrase."""
     old, new = dict(flat(before)), dict(flat(now))
     return [
         f"{path}: {old.get(path, 'nothing')} → {new.get(path, 'nothing')}"

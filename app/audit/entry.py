@@ -61,8 +61,8 @@ MESSAGE_COLUMNS = ("who", "origin", "what", "old", "new", "message")
 
 
 def new_entry(*, kind: str, time: UnixTime, frames: Iterable[Frame] = (), **given: Any) -> dict[str, Any]:
-    """All fields of an entry but its id. ``time``: Unix time in seconds; ``frames`` carried the command. Of a
-    message the field has the text in English, and ``messages`` what it is."""
+    """Return all fields of an entry but its id. ``time``: Unix time in seconds; ``frames`` carried the
+    command. Of a message the field has the text in English, and ``messages`` what it is."""
     shown = json.dumps([_frame(frame) for frame in frames], separators=(",", ":"), ensure_ascii=False)
     entry = {**dict.fromkeys(_OPTIONAL), **dict.fromkeys(_TEXTS, ""), **given, "kind": kind, "frames": shown}
     messages = {name: _plain(entry[name]) for name in MESSAGE_COLUMNS if isinstance(entry[name], Message)}
@@ -78,7 +78,7 @@ def is_moment(time: UnixTime) -> bool:
 
 
 def _plain(message: Any) -> Any:
-    """A message as JSON has it, each text as it is stored."""
+    """Return a message as JSON has it, each text as it is stored."""
     match message:
         case Message(code, params):
             return {"code": code, "params": {name: _plain(value) for name, value in params.items()}}
@@ -120,8 +120,8 @@ class FrameRecord(msgspec.Struct):
 
 
 def readable(row: Mapping[str, Any]) -> Event:
-    """The row as an event. Where its time or its frames are invalid, ``unreadable`` is true, the time 0,
-    which no event has, and the frames left out. ``messages``: of its fields, where known."""
+    """Return the row as an event. Where its time or its frames are invalid, ``unreadable`` is true, the time
+    0, which no event has, and the frames left out. ``messages``: of its fields, where known."""
     has_time, frames = is_moment(row["time"]), frames_of(row["frames"])
     event = {**row, "unreadable": not has_time or frames is None}
     concluded_at = row["concluded_at"]
@@ -141,7 +141,7 @@ def readable(row: Mapping[str, Any]) -> Event:
 
 
 def messages_of(text: str | None) -> dict[str, Message] | None:
-    """The messages of an entry's fields, by field, from its JSON; None where it is invalid."""
+    """Return the messages of an entry's fields, by field, from its JSON; None where it is invalid."""
     if text is None:
         return {}
     try:
@@ -151,7 +151,7 @@ def messages_of(text: str | None) -> dict[str, Message] | None:
 
 
 def frames_of(text: str) -> list[FrameRecord] | None:
-    """The frames in the JSON of an entry; None where they are none."""
+    """Return the frames in the JSON of an entry; None where they are none."""
     try:
         frames = msgspec.json.decode(text, type=list[FrameRecord])
     except (msgspec.MsgspecError, UnicodeError, RecursionError):

@@ -63,7 +63,7 @@ async def _record_end(events: EventLog) -> None:
 
 
 def _store_changed(steps: Sequence[Migration]) -> Message:
-    """The event of a store that was brought up to date, or made."""
+    """Return the event of a store that was brought up to date, or made."""
     if steps[0].number == FIRST:
         return Message("event_store_created")
     names = ", ".join(f"{step.number:04d} {step.name}" for step in steps)

@@ -23,7 +23,8 @@ JOINED = Message("event_audit_chains_joined")
 
 
 def joined(ends: Ends) -> str:
-    """What the entry that continues all chains holds as ``previous``: of one chain the hash of its end."""
+    """Return what the entry that continues all chains holds as ``previous``: of one chain the hash of its
+    end."""
     if len(ends) > 1:
         plain = {chain: (head.id, head.hash) for chain, head in ends.items()}
         return hashlib.sha256(f"chains\n{canonical(plain)}".encode()).hexdigest()
@@ -31,7 +32,7 @@ def joined(ends: Ends) -> str:
 
 
 def expected_previous(entry: Mapping[str, Any], ends: Ends) -> str:
-    """The hash that an entry must hold as ``previous`` after chains with these ends."""
+    """Return the hash that an entry must hold as ``previous`` after chains with these ends."""
     chain = entry.get("chain")
     if chain is None:
         return joined(ends)
@@ -50,7 +51,7 @@ def advance(ends: dict[str, Head], entry: Mapping[str, Any]) -> None:
 
 
 def named(ends: Ends) -> list[Message]:
-    """Where each chain ended, for people: part of the entry that continues them."""
+    """Return where each chain ended, for people: part of the entry that continues them."""
     return [
         Message.of("audit_chain_ended", bus=chain, entry=head.id, hash=head.hash)
         if chain
@@ -60,7 +61,7 @@ def named(ends: Ends) -> list[Message]:
 
 
 def origin_of(heads: Ends) -> KeyOrigin:
-    """The ends of the chains as those before a first key that is made now."""
+    """Return the ends of the chains as those before a first key that is made now."""
     newest = newest_of(heads.values())
     others: Sequence[tuple[str, int, str]] = [
         (name, head.id, head.hash) for name, head in sorted(heads.items()) if head is not newest

@@ -32,7 +32,8 @@ class Keys:
         self._owners = owners
 
     def knowing(self, key_id: str) -> KeyRing:
-        """The ring, with the key of this id if the file has it: another process may have rotated the keys.
+        """Return the ring, with the key of this id if the file has it: another process may have rotated the
+        keys.
 
         Raises KeyFileError when the file cannot be used any more.
         """
@@ -52,13 +53,13 @@ class Keys:
 
 
 def passing_keys() -> Keys:
-    """Keys that nothing outlives."""
+    """Return keys that end with the process."""
     return Keys(KeyRing((secrets.token_bytes(KEY_BYTES),)))
 
 
 def open_keys(paths: Sequence[Path], store: Path | None, heads: Ends) -> Keys:
-    """The keys of the log in the file ``store``, which ends with ``heads``, from the first of the files that
-    is there. Where none is, the first that can be made is made. Raises KeyFileError."""
+    """Return the keys of the log in the file ``store``, which ends with ``heads``, from the first of the
+    files that is there. Where none is, the first that can be made is made. Raises KeyFileError."""
     owners = owners_of(store)
     path = find_key_file(paths) or _made(paths, origin_of(heads))
     ring = read_key_file(path, owners)
@@ -68,12 +69,14 @@ def open_keys(paths: Sequence[Path], store: Path | None, heads: Ends) -> Keys:
 
 
 def find_key_file(paths: Sequence[Path]) -> Path | None:
-    """The first of the files that there is; a link to nowhere is one, which is refused when it is read."""
+    """Return the first of the files that there is; a link to nowhere is one, which is refused when it is
+    read."""
     return next((path for path in paths if os.path.lexists(path)), None)
 
 
 def owners_of(store: Path | None) -> frozenset[int]:
-    """The users to whom the key of a store may belong: ours, root, and the one whose file the store is."""
+    """Return the users to whom the key of a store may belong: ours, root, and the one whose file the store
+    is."""
     owner = os.geteuid() if store is None else store.stat().st_uid
     return frozenset({os.geteuid(), 0, owner})
 
@@ -110,8 +113,8 @@ class _Content(msgspec.Struct, omit_defaults=True):
 
 
 def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
-    """The keys, None where there is no file. Raises KeyFileError for one that others could have read or made,
-    and for one that holds no keys. ``owners``: the users that it may belong to."""
+    """Return the keys, None where there is no file. Raises KeyFileError for one that others could have read
+    or made, and for one that holds no keys. ``owners``: the users that it may belong to."""
     try:
         # A FIFO or a device would delay the start indefinitely.
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)

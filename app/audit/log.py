@@ -130,14 +130,14 @@ class EventLog:
         return len(left)
 
     async def page(self, wanted: Filter, limit: int) -> tuple[list[Event], int | None]:
-        """Events newest first, and the number to continue from (None at the end)."""
+        """Return events newest first, and the number to continue from (None at the end)."""
         found = await self._database.read_costly(
             lambda connection: queries.select(connection, wanted, limit + 1)
         )
         return found[:limit], found[limit - 1]["id"] if len(found) > limit else None
 
     async def every(self, wanted: Filter) -> AsyncIterator[list[Event]]:
-        """All events that are wanted, newest first, in pieces."""
+        """Yield all events that are wanted, newest first, in pieces."""
         while True:
             chunk, after = await self.page(wanted, CHUNK)
             yield chunk
@@ -224,8 +224,8 @@ def append(connection: StoreConnection, entries: Sequence[Mapping[str, Any]], ke
 
 
 def _ends(connection: StoreConnection) -> tuple[dict[str, Head], bool]:
-    """What the next entry continues, by chain, and whether an entry is there behind what was noted as the
-    end, which cannot have been written so."""
+    """Return what the next entry continues, by chain, and whether an entry is there behind what was noted as
+    the end, which cannot have been written so."""
     last = connection.execute(_LAST).fetchone()
     is_one = last is not None and last["chain"] is None
     rows = connection.execute(f"{_HEADS} WHERE chain = ''" if is_one else _HEADS)

@@ -89,7 +89,7 @@ def _address(path: str, query: dict[str, Any]) -> str:
 
 
 def _of_api(wanted: Filter, formats: Formats) -> dict[str, Any]:
-    """The query of the API for the same events: it takes instants."""
+    """Return the query of the API for the same events: it takes instants."""
     names = ("kind", "bus", "unit", "who", "search")
     times = {"from": wanted.since, "to": wanted.until}
     instants = {name: None if at is None else formats.local(at).isoformat() for name, at in times.items()}
@@ -110,8 +110,8 @@ class EventRow:
 
 
 async def page_of(events: EventLog, wanted: Filter, limit: int) -> tuple[list[EventRow], int | None]:
-    """Rows newest first, at most ``limit``, and the number to continue from (None at the end). A part is a
-    row where the filter leaves its group out."""
+    """Return rows newest first, at most ``limit``, and the number to continue from (None at the end). A part
+    is a row where the filter leaves its group out."""
     found, after = await events.page(replace(wanted, folded=True), limit)
     groups = sorted(event["id"] for event in found)
     parts, more = await events.page(Filter(parts_of=tuple(groups)), MAX_PARTS)
@@ -158,7 +158,7 @@ class EventFinder:
         self._names = {(bus.name, unit.id): unit.name for bus in settings.bus for unit in bus.unit}
 
     async def __call__(self, search: Search) -> Iterable[FoundPlace]:
-        """A way to the page of events with this search, and the newest of them."""
+        """Return a way to the page of events with this search, and the newest of them."""
         typed = search.formats.typed_number(search.typed)
         named = units_named(self._settings, search.typed)
         wanted = Filter(search=typed, named=named, folded=True, newest=MAX_SEARCHED)
@@ -182,7 +182,7 @@ class EventFinder:
         ]
 
     def _label(self, event: Event, language: Language) -> str:
-        """What happened, after the name of the unit that it happened to."""
+        """Return what happened, after the name of the unit that it happened to."""
         what = language.t(event["messages"].get("what", event["what"]))
         name = self._names.get((event["bus"] or "", event["unit"] or 0))
         return f"{name} · {what}" if name else what

@@ -188,7 +188,7 @@ class Cut:
 
 
 def heads_text(ends: Ends) -> str:
-    """Ends of chains as `Cut.heads` has them."""
+    """Return the ends of chains as `Cut.heads` has them."""
     plain = {chain: (head.id, head.hash, head.key) for chain, head in sorted(ends.items())}
     return msgspec.json.encode(plain).decode()
 
@@ -204,8 +204,8 @@ def cuts_of(connection: StoreConnection) -> list[Cut]:
 
 
 def newest_cut(connection: StoreConnection, ring: KeyRing) -> Cut | None:
-    """Where the log begins; None where nothing was archived. One that was not written with the key counts for
-    nothing: then what is gone is missing."""
+    """Return where the log begins; None where nothing was archived. One that was not written with the key
+    counts for nothing: then what is gone is missing."""
     cuts = cuts_of(connection)
     return cuts[-1] if cuts and cuts[-1].is_sealed(ring) else None
 
@@ -217,13 +217,14 @@ def add_cut(connection: StoreConnection, cut: Cut) -> None:
 
 
 def heads_of(connection: StoreConnection) -> dict[str, Head]:
-    """The newest entry as noted apart, of each chain that there ever was; of a store of any version."""
+    """Return the newest entry as noted apart, of each chain that there ever was; of a store of any
+    version."""
     heads, _ = extent(connection)
     return heads
 
 
 def extent(connection: StoreConnection) -> tuple[dict[str, Head], int]:
-    """The newest entries as noted apart, and the number of the last one stored, of one instant."""
+    """Return the newest entries as noted apart, and the number of the last one stored, of one instant."""
     query = "SELECT * FROM (SELECT max(id) AS last FROM events) AS log LEFT JOIN events_head ON 1 = 1"
     rows = [dict(row) for row in connection.execute(query)]
     # A store of an earlier version has one chain, and at first no key and no seal.
@@ -250,8 +251,8 @@ def _from_cut(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, 
 
 
 def _from_known(connection: StoreConnection, ring: KeyRing, known: Head) -> tuple[Walk, int]:
-    """A walk over what follows an entry, and the number it begins with. Over the complete log where the entry
-    is not there as known, or several chains go on from it."""
+    """Return a walk over what follows an entry, and the number it begins with. Over the complete log where
+    the entry is not there as known, or several chains go on from it."""
     query = "SELECT id, hash, key, chain FROM events WHERE id = ?"
     row = connection.execute(query, (known.id,)).fetchone()
     if row is None or row["hash"] != known.hash or row["chain"] is not None:
@@ -295,7 +296,7 @@ class LogProof:
         return walk.end(heads)
 
     async def extent(self) -> tuple[dict[str, Head], int]:
-        """The newest entries as noted apart, and the number of the last one stored."""
+        """Return the newest entries as noted apart, and the number of the last one stored."""
         return await self._database.read(extent)
 
     def _knowing(self, heads: Ends) -> KeyRing:

@@ -58,7 +58,8 @@ class Filter:
     newest: int | None = None
 
     def conditions(self, event: str = "e", conclusion: str = "f") -> tuple[str, list[Any]]:
-        """SQL to append to a query, with the aliases of the events and their conclusions, and its values."""
+        """Return SQL to append to a query, with the aliases of the events and their conclusions, and its
+        values."""
         messages = f"{event}.messages"
         number = None if self.number is None else str(self.number)
         given = {
@@ -111,7 +112,7 @@ def _pattern(text: str) -> str:
 
 
 def select(connection: StoreConnection, wanted: Filter, limit: int) -> list[dict[str, Any]]:
-    """Events newest first, each command with its outcome."""
+    """Return events newest first, each command with its outcome."""
     conditions, values = wanted.conditions()
     query = f"{_FOLDED} {conditions} ORDER BY e.id DESC LIMIT ?"
     return [readable(dict(row)) for row in connection.execute(query, [*values, limit])]
@@ -124,7 +125,7 @@ def one(connection: StoreConnection, number: int) -> dict[str, Any] | None:
 
 
 def kinds(connection: StoreConnection) -> list[str]:
-    """Every kind there is an event of, each found by one look into the index."""
+    """Return every kind there is an event of, each found by one look into the index."""
     query = (
         "WITH RECURSIVE k(kind) AS (SELECT min(kind) FROM events WHERE about IS NULL UNION ALL "
         "SELECT (SELECT min(kind) FROM events WHERE about IS NULL AND kind > k.kind) FROM k "

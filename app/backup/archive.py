@@ -153,8 +153,8 @@ def write_archive(data: Path, file: Path, files: SiteFiles | None, archive: Path
 
 @contextmanager
 def _working_folder(beside: Path) -> Iterator[Path]:
-    """A folder on the disk of the backup, which is locked while it is used: one whose process was killed is
-    known by that, and removed by the next backup."""
+    """Make a folder on the disk of the backup, which is locked while it is used: one whose process was killed
+    is known by that, and removed by the next backup."""
     for left in beside.glob(f"{WORKING}*"):
         with suppress(OSError), locked(left, fcntl.LOCK_EX | fcntl.LOCK_NB):
             shutil.rmtree(left, ignore_errors=True)
@@ -189,7 +189,7 @@ def _read(file: BufferedReader, path: Path) -> BackupArchive:
 
 
 def _members(file: BufferedReader, size: int) -> dict[str, Extent]:
-    """By name where each member is, none beyond the end of the file, which is ``size``."""
+    """Return by name where each member is, none beyond the end of the file, which is ``size``."""
     members: dict[str, Extent] = {}
     try:
         with tarfile.TarFile(fileobj=_Headers(file)) as archive:

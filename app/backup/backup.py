@@ -55,12 +55,12 @@ class Manifest(msgspec.Struct, omit_defaults=True):
 
     @property
     def all_events(self) -> dict[str, str]:
-        """Of each file of archived events, wherever it is."""
+        """The digest of each file of archived events, wherever it is."""
         return {**self.events, **self.kept_events}
 
     @property
     def digests(self) -> dict[str, str]:
-        """Of everything that has a name."""
+        """The digest of everything that has a name."""
         return {**self.stores, **self.files, **self.all_events}
 
     @property
@@ -142,7 +142,7 @@ class Backup:
         return [*absent.values()]
 
     def files(self) -> tuple[str, bytes]:
-        """What it has of the files of the site: the name and the content. Raises StoreError."""
+        """Return the files of the site in the backup: their name and the content. Raises StoreError."""
         for name in self.manifest.files:
             if self.size_of(name) > MAX_BYTES:
                 raise BackupError("archive_too_large", most=MAX_BYTES)

@@ -25,7 +25,7 @@ PBKDF2_ROUNDS = 10_000
 
 
 def read_key(file: Path) -> bytes:
-    """The key of a file, without the white space around it. Raises StoreError where it is none."""
+    """Return the key of a file, without the white space around it. Raises StoreError where it is none."""
     try:
         with file.open("rb") as opened:
             key = opened.read(MAX_KEY_BYTES).strip()
@@ -45,7 +45,7 @@ def encrypt(content: bytes, key: bytes) -> bytes:
 
 
 def decrypt(packed: bytes, key: bytes) -> bytes:
-    """What was encrypted. Raises StoreError where it was so under another key, or was altered."""
+    """Decrypt what was encrypted. Raises StoreError where it was so under another key, or was altered."""
     salt, seal, hidden = (
         packed[:SALT_BYTES],
         packed[SALT_BYTES:][:SEAL_BYTES],

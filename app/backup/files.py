@@ -78,8 +78,8 @@ def place_files(member: str, content: bytes, key_file: Path | None, folder: Path
 
 
 def _named(settings: Settings) -> Iterator[Path]:
-    """Every file that the configuration names and a restore needs. An anchor is evidence of this log, and has
-    its own place."""
+    """Yield every file that the configuration names and a restore needs. An anchor is evidence of this log,
+    and has its own place."""
     yield from _paths_in(settings)
     if (key_file := find_key_file(settings.key_files)) is not None:
         yield key_file

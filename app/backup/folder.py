@@ -123,7 +123,8 @@ def is_sound(content: Path) -> bool:
 
 
 def manifests_in(folder: Path) -> list[Path]:
-    """The backups of a folder, the newest first. Raises StoreError for a folder that cannot be read."""
+    """Return the backups of a folder, the newest first. Raises StoreError for a folder that cannot be
+    read."""
     with in_words(folder):
         names = [path for path in folder.iterdir() if path.suffix == ".json" and time_of(path.name)]
     return sorted(names, reverse=True)
@@ -159,8 +160,8 @@ def refuse_other_site(folder: Path, store: Path) -> str:
 
 
 def space_needed(settings: Settings, folder: Path) -> int:
-    """The bytes that the next backup takes of the disk of a folder: the main store, and all else for the
-    first one."""
+    """Return the bytes that the next backup takes of the disk of a folder: the main store, and all else for
+    the first one."""
     data, names = settings.server.data, [STORE_FILE]
     files: list[Path] = []
     if not (folder / CONTENTS).is_dir():
@@ -184,8 +185,8 @@ def write_to_folder(settings: Settings, folder: Path, now: UnixTime) -> WrittenB
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """One backup at a time: another could remove what this one is about to name. What a run that was killed
-    has left is removed."""
+    """Let one backup run at a time: another could remove what this one is about to name. What a run that was
+    killed has left is removed."""
     contents = folder / CONTENTS
     refuse_link(contents)
     make_folder(contents)
@@ -282,7 +283,7 @@ class _Run:
         return digest, fresh.rename(self._contents / digest)
 
     def _events(self, copy: Path) -> tuple[dict[str, str], list[str]]:
-        """The digest of each archived file of a copied log, and the names of those that are not in the
+        """Return the digest of each archived file of a copied log, and the names of those that are not in the
         archive. They never change, and the copy names none that comes later. Raises StoreError for a damaged
         one."""
         archive, found, absent = self._settings.audit.archive, {}, []

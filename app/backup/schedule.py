@@ -25,8 +25,8 @@ MONTHS = 12
 
 
 def next_after(now: UnixTime, at: str, zone: ZoneInfo) -> UnixTime:
-    """The next moment after ``now`` at which the clock of the zone shows ``at``; on a day without it, the
-    moment at which it would."""
+    """Return the next moment after ``now`` at which the clock of the zone shows ``at``; on a day without it,
+    the moment at which it would."""
     local = datetime.fromtimestamp(float(now), zone)
     due = datetime.combine(local.date(), time.fromisoformat(at), zone)
     while due.timestamp() <= float(now):
@@ -37,9 +37,9 @@ def next_after(now: UnixTime, at: str, zone: ZoneInfo) -> UnixTime:
 def next_due(
     now: UnixTime, newest: UnixTime | None, failed: UnixTime | None, settings: BackupSettings, zone: ZoneInfo
 ) -> UnixTime:
-    """When the next backup is due; not after ``now`` where it is to begin. ``newest``: when the newest was
-    begun, None where there is none; ``failed``: when the last attempt was begun, None where it succeeded. A
-    time in the future is of a clock that was wrong, and counts for nothing."""
+    """Return when the next backup is due; not after ``now`` where it is to begin. ``newest``: when the newest
+    was begun, None where there is none; ``failed``: when the last attempt was begun, None where it succeeded.
+    A time in the future is of a clock that was wrong, and counts for nothing."""
     every = settings.every_s
     if newest is None or newest > now:
         due = now
@@ -50,12 +50,12 @@ def next_due(
 
 
 def name_of(at: UnixTime) -> str:
-    """The manifest of a backup that begins at this time: names of later ones come after it."""
+    """Return the manifest of a backup that begins at this time: names of later ones come after it."""
     return datetime.fromtimestamp(float(at), UTC).strftime(FORMAT)
 
 
 def time_of(name: str, zone: tzinfo = UTC) -> UnixTime | None:
-    """When a backup was begun, by its name; None for another file."""
+    """Return when a backup was begun, by its name; None for another file."""
     try:
         if (archive := ARCHIVE.fullmatch(name)) is not None:
             local = datetime.strptime(archive[1], "%Y-%m-%d-%H%M%S").replace(tzinfo=zone)
@@ -67,8 +67,8 @@ def time_of(name: str, zone: tzinfo = UTC) -> UnixTime | None:
 
 
 def too_many(names: Iterable[str], keep: int, written: str, zone: ZoneInfo) -> list[str]:
-    """Those of the files of a folder that are backups and not kept. ``written``, the one that was written
-    just now, is the newest: those of a later date are of a clock that was wrong."""
+    """Return those of the files of a folder that are backups and not kept. ``written``, the one that was
+    written just now, is the newest: those of a later date are of a clock that was wrong."""
     times = {name: at for name in names if (at := time_of(name, zone)) is not None}
     now = times[written]
     past = sorted((name for name, at in times.items() if at <= now), key=times.__getitem__, reverse=True)

@@ -75,7 +75,7 @@ class Backups:
         return BACKUP_OVERDUE.holds(self.newest, self._clock(), after_s) and (self.failing or True)
 
     def next_due(self, now: UnixTime) -> UnixTime:
-        """When the next backup is due; not after ``now`` where it is to begin."""
+        """Return when the next backup is due; not after ``now`` where it is to begin."""
         return next_due(now, self._written, self._failed, self._settings, self._zone)
 
     async def follow(self) -> None:
@@ -145,7 +145,7 @@ class Backups:
 
 
 def left_out_of(written: Mapping[str, Any]) -> Message | None:
-    """What a backup lacks, by what ``lineside backup-store --json`` prints; None where all is."""
+    """Return what a backup lacks, by what ``lineside backup-store --json`` prints; None where all is."""
     lists = (("left_out", "backup_leaves_out"), ("events_absent", "backup_without_events"))
     lacking = [Message(code, {"files": files}) for name, code in lists if (files := written[name])]
     if written["damaged"]:
@@ -154,7 +154,7 @@ def left_out_of(written: Mapping[str, Any]) -> Message | None:
 
 
 def newest_in(folder: Path, now: UnixTime, zone: ZoneInfo) -> UnixTime | None:
-    """When the newest backup of a folder was begun. One of the future is of a clock that was wrong."""
+    """Return when the newest backup of a folder was begun. One of the future is of a clock that was wrong."""
     with suppress(OSError):
         times = (time_of(path.name, zone) for path in folder.iterdir())
         return max((begun for begun in times if begun is not None and begun <= now), default=None)

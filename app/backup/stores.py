@@ -97,8 +97,8 @@ class Part:
 
 
 def parts_of(name: str, store: sqlite3.Connection, now: UnixTime) -> list[Part]:
-    """Every part of a store, found without reading its content. Raises StoreError for a history that the
-    running version has not yet brought up to date."""
+    """Return every part of a store, found without reading its content. Raises StoreError for a history that
+    the running version has not yet brought up to date."""
     if name == PICTURES:
         rows = store.execute("SELECT rowid, digest FROM picture")
         return [Part("picture", row, row + 1, digest) for row, digest in rows]
@@ -198,6 +198,6 @@ def site_of(store: sqlite3.Connection) -> str | None:
 
 
 def archived_in(store: Path) -> dict[str, str]:
-    """The SHA-256 of each file of archived events that a log names, by its name."""
+    """Return the SHA-256 of each file of archived events that a log names, by its name."""
     with examining(store) as connection:
         return {cut.file: cut.digest for cut in cuts_of(connection)}

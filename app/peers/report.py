@@ -144,7 +144,7 @@ class ReportError(ValueError):
 
 
 def board_json(board: LineBoard, english: Translator, now: UnixTime, *, own: bool = False) -> LinesOfSites:
-    """The report of this server; ``own``: without its peers."""
+    """Return the report of this server; ``own``: without its peers."""
     return {
         "time": iso(now),
         "version": VERSION,

@@ -128,8 +128,8 @@ def summary_of(
     site: str,
     now: UnixTime,
 ) -> LineSummary:
-    """``views``: how each unit looks; ``alarms``: those of the line that a person is to know of, each with
-    its text; ``site``: its name."""
+    """Return a line in short. ``views``: how each unit looks; ``alarms``: those of the line that a person is
+    to know of, each with its text; ``site``: its name."""
     place, cause = _worst(bus, views, now)
     counts = state_counts(views)
     known = sorted(alarms, key=lambda entry: rank(entry[0]))

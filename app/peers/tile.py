@@ -46,7 +46,8 @@ _NEVER: Fields = {
 
 
 def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fields:
-    """``quality``: whether it is of the present; ``last``: of one that is not, what it was."""
+    """Return the fields of a line. ``quality``: whether it is of the present; ``last``: of one that is not,
+    what it was."""
     summary, level = line.summary, shown_level(line)
     fields = _NEVER | {
         "level": level,
@@ -99,7 +100,7 @@ def verdict_text(summary: LineSummary, translator: Translator, now: UnixTime) ->
 
 
 def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTime) -> tuple[str, str]:
-    """The place is empty where the verdict is about the line itself."""
+    """Return place and verdict of a line; the place is empty where the verdict is about the line itself."""
     if summary.cause is None:
         return "", translator.t(summary.verdict)
     place = "" if summary.place == summary.bus else summary.place

@@ -140,8 +140,8 @@ class Destination:
             self._months.clear()
 
     def hashes(self, after: int, limit: int) -> list[tuple[int, list[str]]]:
-        """The next events of the site behind a number: the number of each, and every hash that it was ever
-        published with. Raises PublishError, SchemaError."""
+        """Return the next events of the site behind a number: the number of each, and every hash that it was
+        ever published with. Raises PublishError, SchemaError."""
         self.connect()
         with self._in_words():
             assert self._connection is not None
@@ -152,8 +152,8 @@ class Destination:
             return self._connection.execute(query.encode(), (self._site, after, limit)).fetchall()
 
     def extents(self, after: UnixTime) -> list[tuple[int, datetime | None, datetime | None]]:
-        """What the site published of later than a time: of events and of readings how many, the first and the
-        last, which are None where there are none. Raises PublishError, SchemaError."""
+        """Return what the site published of later than a time: of events and of readings how many, the first
+        and the last, which are None where there are none. Raises PublishError, SchemaError."""
         self.connect()
         with self._in_words():
             assert self._connection is not None

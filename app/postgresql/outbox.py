@@ -88,18 +88,18 @@ def read_identity(connection: StoreConnection) -> str:
 
 
 def end_of_logs(connection: StoreConnection) -> tuple[int, int]:
-    """The numbers of the newest event and the newest transition of an alarm; 0 without any."""
+    """Return the numbers of the newest event and the newest transition of an alarm; 0 without any."""
     query = "SELECT coalesce((SELECT max(id) FROM {}), 0)"
     return tuple(connection.execute(query.format(name)).fetchone()[0] for name in ("events", "alarm_journal"))
 
 
 def end_of_blocks(connection: StoreConnection) -> int:
-    """The id of the newest block of readings; 0 without any."""
+    """Return the id of the newest block of readings; 0 without any."""
     return int(connection.execute("SELECT coalesce(max(id), 0) FROM raw").fetchone()[0])
 
 
 def first_block_since(connection: StoreConnection, at: int) -> int | None:
-    """The least id of the blocks that begin at a time or later, µs."""
+    """Return the least id of the blocks that begin at a time or later, µs."""
     found = connection.execute("SELECT min(id) FROM raw WHERE start >= ?", (at,)).fetchone()[0]
     return None if found is None else int(found)
 
@@ -159,13 +159,13 @@ def _alarm_rows(connection: StoreConnection, occurrences: Iterable[tuple[str, in
 
 
 def events_between(connection: StoreConnection, start: float, end: float, after: int) -> list[dict[str, Any]]:
-    """Events of a span, Unix time, behind a number, as many as one batch has."""
+    """Return events of a span, Unix time, behind a number, as many as one batch has."""
     query = "SELECT * FROM events WHERE id > ? AND time >= ? AND time < ? ORDER BY id LIMIT ?"
     return [dict(row) for row in connection.execute(query, (after, start, end, MAX_ENTRIES))]
 
 
 def alarms_between(connection: StoreConnection, start: float, end: float) -> list[Row]:
-    """The occurrences of alarms that came within a span, Unix time."""
+    """Return the occurrences of alarms that came within a span, Unix time."""
     query = (
         "SELECT DISTINCT alarm, occurrence FROM alarm_journal WHERE trigger = 'rise' AND at >= ? AND at < ?"
     )
@@ -327,7 +327,8 @@ def _unit(connection: StoreConnection, key: int, bus: BusSettings, number: int) 
 def _figures(
     source: StoredUnit, unit: PublishedUnit, span: tuple[int, int], runs: Sequence[Run]
 ) -> dict[int, RunFigures]:
-    """The figures of each minute of a span, from its runs where all of them are kept, else from averages."""
+    """Return the figures of each minute of a span, from its runs where all of them are kept, else from
+    averages."""
     start, end = span
     if not has_raw(source.connection, source.unit, start):
         runs = runs_of_minutes(minutes_of(source, start - MINUTE, end + MINUTE))

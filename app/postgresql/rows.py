@@ -96,7 +96,7 @@ def instant_of(at: float | None) -> datetime | None:
 
 
 def points_of(runs: Iterable[Run]) -> Iterator[tuple[int, Run]]:
-    """Each reading that is stored by itself: of a run its first and, if it lasted, its last."""
+    """Yield each reading that is stored by itself: of a run its first and, if it lasted, its last."""
     for run in runs:
         yield run.at, run
         if run.until > run.at:
@@ -104,7 +104,7 @@ def points_of(runs: Iterable[Run]) -> Iterator[tuple[int, Run]]:
 
 
 def steps_of(runs: Iterable[Run], step: int) -> Iterator[tuple[int, Run]]:
-    """The last reading of each step in which the unit responded, by the beginning of the step, µs."""
+    """Yield the last reading of each step in which the unit responded, by the beginning of the step, µs."""
     last: dict[int, Run] = {}
     for run in runs:
         first = run.at - run.at % step
@@ -135,7 +135,7 @@ class Scales(NamedTuple):
 def reading_rows(
     place: tuple[str, int], points: Iterable[tuple[int, Run]], scales: Scales, estop_healthy: int
 ) -> Iterator[Row]:
-    """The rows of a unit. ``place``: its bus and its number."""
+    """Yield the rows of a unit. ``place``: its bus and its number."""
     for at, run in points:
         commanded, actual, analog = (scaling.at(run.at) for scaling in scales)
         yield (
@@ -166,8 +166,8 @@ def lost_row(place: tuple[str, int], at: int, link: str) -> Row:
 
 
 def length_of(unit: UnitSettings | None) -> tuple[str, int] | None:
-    """The unit of a length of web, and the seconds in the time of the unit of speed; None where the unit of
-    speed, such as m/min, does not say both."""
+    """Return the unit of a length of web, and the seconds in the time of the unit of speed; None where the
+    unit of speed, such as m/min, does not say both."""
     length, _, per = (unit.labels.unit if unit else "").strip().partition("/")
     return (length.strip(), PER_S[per.strip()]) if length and per.strip() in PER_S else None
 
@@ -179,8 +179,8 @@ def minute_rows(
     figures: Mapping[int, RunFigures] | None,
     per_s: int | None,
 ) -> Iterator[Row]:
-    """The rows of the minutes of a unit. ``series``: its actual speed; ``figures``: of each minute, None for
-    a follower whose speeds are ratios; ``per_s``: see `length_of`."""
+    """Yield the rows of the minutes of a unit. ``series``: its actual speed; ``figures``: of each minute,
+    None for a follower whose speeds are ratios; ``per_s``: see `length_of`."""
     columns = (series.at, counts, series.least, series.average, series.greatest)
     for at, count, least, average, greatest in zip(*columns, strict=True):
         run = None if figures is None else figures.get(at, RunFigures())
@@ -203,7 +203,7 @@ def _times(run: RunFigures, per_s: int | None) -> Row:
 def figures_by_minute(
     stretches: Iterable[RunStretch], estop_healthy: int, speed_of: Callable[[int, int], float]
 ) -> dict[int, RunFigures]:
-    """The figures of each minute; what lasts over its end is divided."""
+    """Return the figures of each minute; what lasts over its end is divided."""
     parts: dict[int, list[RunStretch]] = {}
     for at, until, run in stretches:
         while at < until:
@@ -218,12 +218,13 @@ def figures_by_minute(
 
 
 def event_row(entry: Mapping[str, Any]) -> Row:
-    """An entry of the audit log. The outcome of a command is an entry of its own, about the command."""
+    """Return the row of an entry of the audit log. The outcome of a command is an entry of its own, about the
+    command."""
     return (instant_of(entry["time"]), *(_text(entry[name]) for name in EVENT.columns[1:]))
 
 
 def alarm_row(transitions: Sequence[Mapping[str, Any]]) -> Row | None:
-    """An occurrence of an alarm, of its transitions in order; None where it never came."""
+    """Return the row of an occurrence of an alarm, of its transitions in order; None where it never came."""
     last = {each["trigger"]: each for each in transitions}
     came, cleared, answer = last.get("rise"), last.get("clear"), last.get("acknowledge")
     if came is None:

@@ -130,7 +130,7 @@ def month_of(at: datetime) -> tuple[int, int]:
 
 
 def partitioned(connection: psycopg.Connection[Any], schema: str) -> set[str]:
-    """The names of the tables that have partitions. A plant may have put others in their places."""
+    """Return the names of the tables that have partitions. A plant may have put others in their places."""
     query = "SELECT relname::text FROM pg_class WHERE relnamespace = %s::regnamespace AND relkind = 'p'"
     return {name for [name] in connection.execute(query, (schema,))}
 
@@ -149,7 +149,7 @@ def add_month(connection: psycopg.Connection[Any], schema: str, table: Table, mo
 
 
 def later(month: tuple[int, int], by: int) -> tuple[int, int]:
-    """The month that is so many months later; earlier where ``by`` is negative."""
+    """Return the month that is so many months later; earlier where ``by`` is negative."""
     years, number = divmod(12 * month[0] + month[1] - 1 + by, 12)
     return years, number + 1
 

@@ -28,7 +28,8 @@ STEPS_US: dict[Step, int] = {
 
 
 def _url(written: str) -> str:
-    """A URL as libpq takes it, without a password: the configuration is shown, recorded and backed up."""
+    """Return a URL as libpq takes it, without a password: the configuration is shown, recorded and backed
+    up."""
     try:
         parts = urlsplit(written)
         has_password = parts.password is not None or "password" in dict(parse_qsl(parts.query))

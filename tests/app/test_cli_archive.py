@@ -14,8 +14,6 @@ from app.settings import Settings, load
 from bus.messages import Message
 from tests.app.archived_site import archived_site
 
-MONTH_S = 31 * 86_400.0
-
 
 @pytest.fixture
 async def site(tmp_path: Path) -> Settings:

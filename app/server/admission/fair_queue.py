@@ -47,8 +47,8 @@ class RoundRobin(Generic[K]):
     def next(
         self, busy: Mapping[K, int] = MappingProxyType({}), at_once_of_key: int = 1
     ) -> tuple[K, asyncio.Future[None]] | None:
-        """The first of the next key that may have one more turn beside those that are ``busy``; that key goes
-        to the end."""
+        """Return the first of the next key that may have one more turn beside those that are ``busy``; that
+        key goes to the end."""
         for key in self._turns:
             if busy.get(key, 0) < at_once_of_key:
                 turn = self._turns[key][0]

@@ -19,6 +19,6 @@ class Handshakes:
         self._buckets: dict[str, tuple[Bucket, Bucket]] = {}
 
     def wait_s(self, account: str, now: Monotonic) -> float:
-        """How long one more handshake of ``account`` waits; ``now`` in seconds on any steady clock."""
+        """Return how long one more handshake of ``account`` waits; ``now`` in seconds on any steady clock."""
         fresh = Bucket(A_SECOND, MAX_AT_ONCE), Bucket(MAX_TOGETHER_A_SECOND, MAX_TOGETHER)
         return max(bucket.pour(1, now) for bucket in self._buckets.setdefault(account, fresh))

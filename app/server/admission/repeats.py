@@ -51,7 +51,7 @@ class Repeats(Generic[Item]):
         return None
 
     def take_counted(self, now: Monotonic, *, everything: bool = False) -> list[Repetition[Item]]:
-        """What followed the first, by key, of each minute that has passed, or of all; a minute in which
+        """Take what followed the first, by key, of each minute that has passed, or of all; a minute in which
         nothing did is forgotten."""
         found = []
         for key, window in list(self._windows.items()):

@@ -167,7 +167,7 @@ class Gate(asyncio.Protocol):
             self.go_on()
 
     def eof_received(self) -> None:
-        """The connection closes."""
+        """Close the connection, as the client has closed its side."""
 
     def pause_writing(self) -> None:
         self._is_full = True
@@ -181,8 +181,8 @@ class Gate(asyncio.Protocol):
         self.go_on()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """In turn: to unwind the app of one takes a millisecond, and a client with some hundred of them may
-        drop them all at once."""
+        """Unwind the app in turn: that takes a millisecond, and a client with some hundred of them may drop
+        them all at once."""
         if self not in self._gates.open:
             return
         if self._pace.awaited in (Awaited.HEAD, Awaited.BODY) and self._ended_at is None:
@@ -356,7 +356,8 @@ class Gate(asyncio.Protocol):
         return arrived_at, data
 
     def _bound(self, size: int) -> None:
-        """What goes on and on is as bad as what stands still, and so is what is neither head nor body."""
+        """Count bytes that were received; end what is longer than it may be, a request or the messages of a
+        WebSocket."""
         self._seen += size
         if self._is_socket:
             if self._seen > self._most:
