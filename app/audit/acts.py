@@ -1,4 +1,4 @@
-"""What a person does to a thing other than a unit: an alarm, a shift, a set, a recipe, an account. Each is an
+"""The acts of people on things other than units: an alarm, a shift, a set, a recipe, an account. Each is an
 event in a log that is kept for good, so an account does it only so often."""
 
 from __future__ import annotations

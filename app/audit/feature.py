@@ -1,4 +1,5 @@
-"""Who did what: the event log, its proof, and the record of each start and end of the server."""
+"""The audit log as a feature: the event log, its proof, and the record of each start and end of the
+server."""
 
 from __future__ import annotations
 

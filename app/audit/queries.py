@@ -1,4 +1,4 @@
-"""The events table as it is read: filtered and searched, each command with its outcome."""
+"""Queries of the events: filtered and searched, each command with its outcome."""
 
 from __future__ import annotations
 

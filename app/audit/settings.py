@@ -1,4 +1,4 @@
-"""``[audit]`` of lineside.toml."""
+"""The table ``[audit]`` of lineside.toml."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""When a backup is due, how it is named, and which are too many. Pure. The clock may have been set by a year,
-in either direction, since any of them."""
+"""The schedule of backups: when one is due, how it is named, and which are too many. Pure. The clock may have
+been set by a year, in either direction, since any of them."""
 
 from __future__ import annotations
 

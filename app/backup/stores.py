@@ -1,6 +1,6 @@
-"""Stores as a backup keeps them. The main one is copied whole. History and pictures are taken apart: rows
-that never change again are exported once, as parts that many backups share, and what is left is a small
-frame."""
+"""The stores in the form in which a backup keeps them. The main one is copied whole. History and pictures are
+taken apart: rows that never change again are exported once, as parts that many backups share, and what is
+left is a small frame."""
 
 from __future__ import annotations
 

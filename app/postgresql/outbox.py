@@ -1,4 +1,4 @@
-"""What is to be published next: the cursor, and the rows that the stores have behind it.
+"""The outbox of the publisher: the cursor, and the rows that the stores have behind it.
 
 The stores are the outbox: blocks of readings and entries of the logs have numbers that only rise, and the
 cursor says up to which they are in the plant's database. What is sent twice is one row there.

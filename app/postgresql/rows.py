@@ -1,4 +1,4 @@
-"""What the stores have as rows of the plant's database: plain values in engineering units. Pure."""
+"""Makes what the stores have into rows of the plant's database: plain values in engineering units. Pure."""
 
 from __future__ import annotations
 

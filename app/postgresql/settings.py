@@ -1,4 +1,4 @@
-"""``[postgresql]`` of lineside.toml."""
+"""The table ``[postgresql]`` of lineside.toml."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well the plant's database is kept up to date."""
+"""The state of the publisher: how far behind the plant's database is, and why."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What touches the server and the framework below the app: addresses, protocols, bounds."""
+"""The server below the app: addresses, connections, bounds, TLS."""

@@ -1,4 +1,4 @@
-"""Whether what passes between browsers, workers and this server is encrypted."""
+"""States whether what passes between browsers, workers and this server is encrypted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""How clients reach the server: in clear, or by TLS with a certificate that its files may replace."""
+"""The way by which clients reach the server: in clear, or by TLS with a certificate that its files may
+replace."""
 
 from __future__ import annotations
 

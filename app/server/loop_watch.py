@@ -1,4 +1,4 @@
-"""Whether the event loop stood still: a stall of this process, or of the machine under it."""
+"""Notices whether the event loop stood still: a stall of this process, or of the machine under it."""
 
 from __future__ import annotations
 

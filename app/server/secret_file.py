@@ -1,4 +1,4 @@
-"""Passwords and keys, read from their files when they are needed, and kept nowhere."""
+"""Reads passwords and keys from their files when they are needed, and keeps them nowhere."""
 
 from __future__ import annotations
 

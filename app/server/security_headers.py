@@ -1,4 +1,4 @@
-"""What every response makes the browser forbid."""
+"""Adds the headers by which a browser forbids what no page of ours does."""
 
 from __future__ import annotations
 

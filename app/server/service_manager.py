@@ -1,4 +1,4 @@
-"""What systemd learns of the server: that it serves, what it waits for, that it goes on (sd_notify(3)).
+"""Tells systemd how the server is: that it serves, what it waits for, that it goes on (sd_notify(3)).
 
 A datagram to the socket that ``NOTIFY_SOCKET`` names; nothing where there is none.
 """

@@ -1,4 +1,4 @@
-"""``[server.tls]`` of lineside.toml, and what its addresses are."""
+"""The table ``[server.tls]`` of lineside.toml, and rules for addresses."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Whose turn it is, and what is refused before the app sees it."""
+"""The admission of requests: whose turn it is, and what is refused before the app sees it."""

@@ -1,6 +1,5 @@
-"""Turns at what costs much: keys (places, accounts) take turns, and so do those that are known and those that
-are not. However much comes of one key delays that key. What waits is bounded.
-"""
+"""A queue with turns, for what costs much: keys (places, accounts) take turns, and so do those that are known
+and those that are not. However much comes of one key delays that key. What waits is bounded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The client of a request behind proxies: X-Forwarded-For, -Proto and -Host of trusted ones.
+"""Finds the client of a request behind proxies: X-Forwarded-For, -Proto and -Host of trusted ones.
 
 No others are believed: the address reaches the audit log and the limits of sign-ins.
 """

@@ -1,4 +1,4 @@
-"""How quickly one account may open WebSockets. Pure."""
+"""Limits how quickly one account may open WebSockets. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may repeat without end is noted once, then as a count. Pure: times are monotonic and passed in."""
+"""Notes what may repeat without end once, and then as a count. Pure: times are monotonic and passed in."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""A connection: accepted, counted, spoken by uvicorn within bounds, and watched to its end."""
+"""The connections of clients: counted, bounded, given to uvicorn, and watched to their end."""

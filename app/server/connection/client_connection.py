@@ -1,4 +1,4 @@
-"""What the server offers the app of a connection, beside ``receive`` and ``send``."""
+"""The connection of a client as the app knows it, beside ``receive`` and ``send``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many connections may be open: for each address, for each account, and in all.
+"""Limits how many connections are open: for each address, for each account, and in all.
 
 New clients are not turned away. Beyond a limit the oldest of the group with the most is dropped, one that
 waits for its client before one that is being served: connections that are held open displace one another, and

@@ -1,4 +1,4 @@
-"""How long the other end of a connection may take. Pure: times are seconds on any steady clock."""
+"""Limits how long the other end of a connection may take. Pure: times are seconds on any steady clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far each request is, for the gate of its connection: an ASGI middleware before all others."""
+"""Tells the gate of a connection how far its request is: an ASGI middleware before all others."""
 
 from __future__ import annotations
 

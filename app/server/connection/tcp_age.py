@@ -1,4 +1,4 @@
-"""What the system knows of how long a TCP connection has been open (Linux: TCP_INFO, tcp(7))."""
+"""The age of a TCP connection, as the system knows it (Linux: TCP_INFO, tcp(7))."""
 
 from __future__ import annotations
 
