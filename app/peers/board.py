@@ -23,13 +23,15 @@ _RANKS = {level: number for number, level in enumerate((*PRIORITIES, ""))}
 @dataclass(eq=False, slots=True)
 class Peer:
     """Another server. ``number``: its place in the configuration, from 1; ``lines``: by bus, as it reported
-    them last, at ``reported_at``; ``instance``: see `LineBoard`; ``fault``: why it is not read now."""
+    them last, at ``reported_at``, or at ``time`` by its own clock; ``instance``: see `LineBoard`; ``fault``:
+    why it is not read now."""
 
     number: int
     settings: PeerSettings
     lines: Mapping[str, LineSummary] = field(default_factory=dict)
     reported_at: Monotonic | None = None
     instance: str = ""
+    time: str = ""
     fault: Message | None = None
 
     def age_s(self, now: Monotonic) -> float | None:
@@ -105,14 +107,23 @@ class LineBoard:
             found += [line for peer in self.peers for line in _lines_of(peer, now)]
         return sorted(found, key=lambda line: line.rank)
 
-    def put(self, peer: Peer, lines: Mapping[str, LineSummary], instance: str) -> Message | None:
-        """Take over the report of a peer. Return the fault of one that is this server or another peer."""
+    def put(self, peer: Peer, lines: Mapping[str, LineSummary], instance: str, time: str) -> Message | None:
+        """Take over the report of a peer. Return the fault of one that is this server or another peer, or of
+        a copy of the report before, which says nothing of the present."""
         if instance == self.instance:
             return Message("peer_is_this_server")
         same = next((p for p in self.peers if p is not peer and p.instance == instance and not p.fault), None)
         if same is not None:
             return Message.of("peer_is_other", name=same.settings.name)
-        peer.lines, peer.reported_at, peer.instance, peer.fault = lines, self.clock(), instance, None
+        if (instance, time) == (peer.instance, peer.time):
+            return Message("peer_report_copied")
+        peer.lines, peer.time, peer.reported_at, peer.instance, peer.fault = (
+            lines,
+            time,
+            self.clock(),
+            instance,
+            None,
+        )
         return None
 
 

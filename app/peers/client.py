@@ -60,12 +60,12 @@ async def follow(peer: Peer, board: LineBoard) -> None:
 async def _read_onto(board: LineBoard, peer: Peer, client: httpx.AsyncClient) -> None:
     """Read one report. A peer that is away is noted. Raises PeerError for one that refuses."""
     try:
-        lines, instance = await _read(client, peer.settings)
+        report = await _read(client, peer.settings)
     except PeerAwayError as error:
         _note(peer, error.message)
         return
     before = peer.fault
-    if fault := board.put(peer, lines, instance):
+    if fault := board.put(peer, *report):
         raise PeerError(fault)
     if before is not None:
         _log.info("peer read again", peer=peer.settings.name)
@@ -111,8 +111,10 @@ async def _client(settings: PeerSettings) -> AsyncIterator[httpx.AsyncClient]:
         yield client
 
 
-async def _read(client: httpx.AsyncClient, settings: PeerSettings) -> tuple[Mapping[str, LineSummary], str]:
-    """Return the lines of a peer and its instance. Raises PeerError."""
+async def _read(
+    client: httpx.AsyncClient, settings: PeerSettings
+) -> tuple[Mapping[str, LineSummary], str, str]:
+    """Return the lines of a peer, its instance and its time. Raises PeerError."""
     import httpx
 
     request = client.build_request("GET", f"{settings.url}{PATH}", params={"own": "true"})

@@ -226,14 +226,15 @@ def _schema() -> TypeAdapter[LinesOfSites]:
     return TypeAdapter(LinesOfSites)
 
 
-def read_report(content: bytes) -> tuple[dict[str, LineSummary], str]:
-    """Return the lines of a report by bus, and the instance that wrote it. Raises ReportError."""
+def read_report(content: bytes) -> tuple[dict[str, LineSummary], str, str]:
+    """Return the lines of a report by bus, the instance that wrote it, and when by its clock. Raises
+    ReportError."""
     try:
         report = _schema().validate_json(content, strict=True)
         lines = [_summary(line) for line in report["lines"][:MAX_LINES]]
     except (ValueError, OverflowError, RecursionError, msgspec.MsgspecError):
         raise ReportError(_version_in(content)) from None
-    return {line.bus: line for line in lines}, report["instance"]
+    return {line.bus: line for line in lines}, report["instance"], report["time"]
 
 
 def _version_in(content: bytes) -> str:

@@ -115,9 +115,8 @@ def _line_speed(bus: BusLive, now: UnixTime) -> float | None:
     first = next(islice(bus.units.values(), 1), None)
     if first is None or first.reading is None or unit_link_now(bus, first, now) != "online":
         return None
-    if first.reading.actual is None:
-        return None
-    return float(Decimal(first.reading.actual).scaleb(-(speed_decimals(bus, first) or 0)))
+    actual, decimals = first.reading.actual, speed_decimals(bus, first)
+    return None if actual is None or decimals is None else float(Decimal(actual).scaleb(-decimals))
 
 
 def summary_of(

@@ -9,7 +9,7 @@ import pytest
 
 from app.conditions.priority import PRIORITIES, AlarmPriority
 from app.live.diagnosis.cause import Level
-from app.peers.board import LineBoard, LineOnBoard, Peer
+from app.peers.board import STALE_AFTER_S, LineBoard, LineOnBoard, Peer
 from app.peers.settings import PeerSettings
 from app.peers.summary import CauseSummary, LineSummary
 from app.peers.tile import LineTiles, outline, tile_fields
@@ -99,12 +99,26 @@ def test_the_age_in_words(age_s: float, words: str) -> None:
 def test_a_line_is_on_the_board_once_and_not_by_way_of_itself() -> None:
     first, second = peer(number=1), peer(number=2)
     board = LineBoard(lambda: [summary("own")], (first, second), lambda: Monotonic(5.0))
-    assert board.put(first, {"a": summary("a")}, "instance") is None
-    assert board.put(second, {"a": summary("a")}, "instance") == Message.of("peer_is_other", name="Mill 2")
-    assert board.put(second, {"a": summary("a")}, board.instance) == Message("peer_is_this_server")
-    assert board.put(first, {"b": summary("b")}, "instance") is None, "it may report again"
+    assert board.put(first, {"a": summary("a")}, "instance", "1") is None
+    assert board.put(second, {"a": summary("a")}, "instance", "2") == Message.of(
+        "peer_is_other", name="Mill 2"
+    )
+    assert board.put(second, {"a": summary("a")}, board.instance, "3") == Message("peer_is_this_server")
+    assert board.put(first, {"b": summary("b")}, "instance", "4") is None, "it may report again"
     assert [line.key for line in board.lines()] == ["line_of/2/", "line_of/own", "line_of/1/b"]
     assert [line.key for line in board.lines(own=True)] == ["line_of/own"]
+
+
+def test_a_copy_of_a_report_makes_no_line_younger() -> None:
+    now = [5.0]
+    board = LineBoard(list, (peer(),), lambda: Monotonic(now[0]))
+    [read] = board.peers
+    assert board.put(read, {"a": summary("a")}, "instance", "1") is None
+    now[0] += STALE_AFTER_S + 1
+    assert board.put(read, {"a": summary("a")}, "instance", "1") == Message("peer_report_copied")
+    assert [line.is_stale for line in board.lines()] == [True]
+    assert board.put(read, {"a": summary("a")}, "instance", "2") is None
+    assert [line.is_stale for line in board.lines()] == [False]
 
 
 def test_the_words_of_a_line() -> None:

@@ -59,6 +59,14 @@ def test_a_block_has_its_reason_and_a_drift_another_text() -> None:
     assert drifted.cause.why == Message("line_drifted")
 
 
+def test_a_speed_has_no_point_while_its_decimals_are_not_known() -> None:
+    bus, trace = line().buses["dry"], SpeedTrace()
+    bus.apply([reading(1, at=100.0)])
+    del bus.units[1].parameters[3]
+    trace.note(bus, 100.0)
+    assert list(trace.points) == [None]
+
+
 def test_the_speed_has_a_point_each_ten_seconds_and_gaps() -> None:
     bus, trace = line().buses["dry"], SpeedTrace()
     for second in range(25):

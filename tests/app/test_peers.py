@@ -6,6 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -155,7 +156,7 @@ async def test_a_peer_that_is_not_there(tmp_path: Path) -> None:
 def test_what_a_peer_says_is_text_and_nothing_else() -> None:
     hostile = {"code": "no_such_text", "params": {"x": 1}, "detail": "<script>{0.__class__}"}
     cause = {"code": "new_cause", "since": None, "exact": True, "motion": "", "mode": "", "why": None}
-    lines, _ = read_report(report(verdict=hostile, cause=cause, place="Nip"))
+    lines, *_ = read_report(report(verdict=hostile, cause=cause, place="Nip"))
     summary = lines["wet-end"]
     assert str(summary.verdict) == "<script>{0.__class__}"
     assert (summary.cause, summary.place) == (None, "")
@@ -263,7 +264,8 @@ async def test_a_peer_that_dies_is_away_and_comes_back(
     alive = True
 
     async def serve(writer: asyncio.StreamWriter) -> None:
-        await (with_body(report()) if alive else with_body(b"", "503 Unavailable"))(writer)
+        body = report().replace(EMPTY["time"].encode(), datetime.now(UTC).isoformat().encode())
+        await (with_body(body) if alive else with_body(b"", "503 Unavailable"))(writer)
 
     async with answered(serve) as url:
         settings = peer(url, tmp_path)

@@ -49,7 +49,7 @@ def bus() -> BusLive:
     return bus
 
 
-def read(number: int, raw: int, at: float = 100.0) -> ParameterValue:
+def read(number: int, raw: int | None, at: float = 100.0) -> ParameterValue:
     return ParameterValue(unit=1, number=number, at=UnixTime(at), raw=raw)
 
 
@@ -81,6 +81,14 @@ def test_one_parameter_changed_at_the_keypad_makes_the_scale_old_until_it_is_rea
     assert not unit.scale_is_old
     assert "scale" not in state_text(bus)
     assert known_decimals(bus, unit) == 1
+
+
+def test_a_reading_whose_decimals_were_never_read_says_so() -> None:
+    bus = line().buses["dry"]
+    bus.units[1].parameters.clear()
+    assert "scale is being read" in state_text(bus)
+    bus.apply([read(3, None)])
+    assert "scale" not in state_text(bus), "a unit may lack them"
 
 
 def test_a_setpoint_that_a_host_has_changed_is_no_change_at_the_keypad(bus: BusLive) -> None:

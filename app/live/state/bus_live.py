@@ -96,7 +96,10 @@ class UnitLive:
 
     @property
     def scale_is_old(self) -> bool:
-        """Whether the values of this unit are shown in a scale that it may not have any more."""
+        """Whether the values of this unit are shown in a scale that was not read yet, or that it may not have
+        any more."""
+        if DECIMALS not in self.parameters:
+            return self.reading is not None
         return self.may_differ_since is not None and not all(
             self.is_current(number) for number in SHOWN_WITH if number in self.parameters
         )
