@@ -451,3 +451,23 @@ def test_a_unit_that_shows_the_speed_holds_none_staged_although_its_response_was
         assert line.worker.line.roster[1].staged is None
 
     play(scene)
+
+
+def test_a_unit_that_missed_the_broadcast_and_has_another_scale_now_is_not_executed_by_itself() -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        first = keypads.units[0]
+        respond = first.respond
+
+        def misses_the_broadcast(body: bytes) -> bytes | None:
+            if body == bytes([0, 0x83]):
+                first.values[DECIMALS] = 0
+                return None
+            return respond(body)
+
+        first.respond = misses_the_broadcast  # type: ignore[method-assign]
+        scales = {unit: known(line, unit, SCALE) for unit in line.units}
+        result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), typed_with=scales)
+        assert (result.outcome, first.commanded) == ("unverified", 500)
+        assert {part.outcome for part in result.units if part.unit != 1} == {"verified"}
+
+    play(scene)

@@ -335,7 +335,12 @@ def _verify_unchanged(member: Member, broadcast: SendResult) -> Subprocedure[Non
 
 
 def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[None]:
-    """Execute at a unit that does not show its acknowledged stage: it may have missed the broadcast."""
+    """Execute at a unit that does not show its acknowledged stage: it may have missed the broadcast, as
+    it was switched off or set up at its keypad."""
+    now = ScaleReading(member.unit, member.scale if member.guarded else {})
+    yield from now.read_all()
+    if now.difference is not None:
+        return
     sent = yield from send(Send(ExecuteSpeedRequest(member.unit)))
     if not sent.may_have_acted:
         return
