@@ -19,6 +19,7 @@ from app.live.state.bus_live import BusLive, UnitLive, follower
 from app.live.state.conditions import bits_of
 from app.live.state.ramp_time import ramp_parameter, ramp_seconds
 from bus.catalogue.numbers import ACCELERATION, DECELERATION, MAX_DISPLAY, RATIO_SETPOINT
+from bus.contract import UnitScale
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -149,9 +150,17 @@ class SetpointChange:
 
 
 def change_of(
-    bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits, now: UnixTime, *, block: Message | None = None
+    bus: BusLive,
+    unit: UnitLive,
+    new_raw: int,
+    limits: Limits,
+    now: UnixTime,
+    *,
+    block: Message | None = None,
+    typed_with: UnitScale | None = None,
 ) -> SetpointChange:
-    """What setting ``new_raw`` means for a unit. ``block``: why commands to it are blocked, if they are."""
+    """What setting ``new_raw`` means for a unit. ``block``: why commands to it are blocked, if they are;
+    ``typed_with``: what it was converted with, which the unit may not have any more."""
     old_raw, allowed = present_setpoint(bus, unit), setpoint_range(unit, limits)
     ramp = ramp_of(unit, old_raw, new_raw)
     return SetpointChange(
@@ -164,7 +173,7 @@ def change_of(
         measure=measure_of_setpoint(unit),
         lowest=setpoint_message(allowed.lowest, unit),
         highest=setpoint_message(allowed.highest, unit),
-        scale=scale_text(setpoint_scale(unit, new_raw)),
+        scale=scale_text({**setpoint_scale(unit, new_raw), **(typed_with or {})}),
         ramp=ramp,
         obstacle=obstacle_of(bus, unit, now, block=block),
         risks=risks_of(bus, unit, now, ramp, new_raw),

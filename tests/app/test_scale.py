@@ -7,6 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.alarms.own.definition import known_decimals
+from app.commands.review import change_of
+from app.commands.safeguards.limits import NO_LIMITS
 from app.commands.scale import parse_scale, scale_text, scales_of
 from app.commands.values import raw_of_percent
 from app.errors import Problem
@@ -135,3 +137,13 @@ def test_what_is_no_percentage_is_refused_with_what_would_be_right(text: str) ->
 def test_a_percentage_of_a_setpoint_that_is_not_known_is_refused() -> None:
     with pytest.raises(CallerError, match="present setpoint is not known"):
         raw_of_percent("105 %", None)
+
+
+def test_the_review_of_a_typed_setpoint_keeps_the_scale_that_it_was_converted_with(bus: BusLive) -> None:
+    """Also where the unit was found with another one until the review is there."""
+    unit = bus.units[1]
+    typed_with = scales_of(SetSpeed(1, 1000), bus)[1]
+    bus.apply([read(3, 0, at=101.0)])
+    change = change_of(bus, unit, 1000, NO_LIMITS, UnixTime(101.0), typed_with=typed_with)
+    assert parse_scale(change.scale) == {2: 20000, 8: 0, 3: 1}
+    assert parse_scale(change_of(bus, unit, 0, NO_LIMITS, UnixTime(101.0), typed_with={}).scale) == {}

@@ -242,10 +242,12 @@ class BusPage(PageContext):
         """What became of a setpoint; what was read back is in the decimals of ``unit``."""
         return outcome_text(result, lambda raw: setpoint_message(raw, self.bus.units[unit]))
 
-    def change(self, unit: int, raw: int) -> SetpointChange:
-        """What a new setpoint means for a unit."""
+    def change(self, unit: int, raw: int, typed_with: UnitScale | None = None) -> SetpointChange:
+        """What a new setpoint means for a unit; ``typed_with``: what it was converted with, where it was
+        typed."""
         block = self.guards.block_reason(unit, slows=slows_all({unit: raw}, self.bus))
-        return change_of(self.bus, self.bus.units[unit], raw, self.limits(unit), unix_now(), block=block)
+        live, limits, now = self.bus.units[unit], self.limits(unit), unix_now()
+        return change_of(self.bus, live, raw, limits, now, block=block, typed_with=typed_with)
 
     def draws(self, setpoints: Mapping[int, int]) -> list[DrawChange]:
         """What new setpoints, raw by unit, do to the draw between neighbors."""

@@ -22,7 +22,7 @@ from app.live.api.view import parameter_json
 from app.web.admission.access import Viewer
 from bus.catalogue.parameter import Parameter, danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import ReadParameters, Result, WriteParameter
+from bus.contract import ReadParameters, Result, UnitScale, WriteParameter
 from bus.errors import CallerError
 from bus.messages import Message
 
@@ -77,13 +77,17 @@ async def review_parameter(
 ) -> Response:
     """What was typed, judged and shown again: old → new, range, danger."""
     try:
-        return await review_value(page, number, await page.typed(page.id).parameter(number, value))
+        raw = await page.typed(page.id).parameter(number, value)
+        return await review_value(page, number, raw, parameter_scale(page.unit, number, raw))
     except (CallerError, Problem) as error:
         return _explain(page, PARAMETERS[number], error)
 
 
-async def review_value(page: UnitPage, number: int, raw: int) -> Response:
-    """A value of a parameter, to be confirmed. Raises Problem for what would not be sent."""
+async def review_value(
+    page: UnitPage, number: int, raw: int, typed_with: UnitScale | None = None
+) -> Response:
+    """A value of a parameter, to be confirmed; ``typed_with``: what it was converted with, where it was
+    typed. Raises Problem for what would not be sent."""
     parameter = PARAMETERS[number]
     await page.judge(WriteParameter(unit=page.id, number=number, raw=raw))
     # What the keypad has changed since it was read: old and new are shown, and undo goes back to it.
@@ -98,7 +102,7 @@ async def review_value(page: UnitPage, number: int, raw: int) -> Response:
         unit=page.on_line,
         parameter=parameter,
         raw=raw,
-        scale=scale_text(parameter_scale(page.unit, number, raw)),
+        scale=scale_text({**parameter_scale(page.unit, number, raw), **(typed_with or {})}),
         old="" if known is None else parameter_message(parameter, known, page.unit),
         new=parameter_message(parameter, raw, page.unit),
         measure=measure_of_value(page.unit, parameter, raw),

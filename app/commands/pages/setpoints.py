@@ -54,19 +54,22 @@ async def review_setpoints(request: Request, page: Page) -> Response:
     form = await request.form()
     of_bus = page.of_bus(str(form.get("bus", "")))
     try:
-        setpoints, _ = await typed_setpoints(of_bus, form)
-        return await review_change(of_bus, setpoints)
+        return await review_change(of_bus, *await typed_setpoints(of_bus, form))
     except (CallerError, Problem) as error:
         return page.explain(error, f"#setpoints-error-{of_bus.name}")
 
 
-async def review_change(of_bus: BusPage, setpoints: Mapping[int, int]) -> Response:
-    """The new setpoint of several units, raw, to be confirmed. Raises Problem for what would not be sent."""
+async def review_change(
+    of_bus: BusPage, setpoints: Mapping[int, int], typed_with: Scales | None = None
+) -> Response:
+    """The new setpoint of several units, raw, to be confirmed; ``typed_with``: what each was converted with,
+    where they were typed. Raises Problem for what would not be sent."""
+    scales = typed_with or {}
     able = {unit: raw for unit, raw in setpoints.items() if of_bus.obstacle(unit) is None}
     if able:
         await of_bus.judge(SetLine(setpoints=able), of_bus.deadline(len(able)))
     await of_bus.know_ramps(able)
-    changes = [of_bus.change(unit, raw) for unit, raw in setpoints.items()]
+    changes = [of_bus.change(unit, raw, scales.get(unit)) for unit, raw in setpoints.items()]
     able = {change.unit: change.new_raw for change in changes if change.obstacle is None}
     left_out, unchanged = of_bus.not_taking_part(setpoints)
     return of_bus.review(

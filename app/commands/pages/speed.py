@@ -13,10 +13,11 @@ from starlette.responses import Response
 from app.commands.catalogue import EXECUTE_SPEED, SET_SPEED
 from app.commands.forms.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
 from app.commands.review import nudges
+from app.commands.scale import setpoint_scale
 from app.commands.service.writer import permitted, permitted_writer
 from app.errors import Problem
 from app.live.state.bus_live import follower
-from bus.contract import ExecuteSpeed, Result, SetSpeed
+from bus.contract import ExecuteSpeed, Result, SetSpeed, UnitScale
 from bus.errors import CallerError
 from bus.messages import Message
 
@@ -37,19 +38,23 @@ async def review_speed(
     """What was typed, judged and shown again: old → new, limits, ramp."""
     try:
         raw = await page.typed(page.id).setpoint(value)
-        return await review_setpoint(page, raw, execute=how == "now")
+        typed_with = setpoint_scale(page.unit, raw)
+        return await review_setpoint(page, raw, execute=how == "now", typed_with=typed_with)
     except (CallerError, Problem) as error:
         return explain_setpoint(page, error)
 
 
-async def review_setpoint(page: UnitPage, raw: int, *, execute: bool = True) -> Response:
-    """A setpoint, to be confirmed. Raises Problem for what would not be sent."""
+async def review_setpoint(
+    page: UnitPage, raw: int, *, execute: bool = True, typed_with: UnitScale | None = None
+) -> Response:
+    """A setpoint, to be confirmed; ``typed_with``: what it was converted with, where it was typed. Raises
+    Problem for what would not be sent."""
     await page.judge(SetSpeed(unit=page.id, raw=raw, execute=execute))
     await page.know_ramps([page.id])
     return page.review(
         "unit/_review_speed.html",
         unit=page.on_line,
-        change=page.change(page.id, raw),
+        change=page.change(page.id, raw, typed_with),
         draws=page.draws({page.id: raw}) if execute else [],
         execute=execute,
         follower=bool(follower(page.unit)),
@@ -114,7 +119,7 @@ async def nudge(
         if raw < 0:
             raise Problem(422, "invalid", Message("step_below_zero"), nearest=0)
         if not _is_small(page, step):
-            return await review_setpoint(page, raw, execute=True)
+            return await review_setpoint(page, raw, execute=True, typed_with=scale)
         result = await page.send(SetSpeed(unit=page.id, raw=raw), id, scales={page.id: scale})
     except Problem as problem:
         return explain_setpoint(page, problem)
