@@ -142,7 +142,7 @@ def _can_import() -> bool:
 
 
 async def _stream_parquet(table: Table, pieces: AsyncIterator[list[ExportRow]]) -> AsyncIterator[bytes]:
-    """Bytes, row group by row group."""
+    """Yield the bytes of a Parquet file, one row group after the other."""
     import pyarrow
     from pyarrow import parquet
 

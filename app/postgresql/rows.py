@@ -242,7 +242,7 @@ def alarm_row(transitions: Sequence[Mapping[str, Any]]) -> Row | None:
 
 
 def unit_row(bus: BusSettings, unit: UnitSettings, valid_from: datetime) -> Row:
-    """Return the row of a unit, with its names from a time on."""
+    """Return the row of table ``unit`` that holds from ``valid_from`` on, with the names it has then."""
     length, labels = length_of(unit), unit.labels
     return (
         valid_from,

@@ -96,7 +96,7 @@ class AlarmList:
     # --- what happens to an alarm ---------------------------------------------------------------------
 
     def observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
-        """Apply that the condition of an alarm holds, does not, or is not known (None)."""
+        """Set whether the condition of an alarm holds; ``None``: it is not known."""
         if holds is alarm.holds:
             return
         alarm.holds = holds

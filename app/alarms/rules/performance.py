@@ -161,7 +161,7 @@ def _share(part: int, total: int) -> float | None:
 
 RISES_OF_CHATTER = 3
 MAX_COUNTED = 1000
-"""Alarms that are counted in ten minutes; of more, the newest are."""
+"""The most alarms that the count of ten minutes takes; the oldest beyond it are left out."""
 
 
 class AlarmRates:

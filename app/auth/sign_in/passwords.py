@@ -58,7 +58,7 @@ _SHORTEST_WORD = min(map(len, _WORDS))
 _ROWS = ((0.0, "1234567890-="), (0.5, "qwertyuiop[]"), (0.75, "asdfghjkl;'"), (1.25, "zxcvbnm,./"))
 _KEYS = {sign: (x + shift, float(y)) for y, (shift, row) in enumerate(_ROWS) for x, sign in enumerate(row)}
 _SWAPPED = str.maketrans("yz", "zy")
-"""A German keyboard."""
+"""Swaps Y and Z, as a German keyboard does against an English one."""
 _PAD = {
     digit: (float(x), float(y)) for y, row in enumerate(("123", "456", "789")) for x, digit in enumerate(row)
 }
