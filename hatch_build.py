@@ -41,7 +41,7 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         root = Path(self.root)
-        if wrong := different_names(root / "app" / "messages"):
+        if wrong := different_names(root / "app" / "core" / "messages"):
             sys.exit("A text and its translation have different names in braces:\n" + "\n".join(wrong))
         fill_vendor(root)
         if self.target_name == "wheel" and version == "standard":

@@ -9,10 +9,10 @@ from zoneinfo import ZoneInfo
 
 from fastapi import APIRouter
 
-from app.audit.acts import Act
-from app.lifespan import Lifespan
+from app.core.lifespan import Lifespan
+from app.core.web.services import Registry
+from app.people.audit.acts import Act
 from app.settings import Settings
-from app.web.services import Registry
 
 
 class Services(Registry):

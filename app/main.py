@@ -9,49 +9,49 @@ from copy import copy
 from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
-from app.alarms import feature as alarms
-from app.audit import feature as audit
-from app.audit.log import EventLog
-from app.auth import feature as auth
-from app.auth.pages import CALLBACK
-from app.auth.rights.access import Identify, RecordRefusals
-from app.auth.rights.identity import Identity
-from app.auth.rights.rights import Rights
-from app.backup import feature as backup
-from app.commands import feature as commands
-from app.configuration import feature as configuration
-from app.database import feature as database
+from app.core.database import feature as database
+from app.core.find import feature as find
+from app.core.help import feature as handbook
+from app.core.server import feature as server
+from app.core.server.admission.forwarded import Forwarded
+from app.core.server.admission.refusal_log import RefusalLog
+from app.core.server.admission.turns import HEALTH, RequestAdmission
+from app.core.server.security_headers import SecurityHeaders
+from app.core.web import feature as web
+from app.core.web import problems
+from app.core.web.admission.anonymous import AnonymousLimiter
+from app.core.web.admission.bounds import RequestRules
+from app.core.web.admission.routes import HeadAsGet, guard, refuse_undeclared
+from app.core.web.admission.turns import Turns
+from app.core.web.rendering.templating import Templates
+from app.engineering.recipes import feature as recipes
+from app.engineering.sets import feature as sets
+from app.engineering.swap import feature as swap
+from app.engineering.tray import feature as tray
 from app.feature import Services
-from app.feed import feature as feed
-from app.find import feature as find
-from app.handover import feature as handover
-from app.help import feature as handbook
-from app.history import feature as history
-from app.live import feature as live
-from app.live.browsers import feature as browsers
-from app.metrics import feature as metrics
-from app.notification import feature as notification
-from app.peers import feature as peers
-from app.postgresql import feature as postgresql
-from app.recipes import feature as recipes
-from app.reports import feature as reports
-from app.server import feature as server
-from app.server.admission.forwarded import Forwarded
-from app.server.admission.refusal_log import RefusalLog
-from app.server.admission.turns import HEALTH, RequestAdmission
-from app.server.security_headers import SecurityHeaders
-from app.sets import feature as sets
+from app.line.alarms import feature as alarms
+from app.line.commands import feature as commands
+from app.line.feed import feature as feed
+from app.line.history import feature as history
+from app.line.live import feature as live
+from app.line.live.browsers import feature as browsers
+from app.people.audit import feature as audit
+from app.people.audit.log import EventLog
+from app.people.auth import feature as auth
+from app.people.auth.pages import CALLBACK
+from app.people.auth.rights.access import Identify, RecordRefusals
+from app.people.auth.rights.identity import Identity
+from app.people.auth.rights.rights import Rights
+from app.records.handover import feature as handover
+from app.records.notification import feature as notification
+from app.records.reports import feature as reports
 from app.settings import Settings
-from app.swap import feature as swap
-from app.tray import feature as tray
+from app.system.backup import feature as backup
+from app.system.configuration import feature as configuration
+from app.system.metrics import feature as metrics
+from app.system.peers import feature as peers
+from app.system.postgresql import feature as postgresql
 from app.version import VERSION
-from app.web import feature as web
-from app.web import problems
-from app.web.admission.anonymous import AnonymousLimiter
-from app.web.admission.bounds import RequestRules
-from app.web.admission.routes import HeadAsGet, guard, refuse_undeclared
-from app.web.admission.turns import Turns
-from app.web.rendering.templating import Templates
 
 FEATURES = (
     database.FEATURE,

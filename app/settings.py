@@ -20,20 +20,20 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings, refuse_built_in, refuse_misplaced
-from app.audit.settings import Audit
-from app.auth.settings import OidcSettings, Sessions
-from app.backup.settings import BackupSettings
-from app.former_settings import former_notices, without_former_keys
-from app.handover.settings import ShiftSettings
-from app.history.settings import HistorySettings
-from app.messages.languages import catalogs
-from app.notification.settings import NotifySettings, refuse_unknown_names
-from app.peers.settings import PeerSettings, refuse_repeated
-from app.postgresql.settings import PostgresqlSettings
-from app.reports.settings import ReportSettings, refuse_unsendable
-from app.server.settings import TlsSettings, is_loopback
-from app.time_zone import is_zone, machine_zone
+from app.core.former_settings import former_notices, without_former_keys
+from app.core.messages.languages import catalogs
+from app.core.server.settings import TlsSettings, is_loopback
+from app.core.time_zone import is_zone, machine_zone
+from app.line.alarms.settings import AlarmSettings, BuiltInAlarmSettings, refuse_built_in, refuse_misplaced
+from app.line.history.settings import HistorySettings
+from app.people.audit.settings import Audit
+from app.people.auth.settings import OidcSettings, Sessions
+from app.records.handover.settings import ShiftSettings
+from app.records.notification.settings import NotifySettings, refuse_unknown_names
+from app.records.reports.settings import ReportSettings, refuse_unsendable
+from app.system.backup.settings import BackupSettings
+from app.system.peers.settings import PeerSettings, refuse_repeated
+from app.system.postgresql.settings import PostgresqlSettings
 from app.version import VERSION
 from bus import configuration
 from bus.configuration import ConfigurationError

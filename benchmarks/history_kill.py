@@ -11,12 +11,12 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.audit.keys import open_keys
-from app.audit.proof import heads_of, prove
-from app.database import Database
-from app.history.recorder import Recorder
-from app.history.tail import Tail
-from app.history.writer import MIGRATIONS
+from app.core.database import Database
+from app.line.history.recorder import Recorder
+from app.line.history.tail import Tail
+from app.line.history.writer import MIGRATIONS
+from app.people.audit.keys import open_keys
+from app.people.audit.proof import heads_of, prove
 from benchmarks.history_victim import KEY_FILE
 from benchmarks.tables import median, show
 

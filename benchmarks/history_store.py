@@ -6,12 +6,12 @@ import random
 from collections.abc import Iterator
 from pathlib import Path
 
-from app.database import Database
-from app.history import tables
-from app.history.series.rollup import combine, pack_rollups, rollup
-from app.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_columns
-from app.history.series.values import ParameterStep
-from app.history.writer import MIGRATIONS
+from app.core.database import Database
+from app.line.history import tables
+from app.line.history.series.rollup import combine, pack_rollups, rollup
+from app.line.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_columns
+from app.line.history.series.values import ParameterStep
+from app.line.history.writer import MIGRATIONS
 from bus.contract import Reading
 
 POLL = 208_333

@@ -10,11 +10,11 @@ import asyncio
 import sys
 from pathlib import Path
 
-from app.audit.keys import open_keys
-from app.audit.log import EventLog
-from app.audit.proof import heads_of
-from app.database import Database
-from app.history.service import History
+from app.core.database import Database
+from app.line.history.service import History
+from app.people.audit.keys import open_keys
+from app.people.audit.log import EventLog
+from app.people.audit.proof import heads_of
 from app.settings import ServerSettings, Settings
 from bus.contract import Reading
 from bus.instants import unix_now

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from app.conditions.catalogue import PLACES
+from app.line.conditions.catalogue import PLACES
 
 DOCUMENT = Path(__file__).parent / "alarms.md"
 HEAD = "| code | of | holds while | delays, s | priority |\n|---|---|---|---|---|\n"

@@ -10,12 +10,12 @@ from typing import Any, cast
 
 import click
 
-from app.audit.anchor import AnchorStatus
 from app.cli import cli
-from app.history.status import HistoryStatus
-from app.metrics.families import LineCollector
-from app.metrics.sources import OUTCOMES, MetricSources
-from app.postgresql.status import PublisherStatus
+from app.line.history.status import HistoryStatus
+from app.people.audit.anchor import AnchorStatus
+from app.system.metrics.families import LineCollector
+from app.system.metrics.sources import OUTCOMES, MetricSources
+from app.system.postgresql.status import PublisherStatus
 from bus.instants import UnixTime
 
 GUIDE = Path(__file__).parent / "guide"

@@ -11,9 +11,9 @@ import sys
 from html import escape
 from pathlib import Path
 
-from app.help.chapters import CHAPTERS, Chapter
-from app.help.handbook import ENGLISH, Handbook, Rendered
-from app.web.rendering.assets import docs_dir, static_dir
+from app.core.help.chapters import CHAPTERS, Chapter
+from app.core.help.handbook import ENGLISH, Handbook, Rendered
+from app.core.web.rendering.assets import docs_dir, static_dir
 
 LINK = re.compile(r'(href|src)="/help/(pictures/)?([\w/-]+)(\.png)?')
 STYLES = ("lineside.css", "help.css")

@@ -1,4 +1,4 @@
-"""What the catalogs of app/messages must contain. ``python -m tests.catalogs`` adds what is missing and
+"""What the catalogs of app/core/messages must contain. ``python -m tests.catalogs`` adds what is missing and
 removes what is no longer used.
 """
 
@@ -14,17 +14,17 @@ from babel.messages.catalog import Catalog
 from babel.messages.pofile import read_po, write_po
 from jinja2 import Environment, nodes
 
-from app.audit.entry import EventKind
-from app.commands.catalogue import BAUD_DANGER
-from app.commands.service.command_request import CommandOrigin
-from app.handover.signing.signatures import SignedPart
-from app.history.series.values import VALUES
-from app.live.screen.words import STAGE_WORDS, STATE_WORDS, STOPPED_WITH_RUN, TURNING
-from app.messages.languages import DEFAULT, catalogs
-from app.sets.model import SetOrigin
-from app.sets.restore.record import RestoreState
-from app.web.admission.access import Role, Via
-from app.web.rendering.assets import templates_dir
+from app.core.messages.languages import DEFAULT, catalogs
+from app.core.web.admission.access import Role, Via
+from app.core.web.rendering.assets import templates_dir
+from app.engineering.sets.model import SetOrigin
+from app.engineering.sets.restore.record import RestoreState
+from app.line.commands.catalogue import BAUD_DANGER
+from app.line.commands.service.command_request import CommandOrigin
+from app.line.history.series.values import VALUES
+from app.line.live.screen.words import STAGE_WORDS, STATE_WORDS, STOPPED_WITH_RUN, TURNING
+from app.people.audit.entry import EventKind
+from app.records.handover.signing.signatures import SignedPart
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import parameter_unit
 from bus.contract import BusLinkState, Outcome, UnitLinkState

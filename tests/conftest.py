@@ -26,13 +26,13 @@ from argon2 import PasswordHasher
 from hypothesis import settings
 from jinja2 import Environment
 
-import app.auth.sign_in.passwords
-import app.database.database
-import app.messages.languages
-import app.web.admission.routes
-from app.database.migration import MIGRATIONS, Migration, bring_up_to_date
-from app.database.reserve import Reserve
-from app.web.rendering.assets import Assets
+import app.core.database.database
+import app.core.messages.languages
+import app.core.web.admission.routes
+import app.people.auth.sign_in.passwords
+from app.core.database.migration import MIGRATIONS, Migration, bring_up_to_date
+from app.core.database.reserve import Reserve
+from app.core.web.rendering.assets import Assets
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=30)
 # In `make soak`: other examples in each run, and many.
@@ -122,7 +122,7 @@ def kept_in(place: Path, compiling: Callable[[], CodeType]) -> CodeType:
 def catalogs_compiled_once() -> Iterator[None]:
     """Every app has a folder for them, in which the first page in German would compile its catalog again."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.messages.languages, "_parsed", cache(app.messages.languages._parsed))
+        patch.setattr(app.core.messages.languages, "_parsed", cache(app.core.messages.languages._parsed))
         yield
 
 
@@ -131,7 +131,7 @@ def declarations_found_once() -> Iterator[None]:
     """Every app looks twice at what each of its 270 routes declares, and the routes of all apps declare the
     same."""
     found: dict[int, tuple[Any, list[Any]]] = {}
-    calls = app.web.admission.routes._calls
+    calls = app.core.web.admission.routes._calls
 
     def calls_once(dependant: Any) -> list[Any]:
         if id(dependant) not in found:
@@ -139,7 +139,7 @@ def declarations_found_once() -> Iterator[None]:
         return found[id(dependant)][1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.web.admission.routes, "_calls", calls_once)
+        patch.setattr(app.core.web.admission.routes, "_calls", calls_once)
         yield
 
 
@@ -148,7 +148,7 @@ def stores_made_once() -> Iterator[None]:
     """A new store is a copy of one that has taken all its steps, and none waits for the disk: no test of this
     process ends its power supply. The processes that tests start and kill write as they do everywhere."""
     models = {folder: model_of(folder) for folder in (MIGRATIONS, HISTORY_MIGRATIONS)}
-    open_for_writing = app.database.database.open_for_writing
+    open_for_writing = app.core.database.database.open_for_writing
 
     def copy_if_new(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
         is_new = connection.execute("SELECT 1 FROM sqlite_master").fetchone() is None
@@ -165,8 +165,8 @@ def stores_made_once() -> Iterator[None]:
         return connection
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.database.database, "bring_up_to_date", copy_if_new)
-        patch.setattr(app.database.database, "open_for_writing", open_without_waiting)
+        patch.setattr(app.core.database.database, "bring_up_to_date", copy_if_new)
+        patch.setattr(app.core.database.database, "open_for_writing", open_without_waiting)
         patch.setattr(os, "fsync", lambda _: None)
         yield
     for model, _ in models.values():
@@ -185,7 +185,7 @@ def assets_read_once() -> Iterator[None]:
     """To read and hash every static file is a quarter of what it takes to make an app. Tests that make none
     have not imported what makes it, which takes a second."""
     with pytest.MonkeyPatch.context() as patch:
-        if feature := sys.modules.get("app.web.feature"):
+        if feature := sys.modules.get("app.core.web.feature"):
             patch.setattr(feature, "Assets", cache(Assets))
         yield
 
@@ -194,7 +194,7 @@ def assets_read_once() -> Iterator[None]:
 def reserves_are_small() -> Iterator[None]:
     """What a test leaves behind is kept for a while, and many make an app that they never end."""
     with pytest.MonkeyPatch.context() as patch:
-        if feature := sys.modules.get("app.database.feature"):
+        if feature := sys.modules.get("app.core.database.feature"):
             patch.setattr(feature, "Reserve", partial(Reserve, size=1_000_000))
         yield
 
@@ -205,7 +205,7 @@ def passwords_hashed_cheaply() -> Iterator[None]:
     that tests start hash as they do everywhere."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            app.auth.sign_in.passwords,
+            app.people.auth.sign_in.passwords,
             "_hasher",
             PasswordHasher(time_cost=1, memory_cost=8, parallelism=1),
         )

@@ -3,7 +3,7 @@ all tests of a run, which takes most of the time of a start.
 
 ``start("serve", "--config", path, stdout=log)`` gives a process, ``run("token", "list", …)`` what a command
 printed. The forked process runs the entry point of the package, with its own arguments, environment, folder,
-umask and standard streams. How an installed program starts is the subject of `tests.app.test_serve`,
+umask and standard streams. How an installed program starts is the subject of `tests.app.cli.test_serve`,
 `tests.test_service_unit` and `tests.test_package`, which start it.
 """
 
@@ -263,7 +263,7 @@ def _become(request: Mapping[str, Any], streams: list[int]) -> Program:
 
 def compile_catalogs_once() -> None:
     """Every site has a folder for them, in which its first start would compile all catalogs again."""
-    languages = import_module("app.messages.languages")
+    languages = import_module("app.core.messages.languages")
     languages._parsed = cache(languages._parsed)
     for path in languages.catalogs().values():
         languages._parsed(path.read_bytes(), path.stem)

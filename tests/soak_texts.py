@@ -10,8 +10,8 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
-from app.messages.languages import catalogs
-from app.web.admission.access import Role
+from app.core.messages.languages import catalogs
+from app.core.web.admission.access import Role
 from bus.catalogue.parameters import PARAMETERS
 from bus.simulator.demo import demo_line
 from tests.catalogs import catalog_at, wanted

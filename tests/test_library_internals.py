@@ -29,14 +29,14 @@ def test_overridden_methods_of_uvicorn_exist() -> None:
 
 
 def test_a_protocol_of_uvicorn_is_made_by_name() -> None:
-    """Made and called by app.server.connection.gate, as by uvicorn itself."""
+    """Made and called by app.core.server.connection.gate, as by uvicorn itself."""
     made_by = inspect.signature(HttpToolsProtocol).parameters
     assert [*made_by] == ["config", "server_state", "app_state", "_loop"], HOW
     assert issubclass(HttpToolsProtocol, asyncio.Protocol), HOW
 
 
 def test_used_members_of_fastapi_exist() -> None:
-    """Used by app.web.admission.routes and app.web.api.route: what a route declares, and its app."""
+    """What a route declares, and its app: app.core.web.admission.routes and app.core.web.api.route use it."""
     app = FastAPI()
 
     @app.get("/units/{unit}")
@@ -51,7 +51,7 @@ def test_used_members_of_fastapi_exist() -> None:
 
 
 def test_dropped_members_of_babel_exist() -> None:
-    """Dropped by app.messages.locales, and read again by who wants them."""
+    """Dropped by app.core.messages.locales, and read again by who wants them."""
     assert hasattr(core, "_global_data")
     assert isinstance(localedata._cache, dict)
 

@@ -19,14 +19,14 @@ import pytest
 from fastapi.routing import APIRoute
 from websockets.asyncio.client import ClientConnection
 
-from app.feed.bus_feed import BusFeed
-from app.feed.channel import Channel
-from app.feed.ingest import Ingest, IngestPosition
-from app.feed.rates import FeedQuota
-from app.live.browsers.browser import Browser
-from app.live.browsers.hub import Hub
-from app.pipeline import Pipeline
-from app.web.admission.access import Role
+from app.core.web.admission.access import Role
+from app.line.feed.bus_feed import BusFeed
+from app.line.feed.channel import Channel
+from app.line.feed.ingest import Ingest, IngestPosition
+from app.line.feed.rates import FeedQuota
+from app.line.live.browsers.browser import Browser
+from app.line.live.browsers.hub import Hub
+from app.line.pipeline import Pipeline
 from bus.contract import AppMessage, Batch, Command, Result, SetSpeed, Update, encode
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
@@ -212,18 +212,18 @@ async def test_a_reading_takes_the_walk(tmp_path: Path) -> None:
 
 
 async def test_browsers_learn_of_a_reading_before_what_judges_and_stores_it(tmp_path: Path) -> None:
-    """The order that `app.pipeline` states."""
+    """The order that `app.line.pipeline` states."""
     calls = Calls()
     async with complete_app(tmp_path) as house:
         await app_calls_of_a_reading(house, await connected(house), calls)
     learning = [
-        "app.live.browsers.hub.Hub._on_updates",
-        "app.live.browsers.browser.Browser.send_diff",
-        "app.live.api.line_stream.LineStream._on_updates",
-        "app.sets.comparison.drift.BusDrift._see",
-        "app.alarms.monitor.bus_alarms.BusAlarms._see",
-        "app.history.service.History.append",
-        "app.live.changes.Changes.see",
+        "app.line.live.browsers.hub.Hub._on_updates",
+        "app.line.live.browsers.browser.Browser.send_diff",
+        "app.line.live.api.line_stream.LineStream._on_updates",
+        "app.engineering.sets.comparison.drift.BusDrift._see",
+        "app.line.alarms.monitor.bus_alarms.BusAlarms._see",
+        "app.line.history.service.History.append",
+        "app.line.live.changes.Changes.see",
     ]
     assert calls.of(learning) == learning
 
@@ -234,9 +234,9 @@ async def test_a_write_requires_its_role_and_its_turn_once(tmp_path: Path) -> No
         await connected(house)
         await app_calls_of_a_click(house, calls)
     required_once = [
-        "app.commands.service.writer._Writes.resolve",
-        "app.commands.service.command_service.CommandService.reserve",
-        "app.commands.safeguards.control.Control.use",
+        "app.line.commands.service.writer._Writes.resolve",
+        "app.line.commands.service.command_service.CommandService.reserve",
+        "app.line.commands.safeguards.control.Control.use",
     ]
     assert [calls.counts[name] for name in required_once] == [1, 1, 1]
 

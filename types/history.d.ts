@@ -1,4 +1,4 @@
-// What the history and the alarms respond with (app/history, app/alarms), as the trends page takes it. Times are Unix
+// What the history and the alarms respond with (app/line/history, app/line/alarms), as the trends page takes it. Times are Unix
 // times in seconds.
 
 type Span = [from: number, to: number];

@@ -1,4 +1,4 @@
-// What the server sends over the socket of a page; app/live makes it.
+// What the server sends over the socket of a page; app/line/live makes it.
 
 type StripEntry = [key: string, level: string, name: string, text: string, since: string];
 type Person = [name: string, role: string];

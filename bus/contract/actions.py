@@ -1,7 +1,7 @@
 """What the app can request of a bus: from the app to the worker.
 
 A new one needs a class here, a case in ``bus.line.commands.catalogue`` for how it is carried out
-and verified, and a row in ``app.commands.catalogue`` for everything else.
+and verified, and a row in ``app.line.commands.catalogue`` for everything else.
 """
 
 from __future__ import annotations

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from app.alarms.alarm import Alarm
-from app.alarms.journal.store import AlarmStore
-from app.alarms.monitor.bus_alarms import BusAlarms
-from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings
-from app.audit.log import EventLog
-from app.database import Database
-from app.live.state.bus_live import LiveState
+from app.core.database import Database
+from app.line.alarms.alarm import Alarm
+from app.line.alarms.journal.store import AlarmStore
+from app.line.alarms.monitor.bus_alarms import BusAlarms
+from app.line.alarms.settings import AlarmSettings, BuiltInAlarmSettings
+from app.line.live.state.bus_live import LiveState
+from app.people.audit.log import EventLog
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
 from bus.messages import Message
 from bus.settings import BusSettings, UnitLabels, UnitSettings

@@ -7,9 +7,9 @@ import random
 import sys
 from pathlib import Path
 
-from app.alarms.rules import state_machine
-from app.alarms.rules.state_machine import NoTransitionError
-from app.database import Database
+from app.core.database import Database
+from app.line.alarms.rules import state_machine
+from app.line.alarms.rules.state_machine import NoTransitionError
 from tests.app.alarm_bus import BUS, HEALTHY, RUN, AlarmBus
 
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from app.alarms.journal.store import AlarmStore
-from app.alarms.rules.performance import ObservedSpan
-from app.database import Database
+from app.core.database import Database
+from app.line.alarms.journal.store import AlarmStore
+from app.line.alarms.rules.performance import ObservedSpan
 from bus.instants import UnixTime
 
 T = 1_790_000_400.0

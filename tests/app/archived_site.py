@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
-from app.audit.archive import EventArchive
-from app.audit.keys import open_keys
-from app.audit.log import EventLog
-from app.audit.proof import heads_of
-from app.database import Database
+from app.core.database import Database
+from app.people.audit.archive import EventArchive
+from app.people.audit.keys import open_keys
+from app.people.audit.log import EventLog
+from app.people.audit.proof import heads_of
 from app.settings import Settings, load
 from bus.instants import UnixTime
 

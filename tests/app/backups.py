@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from app.backup.archive import open_archive, write_archive
-from app.backup.backup import WrittenBackup
 from app.cli.stores.restore_store import Restored, put_back
+from app.system.backup.archive import open_archive, write_archive
+from app.system.backup.backup import WrittenBackup
 
 
 def write_backup(data: Path, file: Path) -> WrittenBackup:

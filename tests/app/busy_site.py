@@ -8,11 +8,11 @@ import sys
 import time
 from pathlib import Path
 
-from app.audit.keys import open_keys
-from app.audit.log import EventLog
-from app.audit.proof import heads_of
-from app.database import Database
-from app.handover.notes.pictures import MIGRATIONS
+from app.core.database import Database
+from app.people.audit.keys import open_keys
+from app.people.audit.log import EventLog
+from app.people.audit.proof import heads_of
+from app.records.handover.notes.pictures import MIGRATIONS
 from app.settings import load
 from tests.app.history_line import BUS, opened, polls
 

@@ -11,15 +11,15 @@ from typing import Any
 import httpx
 from fastapi import FastAPI
 
-from app.audit.log import EventLog
-from app.auth.accounts import Accounts
-from app.auth.settings import OidcSettings
+from app.core.web.admission.access import PEOPLE_ROLES, Role
 from app.feature import Services
-from app.handover.settings import ShiftSettings
 from app.main import create_app
-from app.notification.settings import NotifySettings
+from app.people.audit.log import EventLog
+from app.people.auth.accounts import Accounts
+from app.people.auth.settings import OidcSettings
+from app.records.handover.settings import ShiftSettings
+from app.records.notification.settings import NotifySettings
 from app.settings import ServerSettings, Settings, Site, load
-from app.web.admission.access import PEOPLE_ROLES, Role
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.administrator import BY
 
@@ -79,7 +79,7 @@ class House:
 
     async def events(self, kind: str) -> list[dict[str, Any]]:
         """Return the events of one kind, newest first."""
-        from app.audit.queries import Filter
+        from app.people.audit.queries import Filter
 
         return (await self.services[EventLog].page(Filter(kind=kind), 100))[0]
 

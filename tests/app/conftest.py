@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.database import Database
+from app.core.database import Database
 from tests.app.stage import PlayedWorker, Stage, staged
 
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from app.audit.archive import ArchiveWriter, Month
-from app.audit.chain import BEGINNING, ROTATED, Head, KeyRing, sealed_entry, sealed_head
-from app.audit.entry import new_entry
-from app.audit.proof import Cut, add_cut
-from app.database import Database, StoreConnection
+from app.core.database import Database, StoreConnection
+from app.people.audit.archive import ArchiveWriter, Month
+from app.people.audit.chain import BEGINNING, ROTATED, Head, KeyRing, sealed_entry, sealed_head
+from app.people.audit.entry import new_entry
+from app.people.audit.proof import Cut, add_cut
 
 SITE, DRY, WET = "", "dry-end", "wet-end"
 

@@ -14,12 +14,12 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.server import ServerState
 
 from app.cli.serving.server import MAX_MESSAGE_BYTES
-from app.server.admission.refusal_log import RefusalLog
-from app.server.connection.connections import Connections
-from app.server.connection.gate import Gate, Gates
-from app.server.connection.records import ChooseContext
-from app.server.connection.stages import Stages
-from app.server.loop_watch import LoopWatch
+from app.core.server.admission.refusal_log import RefusalLog
+from app.core.server.connection.connections import Connections
+from app.core.server.connection.gate import Gate, Gates
+from app.core.server.connection.records import ChooseContext
+from app.core.server.connection.stages import Stages
+from app.core.server.loop_watch import LoopWatch
 from bus.instants import monotonic_now
 
 PATIENCE_S = 30.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from app.audit.log import EventLog
+from app.people.audit.log import EventLog
 
 
 async def intend(events: EventLog, **members: Any) -> int:

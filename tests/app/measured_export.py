@@ -12,9 +12,9 @@ from typing import cast
 
 import pyarrow.parquet
 
-from app.history.export import Format, export_response
-from app.history.service import History
-from app.history.spans import Span, series_queries
+from app.line.history.export import Format, export_response
+from app.line.history.service import History
+from app.line.history.spans import Span, series_queries
 from app.settings import ServerSettings, Settings
 from bus.settings import BusSettings, UnitSettings
 

@@ -15,8 +15,8 @@ from typing import Any
 import httpx
 import psycopg
 
-from app.history.service import History
-from app.postgresql.publisher import Publisher
+from app.line.history.service import History
+from app.system.postgresql.publisher import Publisher
 from bus.contract import ParameterValue, Reading, Update
 from bus.instants import unix_now
 from tests.app.complete_app import House, complete_app

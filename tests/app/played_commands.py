@@ -9,18 +9,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from app.commands import catalogue
-from app.commands.rules.objection import RuleContext
-from app.commands.safeguards.limits import NO_LIMITS
-from app.commands.service.command_service import WriteSubscriber
-from app.database import Database
+from app.core.database import Database
+from app.core.web.admission.access import Person, Role
+from app.engineering.sets.comparison.drift import BusDrift
+from app.engineering.sets.saving.keeper import SetKeeper
+from app.engineering.sets.saving.reading import ParameterReader
+from app.engineering.sets.store import SetStore
 from app.errors import Problem
-from app.live.state.bus_live import LiveState
-from app.sets.comparison.drift import BusDrift
-from app.sets.saving.keeper import SetKeeper
-from app.sets.saving.reading import ParameterReader
-from app.sets.store import SetStore
-from app.web.admission.access import Person, Role
+from app.line.commands import catalogue
+from app.line.commands.rules.objection import RuleContext
+from app.line.commands.safeguards.limits import NO_LIMITS
+from app.line.commands.service.command_service import WriteSubscriber
+from app.line.live.state.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Action,

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import msgspec
 
 from app.feature import Services
-from app.feed.channel import Channel
-from app.live.state.bus_live import LiveState
+from app.line.feed.channel import Channel
+from app.line.live.state.bus_live import LiveState
 from bus.contract import (
     AppMessage,
     BusLink,

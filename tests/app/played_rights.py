@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from app.core.web.admission.access import AccountSubscriber, Person
 from app.errors import Problem
-from app.web.admission.access import AccountSubscriber, Person
 from bus.messages import Message
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 
-from app.live.screen.fields import Fields, Translator
-from app.live.screen.sources import AlarmChangeSubscriber, Drifted, Sources, UnitSubscriber
-from app.web.rendering.head_control import BusControl
+from app.core.web.rendering.head_control import BusControl
+from app.line.live.screen.fields import Fields, Translator
+from app.line.live.screen.sources import AlarmChangeSubscriber, Drifted, Sources, UnitSubscriber
 from bus.messages import Message
 
 

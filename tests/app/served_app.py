@@ -10,12 +10,12 @@ from pathlib import Path
 
 import uvicorn
 
-from app.auth import rules, store
-from app.auth.store import Token
-from app.database import Database
+from app.core.database import Database
+from app.core.web.admission.access import Role
 from app.feature import Services
 from app.main import create_app
-from app.web.admission.access import Role
+from app.people.auth import rules, store
+from app.people.auth.store import Token
 from tests.app.complete_app import settings_in
 
 

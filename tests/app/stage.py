@@ -20,35 +20,35 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-from app.audit.acts import ActLimit
-from app.audit.api import router as events_router
-from app.audit.log import EventLog
-from app.commands.api.commands import router as commands_router
-from app.commands.api.safeguards import router as safeguards_router
-from app.commands.api.trace import router as trace_router
-from app.commands.safeguards.service import Safeguards
-from app.commands.service.command_service import CommandService
-from app.commands.service.idempotency import IdempotencyCache
-from app.commands.service.record import CommandRecord
-from app.database import Database
-from app.feed.bus_feed import BusFeed
-from app.feed.channel import Channel
-from app.feed.socket import router as feed_router
-from app.feed.workers import Workers
-from app.history.status import HistoryStatus
-from app.live.api.routes import router as live_router
-from app.live.api.view import LineView
-from app.live.change_recorder import ChangeRecorder
-from app.live.screen.sources import Sources
-from app.live.state.bus_live import LiveState
-from app.pipeline import Pipeline
+from app.core.database import Database
+from app.core.web.admission.access import Person, Role, Via
+from app.core.web.admission.turns import Turns
+from app.core.web.problems import install
+from app.core.web.rendering.assets import Assets, static_dir, templates_dir
+from app.core.web.rendering.templating import Templates
+from app.core.web.services import Registry
+from app.line.commands.api.commands import router as commands_router
+from app.line.commands.api.safeguards import router as safeguards_router
+from app.line.commands.api.trace import router as trace_router
+from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.service.command_service import CommandService
+from app.line.commands.service.idempotency import IdempotencyCache
+from app.line.commands.service.record import CommandRecord
+from app.line.feed.bus_feed import BusFeed
+from app.line.feed.channel import Channel
+from app.line.feed.socket import router as feed_router
+from app.line.feed.workers import Workers
+from app.line.history.status import HistoryStatus
+from app.line.live.api.routes import router as live_router
+from app.line.live.api.view import LineView
+from app.line.live.change_recorder import ChangeRecorder
+from app.line.live.screen.sources import Sources
+from app.line.live.state.bus_live import LiveState
+from app.line.pipeline import Pipeline
+from app.people.audit.acts import ActLimit
+from app.people.audit.api import router as events_router
+from app.people.audit.log import EventLog
 from app.settings import Settings, Site
-from app.web.admission.access import Person, Role, Via
-from app.web.admission.turns import Turns
-from app.web.problems import install
-from app.web.rendering.assets import Assets, static_dir, templates_dir
-from app.web.rendering.templating import Templates
-from app.web.services import Registry
 from bus.contract import (
     CONTRACT_VERSION,
     AppMessage,

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from app.core.web.api.schema import openapi_document
 from app.main import create_app
-from app.web.api.schema import openapi_document
 from tests.app.complete_app import settings_in
 
 AS_DATA = {

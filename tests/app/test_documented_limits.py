@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from app.audit import acts
-from app.auth import pages, rules, store
-from app.auth.rights import rights
-from app.auth.sign_in import passwords, signin, throttle
-from app.live.api import line_stream
-from app.server.admission import addresses
-from app.server.connection import connections, gate, pace
-from app.web.admission import bounds
-from app.web.api import route as api_route
+from app.core.server.admission import addresses
+from app.core.server.connection import connections, gate, pace
+from app.core.web.admission import bounds
+from app.core.web.api import route as api_route
+from app.line.live.api import line_stream
+from app.people.audit import acts
+from app.people.auth import pages, rules, store
+from app.people.auth.rights import rights
+from app.people.auth.sign_in import passwords, signin, throttle
 
 DOCS = Path(__file__).parents[2] / "docs"
 SIGN_IN = "| limit | value |"

@@ -10,11 +10,11 @@ import pytest
 from starlette.routing import Match, Route
 
 import app
-from app.database import Database
+from app.core.database import Database
+from app.core.lifespan import StartError
+from app.engineering.recipes.book import RecipeBook
 from app.errors import StoreError
-from app.lifespan import StartError
 from app.main import FEATURES, create_app
-from app.recipes.book import RecipeBook
 from bus.messages import Message
 from tests.app.complete_app import settings_in
 

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from jsonschema_rs import Draft202012Validator
 
-from app.database import Database
-from app.help.reference import calls_of, in_html
+from app.core.database import Database
+from app.core.help.reference import calls_of, in_html
+from app.core.web.api.examples import add_examples
+from app.core.web.api.schema import openapi_document
 from app.main import create_app
-from app.web.api.examples import add_examples
-from app.web.api.schema import openapi_document
 from tests.app.complete_app import settings_in
 from tests.app.strict_schema import strict
 

@@ -15,17 +15,17 @@ from fastapi.routing import APIRoute
 from jinja2 import nodes
 from starlette.requests import Request
 
-from app.alarms.settings import BuiltInAlarmSettings
-from app.auth.accounts import Accounts
-from app.database import Database
+from app.core.database import Database
+from app.core.web.admission.access import PEOPLE_ROLES, Role
+from app.core.web.rendering.assets import templates_dir
+from app.core.web.rendering.templating import Templates, render
+from app.engineering.recipes.rules import Recipe, RecipeSetpoint
+from app.engineering.recipes.store import RecipeStore
+from app.engineering.sets.model import ParameterSet, UnitRows
+from app.engineering.sets.store import SetStore
+from app.line.alarms.settings import BuiltInAlarmSettings
 from app.main import create_app
-from app.recipes.rules import Recipe, RecipeSetpoint
-from app.recipes.store import RecipeStore
-from app.sets.model import ParameterSet, UnitRows
-from app.sets.store import SetStore
-from app.web.admission.access import PEOPLE_ROLES, Role
-from app.web.rendering.assets import templates_dir
-from app.web.rendering.templating import Templates, render
+from app.people.auth.accounts import Accounts
 from bus.instants import unix_now
 from bus.settings import BusSettings, UnitSettings
 from tests.administrator import BY

@@ -12,8 +12,8 @@ from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute, APIWebSocketRoute
 
 import app
-from app.web.admission.access import Requires
-from app.web.services import Registry
+from app.core.web.admission.access import Requires
+from app.core.web.services import Registry
 from tests.app.complete_app import complete_app
 
 
@@ -77,4 +77,4 @@ def test_rest_reads_from_the_owner_of_the_state_and_never_the_hub() -> None:
     root = Path(app.__file__).parent
     modules = [*root.rglob("*api.py"), *root.glob("*/api/*.py")]
     assert len(modules) > 8
-    assert [path.name for path in modules if "app.live.browsers" in path.read_text()] == []
+    assert [path.name for path in modules if "app.line.live.browsers" in path.read_text()] == []

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from app.core.time_zone import machine_zone
 from app.settings import ConfigurationError, Site, load, parse
-from app.time_zone import machine_zone
 
 BUSES = """\
 [[bus]]

@@ -24,8 +24,8 @@ from typing import Any
 
 import httpx
 
-from app.audit.log import EventLog
-from app.database import Database
+from app.core.database import Database
+from app.people.audit.log import EventLog
 from tests.attacks.attackers import ATTACKS
 from tests.e2e.site import Site, site
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.acts import ACTS_PER_S, MAX_ACTS, ActLimit
+from app.core.web.admission.access import Role
 from app.errors import Problem
-from app.web.admission.access import Role
+from app.people.audit.acts import ACTS_PER_S, MAX_ACTS, ActLimit
 from bus.instants import Monotonic, monotonic_now
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, played_line

@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from app.auth.sign_in import signin
-from app.web.admission.access import Person, Role
-from app.web.admission.anonymous import (
+from app.core.web.admission.access import Person, Role
+from app.core.web.admission.anonymous import (
     AT_ONCE_OF_ADDRESS,
     MAX_AT_ONCE,
     MAX_WAITING_OF_ADDRESS,
     AnonymousLimiter,
 )
-from app.web.admission.bounds import MAX_PLAIN_BODY_BYTES
+from app.core.web.admission.bounds import MAX_PLAIN_BODY_BYTES
+from app.people.auth.sign_in import signin
 from tests.app.complete_app import House, complete_app
 
 

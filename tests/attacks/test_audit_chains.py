@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 
-from app.audit.chain import KEY_BYTES, KeyOrigin, KeyRing, sealed_entry, sealed_head
-from app.audit.former import joined
-from app.audit.keys import make_key_file, open_keys, owners_of, read_key_file
-from app.audit.log import EventLog
-from app.database import Database
+from app.core.database import Database
+from app.people.audit.chain import KEY_BYTES, KeyOrigin, KeyRing, sealed_entry, sealed_head
+from app.people.audit.former import joined
+from app.people.audit.keys import make_key_file, open_keys, owners_of, read_key_file
+from app.people.audit.log import EventLog
 from tests.app.former_log import DRY, SITE, WET, FormerLog
 from tests.attacks.test_audit_log import WITHOUT_ANCHOR, Plant
 

@@ -16,14 +16,21 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from app.audit.anchor import Anchoring
-from app.audit.chain import BEGINNING, END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, entry_hash, sealed_head
-from app.audit.keys import open_keys
-from app.audit.log import EventLog
-from app.audit.proof import heads_of
 from app.cli import cli
-from app.database import Database
-from app.database.migration import MIGRATIONS
+from app.core.database import Database
+from app.core.database.migration import MIGRATIONS
+from app.people.audit.anchor import Anchoring
+from app.people.audit.chain import (
+    BEGINNING,
+    END_ALTERED,
+    OTHER_KEY,
+    SEALED_FROM_HERE,
+    entry_hash,
+    sealed_head,
+)
+from app.people.audit.keys import open_keys
+from app.people.audit.log import EventLog
+from app.people.audit.proof import heads_of
 
 Row = dict[str, Any]
 ENTRIES = 9

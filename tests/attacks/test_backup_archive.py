@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from app.backup import backup
-from app.backup.archive import MAX_ARCHIVE_BYTES
 from app.cli import cli
-from app.database import Database
+from app.core.database import Database
+from app.system.backup import backup
+from app.system.backup.archive import MAX_ARCHIVE_BYTES
 
 MAIN = "lineside.db"
 

@@ -11,15 +11,15 @@ import httpx
 import pytest
 from starlette.types import Message, Scope
 
-from app.sets.document import MAX_KEY_STEPS, MAX_LINES, MAX_VALUES, DocumentError, read_document
-from app.web.admission.access import Role
-from app.web.admission.bounds import (
+from app.core.web.admission.access import Role
+from app.core.web.admission.bounds import (
     MAX_BODY_BYTES,
     MAX_CONTENT_TYPE,
     MAX_PARAMETERS,
     MAX_PLAIN_BODY_BYTES,
     MAX_QUERY,
 )
+from app.engineering.sets.document import MAX_KEY_STEPS, MAX_LINES, MAX_VALUES, DocumentError, read_document
 from tests.app.complete_app import House, complete_app
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"

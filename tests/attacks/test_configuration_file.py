@@ -10,8 +10,8 @@ from typing import Any
 import httpx
 import pytest
 
-from app.auth.accounts import Accounts
-from app.web.admission.access import Role
+from app.core.web.admission.access import Role
+from app.people.auth.accounts import Accounts
 from tests.administrator import BY
 from tests.app.complete_app import House, complete_app
 from tests.app.configuration_file import TEXT, UNIT, fields_of, form_of, written

@@ -8,11 +8,11 @@ from pathlib import Path
 import httpx
 import pytest
 
-import app.commands.safeguards.service as service_module
-from app.auth.accounts import Accounts
-from app.commands.safeguards.control import REQUEST_LAPSES_AFTER_S
-from app.commands.safeguards.service import MAX_REQUESTS
-from app.web.admission.access import Role
+import app.line.commands.safeguards.service as service_module
+from app.core.web.admission.access import Role
+from app.line.commands.safeguards.control import REQUEST_LAPSES_AFTER_S
+from app.line.commands.safeguards.service import MAX_REQUESTS
+from app.people.auth.accounts import Accounts
 from bus.instants import monotonic_now
 from tests.administrator import BY
 from tests.app.complete_app import House, complete_app

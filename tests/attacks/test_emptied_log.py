@@ -11,16 +11,16 @@ import pytest
 from click.testing import CliRunner
 from structlog.testing import capture_logs
 
-from app.alarms.alarm import key_of
-from app.alarms.monitor.line_alarms import LineAlarms
-from app.audit.anchor import Anchoring, AnchorStatus
-from app.audit.keys import open_keys
-from app.audit.log import EventLog
-from app.audit.proof import heads_of
-from app.audit.queries import Filter
 from app.cli import cli
-from app.database import Database
+from app.core.database import Database
+from app.line.alarms.alarm import key_of
+from app.line.alarms.monitor.line_alarms import LineAlarms
 from app.main import create_app
+from app.people.audit.anchor import Anchoring, AnchorStatus
+from app.people.audit.keys import open_keys
+from app.people.audit.log import EventLog
+from app.people.audit.proof import heads_of
+from app.people.audit.queries import Filter
 from app.settings import load
 from tests.app.complete_app import settings_in
 from tests.attacks.test_audit_log import ENTRIES, Plant

@@ -8,11 +8,11 @@ from sqlite3 import Connection
 import pytest
 from structlog.testing import capture_logs
 
-from app.audit.log import EventLog
-from app.database import Database
+from app.core.database import Database
 from app.errors import StoreError
-from app.history.service import History
+from app.line.history.service import History
 from app.main import create_app
+from app.people.audit.log import EventLog
 from tests.app.complete_app import settings_in
 from tests.app.history_line import NOON, Shelf, polls
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.archive import ArchiveProof, EventArchiveError
-from tests.app.test_event_archive import Log, log
+from app.people.audit.archive import ArchiveProof, EventArchiveError
+from tests.app.people.test_event_archive import Log, log
 
 __all__ = ["log"]
 FIRST, SECOND = "events-2026-01.jsonl.gz", "events-2026-01-2.jsonl.gz"

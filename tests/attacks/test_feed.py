@@ -19,19 +19,19 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
-from app.audit.log import EventLog
-from app.audit.queries import Filter
-from app.feed.bus_feed import BusFeed, WorkerLeft
-from app.feed.channel import Channel
-from app.feed.holders import Credential
-from app.feed.ingest import Ingest
-from app.feed.rates import FeedQuota
-from app.feed.workers import MAX_HELLOS_AT_ONCE, TOO_OFTEN, Workers
-from app.live.browsers.browser import Browser
-from app.live.browsers.hub import Hub
-from app.live.change_recorder import ChangeRecorder
-from app.live.state.bus_live import Audience, BusLive
-from app.web.admission.access import Role
+from app.core.web.admission.access import Role
+from app.line.feed.bus_feed import BusFeed, WorkerLeft
+from app.line.feed.channel import Channel
+from app.line.feed.holders import Credential
+from app.line.feed.ingest import Ingest
+from app.line.feed.rates import FeedQuota
+from app.line.feed.workers import MAX_HELLOS_AT_ONCE, TOO_OFTEN, Workers
+from app.line.live.browsers.browser import Browser
+from app.line.live.browsers.hub import Hub
+from app.line.live.change_recorder import ChangeRecorder
+from app.line.live.state.bus_live import Audience, BusLive
+from app.people.audit.log import EventLog
+from app.people.audit.queries import Filter
 from bus.contract import (
     MAX_UPDATES,
     AppMessage,

@@ -12,9 +12,9 @@ from typing import Any
 import httpx
 import pytest
 
-from app.auth.accounts import Accounts
-from app.tray.contents import Trays
-from app.web.admission.access import Role
+from app.core.web.admission.access import Role
+from app.engineering.tray.contents import Trays
+from app.people.auth.accounts import Accounts
 from bus.contract import Reading
 from bus.instants import unix_now
 from tests.administrator import BY

@@ -10,12 +10,12 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.audit.log import EventLog
-from app.audit.queries import Filter
-from app.auth.accounts import Accounts
 from app.cli.serving.server import Server
-from app.server.admission.addresses import Network
-from app.web.admission.access import Role
+from app.core.server.admission.addresses import Network
+from app.core.web.admission.access import Role
+from app.people.audit.log import EventLog
+from app.people.audit.queries import Filter
+from app.people.auth.accounts import Accounts
 from bus.instants import monotonic_now
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, settings_in

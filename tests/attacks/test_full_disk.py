@@ -12,8 +12,8 @@ from typing import Any
 import httpx
 import pytest
 
-from app.database.reserve import SIZE, Reserve
-from app.web.admission.access import Role
+from app.core.database.reserve import SIZE, Reserve
+from app.core.web.admission.access import Role
 from tests.app.complete_app import PASSWORD as HOUSE_PASSWORD
 from tests.app.complete_app import complete_app
 from tests.e2e.limits import CALL_S, PROCEDURE_S
@@ -87,7 +87,7 @@ def test_history_notes_and_pictures_give_way_and_the_page_shows_it(plant: Dashbo
 async def test_a_server_starts_on_a_full_disk_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.database.feature.Reserve", Reserve)
+    monkeypatch.setattr("app.core.database.feature.Reserve", Reserve)
     disk = tmp_path / "disk"
     with small_disk(disk):
         async with complete_app(disk) as house:

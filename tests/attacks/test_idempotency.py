@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from app.commands.service.command_service import CommandService
+from app.core.web.admission.access import Person, Role
 from app.errors import Problem
-from app.web.admission.access import Person, Role
+from app.line.commands.service.command_service import CommandService
 from bus.contract import Result, WriteParameter
 from tests.app.stage import Stage, responding, staged
 

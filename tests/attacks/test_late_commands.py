@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from app.live.state.bus_live import LiveState
-from app.recipes.book import RecipeBook
-from app.server.admission import turns as admission
-from app.web.admission import arrival
-from app.web.admission.access import Role
-from app.web.admission.arrival import SAFE_METHODS
+from app.core.server.admission import turns as admission
+from app.core.web.admission import arrival
+from app.core.web.admission.access import Role
+from app.core.web.admission.arrival import SAFE_METHODS
+from app.engineering.recipes.book import RecipeBook
+from app.line.live.state.bus_live import LiveState
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA
 from tests.app.played_commands import responding as responding_units

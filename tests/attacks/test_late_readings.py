@@ -10,17 +10,17 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from app.feed.bus_feed import BusFeed
-from app.feed.holders import Credential
-from app.feed.late import FIRST_S
-from app.feed.rates import MAX_VALUES_AT_ONCE
-from app.feed.workers import Workers
-from app.history import tables
-from app.history.series.runs import HOUR, Run, merge, micros
-from app.history.service import History
-from app.history.tail import Tail
-from app.live.change_recorder import ChangeRecorder
-from app.live.state.bus_live import LiveState
+from app.line.feed.bus_feed import BusFeed
+from app.line.feed.holders import Credential
+from app.line.feed.late import FIRST_S
+from app.line.feed.rates import MAX_VALUES_AT_ONCE
+from app.line.feed.workers import Workers
+from app.line.history import tables
+from app.line.history.series.runs import HOUR, Run, merge, micros
+from app.line.history.service import History
+from app.line.history.tail import Tail
+from app.line.live.change_recorder import ChangeRecorder
+from app.line.live.state.bus_live import LiveState
 from bus.contract import MAX_UPDATES, Batch, Reading, Snapshot, UnitState, encode
 from tests.app.complete_app import House, complete_app
 from tests.app.stage import hello, reading, snapshot, unit_state, until

@@ -12,14 +12,14 @@ import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
-from app.auth.accounts import Accounts
-from app.live.admission import MAX_OF_ACCOUNT, Admission
-from app.live.browsers import socket
-from app.live.browsers.broadcast import Broadcast
-from app.live.browsers.browser import Browser, Diff
-from app.live.browsers.hub import MAX_WATCH_BURST, Hub
+from app.core.web.admission.access import Role
+from app.line.live.admission import MAX_OF_ACCOUNT, Admission
+from app.line.live.browsers import socket
+from app.line.live.browsers.broadcast import Broadcast
+from app.line.live.browsers.browser import Browser, Diff
+from app.line.live.browsers.hub import MAX_WATCH_BURST, Hub
 from app.main import create_app
-from app.web.admission.access import Role
+from app.people.auth.accounts import Accounts
 from tests.administrator import BY
 from tests.app.complete_app import settings_in
 from tests.app.screens import line, screen

@@ -15,13 +15,13 @@ from typing import Any
 import httpx
 import pytest
 
-from app.auth.accounts import Accounts
-from app.auth.rights import rights
-from app.auth.rights.access import NO_LONGER_SIGNED_IN
-from app.auth.rights.identity import Identity
-from app.auth.rights.rights import Rights
-from app.live.state.bus_live import LiveState
-from app.web.admission.access import Role
+from app.core.web.admission.access import Role
+from app.line.live.state.bus_live import LiveState
+from app.people.auth.accounts import Accounts
+from app.people.auth.rights import rights
+from app.people.auth.rights.access import NO_LONGER_SIGNED_IN
+from app.people.auth.rights.identity import Identity
+from app.people.auth.rights.rights import Rights
 from tests.administrator import BY
 from tests.app.complete_app import HOST, PASSWORD, House, complete_app
 from tests.app.stage import snapshot, until

@@ -12,17 +12,17 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from app.audit.keys import open_keys
-from app.audit.log import EventLog
-from app.audit.proof import heads_of
-from app.auth import store
-from app.auth.accounts import Accounts
-from app.auth.store import CompanyAccount
 from app.cli import cli
-from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
-from app.database import Database
+from app.core.database import Database
+from app.core.web.admission.access import Role
+from app.line.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
+from app.people.audit.keys import open_keys
+from app.people.audit.log import EventLog
+from app.people.audit.proof import heads_of
+from app.people.auth import store
+from app.people.auth.accounts import Accounts
+from app.people.auth.store import CompanyAccount
 from app.settings import load
-from app.web.admission.access import Role
 from tests.administrator import BY
 
 PASSWORD, OTHER_PASSWORD = "correct horse battery", "wrong horse battery"

@@ -8,11 +8,11 @@ from typing import Any
 import httpx
 import pytest
 
-from app.auth.accounts import Accounts
-from app.sets.restore.restores import RestoreService
-from app.sets.store import SetStore
-from app.swap.service import SwapService
-from app.web.admission.access import Role
+from app.core.web.admission.access import Role
+from app.engineering.sets.restore.restores import RestoreService
+from app.engineering.sets.store import SetStore
+from app.engineering.swap.service import SwapService
+from app.people.auth.accounts import Accounts
 from bus.catalogue.parameters import PARAMETERS
 from tests.administrator import BY
 from tests.app.complete_app import House

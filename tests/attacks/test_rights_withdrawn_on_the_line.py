@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.entry import Event
-from app.audit.log import EventLog
-from app.commands.safeguards.service import Safeguards
-from app.recipes.book import RecipeBook
-from app.sets.saving.schedule import SERVER, SetSchedule
-from app.sets.saving.taking import Takings
-from app.sets.store import SetStore
-from app.web.admission.access import Role
+from app.core.web.admission.access import Role
+from app.engineering.recipes.book import RecipeBook
+from app.engineering.sets.saving.schedule import SERVER, SetSchedule
+from app.engineering.sets.saving.taking import Takings
+from app.engineering.sets.store import SetStore
+from app.line.commands.safeguards.service import Safeguards
+from app.people.audit.entry import Event
+from app.people.audit.log import EventLog
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, PlayedLine, played_line
 from tests.app.stage import until

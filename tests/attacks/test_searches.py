@@ -11,18 +11,18 @@ from typing import Any
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from app.audit.log import EventLog
-from app.auth.accounts import Accounts
-from app.history.service import History
-from app.server.admission.fair_queue import FairQueue
-from app.web.admission.access import Person, Role
-from app.web.admission.turns import (
+from app.core.server.admission.fair_queue import FairQueue
+from app.core.web.admission.access import Person, Role
+from app.core.web.admission.turns import (
     MAX_AT_ONCE,
     MAX_READS,
     MAX_WAITING,
     ReadLimiter,
     Turns,
 )
+from app.line.history.service import History
+from app.people.audit.log import EventLog
+from app.people.auth.accounts import Accounts
 from tests.app.complete_app import House, complete_app
 
 PATIENCE_S = 30.0
@@ -41,7 +41,7 @@ SEARCHES = (
 @pytest.fixture
 async def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[House]:
     # The server's own first query would be counted as one of an account.
-    monkeypatch.setattr("app.history.pages.AFTER_S", inf)
+    monkeypatch.setattr("app.line.history.pages.AFTER_S", inf)
     async with complete_app(tmp_path) as house:
         yield house
 

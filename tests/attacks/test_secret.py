@@ -16,7 +16,7 @@ import httpx
 import pytest
 from babel.messages.mofile import read_mo
 
-from app.messages.languages import DIGEST_BYTES
+from app.core.messages.languages import DIGEST_BYTES
 from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import PASSWORD, Site, eventually, site
 

@@ -9,16 +9,16 @@ from typing import Any
 import httpx
 import pytest
 
-from app.database.reserve import MIN_FREE_OF_OTHERS
-from app.handover.notes import notes, quota
-from app.handover.notes.quota import MAX_AGE_DAYS, MAX_PER_HOUR
-from app.handover.rules.shift_times import Shift
-from app.handover.service import Handover
-from app.handover.settings import ShiftSettings
+from app.core.database.reserve import MIN_FREE_OF_OTHERS
+from app.core.web.admission.access import Role
+from app.records.handover.notes import notes, quota
+from app.records.handover.notes.quota import MAX_AGE_DAYS, MAX_PER_HOUR
+from app.records.handover.rules.shift_times import Shift
+from app.records.handover.service import Handover
+from app.records.handover.settings import ShiftSettings
 from app.settings import ServerSettings
-from app.web.admission.access import Role
 from tests.app.complete_app import House, complete_app
-from tests.app.test_shift_pictures import png
+from tests.app.records.test_shift_pictures import png
 
 API = "/api/v1/shifts"
 

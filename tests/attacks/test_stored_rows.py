@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from app.audit.entry import new_entry
-from app.audit.log import EventLog
-from app.database import Database
-from app.web.admission.access import Role
+from app.core.database import Database
+from app.core.web.admission.access import Role
+from app.people.audit.entry import new_entry
+from app.people.audit.log import EventLog
 from tests.app.complete_app import House, complete_app
 
 FRAME = '{"at":%s,"direction":"in","data":"10 02","meaning":"x"}'

@@ -13,10 +13,10 @@ import httpx
 import pytest
 from fastapi.routing import APIRoute
 
-from app.messages import Language, Languages
-from app.web.admission.access import Role
-from app.web.admission.bounds import MAX_QUERY
-from app.web.rendering.formats import Formats
+from app.core.messages import Language, Languages
+from app.core.web.admission.access import Role
+from app.core.web.admission.bounds import MAX_QUERY
+from app.core.web.rendering.formats import Formats
 from tests.app.complete_app import House, complete_app
 from tests.sizes import sizes
 

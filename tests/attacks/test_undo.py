@@ -9,10 +9,10 @@ from typing import Any
 import httpx
 import pytest
 
-from app.auth.accounts import Accounts
-from app.commands.service.command_service import CommandService
-from app.commands.undo import stack
-from app.web.admission.access import Role
+from app.core.web.admission.access import Role
+from app.line.commands.service.command_service import CommandService
+from app.line.commands.undo import stack
+from app.people.auth.accounts import Accounts
 from bus.instants import unix_now
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House

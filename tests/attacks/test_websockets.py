@@ -13,9 +13,9 @@ import pytest
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from app.server.connection.client_connection import client_connection
-from app.server.connection.gate import CLOSING_S, MAX_HELD_BYTES, MAX_MESSAGE_BYTES, Gate
-from app.server.connection.pace import STALL_S
+from app.core.server.connection.client_connection import client_connection
+from app.core.server.connection.gate import CLOSING_S, MAX_HELD_BYTES, MAX_MESSAGE_BYTES, Gate
+from app.core.server.connection.pace import STALL_S
 from tests.app.gated import PATIENCE_S, Port, everything, gated, until
 
 FEED_PATH = "/feed"

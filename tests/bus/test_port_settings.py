@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from app.live.changes import Changes
+from app.line.live.changes import Changes
 from bus.contract import BusFigures, BusLink
 from bus.line import opener
 from bus.line.port.device import open_device

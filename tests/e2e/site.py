@@ -27,12 +27,12 @@ from typing import IO, Any
 
 import httpx
 
-from app.auth.accounts import Accounts
 from app.cli.setup.accounts import with_accounts
+from app.core.web.admission.access import Role
+from app.core.web.rendering.assets import Assets, static_dir, templates_dir
+from app.core.web.rendering.templating import Templates
+from app.people.auth.accounts import Accounts
 from app.settings import Site as SiteSettings
-from app.web.admission.access import Role
-from app.web.rendering.assets import Assets, static_dir, templates_dir
-from app.web.rendering.templating import Templates
 from bus.simulator.demo import demo_line
 from tests import fork_server
 from tests.administrator import BY

@@ -20,7 +20,7 @@ from typing import Any
 
 import pytest
 
-from app.history.status import DAMAGED, NOTICES
+from app.line.history.status import DAMAGED, NOTICES
 from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site

@@ -11,8 +11,8 @@ from typing import Any
 
 import httpx
 
+from app.engineering.sets.model import ParameterRow, UnitRows
 from app.errors import system_error
-from app.sets.model import ParameterRow, UnitRows
 from bus.errors import CallerError, LinesideError
 from bus.instants import UnixTime
 from bus.messages import Message

@@ -25,12 +25,12 @@ from app.cli.options import (
     url_option,
     yes_option,
 )
-from app.database.private import write_file
+from app.core.database.private import write_file
+from app.core.web.api.shape import maybe_shown, message_shown
+from app.engineering.sets.comparison.compare import ParameterDifference, differences
+from app.engineering.sets.document import MAX_DOCUMENT, read_document, write_document
+from app.engineering.sets.model import ParameterSet, UnitRows
 from app.errors import system_error
-from app.sets.comparison.compare import ParameterDifference, differences
-from app.sets.document import MAX_DOCUMENT, read_document, write_document
-from app.sets.model import ParameterSet, UnitRows
-from app.web.api.shape import maybe_shown, message_shown
 from bus.errors import CallerError
 from bus.instants import unix_now
 from bus.messages import Message, ParamValue, in_english, listed, parameter_name

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from app.backup.cipher import read_key
-from app.backup.folder import refuse_other_site, space_needed
 from app.cli.findings.machine import Finding, fault, is_read_only, may_make_files_in, user
-from app.database.reserve import free_bytes
+from app.core.database.reserve import free_bytes
 from app.errors import StoreError
 from app.settings import Settings
+from app.system.backup.cipher import read_key
+from app.system.backup.folder import refuse_other_site, space_needed
 from bus.messages import Message
 
 MB = 1_000_000

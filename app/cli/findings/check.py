@@ -10,22 +10,22 @@ from pathlib import Path
 
 import click
 
-from app.auth.oidc.single_sign_on import provider_of, require_package
-from app.auth.settings import OidcSettings
 from app.cli.ending import complain, report
 from app.cli.findings import machine, stores
 from app.cli.findings.backup import backup_findings
 from app.cli.findings.machine import Finding, fault, user
 from app.cli.options import config_option, json_option
 from app.cli.setup.rights import become_owner_of
-from app.notification.rules.delivery import NotDeliveredError
-from app.notification.sending import programs
-from app.notification.sending.endpoints import NotificationEndpoint, NotificationPlan
-from app.notification.sending.mail import MailServer
-from app.notification.settings import AppriseSettings, NotifySettings, WebhookSettings
-from app.server.secret_file import SecretFileError, can_others_read, read_secret_text
+from app.core.server.secret_file import SecretFileError, can_others_read, read_secret_text
+from app.core.web.api.shape import message_shown
+from app.people.auth.oidc.single_sign_on import provider_of, require_package
+from app.people.auth.settings import OidcSettings
+from app.records.notification.rules.delivery import NotDeliveredError
+from app.records.notification.sending import programs
+from app.records.notification.sending.endpoints import NotificationEndpoint, NotificationPlan
+from app.records.notification.sending.mail import MailServer
+from app.records.notification.settings import AppriseSettings, NotifySettings, WebhookSettings
 from app.settings import Settings, load
-from app.web.api.shape import message_shown
 from bus.errors import LinesideError
 from bus.messages import Message
 

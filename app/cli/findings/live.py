@@ -13,16 +13,16 @@ from itertools import pairwise
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from app.audit.anchor import anchor_file
 from app.cli.findings.machine import Finding, bus_refusal, fault, is_visible, may_make_files_in, user
 from app.cli.serving.listening import ListenError, PortInUse, listen, url_of
 from app.cli.site.status import is_serving, verification
 from app.cli.site.status_lines import GB
-from app.database.connection import examining
-from app.database.migration import refuse_newer
-from app.database.presence import presence_of
-from app.database.reserve import free_bytes
+from app.core.database.connection import examining
+from app.core.database.migration import refuse_newer
+from app.core.database.presence import presence_of
+from app.core.database.reserve import free_bytes
 from app.errors import StoreError
+from app.people.audit.anchor import anchor_file
 from app.settings import LOCK_FILE, ServerSettings, Settings
 from bus.line.port.open_error import used_by, users_of
 from bus.messages import Message, ParamValue, number

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from secrets import token_hex
 
 from app.cli.findings.machine import Finding
-from app.database.connection import examining, has_table
+from app.core.database.connection import examining, has_table
+from app.core.server.secret_file import can_others_read
 from app.errors import StoreError
-from app.postgresql.destination import Destination
-from app.postgresql.outbox import read_identity
-from app.postgresql.status import PublisherStatus
-from app.server.secret_file import can_others_read
 from app.settings import Settings
+from app.system.postgresql.destination import Destination
+from app.system.postgresql.outbox import read_identity
+from app.system.postgresql.status import PublisherStatus
 from bus.instants import unix_now
 from bus.messages import Message
 

@@ -8,8 +8,6 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from app.audit.anchor import anchor_file
-from app.audit.keys import KeyFileError, find_key_file, owners_of, read_key_file
 from app.cli.findings.machine import (
     Finding,
     existing_part,
@@ -20,12 +18,14 @@ from app.cli.findings.machine import (
     user,
 )
 from app.cli.site.facts import CertificateFacts, certificate_facts, size_of
-from app.conditions.of_server import DAY_S, certificate_expires
-from app.database.connection import examining
-from app.database.migration import is_store, refuse_newer, refuse_unfinished
-from app.database.presence import presence_of, refusal_to_start
+from app.core.database.connection import examining
+from app.core.database.migration import is_store, refuse_newer, refuse_unfinished
+from app.core.database.presence import presence_of, refusal_to_start
 from app.errors import StoreError, TooCostlyError
-from app.history.status import DiskReserve, space
+from app.line.conditions.of_server import DAY_S, certificate_expires
+from app.line.history.status import DiskReserve, space
+from app.people.audit.anchor import anchor_file
+from app.people.audit.keys import KeyFileError, find_key_file, owners_of, read_key_file
 from app.settings import STORE_FILE, Settings
 from bus.instants import UnixTime, monotonic_now, unix_now
 from bus.messages import Message, number
@@ -45,7 +45,7 @@ def encryption(settings: Settings) -> Iterator[Finding]:
         if settings.server.is_in_clear:
             yield Finding(Message("check_no_tls"))
         return
-    from app.server.tls.certificate import ServerCertificate
+    from app.core.server.tls.certificate import ServerCertificate
 
     try:
         reason = ServerCertificate(tls).fault

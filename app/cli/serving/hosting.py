@@ -27,11 +27,11 @@ from app.cli.ending import report
 from app.cli.serving.listening import listen, url_of
 from app.cli.serving.workers import WorkerProcesses
 from app.cli.setup.rights import become_owner_of
-from app.database.private import make_folder
+from app.core.database.private import make_folder
+from app.core.messages.languages import catalogs
+from app.core.messages.locales import locale_of
+from app.core.server.service_manager import ServiceManager
 from app.errors import system_error
-from app.messages.languages import catalogs
-from app.messages.locales import locale_of
-from app.server.service_manager import ServiceManager
 from app.settings import LOCK_FILE, Settings
 from app.version import VERSION
 from bus.errors import LinesideError
@@ -110,7 +110,7 @@ async def _host(
     address, port = listening.getsockname()[:2]
     url = url_of(address, port, "http" if feed is None else "https")
     feed_url = url_of(*(feed or listening).getsockname()[:2])
-    # Not by app.auth, which imports FastAPI: the workers begin before that takes its quarter of a second.
+    # Not by app.people.auth: it imports FastAPI, and the workers start before that takes its time.
     tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus if bus.worker == "server"}
     workers = WorkerProcesses(config, tokens, feed_url)
     stopping, restart = _stop_requested(), asyncio.Event()

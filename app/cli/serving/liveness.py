@@ -10,8 +10,8 @@ from contextlib import suppress
 
 import structlog
 
-from app.database import Database, StoreConnection
-from app.server.service_manager import PartsProgress, ServiceManager
+from app.core.database import Database, StoreConnection
+from app.core.server.service_manager import PartsProgress, ServiceManager
 from bus.errors import LinesideError
 from bus.instants import MonotonicClock, monotonic_now
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import time
 from contextlib import closing
 
-from app.audit.keys import find_key_file
 from app.cli.serving.serve import check_store
 from app.cli.setup.rights import become_owner_of
 from app.cli.site.log import open_log, record
-from app.database import Database
-from app.database.migration import put_aside
-from app.database.presence import presence_of
-from app.database.words import in_words
+from app.core.database import Database
+from app.core.database.migration import put_aside
+from app.core.database.presence import presence_of
+from app.core.database.words import in_words
 from app.errors import StoreError
+from app.people.audit.keys import find_key_file
 from app.settings import Settings
 from bus.messages import Message
 

@@ -14,24 +14,24 @@ from starlette.types import ASGIApp
 from uvicorn.config import Config
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from app.auth.sign_in.first_admin import FirstAdmin
 from app.cli.serving.listening import BACKLOG
 from app.cli.serving.liveness import Liveness as Liveness
-from app.configuration.restart import Restart as Restart
-from app.database import Database as Database
+from app.core.database import Database as Database
+from app.core.server.admission.refusal_log import ErrorLines, RefusalLog
+from app.core.server.connection.connections import Connections
+from app.core.server.connection.gate import RECEIVE_BUFFER_BYTES, Gates
+from app.core.server.connection.own_feed import OnlyFeed
+from app.core.server.connection.stages import Stages
+from app.core.server.encryption import Encryption
+from app.core.server.files import raise_file_limit
+from app.core.server.loop_watch import LoopWatch
 from app.feature import Services
-from app.feed.workers import Workers
-from app.live.api.line_stream import LineStream
+from app.line.feed.workers import Workers
+from app.line.live.api.line_stream import LineStream
 from app.main import create_app
-from app.server.admission.refusal_log import ErrorLines, RefusalLog
-from app.server.connection.connections import Connections
-from app.server.connection.gate import RECEIVE_BUFFER_BYTES, Gates
-from app.server.connection.own_feed import OnlyFeed
-from app.server.connection.stages import Stages
-from app.server.encryption import Encryption
-from app.server.files import raise_file_limit
-from app.server.loop_watch import LoopWatch
+from app.people.auth.sign_in.first_admin import FirstAdmin
 from app.settings import Settings
+from app.system.configuration.restart import Restart as Restart
 from bus.instants import Monotonic
 
 GRACEFUL_S = 1
@@ -124,7 +124,7 @@ def _config(app: ASGIApp, gates: Gates) -> Config:
         ws_per_message_deflate=False,
         ws_max_size=MAX_MESSAGE_BYTES,
         access_log=False,
-        proxy_headers=False,  # app.server.admission.forwarded does it, for the proxies that are named
+        proxy_headers=False,  # app.core.server.admission.forwarded does it, for the proxies that are named
         log_config=None,
         log_level="error",
         server_header=False,

@@ -11,12 +11,12 @@ from typing import Any, TypeVar
 
 import click
 
-from app.auth.accounts import Accounts
-from app.auth.store import Token, User, tokens, users
 from app.cli.options import config_option, json_option
 from app.cli.site.log import console, reading_site, site_log
+from app.core.web.admission.access import PEOPLE_ROLES, Role
+from app.people.auth.accounts import Accounts
+from app.people.auth.store import Token, User, tokens, users
 from app.settings import load
-from app.web.admission.access import PEOPLE_ROLES, Role
 from bus.errors import CallerError
 from bus.messages import Message
 from bus.text import composed

@@ -25,10 +25,10 @@ from app.cli.setup.starting_file import (
     with_names,
     without_bus,
 )
-from app.configuration.port_scan import adapters
-from app.configuration.service import replace_file
 from app.errors import system_error
 from app.settings import parse
+from app.system.configuration.port_scan import adapters
+from app.system.configuration.service import replace_file
 from bus.configuration import ConfigurationError, read
 from bus.errors import CallerError, LinesideError
 from bus.messages import Message
@@ -158,7 +158,7 @@ def _scanned(port: str) -> str:
 def prompt_for_admin(config: Path) -> None:
     """Prompt for the first user, who can add the others; without a name the browser prompts for one."""
     from app.cli.setup.accounts import prompted_password, store_user
-    from app.web.admission.access import Role
+    from app.core.web.admission.access import Role
 
     while name := click.prompt("First admin (empty: later, in the browser)", default="", show_default=False):
         try:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from app.cli.setup.service_unit import DATA
-from app.configuration.document import content_of, with_values, without
-from app.configuration.port_scan import BY_ID, adapters
+from app.system.configuration.document import content_of, with_values, without
+from app.system.configuration.port_scan import BY_ID, adapters
 
 USUAL_PORT = "/dev/ttyUSB0"
 STARTER = Path(__file__).with_name("starter.toml")

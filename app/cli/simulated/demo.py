@@ -15,8 +15,8 @@ import click
 
 from app.cli.options import ADDRESS, TCP_PORT
 from app.cli.serving.listening import listen, listen_from
+from app.core.server.service_manager import ServiceManager
 from app.errors import StoreError
-from app.server.service_manager import ServiceManager
 from app.settings import load
 from bus.instants import monotonic_now
 from bus.messages import Message

@@ -12,35 +12,35 @@ from itertools import groupby, pairwise
 from typing import Literal, NamedTuple
 from zoneinfo import ZoneInfo
 
-from app.alarms.acts import ACKNOWLEDGE
-from app.alarms.alarm import Alarm, AlarmDefinition, built_in
-from app.alarms.journal.store import AlarmStore, entry_of
-from app.alarms.rules.performance import ObservedSpan
-from app.alarms.rules.state_machine import AlarmAttributes, AlarmFacts, Changed, acknowledge, observe
-from app.audit.acts import Act
-from app.audit.keys import open_keys
-from app.audit.log import EventLog
-from app.audit.proof import heads_of
-from app.conditions.catalogue import CONDITIONS
-from app.database import Database, StoreConnection
-from app.handover.acts import WRITE_NOTE
-from app.handover.notes import notes
-from app.handover.notes.notes import Note
-from app.handover.rules.shift_times import shift_at, site_time
-from app.history import recorder, tables
-from app.history.series.rollup import combine, minute_rollups
-from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, micros
-from app.history.series.values import DECIDING, Marks, ParameterStep, intervals
-from app.history.service import FILE
-from app.history.writer import MIGRATIONS
-from app.recipes import acts as recipe_acts
-from app.recipes.rules import Recipe, RecipeSetpoint
-from app.recipes.store import RecipeStore
-from app.sets import acts as set_acts
-from app.sets.model import ParameterRow, ParameterSet, UnitRows
-from app.sets.store import SetStore
+from app.core.database import Database, StoreConnection
+from app.core.web.admission.access import Person, Role
+from app.engineering.recipes import acts as recipe_acts
+from app.engineering.recipes.rules import Recipe, RecipeSetpoint
+from app.engineering.recipes.store import RecipeStore
+from app.engineering.sets import acts as set_acts
+from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows
+from app.engineering.sets.store import SetStore
+from app.line.alarms.acts import ACKNOWLEDGE
+from app.line.alarms.alarm import Alarm, AlarmDefinition, built_in
+from app.line.alarms.journal.store import AlarmStore, entry_of
+from app.line.alarms.rules.performance import ObservedSpan
+from app.line.alarms.rules.state_machine import AlarmAttributes, AlarmFacts, Changed, acknowledge, observe
+from app.line.conditions.catalogue import CONDITIONS
+from app.line.history import recorder, tables
+from app.line.history.series.rollup import combine, minute_rollups
+from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, micros
+from app.line.history.series.values import DECIDING, Marks, ParameterStep, intervals
+from app.line.history.service import FILE
+from app.line.history.writer import MIGRATIONS
+from app.people.audit.acts import Act
+from app.people.audit.keys import open_keys
+from app.people.audit.log import EventLog
+from app.people.audit.proof import heads_of
+from app.records.handover.acts import WRITE_NOTE
+from app.records.handover.notes import notes
+from app.records.handover.notes.notes import Note
+from app.records.handover.rules.shift_times import shift_at, site_time
 from app.settings import Settings
-from app.web.admission.access import Person, Role
 from bus.catalogue import numbers
 from bus.catalogue.parameters import PARAMETERS
 from bus.instants import UnixTime, unix_now

@@ -8,25 +8,25 @@ from pathlib import Path
 
 import click
 
-from app.audit.anchor import Anchors, anchor_file, read_anchor_file
-from app.audit.archive import ArchiveProof, prove_archive
-from app.audit.chain import ROTATED, KeyRing, newest_of
-from app.audit.former import Ends, origin_of
-from app.audit.keys import find_key_file, owners_of, read_key_file
-from app.audit.proof import AuditVerification, cuts_of, heads_of, prove
 from app.cli.ending import report
 from app.cli.options import PATH, config_option, json_option
 from app.cli.serving.serve import check_store
 from app.cli.site.log import has_store, reading_site, record, site_log
-from app.database.connection import examining
-from app.database.words import in_words
+from app.core.database.connection import examining
+from app.core.database.words import in_words
+from app.core.web.api.shape import message_shown
 from app.errors import StoreError
-from app.handover.signing.signatures import missing_signatures
-from app.postgresql.destination import Destination
-from app.postgresql.outbox import read_identity
-from app.postgresql.witness import compare
+from app.people.audit.anchor import Anchors, anchor_file, read_anchor_file
+from app.people.audit.archive import ArchiveProof, prove_archive
+from app.people.audit.chain import ROTATED, KeyRing, newest_of
+from app.people.audit.former import Ends, origin_of
+from app.people.audit.keys import find_key_file, owners_of, read_key_file
+from app.people.audit.proof import AuditVerification, cuts_of, heads_of, prove
+from app.records.handover.signing.signatures import missing_signatures
 from app.settings import Settings, load
-from app.web.api.shape import message_shown
+from app.system.postgresql.destination import Destination
+from app.system.postgresql.outbox import read_identity
+from app.system.postgresql.witness import compare
 from bus.errors import CallerError
 from bus.messages import Message, in_english
 

@@ -9,21 +9,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
-from app.backup.schedule import next_due
-from app.backup.service import newest_in
-from app.backup.stores import STORES
 from app.cli.findings.backup import folder_fault
 from app.cli.findings.machine import existing_part
-from app.database.connection import examining, has_table
-from app.database.migration import COMPANIONS
-from app.database.reserve import free_bytes
+from app.core.database.connection import examining, has_table
+from app.core.database.migration import COMPANIONS
+from app.core.database.reserve import free_bytes
 from app.errors import StoreError
-from app.history.series.runs import micros
-from app.history.service import FILE as HISTORY
-from app.history.service import seconds
-from app.history.status import MAX_DAYS, days_left, growth_of_events, growth_of_history
-from app.postgresql.outbox import read_cursor
+from app.line.history.series.runs import micros
+from app.line.history.service import FILE as HISTORY
+from app.line.history.service import seconds
+from app.line.history.status import MAX_DAYS, days_left, growth_of_events, growth_of_history
 from app.settings import STORE_FILE, Settings
+from app.system.backup.schedule import next_due
+from app.system.backup.service import newest_in
+from app.system.backup.stores import STORES
+from app.system.postgresql.outbox import read_cursor
 from bus.certificate import Certificate, MalformedCertificateError, certificates_in
 from bus.instants import UnixTime
 from bus.messages import Message

@@ -8,20 +8,20 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from app.audit.entry import EventKind
-from app.audit.keys import open_keys
-from app.audit.log import EventLog
-from app.audit.proof import heads_of
 from app.cli.serving.serve import check_store
 from app.cli.setup.rights import become_owner_of
-from app.database import Database, StoreConnection
-from app.database.connection import examining
-from app.database.migration import require_version
-from app.database.presence import presence_of
-from app.database.private import make_private
+from app.core.database import Database, StoreConnection
+from app.core.database.connection import examining
+from app.core.database.migration import require_version
+from app.core.database.presence import presence_of
+from app.core.database.private import make_private
+from app.core.web.admission.access import Person, Role
 from app.errors import StoreError
+from app.people.audit.entry import EventKind
+from app.people.audit.keys import open_keys
+from app.people.audit.log import EventLog
+from app.people.audit.proof import heads_of
 from app.settings import Settings
-from app.web.admission.access import Person, Role
 from bus.messages import Message
 
 

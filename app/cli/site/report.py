@@ -14,20 +14,20 @@ import click
 
 from app.cli.options import config_option, json_option
 from app.cli.site.log import reading_site
-from app.database import StoreConnection
-from app.database.connection import examining, snapshot
-from app.handover.rules.scope import EVERYTHING
-from app.handover.rules.shift_times import Shift, shift_at, site_time
-from app.handover.signing.signatures import signed_between
-from app.history.service import FILE as HISTORY
-from app.history.unit_report import UnitReport, stored_tail
-from app.reports.report import ReportedUnit, reported_buses, span_report
-from app.reports.rules.spans import DAY_S, MAX_DAYS
-from app.reports.tables import stops_text, units_text
+from app.core.database import StoreConnection
+from app.core.database.connection import examining, snapshot
+from app.core.web.api.shape import iso
+from app.core.web.rendering.csv_file import FOR_PROGRAMS
+from app.core.web.rendering.formats import lasting
+from app.line.history.service import FILE as HISTORY
+from app.line.history.unit_report import UnitReport, stored_tail
+from app.records.handover.rules.scope import EVERYTHING
+from app.records.handover.rules.shift_times import Shift, shift_at, site_time
+from app.records.handover.signing.signatures import signed_between
+from app.records.reports.report import ReportedUnit, reported_buses, span_report
+from app.records.reports.rules.spans import DAY_S, MAX_DAYS
+from app.records.reports.tables import stops_text, units_text
 from app.settings import Settings, load
-from app.web.api.shape import iso
-from app.web.rendering.csv_file import FOR_PROGRAMS
-from app.web.rendering.formats import lasting
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message, ParamValue, number

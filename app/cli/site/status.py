@@ -16,7 +16,7 @@ from app.cli.ending import report
 from app.cli.options import config_option, json_option, token_file_option, token_option
 from app.cli.serving.listening import url_of
 from app.cli.site.status_lines import facts_json, facts_lines, site_facts
-from app.server.settings import TlsSettings
+from app.core.server.settings import TlsSettings
 from app.settings import load
 from app.version import VERSION
 from bus.errors import LinesideError

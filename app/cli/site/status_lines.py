@@ -19,12 +19,12 @@ from app.cli.site.facts import (
     disk_facts,
     publisher_facts,
 )
-from app.handover.rules.shift_times import site_time
-from app.history.status import MAX_DAYS
-from app.peers.settings import PeerSettings
+from app.core.web.api.shape import iso, maybe_shown
+from app.line.history.status import MAX_DAYS
+from app.records.handover.rules.shift_times import site_time
 from app.settings import Settings
+from app.system.peers.settings import PeerSettings
 from app.version import VERSION
-from app.web.api.shape import iso, maybe_shown
 from bus.instants import UnixTime
 from bus.messages import Message, number
 

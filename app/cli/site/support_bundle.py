@@ -25,10 +25,10 @@ from app.cli.ending import report
 from app.cli.findings.check import OF_MACHINE
 from app.cli.options import PATH, config_option
 from app.cli.setup.service_unit import UNIT_FILE
-from app.database.connection import examining
-from app.database.private import fresh_file
-from app.database.reserve import free_bytes
-from app.database.words import in_words
+from app.core.database.connection import examining
+from app.core.database.private import fresh_file
+from app.core.database.reserve import free_bytes
+from app.core.database.words import in_words
 from app.errors import StoreError
 from app.settings import Settings, load
 from app.version import VERSION

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import click
 
-from app.backup.archive import write_archive
-from app.backup.files import files_of
-from app.backup.folder import write_to_folder
 from app.cli.ending import report
 from app.cli.options import PATH, config_option, json_option
 from app.settings import load
+from app.system.backup.archive import write_archive
+from app.system.backup.files import files_of
+from app.system.backup.folder import write_to_folder
 from bus.instants import unix_now
 from bus.messages import Message
 

@@ -14,15 +14,15 @@ import click
 from app.cli.ending import report
 from app.cli.options import config_option
 from app.cli.site.log import reading_site
-from app.database import StoreConnection
-from app.database.connection import examining
-from app.handover.rules.shift_times import site_time
-from app.history.series.runs import SECOND, micros
-from app.history.service import FILE as HISTORY
-from app.postgresql.destination import Destination
-from app.postgresql.outbox import HistoryRows, read_identity
-from app.postgresql.past import fill
+from app.core.database import StoreConnection
+from app.core.database.connection import examining
+from app.line.history.series.runs import SECOND, micros
+from app.line.history.service import FILE as HISTORY
+from app.records.handover.rules.shift_times import site_time
 from app.settings import Settings, load
+from app.system.postgresql.destination import Destination
+from app.system.postgresql.outbox import HistoryRows, read_identity
+from app.system.postgresql.past import fill
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message, number

@@ -15,29 +15,29 @@ from zoneinfo import ZoneInfo
 
 import click
 
-from app.audit.anchor import anchor_file, put_aside
-from app.audit.chain import Head, newest_of
-from app.audit.proof import heads_of
-from app.auth.rights.withheld import Present, Withheld, read_present, tokens_to_revoke, withhold
-from app.backup.archive import open_archive
-from app.backup.backup import Backup
-from app.backup.files import place_files
-from app.backup.folder import open_newest
-from app.backup.stores import STORES, fault_of
 from app.cli.ending import report
 from app.cli.options import PATH, config_option, yes_option
 from app.cli.setup.rights import become_owner_of
 from app.cli.site.log import open_log, reading_site, record
-from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
-from app.database import Database, StoreConnection
-from app.database.connection import examining, open_for_reading
-from app.database.migration import COMPANIONS, is_store
-from app.database.private import make_private, refuse_link
-from app.database.words import in_words
+from app.core.database import Database, StoreConnection
+from app.core.database.connection import examining, open_for_reading
+from app.core.database.migration import COMPANIONS, is_store
+from app.core.database.private import make_private, refuse_link
+from app.core.database.words import in_words
 from app.errors import StoreError
-from app.postgresql.destination import Destination
-from app.postgresql.outbox import read_identity
+from app.line.commands.safeguards.limits import Protection, keep_in_force, read_protection
+from app.people.audit.anchor import anchor_file, put_aside
+from app.people.audit.chain import Head, newest_of
+from app.people.audit.proof import heads_of
+from app.people.auth.rights.withheld import Present, Withheld, read_present, tokens_to_revoke, withhold
 from app.settings import STORE_FILE, Settings, load
+from app.system.backup.archive import open_archive
+from app.system.backup.backup import Backup
+from app.system.backup.files import place_files
+from app.system.backup.folder import open_newest
+from app.system.backup.stores import STORES, fault_of
+from app.system.postgresql.destination import Destination
+from app.system.postgresql.outbox import read_identity
 from bus.instants import UnixTime
 from bus.messages import Message, joined
 

@@ -11,7 +11,7 @@ import click
 
 from app.cli.ending import complain
 from app.cli.options import PATH, json_option
-from app.commands.api.trace_file import is_trace_line, parse_trace_line
+from app.line.commands.api.trace_file import is_trace_line, parse_trace_line
 from bus.contract import Frame
 from bus.errors import CallerError
 from bus.messages import Message

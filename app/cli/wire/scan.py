@@ -13,7 +13,7 @@ import click
 
 from app.cli.ending import complain, report, wrong_option
 from app.cli.options import ADDRESS, json_option
-from app.web.api.shape import maybe_shown, message_shown
+from app.core.web.api.shape import maybe_shown, message_shown
 from bus.errors import LinesideError
 from bus.line.scan.found import Found, conclude, settings_seen
 from bus.line.scan.passes import PASSES, no_response_s

@@ -1,0 +1,1 @@
+"""What every feature stands on: store, web, server, texts, help and search."""

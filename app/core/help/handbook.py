@@ -1,0 +1,174 @@
+"""Chapters as HTML: links between files become links between pages, and each section can be found.
+
+What renders Markdown is imported with the first page of the handbook, which most servers never show.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from markupsafe import Markup
+
+from app.core.help.chapters import BY_FILE, CHAPTERS, Chapter
+
+MAX_FOUND = 20
+ENGLISH = "en"
+AROUND = 80
+"""Characters of a section that are shown before and after what was found."""
+_PICTURES = "pictures/"
+FITTED = (
+    ("<pre>", '<pre tabindex="0">'),
+    ("<table", '<div class="table-wrap" tabindex="0"><table'),
+    ("</table>", "</table></div>"),
+    ("<th></th>", "<td></td>"),
+)
+"""What may be wider than a phone scrolls, and the keyboard reaches it. A column without a heading has none to
+read out."""
+
+
+@dataclass(frozen=True, slots=True)
+class HelpSection:
+    """A heading with the text below it, up to the next heading. ``anchor``: of the heading in its chapter."""
+
+    chapter: Chapter
+    title: str
+    anchor: str
+    text: str
+
+    @property
+    def href(self) -> str:
+        return f"/help/{self.chapter.name}#{self.anchor}"
+
+
+@dataclass(frozen=True, slots=True)
+class Rendered:
+    """A chapter in one language: its title, its HTML with that title, and its sections in order."""
+
+    title: str
+    html: Markup
+    sections: tuple[HelpSection, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Hit:
+    """A section that has all words of a search, and the part of its text around the first."""
+
+    section: HelpSection
+    excerpt: str
+
+
+class Handbook:
+    """The chapters of one folder, each rendered when it is first read."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.chapter = lru_cache(maxsize=2 * len(CHAPTERS))(self._chapter)
+
+    def _chapter(self, chapter: Chapter, language: str) -> Rendered:
+        file = chapter.file_in(language)
+        text = (self._folder / file).read_text(encoding="utf-8")
+        # A translation has the headings of the English chapter, in its order, under the same anchors.
+        english = () if file == chapter.file else self.chapter(chapter, ENGLISH).sections
+        return render(chapter, text, posixpath.dirname(file), [section.anchor for section in english])
+
+    def picture(self, name: str) -> Path | None:
+        """A picture of the handbook; None where there is none of this name."""
+        path = self._folder / _PICTURES / name
+        return path if re.fullmatch(r"[\w-]+\.png", name) and path.is_file() else None
+
+    def search(self, typed: str, language: str) -> list[Hit]:
+        """The sections with all of these words, those that have them in their title first."""
+        words = typed.casefold().split()
+        if not words:
+            return []
+        sections = (each for chapter in CHAPTERS for each in self.chapter(chapter, language).sections)
+        found = [each for each in sections if _has_all(f"{each.title} {each.text}", words)]
+        found.sort(key=lambda section: not _has_all(section.title, words))
+        return [Hit(section, _excerpt(section, words)) for section in found[:MAX_FOUND]]
+
+
+def render(chapter: Chapter, text: str, folder: str, anchors: Sequence[str] = ()) -> Rendered:
+    """A chapter from its Markdown. ``folder``: that of its file below docs/, from which its links lead.
+    ``anchors``: of its headings, where they are not made from their words."""
+    from markdown_it import MarkdownIt
+
+    parser = MarkdownIt("commonmark", {"html": False}).enable("table")
+    tokens = parser.parse(text)
+    sections = tuple(_sections(chapter, tokens, iter(anchors)))
+    for token in _all(tokens):
+        if token.type == "link_open":
+            _lead(token, folder)
+        elif token.type == "image":
+            token.attrSet("src", f"/help/{_PICTURES}{posixpath.basename(str(token.attrGet('src')))}")
+            token.attrSet("loading", "lazy")
+        elif token.type == "table_open":
+            token.attrSet("class", "table")
+    html = parser.renderer.render(tokens, parser.options, {})
+    for before, after in FITTED:
+        html = html.replace(before, after)
+    return Rendered(sections[0].title, Markup(html), sections)
+
+
+def slug(title: str) -> str:
+    """The anchor of a heading, as the pages of the repository have it."""
+    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+
+
+def _all(tokens: Sequence[Any]) -> Iterator[Any]:
+    for token in tokens:
+        yield token
+        yield from _all(token.children or ())
+
+
+def _sections(chapter: Chapter, tokens: Sequence[Any], anchors: Iterator[str]) -> Iterator[HelpSection]:
+    """Every heading gets its anchor, and is a section with all text up to the next."""
+    title, anchor, texts = "", "", list[str]()
+    for before, token in zip((None, *tokens), tokens, strict=False):
+        if token.type != "inline":
+            if token.type in ("fence", "code_block"):
+                texts.append(token.content)
+            continue
+        words = "".join(part.content or " " for part in token.children)
+        if before is None or before.type != "heading_open":
+            texts.append(words)
+            continue
+        if title:
+            yield HelpSection(chapter, title, anchor, " ".join(texts))
+        title, anchor, texts = words, next(anchors, slug(words)), []
+        before.attrSet("id", anchor)
+    yield HelpSection(chapter, title, anchor, " ".join(texts))
+
+
+def _lead(token: Any, folder: str) -> None:
+    """A link to a chapter leads to its page, one to another file nowhere: a wheel does not have it."""
+    href = str(token.attrGet("href"))
+    parts = urlsplit(href)
+    if parts.scheme or parts.netloc:
+        token.attrSet("rel", "noreferrer")
+        return
+    if not parts.path:
+        return
+    chapter = BY_FILE.get(posixpath.normpath(posixpath.join(folder, parts.path)))
+    if chapter is None:
+        del token.attrs["href"]
+        return
+    token.attrSet("href", f"/help/{chapter.name}" + (f"#{parts.fragment}" if parts.fragment else ""))
+
+
+def _has_all(text: str, words: Sequence[str]) -> bool:
+    folded = text.casefold()
+    return all(word in folded for word in words)
+
+
+def _excerpt(section: HelpSection, words: Sequence[str]) -> str:
+    text = " ".join(section.text.split())
+    at = max(text.casefold().find(words[0]), 0)
+    start = max(at - AROUND, 0)
+    return f"{'…' if start else ''}{text[start : at + AROUND]}{'…' if at + AROUND < len(text) else ''}"

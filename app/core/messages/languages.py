@@ -1,0 +1,223 @@
+"""The languages with their texts, by gettext, and which of them a reader gets."""
+
+from __future__ import annotations
+
+import gettext
+import hashlib
+import unicodedata
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from datetime import datetime
+from functools import cache, cached_property
+from io import BytesIO
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+from babel.numbers import get_decimal_symbol
+
+from app.core.messages.locales import day, locale_of, minute, moment
+from app.core.time_zone import UTC
+from bus.messages import TEXTS, Message, Plural
+
+
+class Language:
+    """``path`` is its catalog, named after the locale for numbers and dates; it is read with the first
+    text that is wanted. ``time_zone``: that of the site, by its IANA name."""
+
+    def __init__(self, path: Path, kept_in: Path | None = None, time_zone: str = UTC) -> None:
+        self.locale = path.stem
+        self.tag = self.locale.split("_")[0]
+        self._path = path
+        self._kept_in = kept_in
+        self._time_zone = time_zone
+
+    def __str__(self) -> str:
+        return self.tag
+
+    def t(self, text: str | Message, /, **values: object) -> str:
+        """The text in this language (in English when it is not translated), ``{names}`` filled in."""
+        if isinstance(text, Message):
+            return text.render(self)
+        text = self.term(text)
+        return text.format(**self._isolated(values)) if values else text
+
+    def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
+        """The text for a count: ``one`` for exactly one, else ``many`` (as this language divides them);
+        ``{n}`` in it is the count."""
+        return self.catalog.ngettext(one, many, n).format(n=n, **self._isolated(values))
+
+    def term(self, text: str) -> str:
+        """A text of the catalog in this language; as it is where there is no translation."""
+        return self.catalog.gettext(text) if text else ""
+
+    def time(self, text: str) -> str:
+        """A date or a time in ISO 8601 by the clock of the site; one without a zone is by that clock already.
+        What is no such time stays as it is."""
+        locale = locale_of(self.locale)
+        try:
+            at = datetime.fromisoformat(text)
+            if len(text) == len("2026-11-26"):
+                return day(at, locale)
+            if at.tzinfo is None:
+                return minute(at, locale)
+            return moment(at.astimezone(ZoneInfo(self._time_zone)), locale)
+        except (ValueError, OverflowError):
+            return text
+
+    def isolated(self, text: str) -> str:
+        """As it is: in mail, CSV and the API, programs compare names."""
+        return text
+
+    def _isolated(self, values: Mapping[str, object]) -> dict[str, object]:
+        """Markup has its own isolation, by its elements."""
+        return {name: self.isolated(value) if type(value) is str else value for name, value in values.items()}
+
+    @cached_property
+    def on_screen(self) -> Language:
+        """This language for pages, and for what a script shows on them."""
+        return _OnScreen(self)
+
+    def template(self, code: str, n: object) -> str | None:
+        """The text of a message, its names in braces; None: there is no such code."""
+        english = TEXTS.get(code)
+        if isinstance(english, Plural):
+            count = n if isinstance(n, int) else 0
+            return self.catalog.npgettext(code, english.one, english.many, count)
+        return english and self.catalog.pgettext(code, english)
+
+    def read(self) -> None:
+        """Read the catalog now, in any thread, rather than with the first text."""
+        _ = self.catalog
+
+    def compile(self) -> None:
+        """Let the catalog be kept compiled, to be read within milliseconds with the first text."""
+        compiled(self._path, self._kept_in)
+
+    @cached_property
+    def name(self) -> str:
+        """What the language calls itself."""
+        return str(locale_of(self.locale).languages.get(self.tag, self.tag))
+
+    @cached_property
+    def point(self) -> str:
+        """The decimal sign."""
+        return get_decimal_symbol(locale_of(self.locale))
+
+    @cached_property
+    def catalog(self) -> gettext.GNUTranslations:
+        return compiled(self._path, self._kept_in)
+
+
+FIRST_STRONG_ISOLATE, POP_DIRECTIONAL_ISOLATE = "\u2068", "\u2069"
+"""Around a text whose own letters decide its direction, as ``<bdi>`` does (Unicode Annex 9), but also in
+titles, in attributes and in what a script shows."""
+_FROM_RIGHT_TO_LEFT = frozenset(("R", "AL"))
+
+
+class _OnScreen(Language):
+    """A language whose texts isolate each name with letters from right to left."""
+
+    def __init__(self, plain: Language) -> None:
+        super().__init__(plain._path, plain._kept_in, plain._time_zone)
+        self._plain = plain
+
+    def isolated(self, text: str) -> str:
+        """The text between isolates where it has such letters; no other character of it changes."""
+        if text.isascii() or _FROM_RIGHT_TO_LEFT.isdisjoint(map(unicodedata.bidirectional, text)):
+            return text
+        return f"{FIRST_STRONG_ISOLATE}{text}{POP_DIRECTIONAL_ISOLATE}"
+
+    @cached_property
+    def catalog(self) -> gettext.GNUTranslations:
+        return self._plain.catalog
+
+
+DIGEST_BYTES = 32
+"""Of the source, before the catalog that was compiled from it."""
+
+
+def compiled(path: Path, kept_in: Path | None) -> gettext.GNUTranslations:
+    """The catalog of a ``.po`` file. To parse one takes a tenth of a second, so what comes of it is kept in
+    ``kept_in`` until the file changes. A folder that cannot be written costs that time and nothing else."""
+    source = path.read_bytes()
+    digest = hashlib.sha256(source).digest()
+    kept = kept_in / f"{path.stem}.mo" if kept_in is not None else None
+    if kept is not None:
+        with suppress(OSError):
+            data = kept.read_bytes()
+            if data[:DIGEST_BYTES] == digest:
+                return gettext.GNUTranslations(BytesIO(data[DIGEST_BYTES:]))
+    data = _parsed(source, path.stem)
+    if kept is not None:
+        with suppress(OSError):
+            kept.parent.mkdir(0o700, parents=True, exist_ok=True)
+            unfinished = kept.with_suffix(".new")
+            unfinished.write_bytes(digest + data)
+            unfinished.replace(kept)
+    return gettext.GNUTranslations(BytesIO(data))
+
+
+def _parsed(source: bytes, locale: str) -> bytes:
+    # Only here, because importing it takes as long as half a catalog.
+    from babel.messages.mofile import write_mo
+    from babel.messages.pofile import read_po
+
+    target = BytesIO()
+    # Of a catalog without a locale, Babel leaves the rule for plurals out.
+    write_mo(target, read_po(BytesIO(source), locale=locale))
+    return target.getvalue()
+
+
+DEFAULT = "en"
+FOLDER = Path(__file__).parent
+MAX_HEADER = 400
+"""Characters of Accept-Language that are read; browsers send a dozen tags at most."""
+
+
+class Languages:
+    """Every language that has a catalog. ``kept_in``: where catalogs stay compiled between starts.
+    ``time_zone``: as of a Language."""
+
+    def __init__(self, folder: Path = FOLDER, kept_in: Path | None = None, time_zone: str = UTC) -> None:
+        self._all = {tag: _language(path, kept_in, time_zone) for tag, path in catalogs(folder).items()}
+
+    def __iter__(self) -> Iterator[Language]:
+        return iter(self._all.values())
+
+    def __contains__(self, tag: object) -> bool:
+        return tag in self._all
+
+    def __getitem__(self, tag: str) -> Language:
+        """The language, English for a tag there is no catalog for."""
+        return self._all.get(tag) or self._all[DEFAULT]
+
+    def choose(self, preferred: str, accept_language: str, otherwise: str) -> Language:
+        """The person's own choice, else the browser's (RFC 9110, 12.5.4), else the site's."""
+        if preferred in self._all:
+            return self._all[preferred]
+        for tag in _by_preference(accept_language):
+            if tag in self._all:
+                return self._all[tag]
+        return self[otherwise]
+
+
+def catalogs(folder: Path = FOLDER) -> dict[str, Path]:
+    """Each language's tag and its catalog: ``en_GB.po`` is the catalog of ``en``."""
+    return {path.stem.split("_")[0]: path for path in sorted(folder.glob("*.po"))}
+
+
+_language = cache(Language)
+"""One for each file, so that a catalog is read once in a process."""
+
+
+def _by_preference(accept_language: str) -> list[str]:
+    """``de-AT,de;q=0.9,en;q=0.8`` → ``["de-at", "de", "en"]``, each tag followed by its main part."""
+    weighed: list[tuple[float, str]] = []
+    for part in accept_language[:MAX_HEADER].split(","):
+        tag, _, weight = part.strip().partition(";q=")
+        try:
+            weighed.append((float(weight or 1), tag.lower()))
+        except ValueError:
+            continue
+    weighed.sort(key=lambda pair: -pair[0])
+    return [each for _, tag in weighed for each in (tag, tag.split("-")[0])]

@@ -1,0 +1,113 @@
+"""Finds the client of a request behind proxies: X-Forwarded-For, -Proto and -Host of trusted ones.
+
+No others are believed: the address reaches the audit log and the limits of sign-ins.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from app.core.server.admission.addresses import Network, canonical, is_within, parse_address, source_of
+from app.core.server.admission.refusal import TOO_MANY_REQUESTS
+
+MAX_HOPS = 20
+MAX_UNDER_WAY = 200
+"""Requests of one address behind a proxy; all browsers of a plant may have one."""
+_PORT = re.compile(r"(?:\[(?P<v6>[^\]]*)\]|(?P<v4>[^:]*))(?::\d{1,5})?")
+_HOST = re.compile(r"[A-Za-z0-9._-]{1,253}(?::\d{1,5})?|\[[0-9A-Fa-f:.]{2,45}\](?::\d{1,5})?")
+_SOCKET_SCHEMES = {"http": "ws", "https": "wss"}
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """The client by a trusted proxy; ``scheme`` and ``host`` are empty where it does not report them."""
+
+    address: str
+    scheme: str = ""
+    host: str = ""
+
+
+def origin_of(peer: str, headers: Headers, trusted: Collection[Network]) -> Origin:
+    """Return the client. ``peer``: the other end of the connection, believed only when it is ``trusted``.
+
+    Each proxy appends the address of its client, so the right-most one that is no trusted proxy is the
+    client; what is left of it can be made up.
+    """
+    if not is_within(peer, trusted):
+        return Origin(canonical(peer))
+    scheme = _last(headers, "x-forwarded-proto").lower()
+    host = _last(headers, "x-forwarded-host")
+    return Origin(
+        _client(peer, ",".join(headers.getlist("x-forwarded-for")), trusted),
+        scheme if scheme in _SOCKET_SCHEMES else "",
+        host if _HOST.fullmatch(host) else "",
+    )
+
+
+def _client(peer: str, forwarded_for: str, trusted: Collection[Network]) -> str:
+    client = peer
+    for hop in reversed(forwarded_for.rsplit(",", MAX_HOPS)[-MAX_HOPS:]):
+        address = parse_address(_without_port(hop.strip()))
+        if address is None:
+            break
+        client = str(address)
+        if not is_within(client, trusted):
+            break
+    return canonical(client)
+
+
+def _without_port(text: str) -> str:
+    found = _PORT.fullmatch(text)
+    return (found["v6"] or found["v4"] or "") if found else text
+
+
+def _last(headers: Headers, name: str) -> str:
+    return ",".join(headers.getlist(name)).rpartition(",")[2].strip()
+
+
+class Forwarded:
+    """Puts into the scope of a request whom it is from, and what its client called this server.
+
+    A proxy's connections carry requests of many, so those of each client are counted here as the connections
+    of others are (`app.core.server.connection.connections`).
+    """
+
+    def __init__(self, app: ASGIApp, trusted: Collection[Network]) -> None:
+        self._app = app
+        self._trusted = trusted
+        self._under_way: Counter[str] = Counter()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket") or not scope.get("client"):
+            await self._app(scope, receive, send)
+            return
+        peer, port = scope["client"]
+        origin = origin_of(peer, Headers(scope=scope), self._trusted)
+        scope["client"] = (origin.address, port)
+        if origin.scheme:
+            is_socket = scope["type"] == "websocket"
+            scope["scheme"] = _SOCKET_SCHEMES[origin.scheme] if is_socket else origin.scheme
+        if origin.host:
+            MutableHeaders(scope=scope)["host"] = origin.host
+        if scope["type"] == "http" and is_within(peer, self._trusted):
+            await self._count(source_of(origin.address), scope, receive, send)
+        else:
+            await self._app(scope, receive, send)
+
+    async def _count(self, source: str, scope: Scope, receive: Receive, send: Send) -> None:
+        if self._under_way[source] >= MAX_UNDER_WAY:
+            await TOO_MANY_REQUESTS(scope, receive, send)
+            return
+        self._under_way[source] += 1
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._under_way[source] -= 1
+            if not self._under_way[source]:
+                del self._under_way[source]

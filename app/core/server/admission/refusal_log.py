@@ -1,0 +1,91 @@
+"""The log of requests that were refused: one line for an address, and then their number once a minute.
+
+A client decides how many requests it sends: a line for each, and more so a traceback, would let it fill the
+disk.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import structlog
+
+from app.core.server.admission.addresses import source_of
+from app.core.server.admission.repeats import Repeats
+from bus.instants import MonotonicClock, monotonic_now
+
+_log = structlog.get_logger()
+OTHERS = "others"
+"""Stands for all that are counted together."""
+
+REFUSED = frozenset({400, 401, 403, 408, 413, 414, 415, 417, 421, 429, 431})
+"""Statuses that a client gets for what it may not do or cannot mean; one that mistypes gets others."""
+MAX_SHOWN = 100
+"""Characters of what a client sent."""
+_OF_CLIENTS = frozenset(
+    {
+        "ASGI callable returned without completing handshake.",
+        "Invalid UTF-8 sequence received from client.",
+        "opening handshake failed",
+        "parser failed",
+    }
+)
+"""What uvicorn and websockets log of a refused handshake or frame, which is noted here by its address."""
+
+
+class RefusalLog:
+    """Logs what was refused, by the address of the client."""
+
+    def __init__(self, now: MonotonicClock = monotonic_now) -> None:
+        self._now = now
+        self._repeats = Repeats[str]()
+
+    def note(self, address: str, reason: str, request: str = "") -> None:
+        """Count one more refusal. ``request``: its path, of which the first is shown."""
+        source = source_of(address)
+        if self._repeats.note(source, source, self._now()):
+            _log.warning("request refused", address=source, reason=reason, request=request[:MAX_SHOWN])
+
+    def sum_up(self) -> None:
+        """Log the numbers of the minutes that have passed; to be called about once a second."""
+        for each in self._repeats.take_counted(self._now()):
+            source = OTHERS if each.is_of_others else each.item
+            _log.warning(f"refused {each.count:,} requests from {source} in the last minute")
+
+
+class ErrorLines(logging.Handler):
+    """Logs the errors that uvicorn and asyncio report, each once a minute: with its traceback where it is a
+    failure of ours, without where a client has caused it."""
+
+    def __init__(self, now: MonotonicClock = monotonic_now) -> None:
+        super().__init__(logging.ERROR)
+        self._now = now
+        self._repeats = Repeats[str]()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = record.getMessage().partition("\n")[0].strip()
+        error = record.exc_info[1] if record.exc_info else None
+        place = f"{text} {_place_of(error)}".strip()
+        if text not in _OF_CLIENTS and self._repeats.note(place, place, self._now()):
+            _log.error(text, exc_info=error)
+
+    def install(self) -> None:
+        """Make this the only handler of these loggers."""
+        for name in ("uvicorn", "asyncio"):
+            logger = logging.getLogger(name)
+            logger.handlers, logger.propagate = [self], False
+
+    def sum_up(self) -> None:
+        """Log how often each text came in the minutes that have passed."""
+        for each in self._repeats.take_counted(self._now()):
+            text = OTHERS if each.is_of_others else each.item
+            _log.error(f"{each.count:,} times more in the last minute: {text}")
+
+
+def _place_of(error: BaseException | None) -> str:
+    """Return the place at which an exception was raised."""
+    trace = error.__traceback__ if error else None
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = "" if trace is None else f"{trace.tb_frame.f_code.co_qualname}:{trace.tb_lineno}"
+    return f"{type(error).__name__} in {where}" if error else ""

@@ -1,0 +1,195 @@
+"""The user of a request, and the role that a route requires.
+
+Every route declares a role with one of the dependencies here or is declared public; the app does
+not start otherwise (`app.core.web.admission.routes`). The person is put into the ASGI scope by
+`app.people.auth.rights.access`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Annotated, Literal, TypedDict
+
+from fastapi import Depends
+from starlette.requests import HTTPConnection
+
+from app.core.web.admission.arrival import refuse_late
+from app.errors import Problem
+from bus.errors import CallerError
+from bus.instants import UnixTime
+from bus.messages import Message, term
+
+Via = Literal["session", "token", "worker", "demo", "console"]
+"""How a person is known; ``console``: calls the command line of the server, and sends no request."""
+
+
+class Author(TypedDict):
+    """Whose an event is."""
+
+    who: str
+    origin: Via
+
+
+AccountSubscriber = Callable[[str], Awaitable[None]]
+"""Called with an account of which something changed."""
+
+
+class Role(StrEnum):
+    """Permissions. Each of the first four includes those before it; ``worker`` opens /feed and nothing else,
+    and no other role opens /feed: commands are verified by the reports of a worker."""
+
+    VIEWER = "viewer"
+    OPERATOR = "operator"
+    ENGINEER = "engineer"
+    ADMIN = "admin"
+    WORKER = "worker"
+
+    def includes(self, other: Role | str) -> bool:
+        """Whether this role may do what ``other`` may (templates name it by its word)."""
+        other = Role(other)
+        if Role.WORKER in (self, other):
+            return self is other
+        return PEOPLE_ROLES.index(self) >= PEOPLE_ROLES.index(other)
+
+
+PEOPLE_ROLES = (Role.VIEWER, Role.OPERATOR, Role.ENGINEER, Role.ADMIN)
+"""In the order of what they may do; each may what those before it may."""
+_TOKEN = " (token)"
+
+
+def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
+    """Raises CallerError for a word that is none of these."""
+    roles = list(among)
+    if word not in roles:
+        raise CallerError(Message.of("no_such_role", role=word[:80], known=", ".join(roles)))
+    return Role(word)
+
+
+@dataclass(frozen=True)
+class Person:
+    """A signed-in user: a person, a panel or a program."""
+
+    name: str
+    role: Role
+    via: Via
+    language: str = ""
+    panel: bool = False
+    home: str = "/"
+    created_at: UnixTime = UnixTime(0.0)
+    """When the account was made, Unix time in seconds: a later one of the same name is another."""
+    bus: str = ""
+    """The one bus that a worker speaks for."""
+    has_company_account: bool = False
+    """Whether the person signs in by the provider of company accounts, and has no password."""
+    credential: str = field(default="", repr=False, compare=False)
+    """Identifies the credential, distinct from an earlier one of the same account."""
+    address: str | Message = field(default="", compare=False)
+    """Where the request came from: the address of its client, or the command line."""
+
+    @property
+    def has_account(self) -> bool:
+        """Whether it is a user or a token of the store, whose rights can be withdrawn."""
+        return self.via in ("session", "token")
+
+    @property
+    def account(self) -> str:
+        return account_of(self.name, token=self.via == "token")
+
+    @property
+    def author(self) -> Author:
+        """As the author of an event: ``events.record(**person.author, …)``."""
+        return {"who": self.name, "origin": self.via}
+
+    @property
+    def sender(self) -> str:
+        """Identifies the account, distinct from an earlier one of the same name."""
+        return f"{self.account} {self.created_at!r}"
+
+
+def account_of(name: str, *, token: bool) -> str:
+    """A user and a token may have the same name. No name has a space, so none can pass for another."""
+    return f"{name}{_TOKEN}" if token else name
+
+
+def account_shown(account: str) -> str | Message:
+    """The account as the value of a message, in the reader's language where it is a program."""
+    name, is_token = name_of(account)
+    return Message.of("account_of_token", name=name) if is_token else account
+
+
+def name_of(account: str) -> tuple[str, bool]:
+    """The name of an account, and whether it is a token."""
+    return account.removesuffix(_TOKEN), account.endswith(_TOKEN)
+
+
+def address_of(connection: HTTPConnection) -> str:
+    """The address of the client; empty where the server knows none."""
+    return connection.client.host if connection.client else ""
+
+
+def person_of(connection: HTTPConnection) -> Person | None:
+    """The user of a request; None where no one is signed in."""
+    person: Person | None = connection.scope.get("person")
+    return person
+
+
+@dataclass(frozen=True)
+class Requires:
+    """A dependency: refuses a user with less than ``role`` and a write that comes late; returns the user.
+    ``act`` is the name of the act or command that the route carries out.
+
+    It is resolved once in a request, before the body is read (`app.core.web.admission.routes`); the route
+    gets the result.
+    """
+
+    role: Role
+    act: str = ""
+
+    async def __call__(self, connection: HTTPConnection) -> Person:
+        """Raises what :meth:`resolve` raises."""
+        resolved: dict[Requires, Person] = connection.scope.setdefault("requirements", {})
+        if self not in resolved:
+            resolved[self] = await self.resolve(connection)
+        return resolved[self]
+
+    async def resolve(self, connection: HTTPConnection) -> Person:
+        """Raises Problem 401, 403 or, for a write that was held up on its way, 503 ``not_sent``."""
+        person = self.permitted(connection)
+        refuse_late(connection)
+        return person
+
+    def permitted(self, connection: HTTPConnection) -> Person:
+        """The person alone. Raises Problem 401 or 403."""
+        person = person_of(connection)
+        if person is None:
+            raise not_signed_in()
+        refuse_without(self.role, person)
+        return person
+
+
+def refuse_without(role: Role, person: Person) -> None:
+    """Raises Problem 403 ``forbidden`` for a person whose role does not include ``role``."""
+    if person.role.includes(role):
+        return
+    present = term(person.role)
+    raise Problem(
+        403, "forbidden", Message.of("role_needed", role=term(role), name=person.name, present=present)
+    )
+
+
+async def public() -> None:
+    """For ``dependencies=[Depends(public)]``: a route without sign-in."""
+
+
+def not_signed_in() -> Problem:
+    """The refusal of a request without a user."""
+    problem = Problem(401, "unauthorized", Message("sign_in_needed"))
+    return problem.with_headers(WWW_Authenticate="Bearer")
+
+
+Viewer = Annotated[Person, Depends(Requires(Role.VIEWER))]
+Engineer = Annotated[Person, Depends(Requires(Role.ENGINEER))]
+Admin = Annotated[Person, Depends(Requires(Role.ADMIN))]
+Worker = Annotated[Person, Depends(Requires(Role.WORKER))]

@@ -1,0 +1,85 @@
+"""Pages and files for everyone, signed in or not: static files, the sign of life, and what makes the pages an
+app on a device (manifest, service worker, the page for no connection).
+
+The service worker keeps nothing but that page: old values must never look like new ones.
+"""
+
+from __future__ import annotations
+
+import json
+
+from fastapi import APIRouter, Depends
+from starlette.requests import Request
+from starlette.responses import JSONResponse, RedirectResponse, Response
+
+from app.core.web.admission.access import public
+from app.core.web.rendering.assets import Assets
+from app.core.web.rendering.templating import render, templates_of
+from app.core.web.services import service_of
+
+router = APIRouter(dependencies=[Depends(public)], include_in_schema=False)
+KEPT = ("css/lineside.css", "js/theme.js", "js/offline.js", "icons/sprite.svg")
+"""What the service worker keeps, for the page for no connection."""
+OFFLINE = "/offline"
+FOREVER = "public, max-age=31536000, immutable"
+
+
+@router.get("/static/{version}/{name:path}")
+async def static_file(request: Request, version: str, name: str) -> Response:
+    """A file under the address that names its version; under another version it is not kept."""
+    assets = service_of(request, Assets)
+    return assets.get(name).response(request, FOREVER if version == assets.version else "no-cache")
+
+
+@router.get("/healthz")
+async def health() -> dict[str, str]:
+    """Responds once the app serves."""
+    return {"status": "ok"}
+
+
+@router.get("/manifest.webmanifest")
+async def manifest(request: Request) -> Response:
+    """The app's name, colors and icons; another name and icon where no drive is connected."""
+    assets, templates = service_of(request, Assets), templates_of(request)
+    name, unreal = templates.site.name, templates.is_unreal
+    icon = "icons/lineside-unreal" if unreal else "icons/lineside"
+    content = {
+        "name": f"[SIM] {name}" if unreal else name,
+        "short_name": "Lineside",
+        "start_url": "/",
+        "scope": "/",
+        "display": "standalone",
+        "background_color": "#d6d9db",
+        "theme_color": "#5a4a8a" if unreal else "#e4e6e8",
+        "icons": [
+            {"src": assets.url(f"{icon}.svg"), "sizes": "any", "type": "image/svg+xml"},
+            {"src": assets.url(f"{icon}-192.png"), "sizes": "192x192", "type": "image/png"},
+            {"src": assets.url(f"{icon}-512.png"), "sizes": "512x512", "type": "image/png"},
+        ],
+    }
+    return JSONResponse(
+        content, media_type="application/manifest+json", headers={"Cache-Control": "no-cache"}
+    )
+
+
+@router.get("/sw.js")
+async def service_worker(request: Request) -> Response:
+    """The service worker, for the site; it changes with the assets."""
+    assets = service_of(request, Assets)
+    kept = json.dumps([assets.url(name) for name in KEPT])
+    head = f"const OFFLINE = {json.dumps(OFFLINE)};\nconst KEPT = {kept};\n"
+    body = head.encode() + assets.get("js/sw.js").body
+    return Response(body, media_type="text/javascript", headers={"Cache-Control": "no-cache"})
+
+
+@router.get(OFFLINE)
+async def offline(request: Request) -> Response:
+    """What a device shows that reaches no server: that it does not."""
+    return render(request, "web/offline.html")
+
+
+@router.get("/favicon.ico")
+async def favicon(request: Request) -> Response:
+    """For browsers that request it without reading the page."""
+    icon = "icons/lineside-unreal.svg" if templates_of(request).is_unreal else "icons/lineside.svg"
+    return RedirectResponse(service_of(request, Assets).url(icon))

@@ -1,0 +1,190 @@
+"""Pages and fragments: one Jinja environment per language, strict and escaping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from time import time
+from typing import Any
+
+from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
+from jinja2.bccache import Bucket
+from starlette.requests import HTTPConnection
+from starlette.responses import HTMLResponse
+
+from app.core.messages import Language, Languages
+from app.core.web.admission.access import Person, Role, person_of
+from app.core.web.rendering.assets import Assets
+from app.core.web.rendering.formats import Formats
+from app.core.web.rendering.head_control import HeadControl
+from app.core.web.rendering.head_tray import HeadTray
+from app.core.web.rendering.navigation import HELP, ON_PHONE, PageLines, pages_for
+from app.core.web.services import service_of
+from app.settings import Site
+from bus.messages import parameter_name
+
+
+@dataclass(frozen=True, slots=True)
+class PageHead:
+    """What the head of a page shows from its first paint, before a script has run. ``alarms``: the fields of
+    the alarms in the language of a reader."""
+
+    alarms: Callable[[Language], Mapping[str, Any]]
+
+
+class Compiled(FileSystemBytecodeCache):
+    """To compile what the first page needs takes a tenth of a second; one changed file is compiled again.
+
+    A folder that cannot be written costs that time and nothing else.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        with suppress(OSError):
+            folder.mkdir(0o700, parents=True, exist_ok=True)
+        super().__init__(str(folder))
+
+    def load_bytecode(self, bucket: Bucket) -> None:
+        """Load the compiled form of one template, if it is stored."""
+        with suppress(OSError):
+            super().load_bytecode(bucket)
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        with suppress(OSError):
+            super().dump_bytecode(bucket)
+
+
+WEBSOCKET_LINES = (
+    'proxy_http_version 1.1; proxy_set_header Upgrade $http_upgrade; proxy_set_header Connection "upgrade";'
+)
+"""What makes nginx pass WebSockets."""
+
+
+class Templates:
+    """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
+    ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``,
+    ``on_phone``, ``help_of``, and the filters ``parameter``, which names one by its number, and ``isolated``,
+    for a name beside other text; in a page or fragment of a request also ``person``, ``request``, ``path``,
+    ``head_alarms()``, ``controls()``, ``trays()``, ``has_lines()``, ``rail_pages()``
+    and ``may()``, whether the person may send a command or perform an
+    act, by its name. ``kept_in``: where they stay compiled between two starts."""
+
+    def __init__(
+        self,
+        folder: Path,
+        assets: Assets,
+        site: Site,
+        *,
+        demo: bool = False,
+        kept_in: Path | None = None,
+        page_digest: str = "",
+    ) -> None:
+        self.languages = Languages(kept_in=kept_in, time_zone=site.zone)
+        self.site = site
+        self.page_digest = page_digest
+        self._demo = demo
+        self._roles: dict[str, Role] = {}
+        self._assets = assets
+        self._loader = FileSystemLoader(folder)
+        self._compiled = Compiled(kept_in) if kept_in is not None else None
+        self.environment = cache(self._environment)
+
+    def _environment(self, tag: str) -> Environment:
+        language = self.languages[tag].on_screen
+        environment = Environment(
+            loader=self._loader,
+            bytecode_cache=self._compiled,
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        environment.globals |= {
+            "t": language.t,
+            "tn": language.tn,
+            "language": language,
+            "languages": self.languages,
+            "formats": self.formats(tag),
+            "asset": self._assets.url,
+            "imports": self._assets.imports,
+            "site": self.site,
+            "page_digest": self.page_digest,
+            "demo": self._demo,
+            "Role": Role,
+            "on_phone": ON_PHONE,
+            "help_of": HELP,
+            "websocket_lines": WEBSOCKET_LINES,
+        }
+        environment.filters["parameter"] = lambda number: language.t(parameter_name(number))
+        environment.filters["isolated"] = language.isolated
+        return environment
+
+    @property
+    def is_unreal(self) -> bool:
+        """Whether no drive is connected, in a demonstration or by the configuration."""
+        return self._demo or self.site.simulated
+
+    def formats(self, tag: str) -> Formats:
+        """Number and time formatting of a language."""
+        return Formats(self.languages[tag].locale, self.site.zone)
+
+    def text(self, tag: str, name: str, /, **context: Any) -> str:
+        """A template in one language, for rendering without a request."""
+        return self.environment(tag).get_template(name).render(context)
+
+    def permit(self, roles: Mapping[str, Role]) -> None:
+        """Add what needs a role, by the name that templates give to ``may()``. Raises RuntimeError for a name
+        that is there already."""
+        if twice := roles.keys() & self._roles.keys():
+            raise RuntimeError(f"two commands or acts are named {', '.join(sorted(twice))}")
+        self._roles |= roles
+
+    def may(self, person: Person | None, name: str) -> bool:
+        """Whether ``person`` may send a command or perform an act; each interface refuses the others."""
+        return person is not None and person.role.includes(self._roles[name])
+
+    def language_of(self, connection: HTTPConnection) -> Language:
+        person = person_of(connection)
+        preferred = person.language if person else ""
+        accepted = connection.headers.get("accept-language", "")
+        return self.languages.choose(preferred, accepted, self.site.language)
+
+
+def templates_of(connection: HTTPConnection) -> Templates:
+    return service_of(connection, Templates)
+
+
+def render(
+    request: HTTPConnection,
+    name: str,
+    /,
+    *,
+    status: int = 200,
+    headers: Mapping[str, str] | None = None,
+    **context: Any,
+) -> HTMLResponse:
+    """A page or fragment in the language of the request, never kept by a cache."""
+    templates = templates_of(request)
+    person: Person | None = person_of(request)
+    language = templates.language_of(request).on_screen
+    head = partial(service_of, request, PageHead)
+    # The context is given beside these and not merged, so that it cannot replace one of them. The services
+    # are used by a page with a head, and by no fragment.
+    html = templates.text(
+        language.tag,
+        name,
+        person=person,
+        may=partial(templates.may, person),
+        request=request,
+        path=request.url.path,
+        now=time(),
+        has_lines=lambda: service_of(request, PageLines).has_several,
+        rail_pages=lambda: pages_for(service_of(request, PageLines), partial(templates.may, person)),
+        head_alarms=lambda: head().alarms(language),
+        controls=lambda: service_of(request, HeadControl).of_buses(),
+        trays=lambda: service_of(request, HeadTray).of(person) if person else (),
+        **context,
+    )
+    return HTMLResponse(html, status, {"Cache-Control": "no-store", **(headers or {})})

@@ -1,0 +1,218 @@
+"""Recipes over HTTP: listed, saved as versions, tried out, loaded; with the schemas of them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Header, Request, Response
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from app.core.web.admission.access import Person, Viewer
+from app.core.web.admission.arrival import made_at
+from app.core.web.admission.turns import SEARCH
+from app.core.web.api.route import ApiRoute
+from app.core.web.api.shape import StrictBody, UnitAddresses, ZonedTime, iso, parse_integer
+from app.core.web.services import service
+from app.engineering.recipes.acts import DELETE, LOAD, SAVE
+from app.engineering.recipes.book import RecipeBook
+from app.engineering.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, setpoints_now
+from app.engineering.recipes.runs import MAX_LOADS, RecipeRuns, runs_of
+from app.errors import Problem, or_404
+from app.line.commands.api.commands import RESULT_RESPONSES
+from app.line.commands.api.responses import FramesWanted, command_response
+from app.line.commands.catalogue import SET_LINE
+from app.line.commands.rules.setpoint import setpoint_text
+from app.line.commands.service.writer import permitted_writer
+from app.line.live.api.routes import Live
+from app.line.live.api.schemas import Time
+from app.line.live.lookup import bus_or_404
+from app.line.live.state.bus_live import BusLive
+from app.people.audit.api import Events
+from app.people.audit.queries import Filter
+from bus.instants import UnixTime
+from bus.messages import Message
+from bus.text import Lines, OneLine
+
+router = APIRouter(prefix="/api/v1", tags=["recipes"], route_class=ApiRoute)
+
+RecipeRaw = Annotated[int, Field(ge=0, le=99999)]
+
+
+class SaveRecipeRequest(StrictBody):
+    """``setpoints``: unit → raw; without any, the setpoints that the line has now."""
+
+    name: Annotated[OneLine, Field(min_length=1, max_length=80)]
+    comment: Annotated[Lines, Field(max_length=1000)] = ""
+    setpoints: Annotated[dict[str, RecipeRaw], Field(max_length=255, default_factory=dict)]
+
+
+class LoadRecipeRequest(StrictBody):
+    """``confirm``: steps that an engineer wants reviewed have been reviewed. ``leave_out``: units that keep
+    their present setpoint; without it all change or none."""
+
+    confirm: bool = False
+    leave_out: Annotated[UnitAddresses, Field(default_factory=list)]
+
+
+class RecipeSetpointShown(TypedDict):
+    """The setpoint of one unit."""
+
+    raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
+    kind: Annotated[str, Field(description="speed, or ratio times 10000.")]
+    value: Annotated[
+        str | None, Field(description="As its unit displays it; null: not configured or not known.")
+    ]
+
+
+class RecipeShown(TypedDict):
+    """One version of a recipe."""
+
+    id: int
+    bus: str
+    name: str
+    version: Annotated[int, Field(description="From 1 on.")]
+    comment: str
+    who: str
+    saved_at: Time
+    setpoints: Annotated[dict[str, RecipeSetpointShown], Field(description="By address of the unit.")]
+
+
+class LoadedRecipe(TypedDict):
+    """The recipe that a bus was loaded with last."""
+
+    id: int
+    name: str
+    version: int
+    who: str
+    loaded_at: Time
+    departed: list[RecipeDeparture]
+
+
+Book = Annotated[RecipeBook, service(RecipeBook)]
+
+
+async def recipe_or_404(book: Book, recipe_id: int) -> Recipe:
+    missing = Message.of("no_recipe_with_id", recipe=recipe_id)
+    return or_404(await book.store.load(recipe_id), "unknown_recipe", missing)
+
+
+KnownRecipe = Annotated[Recipe, Depends(recipe_or_404)]
+"""The version of a recipe of ``{recipe_id}`` in the path."""
+
+
+@router.get("/recipes")
+async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None) -> list[RecipeShown]:
+    """The newest version of every recipe in use, at most 1000 of a bus, by name."""
+    return [recipe_json(recipe, live.buses.get(recipe.bus)) for recipe in await book.store.newest(bus)]
+
+
+@router.post("/buses/{bus}/recipes", status_code=201)
+async def save_recipe(
+    person: Annotated[Person, SAVE.permitted], book: Book, live: Live, bus: str, wanted: SaveRecipeRequest
+) -> RecipeShown:
+    """Save a new version; older ones stay."""
+    known = bus_or_404(live, bus)
+    setpoints = unit_setpoints(wanted.setpoints)
+    if not setpoints:
+        setpoints = {setpoint.unit: setpoint.raw for setpoint in setpoints_now(known.units.values())}
+    if not setpoints:
+        raise Problem(422, "invalid", Message("no_setpoints_yet"))
+    return recipe_json(await book.save(person, bus, wanted.name, wanted.comment, setpoints), known)
+
+
+@router.get("/recipes/{recipe_id}")
+async def get_recipe(_: Viewer, live: Live, recipe: KnownRecipe) -> RecipeShown:
+    """One version."""
+    return recipe_json(recipe, live.buses.get(recipe.bus))
+
+
+@router.get("/recipes/{recipe_id}/dry-run")
+async def dry_run_recipe(person: Viewer, book: Book, recipe: KnownRecipe) -> RecipeDryRun:
+    """What loading it now would do, unit by unit, and how long it takes on the wire and by the ramps."""
+    return book.try_out(person, recipe)
+
+
+@router.post("/recipes/{recipe_id}/load", responses=RESULT_RESPONSES)
+async def load_recipe(
+    request: Request,
+    person: Annotated[Person, permitted_writer(SET_LINE)],
+    book: Book,
+    live: Live,
+    recipe: KnownRecipe,
+    wanted: LoadRecipeRequest,
+    idempotency_key: Annotated[str | None, Header()] = None,
+    frames: FramesWanted = False,
+) -> Response:
+    """Stage every unit, broadcast once, read back each unit."""
+    sent_at = made_at(request)
+    result = await book.load(
+        person, recipe, sent_at, confirm=wanted.confirm, command_id=idempotency_key, left_out=wanted.leave_out
+    )
+    return command_response(request, bus_or_404(live, recipe.bus), result, frames=frames)
+
+
+@router.get("/buses/{bus}/recipe")
+async def get_loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> LoadedRecipe | None:
+    """The last loaded recipe of the bus, and the units that drifted from it since."""
+    bus_or_404(live, bus)
+    loaded = book.loaded(bus)
+    if loaded is None:
+        return None
+    return {
+        "id": loaded.recipe.id,
+        "name": loaded.recipe.name,
+        "version": loaded.recipe.version,
+        "who": loaded.who,
+        "loaded_at": iso(loaded.at),
+        "departed": book.departed(bus),
+    }
+
+
+@router.get("/buses/{bus}/recipe/runs", dependencies=[SEARCH])
+async def get_recipe_runs(
+    _: Viewer, events: Events, live: Live, bus: str, at: ZonedTime | None = None
+) -> RecipeRuns | None:
+    """The recipe that ran at a time (else now), since when, and when it ran before; null: none was loaded."""
+    bus_or_404(live, bus)
+    until = UnixTime(at.timestamp()) if at is not None else None
+    wanted = Filter(kind=LOAD.kind, bus=bus, code=LOAD.event, until=until)
+    found, _next = await events.page(wanted, MAX_LOADS)
+    return runs_of(found)
+
+
+@router.delete("/buses/{bus}/recipes/{name}", status_code=204)
+async def delete_recipe(person: Annotated[Person, DELETE.permitted], book: Book, bus: str, name: str) -> None:
+    """Take a recipe out of the list; its versions stay on record."""
+    await book.retire(person, bus, name)
+
+
+def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
+    """One version; setpoints also as their units show them, where the unit is configured."""
+    return {
+        "id": recipe.id,
+        "bus": recipe.bus,
+        "name": recipe.name,
+        "version": recipe.version,
+        "comment": recipe.comment,
+        "who": recipe.who,
+        "saved_at": iso(recipe.saved_at),
+        "setpoints": {
+            str(setpoint.unit): {
+                "raw": setpoint.raw,
+                "kind": setpoint.kind,
+                "value": setpoint_text(bus.units[setpoint.unit], setpoint.raw, setpoint.kind)
+                if bus is not None and setpoint.unit in bus.units
+                else None,
+            }
+            for setpoint in recipe.setpoints
+        },
+    }
+
+
+def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
+    """Keys of JSON are text; raises Problem 422 for one that is no address."""
+    wrong = next((key for key in given if not 1 <= (parse_integer(key) or 0) <= 255), None)
+    if wrong is not None:
+        raise Problem(422, "invalid", Message.of("not_a_unit_address", text=wrong))
+    return {int(key): raw for key, raw in given.items()}

@@ -1,0 +1,221 @@
+"""What a recipe is, whether it can be loaded now, what loading it will do, what departed from it since."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field, InstanceOf, PlainSerializer
+
+from app.core.web.api.shape import MessageObject
+from app.line.commands.review import obstacle_of, ramp_of, risks_of
+from app.line.commands.rules.setpoint import setpoint_text
+from app.line.commands.rules.setpoint_range import SetpointKind, kind_of
+from app.line.commands.scale import differs, parse_scale, scale_text, setpoint_scale
+from app.line.commands.values import in_measure, measure_of_setpoint
+from app.line.live.api.schemas import UnitAddress
+from app.line.live.state.bus_live import BusLive, UnitLive, follower
+from bus.catalogue.numbers import RATIO_SETPOINT
+from bus.contract.durations import change_s
+from bus.instants import UnixTime
+from bus.messages import Message, number, term
+
+SetpointRefusal = Callable[[int, int], Message | None]
+
+NOT_CONFIGURED = Message("unit_not_configured")
+
+
+@dataclass(frozen=True, slots=True)
+class RecipeSetpoint:
+    """``raw``: display units of the unit, or ratio times 10000 for a follower. ``scale``: what it was shown
+    with when it was saved, as the form of a review holds it; empty where that is not known."""
+
+    unit: int
+    raw: int
+    kind: SetpointKind
+    scale: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """One version of a named set of setpoints; it never changes, a new version is saved beside it."""
+
+    bus: str
+    name: str
+    comment: str
+    who: str
+    saved_at: UnixTime
+    setpoints: tuple[RecipeSetpoint, ...]
+    version: int = 0
+    id: int = 0
+
+
+UnitName = Annotated[
+    InstanceOf[Message] | str, PlainSerializer(str, return_type=str), Field(description="Name of the unit.")
+]
+RampS = Annotated[float | None, Field(description="Duration of the ramp, seconds; null: not known.")]
+
+
+@dataclass(frozen=True, slots=True)
+class RecipeDryRunStep:
+    """What loading a recipe does to one unit."""
+
+    unit: Annotated[UnitAddress, Field(serialization_alias="id")]
+    name: UnitName
+    raw: Annotated[int, Field(description="Setpoint on the wire, 0 to 99999.")]
+    old: Annotated[MessageObject | None, Field(description="Present setpoint; null: not known.")]
+    new: Annotated[str, Field(description="Setpoint of the recipe, as displayed.")]
+    ramp_s: RampS
+    obstacle: Annotated[MessageObject | None, Field(description="Why it cannot be set; null: it can.")]
+    effect: Annotated[MessageObject | None, Field(description="The change; null: it is not configured.")] = (
+        None
+    )
+    measure: Annotated[str, Field(exclude=True)] = ""
+    scale: Annotated[str, Field(exclude=True)] = ""
+    risks: Annotated[tuple[MessageObject, ...], Field(exclude=True)] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RecipeDryRun:
+    """What loading a recipe now would do."""
+
+    steps: Annotated[tuple[RecipeDryRunStep, ...], Field(serialization_alias="units")]
+    wire_s: Annotated[float, Field(description="Duration on the wire at best, seconds.")]
+    ramp_s: RampS
+    loadable: Annotated[bool, Field(description="Whether every unit can take its setpoint.")]
+
+
+@dataclass(frozen=True, slots=True)
+class RecipeDeparture:
+    """A unit whose setpoint is no longer that of the recipe, or that is gone."""
+
+    unit: Annotated[UnitAddress, Field(serialization_alias="id")]
+    name: UnitName
+    recipe: Annotated[str, Field(description="Setpoint of the recipe, as displayed.")]
+    now: Annotated[MessageObject, Field(description="Present setpoint.")]
+
+
+def setpoint_kind(unit: UnitLive) -> SetpointKind | None:
+    """What a setpoint of this unit is: by #8, None while that has not been read."""
+    return None if follower(unit) is None else kind_of(unit)
+
+
+def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: UnixTime) -> RecipeDryRun:
+    """``refusal(unit, raw)`` returns why a setpoint would be refused now, None when it would not.
+    ``now``: seconds since the epoch."""
+    steps = tuple(_step(setpoint, bus, refusal, now) for setpoint in recipe.setpoints)
+    ramps = [step.ramp_s for step in steps if step.ramp_s is not None]
+    loadable = not any(step.obstacle for step in steps)
+    return RecipeDryRun(steps, round(change_s(len(steps), bus.baud), 3), max(ramps, default=None), loadable)
+
+
+def departures(recipe: Recipe, bus: BusLive, since: UnixTime = UnixTime(0.0)) -> list[RecipeDeparture]:
+    """Units whose command no longer equals the recipe. ``since``: when it was loaded."""
+    found = (_departure(setpoint, bus.units.get(setpoint.unit), since) for setpoint in recipe.setpoints)
+    return [departure for departure in found if departure is not None]
+
+
+def _step(
+    setpoint: RecipeSetpoint, bus: BusLive, refusal: SetpointRefusal, now: UnixTime
+) -> RecipeDryRunStep:
+    unit = bus.units.get(setpoint.unit)
+    if unit is None:
+        name, new = Message.of("unit_address", unit=setpoint.unit), str(setpoint.raw)
+        return RecipeDryRunStep(setpoint.unit, name, setpoint.raw, None, new, None, NOT_CONFIGURED)
+    present = present_raw(unit, setpoint.kind)
+    ramp = ramp_of(unit, present, setpoint.raw)
+    ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
+    old = None
+    if unit.reading is not None and present is not None:
+        old = number(setpoint_text(unit, present, setpoint.kind))
+    new, measure = setpoint_text(unit, setpoint.raw, setpoint.kind), measure_of_setpoint(unit)
+    return RecipeDryRunStep(
+        unit=setpoint.unit,
+        name=unit.settings.name,
+        raw=setpoint.raw,
+        old=old,
+        new=new,
+        ramp_s=ramp_s,
+        obstacle=_obstacle(setpoint, bus, unit, now) or refusal(setpoint.unit, setpoint.raw),
+        effect=Message(
+            _effect(setpoint, present, ramp_s),
+            {
+                "old": in_measure(old, measure) if old is not None else term("unknown"),
+                "new": in_measure(new, measure),
+                "seconds": number(f"{ramp_s or 0:.1f}"),
+            },
+        ),
+        measure=measure,
+        scale=setpoint.scale or scale_text(setpoint_scale(unit, setpoint.raw)),
+        risks=risks_of(bus, unit, now, ramp, setpoint.raw),
+    )
+
+
+def _effect(setpoint: RecipeSetpoint, present: int | None, ramp_s: float | None) -> str:
+    """The code of what will happen to a unit whose setpoint is ``present``."""
+    if present is None:
+        return "recipe_sets"
+    if present == setpoint.raw:
+        return "recipe_keeps"
+    if setpoint.kind == "ratio":
+        return "recipe_changes_ratio"
+    if setpoint.raw > present:
+        return "recipe_speeds_up" if ramp_s is None else "recipe_speeds_up_within"
+    return "recipe_slows_down" if ramp_s is None else "recipe_slows_down_within"
+
+
+def _obstacle(setpoint: RecipeSetpoint, bus: BusLive, unit: UnitLive, now: UnixTime) -> Message | None:
+    return obstacle_of(bus, unit, now) or why_not_setpoint(setpoint, bus)
+
+
+def why_not_setpoint(setpoint: RecipeSetpoint, bus: BusLive) -> Message | None:
+    """Why it is no setpoint of a unit of the bus, whatever the unit takes now; None where it is one."""
+    unit = bus.units.get(setpoint.unit)
+    if unit is None:
+        return NOT_CONFIGURED
+    kind = setpoint_kind(unit)
+    if kind is None:
+        return Message("recipe_mode_unread")
+    if kind != setpoint.kind:
+        return Message("recipe_holds_speed" if setpoint.kind == "speed" else "recipe_holds_ratio")
+    if setpoint.scale and differs(parse_scale(setpoint.scale), unit):
+        return Message("recipe_other_scale")
+    return None
+
+
+def present_raw(unit: UnitLive, kind: SetpointKind) -> int | None:
+    """The present command of the unit: CS of its last response, or #37 for a ratio."""
+    if kind == "ratio":
+        return unit.parameter_raw(RATIO_SETPOINT)
+    return unit.reading.commanded if unit.reading is not None else None
+
+
+def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: UnixTime) -> RecipeDeparture | None:
+    if unit is None:
+        name = Message.of("unit_address", unit=setpoint.unit)
+        return RecipeDeparture(setpoint.unit, name, str(setpoint.raw), NOT_CONFIGURED)
+    if not _commanded_since(unit, setpoint.kind, since):
+        return None
+    now = present_raw(unit, setpoint.kind)
+    if now is None or now == setpoint.raw:
+        return None
+    wanted, shown = (setpoint_text(unit, raw, setpoint.kind) for raw in (setpoint.raw, now))
+    return RecipeDeparture(setpoint.unit, unit.settings.name, wanted, number(shown))
+
+
+def _commanded_since(unit: UnitLive, kind: SetpointKind, moment: UnixTime) -> bool:
+    """#37 is read in the slow scan: a value from before the recipe was loaded does not count."""
+    if kind == "speed":
+        return unit.reading is not None
+    read = unit.parameters.get(RATIO_SETPOINT)
+    return read is not None and read.at > moment
+
+
+def setpoints_now(units: Iterable[UnitLive]) -> tuple[RecipeSetpoint, ...]:
+    """The present setpoints of units that have reported theirs, to begin a recipe from."""
+    return tuple(
+        RecipeSetpoint(unit.settings.id, raw, kind, scale_text(setpoint_scale(unit, raw)))
+        for unit in units
+        if (kind := setpoint_kind(unit)) and (raw := present_raw(unit, kind)) is not None
+    )

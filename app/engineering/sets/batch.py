@@ -1,0 +1,153 @@
+"""One parameter over many units: reviewed as a table, written unit by unit, a result for each."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+from app.core.web.admission.access import Person
+from app.engineering.sets.comparison.compare import with_unit
+from app.engineering.sets.model import UnitRows
+from app.engineering.sets.restore.effects import warning_of
+from app.engineering.sets.saving.reading import known_rows, status_of
+from app.errors import Problem
+from app.line.commands.scale import parameter_scale
+from app.line.commands.service.command_service import CommandService
+from app.line.live.state.bus_live import BusLive, UnitLive
+from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
+from bus.catalogue.parameter import Parameter, Scale, check_writable_value
+from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.status import StatusBits
+from bus.catalogue.values import is_follower, parameter_raw
+from bus.contract import ReadParameters, UnitScale, WriteParameter
+from bus.errors import CallerError
+from bus.messages import Message
+
+_OF_THE_PERSON = frozenset({"forbidden", "rights_withdrawn", "controlled"})
+"""Refusals that hold for every other unit too."""
+_LEARN_WITHIN_S = 10.0
+"""255 units at 9600 baud take 5 s for one parameter each, and twice that beside the scan."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchRow:
+    """One unit of a batch. ``wanted`` None: left as it is; ``fault``: why what was typed is refused;
+    ``warning``: what writing it does to the machine now."""
+
+    unit: int
+    name: str
+    present: Message
+    present_raw: int | None
+    reviewed: str = ""
+    """What a form holds of the present value, to see whether it moves: raw, empty where secret or unknown."""
+    typed: str = ""
+    wanted: int | None = None
+    scale: UnitScale = field(default_factory=dict)
+    """What it was converted with."""
+    shown: Message | None = None
+    fault: Message | None = None
+    warning: Message | None = None
+
+    @property
+    def changes(self) -> bool:
+        """Whether there is something to write: the unit may be so already."""
+        return self.wanted is not None and self.wanted != self.present_raw
+
+
+@dataclass(frozen=True, slots=True)
+class BatchResult:
+    """The result at one unit; ``outcome`` as of any command, or the code of the refusal."""
+
+    unit: int
+    name: str
+    outcome: str
+    message: Message | None
+
+
+def rows_of_batch(bus: BusLive, number: int, typed: Mapping[int, str]) -> list[BatchRow]:
+    """Every unit of the bus with its present value, and what was typed for it."""
+    return [
+        _row(unit, PARAMETERS[number], typed.get(key, "").strip(), status_of(bus, unit))
+        for key, unit in bus.units.items()
+    ]
+
+
+def refuse_moved(rows: Iterable[BatchRow], reviewed: Mapping[int, str]) -> None:
+    """Raises Problem 409 where a unit no longer has the value that the review showed. ``reviewed``: by unit
+    what :attr:`BatchRow.reviewed` was then."""
+    for row in rows:
+        if row.changes and reviewed.get(row.unit, row.reviewed) != row.reviewed:
+            raise Problem(409, "moved", Message.of("value_moved", name=row.name))
+
+
+async def learn(commands: CommandService, person: Person, bus: BusLive, number: int) -> None:
+    """Request a parameter that was never read from the units that are online; it stays unknown where a unit
+    does not respond."""
+
+    async def read(unit: int) -> None:
+        action = ReadParameters(unit=unit, numbers=[number], urgent=True)
+        with suppress(Problem):
+            await commands.send(person, action, timeout_s=_LEARN_WITHIN_S)
+
+    unknown = [
+        key for key, unit in bus.units.items() if number not in unit.parameters and unit.link.link == "online"
+    ]
+    await asyncio.gather(*(read(unit) for unit in unknown))
+
+
+async def write_batch(
+    commands: CommandService, person: Person, number: int, rows: list[BatchRow], *, confirm: bool
+) -> list[BatchResult]:
+    """Write the rows that change something, one after another. A refusal of one unit does not end the rest, a
+    refusal of the person does."""
+    results: list[BatchResult] = []
+    stopped_by: Message | None = None
+    for row in rows:
+        if row.changes and stopped_by:
+            results.append(BatchResult(row.unit, row.name, "not_sent", stopped_by))
+        elif row.changes:
+            result = await _write(commands, person, number, row, confirm=confirm)
+            results.append(result)
+            stopped_by = result.message if result.outcome in _OF_THE_PERSON else None
+    return results
+
+
+def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | None) -> BatchRow:
+    known = known_rows(unit)
+    raw = unit.parameter_raw(parameter.number)
+    present = Message("value_not_known") if raw is None else _shown(parameter, raw, known)
+    reviewed = "" if raw is None or parameter.secret else str(raw)
+    row = BatchRow(unit.settings.id, unit.settings.name, present, raw, reviewed, typed)
+    if not typed:
+        return row
+    try:
+        if parameter.scale is Scale.SPEED_OR_RATIO and FOLLOWER_MODE not in unit.parameters:
+            raise CallerError(Message.of("unit_mode_unknown", unit=unit.settings.id))
+        follower = is_follower(unit.parameter_raw(FOLLOWER_MODE))
+        wanted = parameter_raw(parameter, typed, unit.parameter_raw(DECIMALS), follower=follower)
+        check_writable_value(parameter, wanted)
+    except CallerError as error:
+        return replace(row, fault=error.message)
+    shown = _shown(parameter, wanted, known)
+    warning = warning_of(parameter.number, wanted, running=None if status is None else status.run)
+    scale = parameter_scale(unit, parameter.number, wanted)
+    return replace(row, wanted=wanted, scale=scale, shown=shown, warning=warning)
+
+
+def _shown(parameter: Parameter, raw: int, known: UnitRows) -> Message:
+    return Message("value_hidden") if parameter.secret else with_unit(parameter, raw, known)
+
+
+async def _write(
+    commands: CommandService, person: Person, number: int, row: BatchRow, *, confirm: bool
+) -> BatchResult:
+    action = WriteParameter(unit=row.unit, number=number, raw=row.wanted or 0)
+    try:
+        result = await commands.send(
+            person, action, confirm=confirm, origin="batch edit", scales={row.unit: row.scale}
+        )
+    except Problem as problem:
+        return BatchResult(row.unit, row.name, problem.code, problem.message)
+    return BatchResult(row.unit, row.name, result.outcome, result.message)

@@ -1,0 +1,199 @@
+"""The drift of units from their golden sets, and who caused it: a user, or a person at the panel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from app.core.web.rendering.formats import Formats
+from app.engineering.sets.comparison.compare import ParameterDifference, drift
+from app.engineering.sets.model import ParameterRow, UnitRows
+from app.engineering.sets.saving.background import Background
+from app.engineering.sets.saving.reading import known_rows
+from app.engineering.sets.store import SetStore
+from app.line.live.screen.fields import Translator
+from app.line.live.screen.sources import Drifted, UnitSubscriber
+from app.line.live.state.bus_live import Audience, BusLive
+from app.people.audit.log import Event, EventLog
+from app.people.audit.queries import Filter
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import ParameterValue, Update
+from bus.instants import UnixTime
+from bus.messages import Message, ParamValue, listed
+
+
+@dataclass(frozen=True, slots=True)
+class DriftedParameter:
+    """One row that differs from the golden set: ``before`` there, ``after`` as last read. ``change``: the
+    command that caused it; None: no command did: it was changed at the panel. ``traced`` False: the events
+    have not been searched yet."""
+
+    row: ParameterDifference
+    before: ParameterRow
+    after: ParameterRow
+    change: Event | None = None
+    traced: bool = False
+
+    @property
+    def key(self) -> str:
+        """A text that changes with the displayed drift."""
+        return (
+            f"{self.row.number}={self.before.raw}>{self.after.raw}@{self.change['id'] if self.change else ''}"
+        )
+
+    def is_of_same_value(self, other: DriftedParameter) -> bool:
+        """Whether both state the same difference, regardless of its cause."""
+        return (self.row.number, self.after.raw) == (other.row.number, other.after.raw)
+
+
+class BusDrift:
+    """Compares every unit of one bus that has a golden set with it as its parameters are read."""
+
+    def __init__(self, live: BusLive, store: SetStore, events: EventLog) -> None:
+        self._live = live
+        self._bus = live.settings.name
+        self._store = store
+        self._events = events
+        self._golden: dict[int, UnitRows] = {}
+        self._found: dict[int, dict[int, DriftedParameter]] = {}
+        self.background = Background()
+        self._subscribers: list[UnitSubscriber] = []
+        live.subscribe(Audience.DRIFT, self._see)
+
+    def on_change(self, subscriber: UnitSubscriber) -> None:
+        """Call ``subscriber`` when the departures of a unit have changed."""
+        self._subscribers.append(subscriber)
+
+    async def load(self) -> None:
+        """Read which sets are golden; once at start, and after a mark has moved."""
+        self._golden = await self._store.golden(self._bus)
+        self._found = {}
+        for unit in self.marked():
+            self._look(unit, PARAMETERS)
+
+    def marked(self) -> list[int]:
+        """The configured units that have a golden set."""
+        return [unit for unit in self._golden if unit in self._live.units]
+
+    def has_golden(self, unit: int) -> bool:
+        """Whether a set of this unit is its golden set."""
+        return unit in self._golden
+
+    def of(self, unit: int) -> list[DriftedParameter]:
+        """Rows in which a unit, as last read, departs from its golden set."""
+        return list(self._found.get(unit, {}).values())
+
+    async def traced(self, unit: int) -> list[DriftedParameter]:
+        """The drift, after the events have been searched for every row."""
+        await self._trace(unit, self.of(unit))
+        return self.of(unit)
+
+    def unread(self, unit: int) -> int:
+        """How many parameters have not been read from the unit since the server started."""
+        known = self._live.units[unit].parameters
+        return sum(number not in known for number in PARAMETERS)
+
+    def summary(self, unit: int, translator: Translator, now: UnixTime) -> Drifted:
+        """The drift in one line, and a key of what the list on the unit's page shows."""
+        if unit not in self._golden:
+            return Drifted()
+        found = self.of(unit)
+        text = translator.t(_summary(found, translator.formats, now)) if found else ""
+        return Drifted(text, f"{self.unread(unit)}:{','.join(one.key for one in found)}")
+
+    def _see(self, updates: Sequence[Update]) -> None:
+        """Parameters were read: compare now, instead of forty rows at every reading."""
+        read: dict[int, set[int]] = {}
+        for update in updates:
+            if isinstance(update, ParameterValue) and update.unit in self._golden:
+                read.setdefault(update.unit, set()).add(update.number)
+        for unit, numbers in read.items():
+            self._look(unit, numbers)
+
+    def _look(self, unit: int, numbers: Iterable[int]) -> None:
+        """Compare again; ``numbers`` were read: their change is searched for again."""
+        known, golden, present = (
+            self._found.get(unit, {}),
+            self._golden[unit],
+            known_rows(self._live.units[unit]),
+        )
+        found: dict[int, DriftedParameter] = {}
+        for row in drift(golden, present):
+            one = DriftedParameter(row, golden.rows[row.number], present.rows[row.number])
+            earlier = known.get(row.number)
+            if earlier is not None and earlier.is_of_same_value(one):
+                one = replace(one, change=earlier.change, traced=earlier.traced)
+            found[row.number] = one
+        self._found[unit] = found
+        read = frozenset(numbers)
+        untraced = [one for one in found.values() if not one.traced or one.row.number in read]
+        if untraced:
+            self.background.begin(self._trace(unit, untraced), f"who changed unit {unit} of {self._bus}")
+
+    async def _trace(self, unit: int, departures: list[DriftedParameter]) -> None:
+        before = self.of(unit)
+        for one in departures:
+            change = await _command_of(self._events, self._bus, unit, one)
+            found = self._found.get(unit, {})
+            present = found.get(one.row.number)
+            if present is not None and present.is_of_same_value(one):
+                found[one.row.number] = replace(one, change=change, traced=True)
+        if self.of(unit) != before:
+            for subscriber in self._subscribers:
+                subscriber(unit)
+
+
+def _summary(found: list[DriftedParameter], formats: Formats, now: UnixTime) -> Message:
+    differing: dict[str, ParamValue] = {"n": len(found), "number": found[0].row.number}
+    if not all(one.traced for one in found):
+        return Message("drift", differing)
+    at_panel = sum(one.change is None for one in found)
+    if at_panel == len(found):
+        return Message("drift_at_panel", differing)
+    people = _latest_of_each(found)
+    authors = [{"who": one["who"], "when": formats.since(one["time"], now)} for one, _ in people]
+    if len(people) == 1 and not at_panel:
+        return Message("drift_by", differing | authors[0])
+    parts = [
+        Message.of("drift_part_by", rows=rows, **author)
+        for author, (_, rows) in zip(authors, people, strict=True)
+    ]
+    if at_panel:
+        parts.append(Message.of("drift_part_at_panel", rows=at_panel))
+    return Message.of("drift_parts", count=len(found), parts=listed(parts))
+
+
+def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
+    """The last change of every person, newest first, and how many rows are theirs."""
+    by_person: dict[str, list[Event]] = {}
+    for one in found:
+        if one.change is not None:
+            by_person.setdefault(one.change["who"], []).append(one.change)
+    latest = [
+        (max(events, key=lambda event: float(event["time"])), len(events)) for events in by_person.values()
+    ]
+    return sorted(latest, key=lambda each: -float(each[0]["time"]))
+
+
+_ACTED = ("verified", "acknowledged", "unverified", None)
+"""Outcomes after which the unit may have taken the value; None: it was read before the outcome was stored."""
+MAX_EVENTS = 20
+"""Newest events of a parameter that are examined; refused commands are among them."""
+
+
+async def _command_of(events: EventLog, bus: str, unit: int, one: DriftedParameter) -> Event | None:
+    """The event of our write, later than the reading of the golden set, that left the value as it is; None
+    when it was changed at the panel."""
+    at_unit = Filter(kind="command", bus=bus, unit=unit, since=one.before.read_at)
+    wanted = replace(at_unit, code="event_write_parameter", number=one.row.number)
+    for event in (await events.page(wanted, MAX_EVENTS))[0]:
+        if event["outcome"] in _ACTED:
+            # A secret is in no event: only its last write can be named.
+            is_known = PARAMETERS[one.row.number].secret or event["new_raw"] == one.after.raw
+            return event if is_known else None
+    old, new = one.before.raw, one.after.raw
+    if old is None or new is None:
+        return None
+    # A version that stored no parameter number: the write from the one value to the other.
+    found, _ = await events.page(replace(at_unit, old_raw=old, new_raw=new), MAX_EVENTS)
+    return next((event for event in found if not event["messages"] and event["outcome"] in _ACTED), None)

@@ -1,0 +1,198 @@
+"""The pages of parameter sets: list, one set, comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Annotated
+
+from fastapi import APIRouter, Form, Request, Response
+from starlette.responses import RedirectResponse
+
+from app.core.web.admission.access import Person, Viewer
+from app.core.web.api.shape import UnitAddresses
+from app.core.web.rendering.templating import render
+from app.core.web.services import bus_service_of, service
+from app.engineering.sets.acts import MARK_GOLDEN, SAVE, SCHEDULE
+from app.engineering.sets.api import Drift
+from app.engineering.sets.comparison.compare import compare, row_message
+from app.engineering.sets.comparison.sides import choices, side
+from app.engineering.sets.lookup import Sets, StoredSet
+from app.engineering.sets.saving.keeper import SetKeeper
+from app.engineering.sets.saving.schedule import SetSchedule
+from app.engineering.sets.saving.taking import Takings
+from app.engineering.sets.unit_ranges import unit_ranges
+from app.errors import or_404
+from app.line.live.api.routes import Live
+from app.line.live.lookup import bus_or_404, unit_or_404
+from app.line.live.state.bus_live import LiveState
+from bus.catalogue.parameters import PARAMETERS
+from bus.messages import Message
+from bus.text import Lines, OneLine
+
+router = APIRouter(include_in_schema=False)
+
+
+Readings = Annotated[Takings, service(Takings)]
+
+MAX_LISTED = 100
+"""Sets on one page of the list; each day of a line with a schedule adds some."""
+
+
+@router.get("/sets")
+async def list_page(
+    request: Request,
+    _: Viewer,
+    sets: Sets,
+    live: Live,
+    bus: str = "",
+    unit: int | None = None,
+    before: int | None = None,
+) -> Response:
+    """The newest sets, or those before one, filtered by bus and unit, and the form to save one."""
+    found = await sets.summaries(bus or None, unit, before=before, limit=MAX_LISTED + 1)
+    return render(
+        request,
+        "sets/page.html",
+        buses=live.buses,
+        sets=found[:MAX_LISTED],
+        ranges=partial(_ranges, live),
+        older=found[MAX_LISTED - 1].id if len(found) > MAX_LISTED else None,
+        schedule=await sets.schedule(),
+        overdue={name: bus_service_of(request, name, SetSchedule).overdue() for name in live.buses},
+        bus=bus,
+        unit=unit,
+    )
+
+
+def _ranges(live: LiveState, bus: str, units: Iterable[int]) -> str:
+    """The units of a set with the names that they have now."""
+    known = live.buses[bus].settings.unit if bus in live.buses else []
+    return ", ".join(unit_ranges(units, {unit.id: unit.name for unit in known}))
+
+
+@router.post("/sets/take")
+async def take(
+    request: Request,
+    person: Annotated[Person, SAVE.permitted],
+    live: Live,
+    readings: Readings,
+    bus: Annotated[str, Form()],
+    unit: Annotated[UnitAddresses | None, Form()] = None,
+    name: Annotated[OneLine, Form(max_length=80)] = "",
+    comment: Annotated[Lines, Form(max_length=1000)] = "",
+    golden: Annotated[bool, Form()] = False,
+) -> Response:
+    """Begin to read the units, all of the bus when none is named."""
+    units = unit or list(bus_or_404(live, bus).units)
+    for number in units:
+        unit_or_404(live, bus, number)
+    keeper = bus_service_of(request, bus, SetKeeper)
+    taking = readings.begin(person, keeper, units, name, comment, golden=golden)
+    return RedirectResponse(f"/sets/taking/{taking.id}", 303)
+
+
+@router.get("/sets/taking/{taking_id}")
+async def taking_page(
+    request: Request, _: Viewer, readings: Readings, live: Live, taking_id: str
+) -> Response:
+    """How far a reading is, by values, and the result of each unit."""
+    taking = or_404(readings.get(taking_id), "unknown_taking", Message("no_such_taking"))
+    return render(
+        request,
+        "sets/_taking.html" if request.headers.get("hx-request") else "sets/taking.html",
+        taking=taking,
+        values_read=taking.values_read(bus_service_of(request, taking.bus, SetKeeper)),
+        units=live.buses[taking.bus].units,
+        PARAMETERS=PARAMETERS,
+    )
+
+
+@router.post("/sets/schedule")
+async def set_schedule(
+    request: Request,
+    person: Annotated[Person, SCHEDULE.permitted],
+    bus: Annotated[str, Form()],
+    at: Annotated[str, Form(pattern=r"^([01]\d|2[0-3]):[0-5]\d$|^$")] = "",
+) -> Response:
+    """Read a bus daily at a time of the day, or no longer (empty)."""
+    hour, _, minute = at.partition(":")
+    schedule = bus_service_of(request, bus, SetSchedule)
+    await schedule.set(person, int(hour) * 60 + int(minute) if at else None)
+    return RedirectResponse("/sets", 303)
+
+
+@router.get("/sets/compare")
+async def compare_page(
+    request: Request,
+    _: Viewer,
+    sets: Sets,
+    live: Live,
+    left: str = "",
+    right: str = "",
+    tolerance: int = 0,
+    everything: bool = False,
+) -> Response:
+    """Two sides row by row, equal rows only on request; and the choice of both sides."""
+    one = await side(left, sets, live) if left else None
+    other = await side(right, sets, live) if right else None
+    rows = compare(one.rows, other.rows, max(0, tolerance)) if one and other else []
+    return render(
+        request,
+        "sets/compare.html",
+        left=left,
+        right=right,
+        one=one,
+        other=other,
+        choices=choices(live, await sets.summaries()),
+        tolerance=tolerance,
+        everything=everything,
+        equal=sum(row.kind == "equal" for row in rows),
+        rows=[row for row in rows if everything or row.kind != "equal"],
+        PARAMETERS=PARAMETERS,
+    )
+
+
+@router.get("/sets/{set_id}")
+async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, stored: StoredSet) -> Response:
+    """A stored set, each value with its evidence."""
+    others = await sets.summaries(stored.bus)
+    return render(
+        request,
+        "sets/one.html",
+        stored=stored,
+        row_message=row_message,
+        PARAMETERS=PARAMETERS,
+        others=[summary for summary in others if summary.id != stored.id],
+        configured=live.buses[stored.bus].units if stored.bus in live.buses else {},
+    )
+
+
+@router.post("/sets/{set_id}/golden")
+async def golden(
+    request: Request,
+    person: Annotated[Person, MARK_GOLDEN.permitted],
+    stored: StoredSet,
+    unit: Annotated[int, Form()],
+) -> Response:
+    """Mark it as what the unit ought to be."""
+    await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, [unit])
+    return RedirectResponse(f"/sets/{stored.id}", 303)
+
+
+@router.get("/units/{bus}/{unit}/drift")
+async def drift_fragment(
+    request: Request, _: Viewer, drift: Drift, live: Live, bus: str, unit: int
+) -> Response:
+    """Where the unit departs from its golden set, and who changed it."""
+    unit_or_404(live, bus, unit)
+    return render(
+        request,
+        "sets/_drift.html",
+        bus=bus,
+        unit=unit,
+        golden=drift.has_golden(unit),
+        departures=await drift.traced(unit),
+        unread=drift.unread(unit),
+        PARAMETERS=PARAMETERS,
+    )

@@ -1,0 +1,168 @@
+"""Restores as pages and programs see them. #21 never leaves here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from app.core.web.api.shape import MessageObject
+from app.engineering.sets.comparison.compare import ParameterDifference, meaning, with_unit
+from app.engineering.sets.model import Number, StoredRaw, UnitRows
+from app.engineering.sets.restore.effects import EFFECTS, Effect, warning_of
+from app.engineering.sets.restore.plan import LeftOut, Reason
+from app.engineering.sets.restore.record import Restore, RestoreState, RowResult
+from app.line.live.api.schemas import UnitAddress
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import Outcome
+from bus.messages import Message
+
+MaybeReason = Annotated[
+    Reason | None, Field(description="The reason, for programs; null: none, or noted by an earlier version.")
+]
+MaybeValue = Annotated[MessageObject | None, Field(description="As shown to people; null: not known.")]
+
+
+@dataclass(frozen=True, slots=True)
+class RestoreValues:
+    """A row as the unit has it and as the set has it."""
+
+    number: Number
+    name: str
+    present_raw: StoredRaw
+    wanted_raw: StoredRaw
+    present: MaybeValue
+    wanted: MaybeValue
+
+
+@dataclass(frozen=True, slots=True)
+class RestoreRow(RestoreValues):
+    """A row that differs and can be written."""
+
+    selected: Annotated[bool, Field(description="Whether this restore writes it.")]
+    reason: Annotated[MessageObject | None, Field(description="Why it is not selected; null: it is.")]
+    reason_code: MaybeReason
+    effect: Annotated[Effect | None, Field(description="Effect of the write on a running unit; null: none.")]
+    warning: Annotated[
+        MessageObject | None,
+        Field(description="The effect in words, where the unit runs or may run; null: none."),
+    ]
+    meaning: Annotated[MessageObject, Field(description="Effect of the change.")]
+    outcome: Annotated[Outcome | None, Field(description="null: not written yet.")]
+    message: Annotated[MessageObject | None, Field(description="What became of it; null: nothing more.")]
+    read_back: StoredRaw
+
+
+@dataclass(frozen=True, slots=True)
+class RestoreOmission(RestoreValues):
+    """A row that a restore does not write."""
+
+    reason: Annotated[MessageObject, Field(description="Why it is not written.")]
+    reason_code: MaybeReason
+    later: Annotated[
+        bool, Field(description="Whether the same restore writes it once the unit is in REMOTE.")
+    ]
+    differs: Annotated[bool | None, Field(description="null: not known, as one side is not.")]
+
+
+class RestoreShown(TypedDict):
+    """A restore: its plan, its progress, and the result of the full read afterwards. In state ``equal``
+    the unit equals the set in all rows selected."""
+
+    id: str
+    bus: str
+    unit: UnitAddress
+    who: str
+    state: RestoreState
+    cause: Annotated[MessageObject | None, Field(description="Why it stopped; null: it did not.")]
+    cause_code: Annotated[str | None, Field(description="The cause, for programs; null: it did not stop.")]
+    running: Annotated[
+        bool | None, Field(description="The Run input when the restore was planned; null: not known.")
+    ]
+    done: Annotated[int, Field(description="Rows that have an outcome.")]
+    equal: Annotated[int, Field(description="Rows that were equal beforehand.")]
+    remarks: list[MessageObject]
+    rows: list[RestoreRow]
+    left_out: list[RestoreOmission]
+    remaining: Annotated[
+        list[ParameterDifference] | None,
+        Field(description="Rows that still differ; null: not read back yet."),
+    ]
+
+
+def rows_to_write(restore: Restore) -> list[RestoreRow]:
+    """The rows that are written; of a plan those that can still be chosen too."""
+    offered = restore.offered if restore.state == "planned" else []
+    chosen = [_row(restore, row, None) for row in restore.rows]
+    return chosen + [_row(restore, RowResult(write), left) for write, left in offered]
+
+
+def rows_left_out(restore: Restore) -> list[RestoreOmission]:
+    rows: list[RestoreOmission] = []
+    for left in restore.left_out:
+        present, wanted = restore.before.raw(left.number), restore.wanted.raw(left.number)
+        differs = None if present is None or wanted is None else present != wanted
+        values = _values(restore, left.number)
+        rows.append(
+            RestoreOmission(
+                **values, reason=left.text, reason_code=left.reason, later=left.later, differs=differs
+            )
+        )
+    return rows
+
+
+def restore_json(restore: Restore) -> RestoreShown:
+    return {
+        "id": restore.id,
+        "bus": restore.bus,
+        "unit": restore.unit,
+        "who": restore.who,
+        "state": restore.state,
+        "cause": restore.cause,
+        "cause_code": restore.cause_code,
+        "running": restore.running,
+        "done": restore.done,
+        "equal": restore.plan.equal,
+        "remarks": restore.remarks,
+        "rows": rows_to_write(restore),
+        "left_out": rows_left_out(restore),
+        "remaining": restore.remaining,
+    }
+
+
+def _row(restore: Restore, result: RowResult, left: LeftOut | None) -> RestoreRow:
+    number, unknown = result.write.number, Message("value_not_known")
+    values = _values(restore, number)
+    return RestoreRow(
+        **values,
+        selected=left is None,
+        reason=None if left is None else left.text,
+        reason_code=None if left is None else left.reason,
+        effect=EFFECTS.get(number),
+        warning=warning_of(number, result.write.wanted, running=restore.running),
+        meaning=meaning(number, values["present"] or unknown, values["wanted"] or unknown),
+        outcome=result.outcome,
+        message=result.message,
+        read_back=None if PARAMETERS[number].secret else result.read_back,
+    )
+
+
+def _values(restore: Restore, number: int) -> dict[str, Any]:
+    secret = PARAMETERS[number].secret
+    return {
+        "number": number,
+        "name": PARAMETERS[number].name,
+        "present_raw": None if secret else restore.before.raw(number),
+        "wanted_raw": None if secret else restore.wanted.raw(number),
+        "present": _shown(restore.before, number),
+        "wanted": _shown(restore.wanted, number),
+    }
+
+
+def _shown(rows: UnitRows, number: int) -> Message | None:
+    parameter, raw = PARAMETERS[number], rows.raw(number)
+    if parameter.secret:
+        return Message("value_secret")
+    return None if raw is None else with_unit(parameter, raw, rows)

@@ -1,0 +1,163 @@
+"""The guided path of a unit swap."""
+
+from __future__ import annotations
+
+from functools import partial
+from time import time
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request, Response
+from starlette.responses import RedirectResponse
+
+from app.core.web.admission.access import Person
+from app.core.web.rendering.templating import render
+from app.core.web.services import bus_service_of, service
+from app.engineering.sets.api import ParameterSets
+from app.engineering.sets.comparison.sides import offers
+from app.engineering.sets.lookup import FILE_FORM, Chosen, Restores, Sets, set_or_404, unit_rows_or_404
+from app.engineering.sets.restore.view import RestoreOmission, rows_left_out
+from app.engineering.sets.saving.keeper import SetKeeper
+from app.engineering.swap.acts import BEGIN, CANCEL, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED
+from app.engineering.swap.record import Swap
+from app.engineering.swap.rules import PROVEN, STEPS, Advice, advice, done_steps
+from app.engineering.swap.service import SwapService, look, source_of, step_text
+from app.errors import Problem
+from app.line.commands.service.command_service import CommandService
+from app.line.commands.service.writer import Commands
+from app.line.live.api.routes import Live
+from app.line.live.lookup import unit_or_404
+from bus.messages import Message
+
+router = APIRouter(include_in_schema=False)
+
+Swaps = Annotated[SwapService, service(SwapService)]
+Beginner = Annotated[Person, BEGIN.permitted]
+
+
+@router.get("/swap/{bus}/{unit}")
+async def swap_page(
+    request: Request, _: Beginner, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
+) -> Response:
+    """What the spare shall become, then the path."""
+    found = unit_or_404(live, bus, unit)
+    found_offers = offers(live, await sets.summaries(), bus, unit)
+    return render(
+        request, "swap/page.html", bus=bus, unit=found, offers=found_offers, swap=swaps.of(bus, unit)
+    )
+
+
+@router.post("/swap/{bus}/{unit}", **FILE_FORM)
+async def begin(
+    request: Request,
+    person: Beginner,
+    sets: Sets,
+    live: Live,
+    swaps: Swaps,
+    bus: str,
+    unit: int,
+    chosen: Chosen,
+) -> Response:
+    """Begin it; units are only read."""
+    unit_or_404(live, bus, unit)
+    keepers = partial(bus_service_of, request, kind=SetKeeper)
+    source = await source_of(person, keepers, sets, live, bus, unit, chosen)
+    await swaps.begin(person, bus, unit, source)
+    return RedirectResponse(f"/swap/{bus}/{unit}", 303)
+
+
+async def swap_or_404(swaps: Swaps, bus: str, unit: int) -> Swap:
+    return swaps.of_or_404(bus, unit)
+
+
+SwapOfUnit = Annotated[Swap, Depends(swap_or_404)]
+"""The swap of ``{bus}`` and ``{unit}`` in the path."""
+
+
+@router.get("/swap/{bus}/{unit}/look")
+async def look_again(
+    request: Request, person: Beginner, live: Live, swaps: Swaps, commands: Commands, swap: SwapOfUnit
+) -> Response:
+    """Read the wire; return the state of the swap and the next step."""
+    now = PROVEN if swap.proven else await _advice(person, live, swaps, commands, swap)
+    return render(
+        request,
+        "swap/_steps.html",
+        bus=swap.bus,
+        unit=swap.unit,
+        advice=now,
+        swap=swap,
+        setpoints=_setpoints_left(swap),
+        text=step_text(now, swap),
+        steps=STEPS,
+        done=done_steps(now.step),
+        at=time(),
+    )
+
+
+async def _advice(
+    person: Person, live: Live, swaps: SwapService, commands: CommandService, swap: Swap
+) -> Advice:
+    try:
+        state = await swaps.look(swap, lambda: look(commands, live, person, swap))
+    except Problem as problem:
+        return Advice("find", problem.message, at_panel=False)
+    return Advice("find", Message("swap_reading"), at_panel=False) if state is None else advice(state)
+
+
+@router.post("/swap/{bus}/{unit}/spare")
+async def confirm_spare(
+    person: Annotated[Person, CONFIRM_SPARE.permitted], swaps: Swaps, swap: SwapOfUnit
+) -> Response:
+    """A person confirmed that the unit at the section's address is the spare."""
+    await swaps.confirm_spare(person, swap)
+    return RedirectResponse(f"/swap/{swap.bus}/{swap.unit}", 303)
+
+
+@router.post("/swap/{bus}/{unit}/restore")
+async def restore_spare(
+    person: Annotated[Person, RESTORE_SPARE.permitted],
+    sets: Sets,
+    restores: Restores,
+    live: Live,
+    swaps: Swaps,
+    swap: SwapOfUnit,
+) -> Response:
+    """Plan the restore of the spare; the review of it comes next."""
+    unit_or_404(live, swap.bus, swap.unit)
+    if swap.source is None:
+        raise Problem(409, "no_set", Message("swap_without_set"))
+    rows = unit_rows_or_404(await set_or_404(sets, swap.source.set), swap.source.unit)
+    restore = await restores.plan(person, swap.bus, swap.unit, rows, for_swap=True)
+    await swaps.begin_restore(person, swap, restore)
+    return RedirectResponse(f"/restores/{restore.id}", 303)
+
+
+@router.post("/swap/{bus}/{unit}/entered")
+async def save_entered(
+    person: Annotated[Person, SAVE_ENTERED.permitted],
+    keeper: ParameterSets,
+    live: Live,
+    swaps: Swaps,
+    swap: SwapOfUnit,
+) -> Response:
+    """Everything is entered from the sheet: read the complete unit and save it as a set."""
+    unit_or_404(live, swap.bus, swap.unit)
+    if swap.source is not None:
+        raise Problem(409, "not_in_state", Message("swap_with_set"))
+    kept = await keeper.take(person, [swap.unit], "", "", "from the sheet")
+    await swaps.save_entered(person, swap, kept)
+    return RedirectResponse(f"/sets/{kept.id}", 303)
+
+
+@router.post("/swap/{bus}/{unit}/give-up")
+async def cancel(person: Annotated[Person, CANCEL.permitted], swaps: Swaps, swap: SwapOfUnit) -> Response:
+    """Leave it; whatever was done at the unit stays."""
+    await swaps.cancel(person, swap)
+    return RedirectResponse(f"/units/{swap.bus}/{swap.unit}", 303)
+
+
+def _setpoints_left(swap: Swap) -> list[RestoreOmission]:
+    """The setpoints that the spare does not have from the old unit, as they were not selected."""
+    if swap.restore is None or not swap.proven:
+        return []
+    return [row for row in rows_left_out(swap.restore) if row.reason_code == "operating_value"]

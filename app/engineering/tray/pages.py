@@ -1,0 +1,241 @@
+"""The change tray of a person: the strip on every page, its page, the review, sending and the results."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple
+
+from fastapi import APIRouter, Form
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from app.engineering.tray.contents import place_of, steps_of
+from app.engineering.tray.own_tray import OwnTray
+from app.engineering.tray.rows import ON_OFF, TrayRow, unable_units
+from app.engineering.tray.sending import TrayResult, first_id, send_changes
+from app.errors import Problem
+from app.line.commands.catalogue import SET_LINE, longest_change_s, timeout_s_for
+from app.line.commands.forms.line_change import followers_of, left_out_of
+from app.line.commands.forms.outcome import OutcomeText, Tone, outcome_text
+from app.line.commands.forms.page_context import BusPage, Confirmed, OfBus, Page
+from app.line.commands.forms.undo_shown import UndoShown
+from app.line.commands.pages.parameters import CONFIRMING_WORD
+from app.line.commands.review import by_remark
+from app.line.commands.safeguards.control import controlled
+from app.line.commands.service.writer import permitted, permitted_writer
+from app.line.commands.undo.changes import ValuePlace, Values
+from app.line.commands.values import parameter_message
+from bus.catalogue.parameters import PARAMETERS
+from bus.messages import Message, term
+
+router = APIRouter(include_in_schema=False)
+GATHERS = [permitted(SET_LINE)]
+SEE_OTHER = 303
+TITLE = term("Change tray")
+_REVIEWED = re.compile(r"([a-z]+-\d+-\d+):(\d{1,6}):(\d{0,6})", re.ASCII)
+
+
+class ReviewedRow(NamedTuple):
+    """A change as the person saw it: the new raw value, and the one before as text, empty for none."""
+
+    raw: int
+    was: str
+
+
+class ShownResult(NamedTuple):
+    """A change with what became of it; ``undo`` is that of its command, with the first change of it."""
+
+    row: TrayRow
+    outcome: OutcomeText
+    undo: UndoShown | None
+
+
+@router.get("/tray", dependencies=GATHERS)
+async def tray_page(page: Page) -> Response:
+    """What the person has gathered, for each bus."""
+    trays = [OwnTray(bus) for bus in page.buses()]
+    buses = [(tray.page.name, rows) for tray in trays if (rows := tray.rows())]
+    return page.render("tray/page.html", buses=buses)
+
+
+@router.get("/tray/strip", dependencies=GATHERS)
+async def tray_strip(page: Page) -> Response:
+    """How much is in it, for the open page."""
+    return page.render("tray/_strip.html")
+
+
+@router.get("/bus/{bus}/tray/review", dependencies=GATHERS)
+async def review_tray(page: OfBus) -> Response:
+    """Every change as it stands now, to be confirmed."""
+    tray = OwnTray(page)
+    try:
+        _refuse_without_control(page)
+        await tray.learn()
+        return _review(page, tray)
+    except Problem as problem:
+        return _refused(page, problem)
+
+
+@router.post("/bus/{bus}/tray/remove", dependencies=GATHERS)
+async def remove_from_tray(page: OfBus, place: Annotated[str, Form(max_length=40)] = "") -> Response:
+    """Remove one change or, without a place, all of this bus."""
+    tray = OwnTray(page)
+    held, named = tray.changes, place_of(place)
+    tray.remove({each: raw for each, raw in held.items() if not place or each == named})
+    return _review(page, tray) if _is_in_page(page) else RedirectResponse("/tray", SEE_OTHER)
+
+
+def _review(page: BusPage, tray: OwnTray) -> Response:
+    rows = tray.rows()
+    if not rows:
+        return _shown(page, "tray/_empty.html")
+    unable = unable_units(rows)
+    able = [row for row in rows if row.place.unit not in unable]
+    setpoints = {row.place.unit: row.raw for row in able if row.place.kind == "setpoint"}
+    return _shown(
+        page,
+        "tray/_review.html",
+        rows=rows,
+        able=len(able),
+        unable=unable.values(),
+        followers=followers_of(page.bus),
+        warnings=by_remark((row.name, warning) for row in able for warning in row.warnings),
+        dangers=by_remark((row.name, term(row.danger)) for row in able if row.danger),
+        draws=page.draws(setpoints),
+        word=CONFIRMING_WORD,
+        longest_s=_longest_s(page, {row.place: row.raw for row in able}),
+    )
+
+
+def _refuse_without_control(page: BusPage) -> None:
+    """Raises Problem 409, beside which a page offers control."""
+    objection = page.guards.objection(page.person.account)
+    if objection is not None:
+        raise controlled(Message.of("nothing_sent", reason=objection), page.name)
+
+
+def _longest_s(page: BusPage, changes: Values) -> float:
+    steps = steps_of(changes)
+    return longest_change_s(page.bus, len(steps[0])) + len(steps) * timeout_s_for(page.bus) if steps else 0.0
+
+
+@router.post("/bus/{bus}/tray/send", dependencies=[permitted_writer(SET_LINE)])
+async def send_tray(
+    request: Request,
+    page: OfBus,
+    confirmed: Confirmed,
+    row: Annotated[list[str] | None, Form(max_length=512)] = None,
+    typed: Annotated[str, Form(max_length=20)] = "",
+) -> Response:
+    """Send what was reviewed, but for the units that the person leaves out; nothing where anything differs
+    from the review."""
+    tray, left_out = OwnTray(page), left_out_of(await request.form())
+    try:
+        if await page.has_sent(first_id(confirmed.id)):
+            raise Problem(409, "not_in_state", Message("tray_sent_before"))
+        confirmed.refuse_lapsed()
+        _refuse_without_control(page)
+        rows = _confirmed_rows(tray, _reviewed(row or []), left_out)
+        if any(each.danger for each in rows) and typed.strip() != CONFIRMING_WORD:
+            raise Problem(409, "dangerous", Message("word_not_typed"))
+        changes = {each.place: each.raw for each in rows}
+        results = await send_changes(
+            page.commands, page.person, page.bus, changes, confirmed.id, page.made_at, tray.scales
+        )
+    except Problem as problem:
+        return _refused(page, problem)
+    tray.remove({result.place: result.raw for result in results if result.is_done})
+    return _done(page, rows, results, left_out)
+
+
+def _reviewed(rows: list[str]) -> Mapping[ValuePlace, ReviewedRow]:
+    """Raises Problem 422 for what no review holds."""
+    reviewed = {}
+    for text in rows:
+        found = _REVIEWED.fullmatch(text)
+        place = None if found is None else place_of(found[1])
+        if found is None or place is None:
+            raise Problem(422, "invalid", Message("not_what_was_reviewed"))
+        reviewed[place] = ReviewedRow(int(found[2]), found[3])
+    return reviewed
+
+
+def _confirmed_rows(
+    tray: OwnTray, reviewed: Mapping[ValuePlace, ReviewedRow], left_out: set[int]
+) -> list[TrayRow]:
+    """The changes to send. Raises Problem 409 where the tray is another than was reviewed, a value has moved,
+    or a unit that is not left out cannot take its change: all or none."""
+    if tray.changes != {place: row.raw for place, row in reviewed.items()}:
+        raise Problem(409, "moved", Message("tray_changed"))
+    rows = [row for row in tray.rows() if row.place.unit not in left_out]
+    if not rows:
+        raise Problem(422, "invalid", Message("tray_all_left_out"))
+    for row in rows:
+        if reviewed[row.place].was != row.was_text:
+            raise Problem(409, "moved", Message.of("tray_moved", name=row.name, what=row.what))
+    for unable in unable_units(rows).values():
+        reason = Message.of("unit_unable", name=unable.name, reason=unable.obstacle)
+        raise Problem(409, "not_loadable", reason)
+    return rows
+
+
+def _done(page: BusPage, rows: list[TrayRow], results: list[TrayResult], left_out: set[int]) -> Response:
+    by_place = {result.place: result for result in results}
+    shown, commands = list[ShownResult](), set[str]()
+    for row in rows:
+        result = by_place[row.place]
+        undo = None if result.id in commands else page.undo(result.id)
+        commands.add(result.id)
+        shown.append(ShownResult(row, _outcome(page, result), undo))
+    good = sum(result.is_done for result in results)
+    tone: Tone = "good" if good == len(results) else "unknown" if _is_unknown(results) else "bad"
+    return _shown(
+        page,
+        "tray/_done.html",
+        results=shown,
+        left_out=[(page.name_of(unit), page.outcome_left_out(unit)) for unit in sorted(left_out)],
+        outcome=OutcomeText(
+            tone,
+            Message.of("tray_result_of_all", n=good)
+            if tone == "good"
+            else Message.of("tray_result_of_some", n=len(results), good=good),
+        ),
+    )
+
+
+def _is_unknown(results: list[TrayResult]) -> bool:
+    return any(not isinstance(each.part, Message) and each.part.outcome == "unverified" for each in results)
+
+
+def _outcome(page: BusPage, result: TrayResult) -> OutcomeText:
+    place, part = result.place, result.part
+    if isinstance(part, Message):
+        return OutcomeText("bad", part)
+    match place.kind:
+        case "setpoint":
+            return page.outcome(part, place.unit)
+        case "parameter":
+            unit, parameter = page.bus.units[place.unit], PARAMETERS[place.number]
+            return outcome_text(part, lambda raw: parameter_message(parameter, raw, unit))
+        case "output" if part.outcome == "verified":
+            state = ON_OFF[result.raw]
+            return OutcomeText("good", Message.of("result_output", n=place.number, state=state))
+    return outcome_text(part)
+
+
+def _refused(page: BusPage, problem: Problem) -> Response:
+    """The end of a review that sent nothing. Raises Problem for a browser without scripts."""
+    if not _is_in_page(page):
+        raise problem
+    return page.refused(problem, page.translator.t(TITLE))
+
+
+def _shown(page: BusPage, template: str, **context: Any) -> Response:
+    """A part of the open page or, for a browser without scripts, a page around it."""
+    context = {"bus": page.name, "part": template, "is_alone": not _is_in_page(page), **context}
+    return page.review(template if _is_in_page(page) else "tray/alone.html", **context)
+
+
+def _is_in_page(page: BusPage) -> bool:
+    return bool(page.request.headers.get("hx-request"))

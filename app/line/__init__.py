@@ -1,0 +1,1 @@
+"""The drive line: its live state, history, alarms and commands."""

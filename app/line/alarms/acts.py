@@ -1,0 +1,169 @@
+"""What people do with alarms. From a row with a path follow its route, its form, its check and its event."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field
+
+from app.core.web.admission.access import Role
+from app.core.web.api.shape import StrictBody
+from app.line.alarms.rules import state_machine
+from app.line.alarms.rules.state_machine import Changed
+from app.people.audit.acts import Act
+from bus.text import OneLine
+
+MAX_MINUTES = 720
+"""A shift: what is to be hidden longer goes out of service."""
+MINUTE_S = 60
+ActReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
+Comment = Annotated[OneLine, Field(max_length=200)]
+
+
+class ActBody(StrictBody):
+    """The body of an act. Blanks around what a person wrote are removed."""
+
+    model_config = ConfigDict(str_strip_whitespace=True)
+
+    @property
+    def remark(self) -> str:
+        """The text for the journal and the audit log."""
+        raise NotImplementedError
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The arguments of the act's change of the facts, beside the time."""
+        return {}
+
+
+class AlarmCommentRequest(ActBody):
+    """A remark for the journal and the audit log."""
+
+    comment: Comment = ""
+
+    @property
+    def remark(self) -> str:
+        return self.comment
+
+
+class AlarmReturnRequest(ActBody):
+    """Why, for the journal and the audit log."""
+
+    reason: Comment = ""
+
+    @property
+    def remark(self) -> str:
+        return self.reason
+
+
+class AlarmOutOfServiceRequest(AlarmReturnRequest):
+    """Why."""
+
+    reason: ActReason
+
+
+class AlarmShelveRequest(AlarmOutOfServiceRequest):
+    """Why, and for how long."""
+
+    minutes: Annotated[int, Field(ge=1, le=MAX_MINUTES, description="At most a shift, 720.")]
+    once: Annotated[bool, Field(description="Or until its condition has ended, if that is sooner.")] = False
+
+    @property
+    def options(self) -> dict[str, Any]:
+        return {"for_s": self.minutes * MINUTE_S, "once": self.once}
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmAct(Act):
+    """What a person does with one alarm. ``path``: of its routes, after the id of the occurrence; ``means``:
+    its description in the API; ``change``: what it does to the facts, with the options of its ``body``. One
+    that ``hides`` it needs a reason; the alarm keeps by whom and why."""
+
+    path: str
+    means: str
+    change: Callable[..., Changed]
+    body: type[ActBody] = AlarmCommentRequest
+    hides: bool = False
+
+
+ACKNOWLEDGE = AlarmAct(
+    "acknowledge_alarm",
+    Role.OPERATOR,
+    "alarm",
+    "event_alarm_acknowledged",
+    path="acknowledge",
+    means="Acknowledge the occurrence that the id names.",
+    change=state_machine.acknowledge,
+    counted=False,
+)
+SILENCE = AlarmAct(
+    "silence_alarm",
+    Role.OPERATOR,
+    "alarm",
+    "event_alarm_silenced",
+    path="silence",
+    means="End the sound of the occurrence that the id names. It is still to be acknowledged.",
+    change=state_machine.silence,
+)
+RESET = AlarmAct(
+    "reset_alarm",
+    Role.OPERATOR,
+    "alarm",
+    "event_alarm_reset",
+    path="reset",
+    means="Reset an acknowledged alarm that is latched.",
+    change=state_machine.reset,
+)
+SHELVE = AlarmAct(
+    "shelve_alarm",
+    Role.OPERATOR,
+    "alarm",
+    "event_alarm_shelved",
+    path="shelve",
+    means="Hide it until a time. It is still detected and recorded.",
+    body=AlarmShelveRequest,
+    change=state_machine.shelve,
+    hides=True,
+)
+UNSHELVE = AlarmAct(
+    "unshelve_alarm",
+    Role.OPERATOR,
+    "alarm",
+    "event_alarm_unshelved",
+    path="unshelve",
+    means="Annunciate it again before its time.",
+    body=AlarmReturnRequest,
+    change=state_machine.unshelve,
+)
+REMOVE = AlarmAct(
+    "remove_alarm_from_service",
+    Role.ENGINEER,
+    "alarm",
+    "event_alarm_removed",
+    path="out-of-service",
+    means="Hide it until it is returned to service. It is still detected and recorded.",
+    body=AlarmOutOfServiceRequest,
+    change=state_machine.remove_from_service,
+    hides=True,
+)
+RETURN = AlarmAct(
+    "return_alarm_to_service",
+    Role.ENGINEER,
+    "alarm",
+    "event_alarm_returned",
+    path="in-service",
+    means="Annunciate it again.",
+    body=AlarmReturnRequest,
+    change=state_machine.return_to_service,
+)
+ALARM_ACTS = (ACKNOWLEDGE, SILENCE, RESET, SHELVE, UNSHELVE, REMOVE, RETURN)
+"""The acts on one alarm; each has its routes."""
+
+SILENCE_SOUNDING = Act("silence_sounding_alarms", Role.OPERATOR, "alarm", "event_alarms_silenced")
+"""Silences every alarm that sounds; where one sounds, :data:`SILENCE` is recorded instead."""
+ADD_OWN = Act("add_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_added")
+CHANGE_OWN = Act("change_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_changed")
+REMOVE_OWN = Act("remove_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_removed")
+ACTS = (*ALARM_ACTS, SILENCE_SOUNDING, ADD_OWN, CHANGE_OWN, REMOVE_OWN)

@@ -1,0 +1,154 @@
+"""Alarms: their definitions, those that are built in, and their state at run time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+from hashlib import blake2b
+from typing import Annotated
+
+from pydantic import Field
+from typing_extensions import TypeAliasType
+
+from app.core.web.api.shape import MessageObject
+from app.line.alarms.rules.state_machine import AlarmAttributes, AlarmFacts, AlarmState
+from app.line.alarms.settings import BuiltInAlarmSettings, tuning_of
+from app.line.conditions.catalogue import CONDITIONS
+from app.line.conditions.condition import AlarmGroup, SuppressionGroup, Tuning
+from app.line.conditions.priority import AlarmPriority, Consequence, TimeToRespond
+from bus.messages import Message
+
+BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]
+UnitNumber = Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255; null: the bus.")]
+AlarmConsequence = TypeAliasType("AlarmConsequence", Consequence)
+AlarmTimeToRespond = TypeAliasType("AlarmTimeToRespond", TimeToRespond)
+SITE = "_"
+"""In a key in place of a bus (a slug holds no underscore): the alarm belongs to the site."""
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmRationalization:
+    """The reason for an alarm, and what a person does about it (ISA-18.2-2016, clause 9)."""
+
+    cause: MessageObject
+    consequence: MessageObject
+    response: MessageObject
+    severity: AlarmConsequence
+    time_to_respond: AlarmTimeToRespond
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmDefinition:
+    """One alarm of a unit, a bus or the site. ``key`` identifies it for good, also after a restart."""
+
+    key: str
+    code: str
+    name: str | Message
+    bus: str | None
+    unit: int | None
+    priority: AlarmPriority
+    record: AlarmRationalization
+    attributes: AlarmAttributes
+    group: SuppressionGroup | None = None
+    about: AlarmGroup = "own"
+
+
+def key_of(bus: str | None, unit: int | None, code: str) -> str:
+    """The key of a built-in alarm."""
+    return ".".join((bus or SITE, *(() if unit is None else (str(unit),)), code))
+
+
+def own_key(bus: str, unit: int, name: str) -> str:
+    """The key of an alarm of the site, whose name may have any characters."""
+    return key_of(bus, unit, f"own-{blake2b(name.encode(), digest_size=6).hexdigest()}")
+
+
+NORMAL = AlarmFacts()
+"""The facts of an alarm that has not risen yet."""
+
+
+def state_text(state: AlarmState) -> Message:
+    """The words for a state."""
+    return Message(f"alarm_state_{state}")
+
+
+@dataclass(slots=True, eq=False)
+class Alarm:
+    """``holds``: its condition as last observed; None: not known."""
+
+    definition: AlarmDefinition
+    facts: AlarmFacts = NORMAL
+    holds: bool | None = None
+    first_out: bool = False
+    """It was the first of several that rose together."""
+    hidden_by: str = ""
+    """Who shelved it or took it out of service, and ``reason``: why."""
+    reason: str = ""
+
+    @property
+    def id(self) -> str:
+        """Names its present occurrence."""
+        return f"{self.definition.key}.{self.facts.occurrence}"
+
+    @property
+    def is_unacknowledged(self) -> bool:
+        """Whether it waits for a person to see it."""
+        return not self.facts.is_hidden and not self.facts.acknowledged
+
+    @property
+    def is_annunciated(self) -> bool:
+        """Whether a person is to know of it: it is active or not acknowledged, and nothing hides it."""
+        return not self.facts.is_hidden and (self.facts.active or not self.facts.acknowledged)
+
+    @property
+    def state_text(self) -> Message:
+        """The words for its state."""
+        return state_text(self.facts.state)
+
+    @property
+    def hiding(self) -> tuple[str, str]:
+        """The person who hides it and why; empty where none does."""
+        return (self.hidden_by, self.reason) if self.facts.is_hidden_by_person else ("", "")
+
+    @property
+    def mark(self) -> str:
+        """Its priority as it is drawn: ``urgent``, with ``cleared`` once it is over and ``waiting`` until it
+        is acknowledged."""
+        cleared = "" if self.facts.active else " cleared"
+        return self.definition.priority + cleared + (" waiting" if self.is_unacknowledged else "")
+
+
+def built_in(
+    code: str, bus: str | None, unit: int | None = None, tuned: Iterable[BuiltInAlarmSettings] = ()
+) -> AlarmDefinition:
+    """The definition of a built-in alarm at its place. ``tuned``: the limits and delays that the site set."""
+    row = CONDITIONS[code]
+    name, record = _texts(code)
+    usual: AlarmGroup = "drive" if unit is not None else "system" if bus is None else "communication"
+    return AlarmDefinition(
+        key=key_of(bus, unit, code),
+        code=code,
+        name=name,
+        bus=bus,
+        unit=unit,
+        priority=row.priority,
+        record=record,
+        attributes=_attributes(tuning_of(tuned, code, bus, unit), row.latching),
+        group=row.group,
+        about=row.about or usual,
+    )
+
+
+@cache
+def _texts(code: str) -> tuple[Message, AlarmRationalization]:
+    """Return the texts of a built-in alarm, as the same objects for every unit: a line has thousands of
+    alarms."""
+    row = CONDITIONS[code]
+    name, cause, consequence, response = map(Message, row.texts)
+    return name, AlarmRationalization(cause, consequence, response, *row.rated)
+
+
+@cache
+def _attributes(tuning: Tuning, latching: bool) -> AlarmAttributes:
+    return AlarmAttributes(tuning.on_delay_s, tuning.off_delay_s, latching=latching)

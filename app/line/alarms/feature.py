@@ -1,0 +1,137 @@
+"""What needs a response: the alarms of each bus and of the site, their journal and its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from functools import partial
+
+from app.core.database import Database
+from app.core.find.finders import Finders, FoundPlace, Search, matched
+from app.core.messages import Language
+from app.core.web.rendering.templating import PageHead, Templates
+from app.core.web.services import Registry
+from app.engineering.sets.comparison.drift import BusDrift
+from app.feature import Feature, Services
+from app.line.alarms import api, pages
+from app.line.alarms.acts import ACTS
+from app.line.alarms.alarm import Alarm
+from app.line.alarms.banner import AlarmBanner
+from app.line.alarms.journal import occurrences, performance
+from app.line.alarms.journal.store import AlarmStore
+from app.line.alarms.monitor.bus_alarms import BusAlarms, control_left_by
+from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.monitor.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
+from app.line.alarms.own import api as own_api
+from app.line.alarms.own import pages as own_pages
+from app.line.alarms.own.book import OwnAlarmBook
+from app.line.alarms.simulation.simulator import Simulator
+from app.line.commands.safeguards.service import Safeguards
+from app.line.history.service import History
+from app.line.live.browsers.hub import Hub
+from app.line.live.screen.fields import Fields, Translator
+from app.line.live.state.bus_live import BusLive
+from app.people.audit.anchor import Anchoring
+from app.people.audit.archive import EventArchive
+from app.people.audit.log import EventLog
+from app.people.auth.accounts import Accounts
+from app.system.backup.service import Backups
+from bus.instants import monotonic_now, unix_now
+from bus.messages import Message
+
+
+class AlarmFinder:
+    def __init__(self, alarms: LineAlarms) -> None:
+        self._alarms = alarms
+
+    async def __call__(self, search: Search) -> Iterable[FoundPlace]:
+        """Each alarm that is not normal."""
+        return [place for alarm in self._alarms.present() for place in self._of_alarm(search, alarm)]
+
+    def _of_alarm(self, search: Search, alarm: Alarm) -> Iterator[FoundPlace]:
+        t, definition = search.language.t, alarm.definition
+        place = self._alarms.place(definition.bus, definition.unit)
+        name, state = t(definition.name), t(alarm.state_text)
+        label = f"{place} · {name}" if place else name
+        yield from matched(search, FoundPlace(label, f"/alarms/{alarm.id}", state), name, place, state)
+
+
+def make(services: Services) -> None:
+    settings, database, events = services.settings, services[Database], services[EventLog]
+    store = AlarmStore(database)
+    for name, bus in services.buses.items():
+        _make_of_bus(services, name, bus, store)
+    of_site = services.add(_alarms_of_site(services, store))
+    of_buses = services.of_buses(BusAlarms)
+    alarms = services.add(LineAlarms(of_buses, of_site, store, events))
+    # The site's own alarms first: the state of each is loaded after its definition.
+    own_alarms = services.add(OwnAlarmBook(settings, alarms, database, events))
+    services.lifespan.add("own alarms", start=own_alarms.load)
+    follow = [of_site.follow, *(of.follow for of in of_buses.values())]
+    services.lifespan.add("alarms", *follow, start=alarms.load, end=alarms.write)
+    services[Finders].add("find_alarms", AlarmFinder(alarms))
+    services.add(Simulator(services[History]))
+    _add_banner(services, AlarmBanner(alarms))
+
+
+def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore) -> None:
+    settings, drift = services.settings, bus[BusDrift]
+    own = [alarm for alarm in settings.alarm if alarm.bus == name]
+    alarms = BusAlarms(
+        bus[BusLive],
+        own,
+        store,
+        lambda unit: bool(drift.of(unit)),
+        left_control=partial(_control_left, services, bus[Safeguards]),
+        tuned=settings.built_in_alarm,
+    )
+    bus.add(alarms)
+
+
+def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
+    settings, history, anchoring = services.settings, services[History], services[Anchoring]
+    tls = settings.server.tls
+    authorities = {*settings.notify.certificates, *((tls.client_ca,) if tls and tls.client_ca else ())}
+    expiry = ExpiryWatch(
+        services[Accounts].tokens, authorities, certificates=(tls.certificate,) if tls else ()
+    )
+    services.lifespan.add("expiry", expiry.follow)
+    conditions = site_conditions(
+        lambda: history.status,
+        lambda: anchoring.status,
+        services.add(FailingEndpoints()),
+        expiry,
+        lambda: services[Backups].missing,
+        lambda: services[EventArchive].failing,
+    )
+    return SiteAlarms(conditions, store, tuned=settings.built_in_alarm)
+
+
+def _control_left(services: Services, guards: Safeguards) -> Message | None:
+    holding = guards.holding()
+    if holding is None:
+        return None
+    return control_left_by(holding.holder, holding.used_at, services[Hub].people(), monotonic_now())
+
+
+def _add_banner(services: Services, banner: AlarmBanner) -> None:
+    templates = services[Templates]
+
+    def alarms_in(language: Language) -> Fields:
+        return banner.banner(Translator(language, templates.formats(language.tag)), unix_now())
+
+    services.add(banner)
+    services.add(PageHead(alarms_in))
+
+
+FEATURE = Feature(
+    make,
+    (
+        own_pages.router,
+        performance.router,
+        occurrences.router,
+        own_api.router,
+        api.router,
+        pages.router,
+    ),
+    acts=ACTS,
+)

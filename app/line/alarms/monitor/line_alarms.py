@@ -1,0 +1,228 @@
+"""Every alarm of the site and its buses, and what people do with them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Mapping
+from contextlib import AsyncExitStack, suppress
+from typing import NamedTuple
+
+from app.core.web.admission.access import Person
+from app.errors import Problem, StoreError
+from app.line.alarms.acts import SILENCE, SILENCE_SOUNDING, ActBody, AlarmAct
+from app.line.alarms.alarm import Alarm
+from app.line.alarms.journal.store import AlarmStore
+from app.line.alarms.monitor.alarm_list import ActTransaction, AlarmList, AlarmSubscriber
+from app.line.alarms.monitor.bus_alarms import BusAlarms
+from app.line.alarms.monitor.site_alarms import SiteAlarms
+from app.line.alarms.rules import state_machine
+from app.line.alarms.rules.performance import AlarmRates, ObservedSpan
+from app.line.alarms.rules.state_machine import AlarmFacts, NoTransitionError
+from app.line.conditions.priority import PRIORITIES
+from app.line.live.screen.fields import name_on_site
+from app.people.audit.log import EventLog
+from bus.instants import Clock, UnixTime, unix_now
+from bus.messages import Message
+
+PAUSE_EVERY = 100
+"""Alarms, in a change of many: what else the server does comes between."""
+
+
+class FoundAlarm(NamedTuple):
+    """An alarm and the list that it is in."""
+
+    alarm: Alarm
+    list: AlarmList
+
+
+class LineAlarms:
+    """All alarms. An act of a person is in the audit log, the journal and the alarm together, or nowhere."""
+
+    def __init__(
+        self,
+        buses: Mapping[str, BusAlarms],
+        site: SiteAlarms,
+        store: AlarmStore,
+        events: EventLog,
+        clock: Clock = unix_now,
+    ) -> None:
+        self.buses = buses
+        self.site = site
+        self.store = store
+        self._events = events
+        self._clock = clock
+        self._lists = (site.list, *(bus.list for bus in buses.values()))
+        self._present: dict[str, Alarm] = {}
+        self._of_unit: dict[tuple[str, int], dict[str, Alarm]] = {}
+        self.rates = AlarmRates()
+        self._annunciated: dict[str, UnixTime | None] = {}
+        """When each alarm was annunciated last."""
+        self.subscribe(self._note)
+
+    async def load(self) -> None:
+        """Take up the states that the last run left."""
+        stored = await self.store.load()
+        self.site.load(stored)
+        for bus in self.buses.values():
+            bus.load(stored)
+        for alarm in self.every():
+            self._note(alarm)
+
+    def _note(self, alarm: Alarm) -> None:
+        definition, is_present = alarm.definition, alarm.facts.state != "normal"
+        if alarm.facts.state == "unack_active" and alarm.facts.since is not None:
+            if self._annunciated.get(definition.key) != alarm.facts.since:
+                self.rates.note(definition.key, alarm.facts.since)
+            self._annunciated[definition.key] = alarm.facts.since
+        indexes = [self._present]
+        if definition.bus is not None and definition.unit is not None:
+            indexes.append(self._of_unit.setdefault((definition.bus, definition.unit), {}))
+        for index in indexes:
+            if is_present:
+                index[definition.key] = alarm
+            else:
+                index.pop(definition.key, None)
+
+    async def write(self) -> None:
+        """Bring to disk what is not there yet, as far as it can be."""
+        for each in self._lists:
+            for work in (each.write, each.record_observed):
+                with suppress(StoreError):
+                    await work()
+
+    def subscribe(self, subscriber: AlarmSubscriber) -> None:
+        """Call ``subscriber`` with each alarm that has changed, of every bus and of the site, on the event
+        loop and before the journal is written. This is where all that follows from transitions begins."""
+        for each in self._lists:
+            each.subscribe(subscriber)
+
+    def list_of(self, bus: str) -> AlarmList:
+        """The alarms of a bus; of the site where ``bus`` is empty."""
+        return self.buses[bus].list if bus else self.site.list
+
+    def every(self) -> Iterator[Alarm]:
+        """Yield every alarm, of the site and of each bus."""
+        for each in self._lists:
+            yield from each.alarms.values()
+
+    def known(self, key: str) -> Alarm | None:
+        """The alarm of a key, also one whose definition has ended lately; None: there is none."""
+        return next((each.known[key] for each in self._lists if key in each.known), None)
+
+    def observed(self) -> list[ObservedSpan]:
+        """Since when each list is observed; the store has it a minute late."""
+        return [each.observed for each in self._lists if each.observed is not None]
+
+    def present(self) -> list[Alarm]:
+        """The alarms that are not normal, by :func:`rank`."""
+        return sorted(self._present.values(), key=rank)
+
+    def present_facts(self) -> list[AlarmFacts]:
+        """Return the facts of every alarm that is not normal."""
+        return [alarm.facts for alarm in self._present.values()]
+
+    def annunciated(self) -> list[Alarm]:
+        """The alarms that are active or wait for an acknowledgement and that nothing hides, in no order."""
+        return [alarm for alarm in self._present.values() if alarm.is_annunciated]
+
+    def sounding(self) -> list[Alarm]:
+        """The alarms that are audible, the most important first."""
+        sounding = (alarm for alarm in self._present.values() if alarm.facts.sounds)
+        return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
+
+    def of_unit(self, bus: str, unit: int) -> list[Alarm]:
+        """Return the annunciated alarms of a unit, by :func:`rank`."""
+        of_unit = self._of_unit.get((bus, unit), {})
+        return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
+
+    def place(self, bus: str | None, unit: int | None) -> str:
+        """The name of a bus, or of a unit as on the pages of the site, which may be configured no longer;
+        empty for the site."""
+        if bus is None:
+            return ""
+        names = self.buses[bus].unit_names() if bus in self.buses else {}
+        if unit is None or unit not in names:
+            return bus if unit is None else f"{bus}/{unit}"
+        return name_on_site(bus, names[unit], self.buses)
+
+    def find(self, alarm_id: str) -> FoundAlarm:
+        """The alarm of an id. Raises Problem 404, or 409 where the id names an earlier occurrence."""
+        key, _, occurrence = alarm_id.rpartition(".")
+        for each in self._lists:
+            alarm = each.alarms.get(key)
+            if alarm is None or not occurrence.isdecimal() or not occurrence.isascii():
+                continue
+            if occurrence != str(alarm.facts.occurrence):
+                raise Problem(
+                    409, "superseded", Message.of("alarm_superseded", name=alarm.definition.name), id=alarm.id
+                )
+            return FoundAlarm(alarm, each)
+        raise Problem(404, "unknown_alarm", Message.of("alarm_unknown", id=alarm_id[:200]))
+
+    async def act(self, person: Person, act: AlarmAct, alarm_id: str, body: ActBody | None = None) -> Alarm:
+        """Do ``act`` to the occurrence of an id; ``body``: what was sent with it. Raises Problem 403, 404 or,
+        where it has come again or its state has no such transition, 409."""
+        act.check(person)
+        body = body or act.body()
+        async with self.find(alarm_id).list.writing:
+            alarm, of = self.find(alarm_id)
+            definition = alarm.definition
+            try:
+                changed = act.change(alarm.facts, definition.attributes, self._clock(), **body.options)
+            except NoTransitionError:
+                raise _not_in_state(alarm) from None
+            transaction = ActTransaction(person.name, [of])
+            transaction.change(of, alarm, changed, body.remark, hides=act.hides)
+            performed = act.by(person, name=definition.name)
+            await transaction.record(
+                self._events, **performed, bus=definition.bus, unit=definition.unit, message=body.remark
+            )
+        return alarm
+
+    async def silence_sounding(self, person: Person, until: UnixTime) -> None:
+        """End the sound of every alarm that began to sound by ``until``: of all or, where that cannot be
+        recorded, of none. Raises Problem 403 and StoreError."""
+        SILENCE_SOUNDING.check(person)
+        async with AsyncExitStack() as writing:
+            for each in self._lists:
+                await writing.enter_async_context(each.writing)
+            await self._silence(person, until)
+
+    async def _silence(self, person: Person, until: UnixTime) -> None:
+        transaction = ActTransaction(person.name, self._lists)
+        for number, alarm in enumerate(self.sounding(), 1):
+            of = self.list_of(alarm.definition.bus or "")
+            if (alarm.facts.since or UnixTime(0.0)) <= until:
+                with suppress(NoTransitionError):
+                    changed = state_machine.silence(alarm.facts, alarm.definition.attributes, self._clock())
+                    transaction.change(of, alarm, changed)
+            if number % PAUSE_EVERY == 0:
+                await asyncio.sleep(0)
+        if not transaction.alarms:
+            return
+        silenced = [alarm.definition for alarm in transaction.alarms]
+        performed, bus, unit = SILENCE.by(person, name=silenced[0].name), silenced[0].bus, silenced[0].unit
+        if len(silenced) > 1:
+            performed, unit = SILENCE_SOUNDING.by(person, n=len(silenced)), None
+            bus = bus if len({each.bus for each in silenced}) == 1 else None
+        await transaction.record(self._events, **performed, bus=bus, unit=unit)
+
+
+def _not_in_state(alarm: Alarm) -> Problem:
+    state = alarm.facts.state
+    message = Message.of(
+        "alarm_not_in_state", name=alarm.definition.name, state=Message(f"alarm_state_{state}")
+    )
+    return Problem(409, "not_in_state", message, state=state, id=alarm.id)
+
+
+def rank(alarm: Alarm) -> tuple[bool, bool, int, float]:
+    """The order of alarms on every surface: active before cleared, then by priority, the newest first; hidden
+    ones last. To acknowledge one moves none."""
+    facts = alarm.facts
+    return (
+        facts.is_hidden,
+        not facts.active,
+        PRIORITIES.index(alarm.definition.priority),
+        -float(facts.came or UnixTime(0.0)),
+    )

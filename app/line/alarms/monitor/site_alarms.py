@@ -1,0 +1,176 @@
+"""The alarms of the site: its records, its disk, its clock, and the certificates and tokens that expire."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from decimal import Decimal
+from pathlib import Path
+from typing import Literal
+
+from app.errors import StoreError
+from app.line.alarms.alarm import Alarm, built_in, key_of
+from app.line.alarms.journal.store import AlarmStore, StoredAlarm
+from app.line.alarms.monitor.alarm_list import AlarmList
+from app.line.alarms.settings import BuiltInAlarmSettings
+from app.line.conditions import of_server
+from app.line.conditions.catalogue import SERVER_ALARMS
+from app.line.conditions.of_server import CERTIFICATE_EXPIRING, TOKEN_EXPIRING
+from app.line.history.status import HistoryStatus
+from app.people.audit.anchor import AnchorStatus
+from app.people.auth.store import Token
+from bus.certificate import MalformedCertificateError, certificates_in
+from bus.instants import Clock, ClockWatch, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.messages import Message, number
+
+LOOK_EVERY_S = 60.0
+Expiry = tuple[UnixTime, str]
+"""The moment at which something ends, and its name."""
+
+
+class ExpiryWatch:
+    """``token`` and ``certificate``: what ends first of those that are to be replaced; False: nothing, and
+    None until it has looked."""
+
+    def __init__(
+        self,
+        tokens: Callable[[], Awaitable[list[Token]]],
+        authorities: Iterable[Path],
+        clock: Clock = unix_now,
+        *,
+        certificates: Iterable[Path] = (),
+    ) -> None:
+        self._tokens = tokens
+        self._ends = {**dict.fromkeys(authorities, max), **dict.fromkeys(certificates, min)}
+        """Of several certificates in a file, the last to end may be the one that counts; of the server's
+        and those that lead to its authority, all are needed."""
+        self._clock = clock
+        self.token: Message | Literal[False] | None = None
+        self.certificate: Message | Literal[False] | None = None
+
+    async def follow(self) -> None:
+        """Look every minute, without end."""
+        while True:
+            with suppress(StoreError):
+                await self.look()
+            await asyncio.sleep(LOOK_EVERY_S)
+
+    async def look(self) -> None:
+        """Look once. Raises StoreError."""
+        now = self._clock()
+        self.token = _first(
+            (token.expires_at, token.name)
+            for token in await self._tokens()
+            if token.expires_at is not None
+            and TOKEN_EXPIRING.holds(token.created_at, token.expires_at, token.used_at, now)
+        )
+        endings = await asyncio.to_thread(lambda: [_ending(*each) for each in self._ends.items()])
+        self.certificate = _first(
+            each for each in endings if each and CERTIFICATE_EXPIRING.holds(each[0], now)
+        )
+
+
+def _first(endings: Iterable[Expiry]) -> Message | Literal[False]:
+    at, name = min(endings, default=(None, ""))
+    if at is None:
+        return False
+    day = datetime.fromtimestamp(float(at), UTC).date().isoformat()
+    return Message.of("alarm_expires", name=name, day=day)
+
+
+def _ending(path: Path, which: Callable[[Iterable[UnixTime]], UnixTime]) -> Expiry | None:
+    """Return when the certificates of a file end; None for a file that holds none, which its user reports."""
+    try:
+        found = certificates_in(path.read_text(encoding="ascii", errors="replace"))
+    except (OSError, MalformedCertificateError):
+        return None
+    return which(each.ends_at for each in found), path.name
+
+
+SiteCondition = Callable[[], Message | bool | None]
+"""Whether it holds, or what it is about where it names one thing; None: not known."""
+
+
+class FailingEndpoints(set[str]):
+    """The addresses of notification that cannot be reached now. Notification keeps it up to date."""
+
+
+def site_conditions(
+    history: Callable[[], HistoryStatus],
+    anchor: Callable[[], AnchorStatus],
+    failing_endpoints: FailingEndpoints,
+    expiry: ExpiryWatch,
+    backup_missing: SiteCondition = lambda: None,
+    archive_fault: Callable[[], Message | None] = lambda: None,
+) -> dict[str, SiteCondition]:
+    """The condition of each alarm of the site but that of its clock."""
+    return {
+        "history_degraded": lambda: of_server.HISTORY_DEGRADED.holds(history().state),
+        "disk_low": lambda: of_server.DISK_LOW.holds(history().state),
+        "audit_degraded": lambda: of_server.AUDIT_DEGRADED.holds(
+            anchor() != AnchorStatus(since=anchor().since)
+        ),
+        "notification_failed": lambda: of_server.NOTIFICATION_FAILED.holds(failing_endpoints),
+        "certificate_expiring": lambda: expiry.certificate,
+        "token_expiring": lambda: expiry.token,
+        "backup_overdue": backup_missing,
+        "events_not_archived": lambda: of_server.EVENTS_NOT_ARCHIVED.holds(archive_fault()),
+    }
+
+
+class SiteAlarms:
+    """The alarms of the site, whose conditions are looked at every second."""
+
+    def __init__(
+        self,
+        conditions: Mapping[str, SiteCondition],
+        store: AlarmStore,
+        clock: Clock = unix_now,
+        monotonic: MonotonicClock = monotonic_now,
+        tuned: Sequence[BuiltInAlarmSettings] = (),
+    ) -> None:
+        self._conditions = dict(conditions)
+        self._about: dict[str, Message | None] = {}
+        """By the code of an alarm, what it is about."""
+        self._clock, self._monotonic = clock, monotonic
+        self._clock_watch = ClockWatch(clock(), monotonic())
+        self.list = AlarmList((built_in(code, None, None, tuned) for code in SERVER_ALARMS), store)
+
+    def watch(self, code: str, condition: SiteCondition) -> None:
+        """Observe an alarm whose condition a feature knows that not every site has."""
+        self._conditions[code] = condition
+
+    def load(self, stored: Mapping[str, StoredAlarm]) -> None:
+        """Take up the states that the last run left."""
+        self.list.load(stored, self._clock())
+
+    async def follow(self) -> None:
+        """Look, and keep the journal, without end."""
+        await self.list.follow(self.tick, self._clock)
+
+    def tick(self) -> None:
+        """Look once."""
+        now = self._clock()
+        self._see_clock(now)
+        for code, condition in self._conditions.items():
+            found = condition()
+            self._about[code] = found if isinstance(found, Message) else None
+            self._observe(code, None if found is None else bool(found), now)
+
+    def present(self, alarm: Alarm) -> Message | None:
+        """Return what an alarm is about, where it names one thing."""
+        return self._about.get(alarm.definition.code)
+
+    def _observe(self, code: str, holds: bool | None, now: UnixTime) -> None:
+        self.list.observe(self.list.alarms[key_of(None, None, code)], holds, now)
+
+    def _see_clock(self, now: UnixTime) -> None:
+        """A step is over at once; the off-delay of its alarm keeps it active for a while."""
+        step_s = self._clock_watch.step(now, self._monotonic())
+        if step_s:
+            self.list.clock_stepped(step_s)
+            step = Message.of("alarm_clock_step", seconds=number(Decimal(f"{step_s:.1f}")))
+            self._about[of_server.CLOCK_STEPPED.code] = step
+        self._observe(of_server.CLOCK_STEPPED.code, of_server.CLOCK_STEPPED.holds(step_s), now)

@@ -1,0 +1,233 @@
+"""The page of the site's own alarms: those that there are, and a simulation of another before it is added."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, NamedTuple, get_args
+
+from fastapi import APIRouter, Form, Query
+from pydantic import BaseModel, Field
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from app.core.web.admission.access import Engineer, Person
+from app.core.web.api.shape import parse_integer
+from app.core.web.rendering.templating import render, templates_of
+from app.core.web.services import service, service_of
+from app.errors import Problem
+from app.line.alarms.acts import ADD_OWN, REMOVE_OWN
+from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.own.api import OwnBook, SimulatorOf, WrittenText
+from app.line.alarms.own.book import OwnAlarmBook
+from app.line.alarms.own.definition import proposed
+from app.line.alarms.pages import SEE_OTHER, TypedReason, given_reason, places_of
+from app.line.alarms.rules.performance import DAY_S
+from app.line.alarms.settings import OwnValue
+from app.line.alarms.simulation.replay import AlarmSimulation
+from app.line.history.series import values
+from app.line.history.series.values import VALUES
+from app.line.history.spans import HistoryOf
+from app.settings import Settings
+from bus.instants import unix_now
+from bus.messages import term
+from bus.settings import UnitSettings
+
+router = APIRouter(include_in_schema=False)
+
+SPANS = (1, 7, 31)
+_NUMBERS = ("above", "below", "deadband", "change_per_s")
+_DELAYS = ("on_delay_s", "off_delay_s")
+_TEXTS = ("cause", "consequence", "response")
+UNNAMED = term("New alarm")
+"""The name of an alarm that is simulated before it has one."""
+_WITHOUT_FIELD = {"realarm_s", "latch"}
+SettingsOf = Annotated[Settings, service(Settings)]
+WrittenField = Annotated[str, Field(max_length=80)]
+
+
+class OwnValueWords(NamedTuple):
+    """The name of a value in a reader's language, by the label of the unit where it has one, and its unit of
+    measure, empty where none is configured."""
+
+    name: str
+    measure: str
+
+
+class WrittenAlarm(BaseModel):
+    """The form as it was filled in; without ``place``: not at all. ``change``: the key of the alarm to
+    change, and the ``version`` that it is changed from."""
+
+    name: WrittenField = ""
+    place: WrittenField = ""
+    value: WrittenField = "actual"
+    above: WrittenField = ""
+    below: WrittenField = ""
+    deadband: WrittenField = ""
+    change_per_s: WrittenField = ""
+    state: WrittenField = ""
+    on_delay_s: WrittenField = ""
+    off_delay_s: WrittenField = ""
+    priority: WrittenField = "medium"
+    cause: WrittenText = ""
+    consequence: WrittenText = ""
+    response: WrittenText = ""
+    days: WrittenField = "7"
+    change: Annotated[str, Field(max_length=200)] = ""
+    version: WrittenField = ""
+
+
+@router.get("/alarms/own")
+async def own_alarms_page(
+    request: Request,
+    person: Engineer,
+    simulator: SimulatorOf,
+    history: HistoryOf,
+    configured: SettingsOf,
+    query: Annotated[WrittenAlarm, Query()],
+) -> Response:
+    """The alarms of the site, the form, and what its alarm would have done."""
+    written = _written(query)
+    if not written["place"]:
+        return _page(request, written)
+    try:
+        unnamed = templates_of(request).language_of(request).t(UNNAMED)
+        settings = proposed({**_keys(request, written), **_name(written, unnamed)}, configured.bus)
+    except Problem as problem:
+        return _page(request, written, fault=problem)
+    end, bus = unix_now(), history.buses[settings.bus]
+    start = end - int(written["days"]) * DAY_S
+    found = await simulator.run(bus, settings, start, end, person.account)
+    return _page(request, written, found=found)
+
+
+@router.get("/alarms/own/values")
+async def values_of_unit(request: Request, _: Engineer, query: Annotated[WrittenAlarm, Query()]) -> Response:
+    """The choice of values, by the labels of the unit that was chosen."""
+    written = _written(query)
+    return render(
+        request, "alarms/_own_values.html", written=written, values=_values(request, written["place"])
+    )
+
+
+@router.post("/alarms/own")
+async def store_own_alarm(
+    request: Request,
+    person: Annotated[Person, ADD_OWN.permitted],
+    own: OwnBook,
+    form: Annotated[WrittenAlarm, Form()],
+) -> Response:
+    """Add the alarm of the form, or change the one that it names."""
+    written = _written(form)
+    keys = _keys(request, written) | _name(written, "")
+    try:
+        if written["change"]:
+            version = parse_integer(written["version"]) or 0
+            await own.change(person, written["change"], version, _kept(own, written["change"]) | keys)
+        else:
+            await own.add(person, keys)
+    except Problem as problem:
+        return _page(request, written, fault=problem)
+    return RedirectResponse("/alarms/own", SEE_OTHER)
+
+
+@router.post("/alarms/own/remove")
+async def remove_own_alarm(
+    person: Annotated[Person, REMOVE_OWN.permitted],
+    own: OwnBook,
+    alarm: Annotated[str, Form(max_length=200)],
+    version: Annotated[int, Form(ge=1, le=2**62)],
+    reason: TypedReason = "",
+) -> Response:
+    """Remove an alarm that was added."""
+    await own.remove(person, alarm, version, given_reason(reason))
+    return RedirectResponse("/alarms/own", SEE_OTHER)
+
+
+def _page(
+    request: Request,
+    written: dict[str, str],
+    *,
+    fault: Problem | None = None,
+    found: AlarmSimulation | None = None,
+) -> Response:
+    own, alarms = service_of(request, OwnAlarmBook), service_of(request, LineAlarms)
+    return render(
+        request,
+        "alarms/own.html",
+        configured=[(each, alarms.place(each.bus, each.unit), added) for each, added in own.every()],
+        left_aside=list(own.left_aside.values()),
+        places=[place for place in places_of(alarms) if "/" in place[0]],
+        values=_values(request, written["place"]),
+        values_of={place: _values(request, place) for place in _places_of(own)},
+        spans=SPANS,
+        written=written,
+        fault=None if fault is None else fault.message,
+        found=found,
+        status=200 if fault is None else fault.status,
+    )
+
+
+def _written(form: WrittenAlarm) -> dict[str, str]:
+    written: dict[str, str] = form.model_dump()
+    return written | ({} if written["days"] in map(str, SPANS) else {"days": "7"})
+
+
+def _places_of(own: OwnAlarmBook) -> set[str]:
+    return {f"{each.bus}/{each.unit}" for each, _ in own.every()}
+
+
+def _values(request: Request, place: str) -> dict[str, OwnValueWords]:
+    """The name and the unit of measure of each value of a unit; without labels where it is not configured."""
+    bus, _, number = place.partition("/")
+    units = (
+        unit
+        for each in service_of(request, Settings).bus
+        if each.name == bus
+        for unit in each.unit
+        if str(unit.id) == number
+    )
+    unit = next(units, None)
+    translate = templates_of(request).language_of(request).t
+    return {name: _words(unit, name, translate) for name in get_args(OwnValue)}
+
+
+def _words(unit: UnitSettings | None, name: str, translate: Callable[..., str]) -> OwnValueWords:
+    value = VALUES["actual" if name == "deviation" else name]
+    words = values.text(value, translate)
+    wired = values.label(unit, value) if unit else ""
+    return OwnValueWords(
+        f"{wired} ({words})" if wired else words, values.measure(unit, value) if unit else ""
+    )
+
+
+def _name(written: Mapping[str, str], otherwise: str) -> dict[str, str]:
+    return {"name": written["name"].strip() or otherwise}
+
+
+def _kept(own: OwnAlarmBook, key: str) -> dict[str, Any]:
+    """Return the settings of an alarm for which the form has no field, so that they stay."""
+    former = own.added.get(key)
+    return {} if former is None else former.settings.model_dump(include=_WITHOUT_FIELD)
+
+
+def _keys(request: Request, written: dict[str, str]) -> dict[str, Any]:
+    """The keys of ``[[alarm]]``; a number may have the decimal comma of the reader."""
+    formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
+    bus, _, unit = written["place"].partition("/")
+    keys: dict[str, Any] = {
+        "bus": bus,
+        "unit": parse_integer(unit) or 0,
+        "value": written["value"],
+        "priority": written["priority"],
+    }
+    keys |= {key: formats.typed_number(written[key]) for key in _NUMBERS if written[key].strip()}
+    keys |= {key: written[key].strip() for key in _TEXTS}
+    keys |= {key: _delay(formats.typed_number(written[key])) for key in _DELAYS if written[key].strip()}
+    return keys | ({"state": written["state"]} if written["state"] else {})
+
+
+def _delay(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text

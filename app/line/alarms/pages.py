@@ -1,0 +1,387 @@
+"""The pages of alarms: the summary, the journal, the figures, and one alarm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import timedelta
+from typing import Annotated, Any, Literal, NamedTuple
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Depends, Form, Query
+from pydantic import BaseModel, Field, StringConstraints
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from app.core.messages import Language
+from app.core.time_zone import day_begins
+from app.core.web.admission.access import Person, Viewer
+from app.core.web.admission.turns import SEARCH
+from app.core.web.rendering.formats import UNKNOWN, Formats
+from app.core.web.rendering.templating import render, templates_of
+from app.core.web.services import service_of
+from app.errors import Problem
+from app.line.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
+from app.line.alarms.alarm import Alarm, state_text
+from app.line.alarms.api import Alarms, present_value
+from app.line.alarms.journal.performance import measure
+from app.line.alarms.journal.store import JournalFilter
+from app.line.alarms.monitor.line_alarms import LineAlarms, rank
+from app.line.alarms.rules.performance import DAY_S, AlarmFigure
+from app.line.alarms.rules.state_machine import PRESENT_STATES, AlarmState
+from app.line.conditions.condition import GROUPS
+from app.line.live.browsers.hub import Hub
+from app.line.live.screen.screen import ALARM_GROUP
+from app.settings import Settings
+from bus.instants import UnixTime, unix_now
+from bus.messages import Message
+from bus.text import OneLine, TypedText
+
+MAX_ROWS = 100
+"""Rows of the summary: as many as can be acknowledged together."""
+
+
+class AlarmRow(NamedTuple):
+    """An alarm as a page shows it: with where it is, the present value of what it is about, and whether it
+    came three times within a minute."""
+
+    alarm: Alarm
+    place: str
+    value: Message | None
+    chatters: bool
+
+
+def listed(
+    alarms: LineAlarms, chosen: dict[str, str], now: UnixTime, shown: Sequence[str] = ()
+) -> dict[str, Any]:
+    """What the list of alarms shows. ``shown``: the keys of the rows that a person sees. These stay in their
+    places, also where they match no longer, and new alarms come after them."""
+    known = (alarms.known(key) for key in shown)
+    kept = dict.fromkeys(alarm for alarm in known if alarm is not None)
+    new = [alarm for alarm in alarms.present() if alarm not in kept and _matches(alarm, chosen)]
+    found = [*kept, *new]
+    rows = [row_of(alarms, alarm, now) for alarm in found[:MAX_ROWS]]
+    return {
+        "rows": rows,
+        "waiting": [row.alarm.id for row in rows if row.alarm.is_unacknowledged],
+        "more": max(0, len(found) - MAX_ROWS),
+        "query": query_of(chosen),
+        "is_filtered": any(chosen.values()),
+        "is_sorted": found == sorted(found, key=rank),
+        "flood": alarms.rates.flood(now),
+    }
+
+
+def query_of(chosen: dict[str, str]) -> str:
+    """Return what a person filters by as the query of a link."""
+    return urlencode({name: value for name, value in chosen.items() if value})
+
+
+def _matches(alarm: Alarm, chosen: dict[str, str]) -> bool:
+    definition = alarm.definition
+    bus, _, unit = chosen["place"].partition("/")
+    return (
+        chosen["state"] in ("", alarm.facts.state)
+        and chosen["priority"] in ("", definition.priority)
+        and chosen["group"] in ("", definition.about)
+        and bus in ("", definition.bus)
+        and unit in ("", str(definition.unit))
+    )
+
+
+def places_of(alarms: LineAlarms) -> list[tuple[str, str]]:
+    """Return each bus and each of its units, as filters with their names."""
+    places: list[tuple[str, str]] = []
+    for name, bus in alarms.buses.items():
+        places.append((name, name))
+        places += [(f"{name}/{unit}", f"{name} · {text}") for unit, text in bus.unit_names().items()]
+    return places
+
+
+def row_of(alarms: LineAlarms, alarm: Alarm, now: UnixTime) -> AlarmRow:
+    """An alarm as it is now."""
+    definition = alarm.definition
+    place = alarms.place(definition.bus, definition.unit)
+    chatters = alarms.rates.chatters(definition.key, now)
+    return AlarmRow(alarm, place, present_value(alarms, alarm), chatters)
+
+
+router = APIRouter(include_in_schema=False)
+
+ON_A_PAGE = 100
+MAX_FOUND = 5000
+"""Alarms that a search may find: their keys are values of one statement."""
+AFTER: tuple[AlarmState, ...] = (
+    "unack_active",
+    "ack_active",
+    "rtn_unack",
+    "normal",
+    "shelved",
+    "suppressed",
+    "out_of_service",
+)
+"""The states by which the journal is filtered."""
+TypedFilter = Annotated[TypedText, Query(max_length=80)]
+
+
+@router.get("/alarms/journal", dependencies=[SEARCH])
+async def journal_page(
+    request: Request,
+    _: Viewer,
+    alarms: Alarms,
+    search: TypedFilter = "",
+    place: TypedFilter = "",
+    priority: TypedFilter = "",
+    state: TypedFilter = "",
+    day: TypedFilter = "",
+    before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
+) -> Response:
+    """The transitions that a person chose, newest first; ``day``: of the site."""
+    zone = service_of(request, Settings).site.zone
+    bus, _slash, unit = place.partition("/")
+    chosen = {"search": search.strip(), "place": place, "priority": priority, "state": state, "day": day}
+    found = JournalFilter(
+        alarms=_named(alarms, chosen["search"], templates_of(request).language_of(request)),
+        bus=bus or None,
+        unit=int(unit) if unit.isascii() and unit.isdecimal() and len(unit) < 4 else None,
+        priority=priority or None,
+        after=state or None,
+        start=day_begins(day, zone),
+        end=day_begins(day, zone, timedelta(days=1)),
+    )
+    entries = await alarms.store.journal(
+        ON_A_PAGE + 1, before, chosen=found if any(chosen.values()) else None
+    )
+    query = query_of(chosen)
+    older = f"before={entries[ON_A_PAGE - 1].id}" if len(entries) > ON_A_PAGE else ""
+    return render(
+        request,
+        "alarms/journal.html",
+        transitions=entries[:ON_A_PAGE],
+        place_of=alarms.place,
+        chosen=chosen,
+        states=[(each, state_text(each)) for each in AFTER],
+        places=places_of(alarms),
+        older="&".join(filter(None, (query, older))) if older else "",
+        newest=query if before else None,
+    )
+
+
+def _named(alarms: LineAlarms, search: str, language: Language) -> list[str] | None:
+    """The keys of the alarms whose place or name has each word of a search; None without one."""
+    words = search.casefold().split()
+    if not words:
+        return None
+    names: dict[str, str] = {}
+    found: list[str] = []
+    for alarm in alarms.every():
+        definition = alarm.definition
+        name = names.setdefault(str(definition.name), language.t(definition.name))
+        text = f"{alarms.place(definition.bus, definition.unit)} {name}".casefold()
+        if all(word in text for word in words):
+            found.append(definition.key)
+    return found[:MAX_FOUND]
+
+
+SEE_OTHER = 303
+TypedReason = Annotated[OneLine, Form(max_length=200)]
+ShownKeys = Sequence[Annotated[str, StringConstraints(max_length=200)]]
+
+
+async def chosen_filters(
+    state: TypedFilter = "", priority: TypedFilter = "", place: TypedFilter = "", group: TypedFilter = ""
+) -> dict[str, str]:
+    """Return what a person filters by; an empty text filters nothing."""
+    return {"state": state, "priority": priority, "place": place, "group": group}
+
+
+ChosenFilters = Annotated[dict[str, str], Depends(chosen_filters)]
+
+
+@router.get("/alarms")
+async def alarms_page(
+    request: Request,
+    _: Viewer,
+    alarms: Alarms,
+    chosen: ChosenFilters,
+    left_out: Annotated[int, Query(ge=0, le=MAX_ROWS)] = 0,
+) -> Response:
+    """The present alarms, filtered; the list draws itself again when one changes."""
+    screen = service_of(request, Hub).screen(templates_of(request).language_of(request).tag)
+    return render(
+        request,
+        "alarms/page.html",
+        **listed(alarms, chosen, unix_now()),
+        chosen=chosen,
+        states=[(each, state_text(each)) for each in PRESENT_STATES],
+        places=places_of(alarms),
+        groups=GROUPS,
+        changed=screen.shown[ALARM_GROUP]["changed"],
+        left_out=left_out,
+    )
+
+
+@router.get("/alarms/list")
+async def alarms_list(
+    request: Request,
+    _: Viewer,
+    alarms: Alarms,
+    chosen: ChosenFilters,
+    shown: Annotated[ShownKeys, Query(max_length=MAX_ROWS)] = (),
+) -> Response:
+    """Draw the rows alone; those that are shown stay in their places."""
+    return _list(request, alarms, chosen, shown)
+
+
+def _list(
+    request: Request, alarms: LineAlarms, chosen: dict[str, str], shown: Sequence[str], left_out: int = 0
+) -> Response:
+    return render(
+        request, "alarms/_list.html", **listed(alarms, chosen, unix_now(), shown), left_out=left_out
+    )
+
+
+@router.get("/alarms/performance")
+async def performance_page(
+    request: Request, _: Viewer, alarms: Alarms, days: Literal["1", "7", "31"] = "7"
+) -> Response:
+    """The figures of the alarm system over the last days."""
+    end, span_s = unix_now(), int(days) * DAY_S
+    found = await measure(alarms, end - span_s, end)
+    formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
+    span = urlencode({"from": formats.iso(end - span_s), "to": formats.iso(end)})
+    return render(
+        request,
+        "alarms/performance.html",
+        found=found,
+        is_complete=found.covers(span_s),
+        hours=(formats.number(found.observed_s / 3600, 1), formats.number(span_s / 3600)),
+        days=int(days),
+        spans=(1, 7, 31),
+        csv=f"/api/v1/alarms/performance.csv?{span}",
+        figures=[_figure(figure, formats, found.observed_s) for figure in found.figures],
+        place_of=alarms.place,
+    )
+
+
+@router.get("/alarms/{alarm_id}")
+async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -> Response:
+    """One alarm: its state, its record, its transitions, and what a person can do."""
+    try:
+        alarm = alarms.find(alarm_id).alarm
+    except Problem as problem:
+        if problem.code != "superseded":
+            raise
+        return RedirectResponse(f"/alarms/{problem.extra['id']}", SEE_OTHER)
+    entries = await alarms.store.journal(ON_A_PAGE, alarm=alarm.definition.key)
+    return render(
+        request,
+        "alarms/one.html",
+        row=row_of(alarms, alarm, unix_now()),
+        record=alarm.definition.record,
+        beside=_beside(alarms, alarm),
+        transitions=entries,
+        place_of=alarms.place,
+    )
+
+
+def _beside(alarms: LineAlarms, alarm: Alarm) -> list[Alarm]:
+    """The other alarms of its unit."""
+    bus, unit = alarm.definition.bus, alarm.definition.unit
+    if bus is None or unit is None:
+        return []
+    return [each for each in alarms.of_unit(bus, unit) if each is not alarm]
+
+
+@router.post("/alarms/acknowledge")
+async def acknowledge_shown(
+    request: Request,
+    person: Annotated[Person, ACKNOWLEDGE.permitted],
+    alarms: Alarms,
+    chosen: ChosenFilters,
+    id: Annotated[list[str], Form(max_length=MAX_ROWS)],
+    shown: Annotated[ShownKeys, Form(max_length=MAX_ROWS)] = (),
+) -> Response:
+    """Acknowledge the alarms that the person saw. One that has changed since is left as it is, and the page
+    reports it. The list that they are acknowledged in keeps the places of its rows; the head of a page, which
+    follows the alarms, needs no response."""
+    left_out = 0
+    for alarm_id in id:
+        try:
+            await alarms.act(person, ACKNOWLEDGE, alarm_id)
+        except Problem:
+            left_out += 1
+    if not shown and "HX-Request" in request.headers:
+        return Response(status_code=204)
+    if shown:
+        response = _list(request, alarms, chosen, shown, left_out)
+        response.headers["HX-Retarget"], response.headers["HX-Reswap"] = "#alarms", "innerMorph"
+        return response
+    query = query_of(chosen | ({"left_out": str(left_out)} if left_out else {}))
+    return RedirectResponse(f"/alarms?{query}", SEE_OTHER)
+
+
+@router.post("/alarms/silence")
+async def silence_sounding(
+    person: Annotated[Person, SILENCE_SOUNDING.permitted],
+    alarms: Alarms,
+    until: Annotated[float, Form(allow_inf_nan=False)],
+) -> Response:
+    """Silence the alarms that sounded at the press, and none that came since."""
+    await alarms.silence_sounding(person, UnixTime(until))
+    return Response(status_code=204)
+
+
+class WrittenAct(BaseModel):
+    """The form of an act as it was filled in."""
+
+    reason: Annotated[OneLine, Field(max_length=200)] = ""
+    minutes: Annotated[int, Field(ge=1, le=MAX_MINUTES)] = 30
+
+
+def _add_form(act: AlarmAct) -> None:
+    async def perform(
+        alarms: Alarms, alarm_id: str, written: Annotated[WrittenAct, Form()], person: Person = act.permitted
+    ) -> Response:
+        fields = written.model_dump(include=set(act.body.model_fields))
+        if act.hides:
+            given_reason(written.reason)
+        await alarms.act(person, act, alarm_id, act.body.model_validate(fields))
+        return RedirectResponse(f"/alarms/{alarm_id}", SEE_OTHER)
+
+    router.post(f"/alarms/{{alarm_id}}/{act.path}", name=act.name)(perform)
+
+
+for alarm_act in ALARM_ACTS:
+    if alarm_act is not ACKNOWLEDGE:
+        _add_form(alarm_act)
+
+
+def given_reason(reason: str) -> str:
+    """Return a reason without the blanks around it. Raises Problem 422 for a blank one."""
+    if not reason.strip():
+        raise Problem(422, "invalid", Message("alarm_needs_reason"))
+    return reason.strip()
+
+
+def _figure(
+    figure: AlarmFigure, formats: Formats, observed_s: float
+) -> tuple[Message, str, str, bool | None]:
+    """Its name, its value and its target as the page shows them, and whether it meets that. A figure
+    of a day is not known of less than one."""
+
+    def shown(value: float | None) -> str:
+        if value is None:
+            return UNKNOWN
+        if figure.code.endswith("share") or figure.code == "windows_over_10":
+            return f"{formats.number(100 * value, 1)} %"
+        if figure.code.endswith("_s"):
+            return f"{formats.number(value)} s"
+        return formats.number(value, 2 if figure.code == "per_10_minutes" else 0)
+
+    if figure.at_most is not None:
+        target = f"≤ {shown(figure.at_most)}"
+    else:
+        target = "" if figure.at_least is None else f"≥ {shown(figure.at_least)}"
+    if figure.code == "per_day" and observed_s < DAY_S:
+        return Message("alarm_figure_per_day_of_less"), UNKNOWN, target, None
+    return Message(f"alarm_figure_{figure.code}"), shown(figure.value), target, figure.met

@@ -1,0 +1,231 @@
+"""Figures of the alarm system and their targets (ISA-18.2-2016, clause 16), and how fast alarms come.
+
+Pure: counts and times are passed in.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
+from typing_extensions import TypeAliasType
+
+from app.line.conditions.priority import PRIORITIES, AlarmPriority
+from bus.instants import UnixTime
+
+WINDOW_S = 600
+"""Rates are judged in windows of ten minutes."""
+DAY_S = 86_400
+MANY = 10
+"""A flood begins with more alarms in a window than this: a person cannot respond to them."""
+FEW = 5
+"""A flood is over with fewer alarms than this in a window."""
+CHATTERS_S = 60.0
+"""An alarm that comes three times within this chatters."""
+FLEETING_S = 10.0
+"""An alarm that clears sooner, before a person could act, is fleeting."""
+STALE_S = 24 * 3600.0
+"""An alarm that stays active longer is stale."""
+MIN_FOR_TOP_TEN = 200
+"""Of fewer annunciated alarms, ten are more than 5 % in any case: their share has no value."""
+
+FigureCode = Literal[
+    "annunciated",
+    "per_day",
+    "per_10_minutes",
+    "peak_10_minutes",
+    "windows_over_10",
+    "flood_share",
+    "top_ten_share",
+    "chattering",
+    "fleeting",
+    "stale",
+    "standing",
+    "shelved",
+    "suppressed",
+    "out_of_service",
+    "urgent_share",
+    "high_share",
+    "medium_share",
+    "low_share",
+    "acknowledge_median_s",
+]
+AlarmFigureCode = TypeAliasType("AlarmFigureCode", FigureCode)
+FigureTarget = Annotated[float | None, Field(description="Its target; null: none of this kind.")]
+AT_MOST: dict[FigureCode, float] = {
+    "per_day": 144,
+    "per_10_minutes": 1,
+    "peak_10_minutes": MANY,
+    "windows_over_10": 0.01,
+    "flood_share": 0.01,
+    "top_ten_share": 0.05,
+    "chattering": 0,
+    "fleeting": 0,
+    "stale": 4,
+    "urgent_share": 0.01,
+    "high_share": 0.05,
+    "medium_share": 0.15,
+    "acknowledge_median_s": WINDOW_S,
+}
+AT_LEAST: dict[FigureCode, float] = {"low_share": 0.8}
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmFigure:
+    """One figure and its target."""
+
+    code: AlarmFigureCode
+    value: Annotated[
+        float | None,
+        Field(description="Shares 0 to 1; null: nothing to measure, or under 10 minutes were observed."),
+    ]
+    at_most: FigureTarget
+    at_least: FigureTarget
+    met: Annotated[bool | None, Field(description="Whether it keeps its target; null: it has none.")]
+
+
+def judged(code: FigureCode, value: float | None) -> AlarmFigure:
+    """A figure against its target; ``value`` is None where there was nothing to measure."""
+    at_most, at_least = AT_MOST.get(code), AT_LEAST.get(code)
+    met = None
+    if value is not None and (at_most is not None or at_least is not None):
+        met = (at_most is None or value <= at_most) and (at_least is None or value >= at_least)
+    return AlarmFigure(code, value, at_most, at_least, met)
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmCounts:
+    """From the journal of a span, of which alarms were observed for ``observed_s``, and the states at
+    present. ``in_windows``: alarms annunciated in each window of ten minutes that has any; ``top_ten``: how
+    often the ten most frequent came."""
+
+    observed_s: float
+    in_windows: Mapping[int, int]
+    top_ten: int
+    of_priority: Mapping[AlarmPriority, int]
+    chattering: int
+    fleeting: int
+    acknowledge_median_s: float | None
+    now: Mapping[FigureCode, int]
+
+
+def figures(measured: AlarmCounts) -> list[AlarmFigure]:
+    """Every figure, in the order in which they are shown. Before ten minutes were observed the journal gives
+    none: that no alarm came while none was looked for meets no target."""
+    found = _measured(measured)
+    if measured.observed_s < WINDOW_S:
+        found = {**dict.fromkeys(found), **measured.now}
+    return [judged(code, value) for code, value in found.items()]
+
+
+def _measured(measured: AlarmCounts) -> dict[FigureCode, float | None]:
+    total = sum(measured.in_windows.values())
+    windows = max(1.0, measured.observed_s / WINDOW_S)
+    over = sum(count > MANY for count in measured.in_windows.values())
+    return {
+        "annunciated": total,
+        "per_day": total / windows * DAY_S / WINDOW_S,
+        "per_10_minutes": total / windows,
+        "peak_10_minutes": max(measured.in_windows.values(), default=0),
+        "windows_over_10": min(1.0, over / windows),
+        "flood_share": min(1.0, sum(1 for _ in flooded(measured.in_windows)) / windows),
+        "top_ten_share": _share(measured.top_ten, total) if total >= MIN_FOR_TOP_TEN else None,
+        "chattering": measured.chattering,
+        "fleeting": measured.fleeting,
+        **measured.now,
+        **{
+            f"{priority}_share": _share(measured.of_priority.get(priority, 0), total)  # type: ignore[misc]
+            for priority in PRIORITIES
+        },
+        "acknowledge_median_s": measured.acknowledge_median_s,
+    }
+
+
+def flooded(in_windows: Mapping[int, int]) -> Iterator[int]:
+    """The windows of each flood: from more than ten alarms in one to before the next with fewer than five."""
+    last = None
+    for window in sorted(in_windows):
+        count = in_windows[window]
+        goes_on = last is not None and window == last + 1 and count >= FEW
+        if count > MANY or goes_on:
+            last = window
+            yield window
+
+
+def _share(part: int, total: int) -> float | None:
+    return part / total if total else None
+
+
+RISES_OF_CHATTER = 3
+MAX_COUNTED = 1000
+"""The most alarms that the count of ten minutes takes; the oldest beyond it are left out."""
+
+
+class AlarmRates:
+    """The alarms annunciated in the last ten minutes, as they came."""
+
+    def __init__(self) -> None:
+        self._came: deque[UnixTime] = deque(maxlen=MAX_COUNTED)
+        self._of_alarm: dict[str, deque[UnixTime]] = {}
+        self._is_flood = False
+
+    def note(self, alarm: str, at: UnixTime) -> None:
+        """An alarm, by its key, was annunciated."""
+        self._came.append(at)
+        self._of_alarm.setdefault(alarm, deque(maxlen=RISES_OF_CHATTER)).append(at)
+        self.count(at)
+
+    def count(self, now: UnixTime) -> int:
+        """How many were annunciated in the last ten minutes. A clock that was set back forgets them."""
+        while self._came and not 0 <= now - self._came[0] < WINDOW_S:
+            self._came.popleft()
+        found = len(self._came)
+        self._is_flood = found > MANY or (self._is_flood and found >= FEW)
+        return found
+
+    def flood(self, now: UnixTime) -> int:
+        """How many came in the last ten minutes while that is a flood: from more than ten on, until there are
+        fewer than five; 0 while it is none."""
+        count = self.count(now)
+        return count if self._is_flood else 0
+
+    def chatters(self, alarm: str, now: UnixTime) -> bool:
+        """Whether it came three times within a minute, lately."""
+        rises = self._of_alarm.get(alarm)
+        if rises is None or len(rises) < RISES_OF_CHATTER or not 0 <= now - rises[-1] < WINDOW_S:
+            return False
+        return 0 <= rises[-1] - rises[0] <= CHATTERS_S
+
+
+MAX_GAP_S = 60.0
+"""The engine looks every second. After a longer gap it stood still, or the clock was set."""
+
+
+class ObservedSpan(NamedTuple):
+    """Alarms were observed from ``start`` to ``end``."""
+
+    start: UnixTime
+    end: UnixTime
+
+
+def observed_until(now: UnixTime, former: ObservedSpan | None) -> ObservedSpan:
+    """The former span with the time up to ``now``; another one, where ``now`` does not follow it."""
+    if former is None or not 0 <= now - former.end <= MAX_GAP_S:
+        return ObservedSpan(now, now)
+    return former._replace(end=now)
+
+
+def observed_within(spans: Iterable[ObservedSpan], start: UnixTime, end: UnixTime) -> list[ObservedSpan]:
+    """Return the parts of a time that were observed, without overlaps, in order."""
+    found: list[ObservedSpan] = []
+    for span in sorted(ObservedSpan(max(each.start, start), min(each.end, end)) for each in spans):
+        if span.start >= span.end:
+            continue
+        if found and span.start <= found[-1].end:
+            found[-1] = found[-1]._replace(end=max(found[-1].end, span.end))
+        else:
+            found.append(span)
+    return found

@@ -1,0 +1,277 @@
+"""An alarm of the site over stored readings, judged by the rules that judge the present. Pure."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from pydantic import Field
+
+from app.core.web.api.shape import InstantObject
+from app.line.alarms.own.definition import OwnCondition, known_decimals, own_definition
+from app.line.alarms.rules import state_machine
+from app.line.alarms.rules.detection import ChangeRate, Suppressors
+from app.line.alarms.rules.performance import CHATTERS_S
+from app.line.alarms.rules.state_machine import AlarmFacts, Changed, Transition
+from app.line.alarms.settings import AlarmSettings
+from app.line.conditions.of_unit import ESTOP_ACTIVE
+from app.line.history.series.rollup import Rollup
+from app.line.history.series.runs import MINUTE, SECOND, Run, micros
+from app.line.history.series.values import ParameterStep
+from app.line.live.diagnosis.links import unit_facts
+from app.line.live.state.bus_live import never_seen
+from app.line.live.state.scan_time import scan_s_of, stale_after_s
+from bus.contract import ParameterValue, Reading
+from bus.instants import UnixTime
+from bus.settings import BusSettings
+
+CHATTERING_TIMES = 3
+SimulatedTime = Annotated[InstantObject | None, Field(description="ISO 8601 in UTC; null: there is none.")]
+
+
+@dataclass(slots=True)
+class Annunciations:
+    """The times at which an alarm would have been annunciated, and how long it would have stood."""
+
+    at: list[UnixTime] = field(default_factory=list)
+    lengths: list[float] = field(default_factory=list)
+    """Seconds for which it was active and not hidden, each time."""
+    stands_since: UnixTime | None = None
+
+    def see(self, transitions: Sequence[Transition]) -> None:
+        """Take in what happened."""
+        for each in transitions:
+            stands = each.after == "unack_active"
+            if stands and self.stands_since is None:
+                self.at.append(each.at)
+                self.stands_since = each.at
+            elif not stands:
+                self.end(each.at)
+
+    def end(self, at: UnixTime) -> None:
+        """End the present annunciation: the alarm cleared, was hidden, or the time is over."""
+        if self.stands_since is not None:
+            self.lengths.append(at - self.stands_since)
+            self.stands_since = None
+
+    @property
+    def chattering(self) -> int:
+        """The number of annunciations that are among three within a minute."""
+        among: set[int] = set()
+        last = CHATTERING_TIMES - 1
+        for index in range(last, len(self.at)):
+            if self.at[index] - self.at[index - last] <= CHATTERS_S:
+                among.update(range(index - last, index + 1))
+        return len(among)
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmSimulation:
+    """What the alarm would have done. Durations in seconds."""
+
+    start: Annotated[InstantObject, Field(serialization_alias="from")]
+    end: Annotated[InstantObject, Field(serialization_alias="to")]
+    covered_from: Annotated[
+        InstantObject | None,
+        Field(description="From when on readings are stored; null: none of this time are."),
+    ]
+    covered_to: SimulatedTime
+    annunciated: Annotated[int, Field(description="How often it would have come.")]
+    chattering: Annotated[int, Field(description="How many of them were among three within a minute.")]
+    first: SimulatedTime
+    last: SimulatedTime
+    standing_s: Annotated[float, Field(description="Active and not suppressed, in total.")]
+    longest_s: Annotated[float | None, Field(description="The longest time; null: it did not come.")]
+    stands_at_end: bool
+    unknown_s: Annotated[float, Field(description="About; of the covered time: no readings, or no scale.")]
+    complete: Annotated[bool, Field(description="false: the work was ended at covered_to.")]
+    toml: Annotated[str, Field(description="The entry for lineside.toml.")]
+
+
+ZeroStep = tuple[int, bool]
+"""From when on zero, or another speed, was commanded to a unit."""
+AtRest = Callable[[int], bool]
+
+
+def rest_of(units: Sequence[Sequence[ZeroStep]]) -> AtRest:
+    """Whether the line was at rest at a time, by the steps of each unit in order. One without any is no proof
+    of rest; before its first step, a unit was as it is then."""
+    if not units or not all(units):
+        return lambda _: False
+    states = [steps[0][1] for steps in units]
+    times, found = [0], [all(states)]
+    for at, unit, is_zero in sorted(
+        (at, unit, zero) for unit, steps in enumerate(units) for at, zero in steps
+    ):
+        states[unit] = is_zero
+        if all(states) != found[-1]:
+            times.append(at)
+            found.append(not found[-1])
+    return lambda at: found[bisect_right(times, at) - 1]
+
+
+_BEFORE = 1e-6
+USUAL_SHARE = 0.9
+"""With a smaller share of the readings of the minute before, some are missing."""
+
+
+class Replay:
+    """Feed it minutes in order of time. What they have before ``start`` or after ``end`` is left out.
+    ``steps``: the values of parameters that scale."""
+
+    def __init__(
+        self,
+        bus: BusSettings,
+        settings: AlarmSettings,
+        steps: Sequence[ParameterStep],
+        start: UnixTime,
+        end: UnixTime,
+    ) -> None:
+        self.found = Annunciations()
+        self.unknown_s = 0.0
+        self._settings = settings
+        self._live = never_seen(bus, UnixTime(0.0))
+        self._unit = self._live.units[settings.unit]
+        self._definition = own_definition(settings)
+        self._condition = OwnCondition(settings)
+        self._stale_s = stale_after_s(scan_s_of(self._live))
+        self._facts = AlarmFacts()
+        self._holds: bool | None = None
+        self._start, self._end = micros(start), micros(end)
+        self._unknown_since: UnixTime | None = UnixTime(self._start / SECOND)
+        self._read_at: UnixTime | None = None
+        self._at_rest = self._estop = False
+        self._readings = 0
+        self._steps = sorted(steps)
+        self._next_step = 0
+        for step in reversed(self._steps):
+            self._set_parameter(step)
+
+    def passes(self, row: Rollup) -> bool:
+        """Take in a minute in which the alarm cannot have begun: no reading is missing, and neither extreme
+        fulfills its condition. False: its readings have to be seen, as those of a rate of change have."""
+        self._set_parameters(row.start)
+        fewer, self._readings = row.readings < USUAL_SHARE * self._readings, row.readings
+        is_quiet = self._holds is False and not self._facts.active and self._facts.changing_since is None
+        if fewer or not is_quiet or self._settings.change_per_s is not None:
+            return False
+        ends = extremes(self._settings.unit, self._settings.value, row)
+        if self._is_gap(ends[0].at) or any(self._judge(each) is not False for each in ends):
+            return False
+        self._read_at = UnixTime((row.start + MINUTE) / SECOND - _BEFORE)
+        return True
+
+    def see_run(self, run: Run, at_rest: AtRest) -> None:
+        """Equal readings; for a rate of change also the one after the shortest time for a rate."""
+        begins, ends = max(run.at, self._start), min(run.until, self._end)
+        if begins > ends:
+            return
+        self._set_parameters(begins)
+        times = [begins, ends]
+        if self._settings.change_per_s is not None:
+            times.insert(1, min(ends, begins + round(ChangeRate.SPAN_S * SECOND)))
+        for at in dict.fromkeys(times):
+            rests = self._definition.group == "speed" and run.commanded == 0 and at_rest(at)
+            # The readings in between were received, too: there is no gap in a run.
+            self._see(_reading(self._settings.unit, run, at), rests, inside=at != begins)
+
+    def end(self, at: UnixTime) -> None:
+        """End the simulation at a time. An annunciation that stands then is counted up to it."""
+        self._pass_gap(at)
+        self._apply(state_machine.advance(self._facts, self._definition.attributes, at))
+        if self._unknown_since is not None:
+            self.unknown_s += at - self._unknown_since
+
+    # --- its readings ----------------------------------------------------------------------------------
+
+    def _see(self, reading: Reading, at_rest: bool, *, inside: bool) -> None:
+        if self._read_at is not None and reading.at <= self._read_at:
+            return
+        if not inside:
+            self._pass_gap(reading.at)
+        self._read_at = reading.at
+        self._estop = ESTOP_ACTIVE.holds(unit_facts(self._live, self._unit, reading))
+        self._hide(reading.at)
+        self._observe(self._judge(reading), reading.at)
+        # The engine sees an e-stop with the reading that shows it, and a line at rest after that.
+        self._at_rest = at_rest
+        self._hide(reading.at)
+
+    def _judge(self, reading: Reading) -> bool | None:
+        decimals = known_decimals(self._live, self._unit)
+        return self._condition.holds(self._live, self._unit, reading, decimals, self._facts.active)
+
+    def _is_gap(self, at: UnixTime) -> bool:
+        return self._read_at is None or at - self._read_at > self._stale_s
+
+    def _pass_gap(self, at: UnixTime) -> None:
+        if self._is_gap(at) and self._read_at is not None:
+            self._condition.forget()
+            self._observe(None, self._read_at + self._stale_s)
+
+    # --- the rules ---------------------------------------------------------------------------------------
+
+    def _observe(self, holds: bool | None, at: UnixTime) -> None:
+        if self._unknown_since is not None and holds is not None:
+            self.unknown_s += at - self._unknown_since
+            self._unknown_since = None
+        elif self._unknown_since is None and holds is None:
+            self._unknown_since = at
+        if holds is self._holds and self._facts.changing_since is None:
+            return
+        rises, self._holds = bool(holds) and not self._holds, holds
+        if rises and self._suppresses():
+            self._apply(state_machine.suppress(self._facts, True, at))
+        self._apply(state_machine.observe(self._facts, self._definition.attributes, holds, at))
+
+    def _hide(self, at: UnixTime) -> None:
+        """An alarm that is neither active nor about to be is left alone."""
+        facts = self._facts
+        if facts.suppressed or facts.active or self._holds:
+            self._apply(state_machine.suppress(facts, self._suppresses(), at))
+
+    def _suppresses(self) -> bool:
+        unit = self._settings.unit
+        suppressors = Suppressors(at_rest=self._at_rest, estops={unit} if self._estop else ())
+        return suppressors.suppress(self._definition.group, unit)
+
+    def _apply(self, changed: Changed) -> None:
+        self._facts, transitions = changed
+        self.found.see(transitions)
+
+    # --- parameters ----------------------------------------------------------------------------------------
+
+    def _set_parameters(self, at: int) -> None:
+        while self._next_step < len(self._steps) and self._steps[self._next_step].at <= at:
+            self._set_parameter(self._steps[self._next_step])
+            self._next_step += 1
+
+    def _set_parameter(self, step: ParameterStep) -> None:
+        value = ParameterValue(self._settings.unit, step.number, UnixTime(step.at / SECOND), step.raw)
+        self._unit.parameters[step.number] = value
+
+
+def _reading(unit: int, run: Run, at: int) -> Reading:
+    time = UnixTime(at / SECOND)
+    return Reading(unit, time, run.commanded, run.actual, run.analog, run.word >> 8, run.word & 0xFF)
+
+
+def extremes(unit: int, value: str, row: Rollup) -> tuple[Reading, Reading]:
+    """Two readings with the least and the greatest that ``value`` can have been in a minute; for a bit: with
+    what was on in every reading, and what in any. Neither needs to have been sent."""
+    speeds = (row.commanded_min, row.actual_min), (row.commanded_max, row.actual_max)
+    if value == "deviation":
+        # Where the two ranges overlap, they may have been equal.
+        common = max(row.commanded_min, row.actual_min)
+        apart = (row.commanded_min, row.actual_max), (row.commanded_max, row.actual_min)
+        least = common, min(common, row.commanded_max, row.actual_max)
+        speeds = least, max(apart, key=lambda pair: abs(pair[0] - pair[1]))
+    at = UnixTime(row.start / SECOND)
+    rest = ((row.analog_min, row.word_and), (row.analog_max, row.word_or))
+    first, last = (
+        Reading(unit, at, *speed, analog, word >> 8, word & 0xFF)
+        for speed, (analog, word) in zip(speeds, rest, strict=True)
+    )
+    return first, last

@@ -1,0 +1,273 @@
+"""The commands over HTTP; each responds once its result is known."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Query
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.core.web.admission.access import Person
+from app.core.web.admission.arrival import Deadline, made_at
+from app.core.web.api.route import ApiRoute, RequestKey
+from app.core.web.api.schema import problems
+from app.core.web.services import bus_service
+from app.errors import Problem
+from app.line.commands.api.bodies import (
+    AnalogOutputRequest,
+    BaudRequest,
+    CommandRequestBody,
+    OutputRequest,
+    ParameterRequest,
+    Quantity,
+    SpeedRequest,
+    SpeedsRequest,
+)
+from app.line.commands.api.responses import CommandResult, FramesWanted, command_response
+from app.line.commands.catalogue import (
+    CHANGE_BAUD,
+    EXECUTE_ALL,
+    EXECUTE_SPEED,
+    READ_PARAMETERS,
+    SET_LINE,
+    SET_SPEED,
+    WRITE_ANALOG_OUTPUT,
+    WRITE_OUTPUT,
+    WRITE_PARAMETER,
+    CommandKind,
+    timeout_s_for,
+)
+from app.line.commands.scale import Scales, parameter_scale, setpoint_scale
+from app.line.commands.service.command_service import CommandService
+from app.line.commands.service.prior_read import check_all_read
+from app.line.commands.service.value_converter import ValueConverter
+from app.line.commands.service.writer import Commands, permitted, permitted_writer
+from app.line.live.api.schemas import ParameterShown
+from app.line.live.api.view import parameter_json
+from app.line.live.lookup import unit_of_bus_or_404
+from app.line.live.state.bus_live import BusLive, UnitLive
+from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.status import OUTPUT_NUMBERS
+from bus.contract import (
+    Action,
+    ChangeBaud,
+    ExecuteAll,
+    ExecuteSpeed,
+    ReadParameters,
+    SetLine,
+    SetSpeed,
+    UnitScale,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.instants import Monotonic
+from bus.messages import Message
+
+router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=ApiRoute)
+FIRST_READ_WITHIN_S = 5.0
+"""What a plain look at the parameters waits for those that were never read; the reading itself goes on."""
+RESULT_RESPONSES: dict[int | str, dict[str, Any]] = {
+    200: {"model": CommandResult, "description": "verified or acknowledged"},
+    **problems(404, 409, 423, 504),
+}
+
+BusInPath = Annotated[BusLive, bus_service(BusLive)]
+
+
+async def _unit_in_path(bus: BusInPath, unit: int) -> UnitLive:
+    return unit_of_bus_or_404(bus, unit)
+
+
+UnitInPath = Annotated[UnitLive, Depends(_unit_in_path)]
+
+
+@dataclass(frozen=True, slots=True)
+class CommandCall:
+    """What every command's request carries beside its body: its sender, the key, and when it was made."""
+
+    request: Request
+    person: Person
+    bus: BusLive
+    commands: CommandService
+    key: str | None
+    made_at: Monotonic
+    query_timeout_s: float | None
+    frames: bool
+
+    def deadline(self, body: CommandRequestBody, staged_units: int = 0, *, typed: bool = False) -> Deadline:
+        """By the body's ``timeout_s``, else the query's, else what a change of so many units may take."""
+        given = body.timeout_s if body.timeout_s is not None else self.query_timeout_s
+        usual = timeout_s_for(self.bus, staged_units, typed=typed)
+        return Deadline(self.made_at, usual if given is None else given)
+
+    def typed(self, unit: int, deadline: Deadline) -> ValueConverter:
+        """Conversion of typed values for a unit. Raises Problem 404."""
+        found = unit_of_bus_or_404(self.bus, unit)
+        return ValueConverter(self.commands, self.person, self.bus, found, deadline)
+
+    async def setpoint(self, unit: int, given: Quantity, deadline: Deadline) -> tuple[int, Scales]:
+        """The raw setpoint of a unit, and what it was converted with. Raises Problem 404."""
+        typed = self.typed(unit, deadline)
+        if given.raw is not None:
+            return given.raw, {}
+        raw = await typed.setpoint(given.typed)
+        return raw, {unit: setpoint_scale(self.bus.units[unit], raw)}
+
+    async def send(
+        self,
+        action: Action,
+        body: CommandRequestBody,
+        unit: int | None = None,
+        deadline: Deadline | None = None,
+        scales: Scales | None = None,
+    ) -> Response:
+        """Send ``action`` and return its result as a response. ``scales``: what its values were converted
+        with, where they were not given raw."""
+        deadline = deadline or self.deadline(body)
+        result = await self.commands.send(
+            self.person, action, deadline=deadline, confirm=body.confirm, id=self.key, scales=scales or None
+        )
+        return command_response(self.request, self.bus, result, unit, frames=self.frames)
+
+
+def calling(kind: CommandKind[Any]) -> Any:
+    """A dependency: the call of who may send such a command."""
+    sender = permitted_writer(kind) if kind.request.writes else permitted(kind)
+    wants_frames = Depends(_frames_wanted if kind.request.writes else _no_frames)
+
+    async def command_call(
+        request: Request,
+        bus: BusInPath,
+        commands: Commands,
+        person: Person = sender,
+        timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
+        key: RequestKey = None,
+        frames: bool = wants_frames,
+    ) -> CommandCall:
+        return CommandCall(request, person, bus, commands, key, made_at(request), timeout_s, frames)
+
+    return Depends(command_call)
+
+
+async def _frames_wanted(frames: FramesWanted = False) -> bool:
+    return frames
+
+
+async def _no_frames() -> bool:
+    return False
+
+
+@router.post("/units/{unit:int}/speed", responses=RESULT_RESPONSES)
+async def set_speed(
+    call: Annotated[CommandCall, calling(SET_SPEED)], unit: int, body: SpeedRequest
+) -> Response:
+    """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
+    deadline = call.deadline(body)
+    raw, scales = await call.setpoint(unit, body, deadline)
+    action = SetSpeed(unit=unit, raw=raw, execute=body.execute)
+    return await call.send(action, body, unit, deadline, scales)
+
+
+@router.post("/units/{unit:int}/execute", responses=RESULT_RESPONSES)
+async def execute_speed(
+    call: Annotated[CommandCall, calling(EXECUTE_SPEED)], unit: int, body: CommandRequestBody | None = None
+) -> Response:
+    """83h to one unit: its staged speed becomes its commanded speed."""
+    return await call.send(ExecuteSpeed(unit=unit), body or CommandRequestBody(), unit)
+
+
+@router.post("/execute", responses=RESULT_RESPONSES)
+async def execute_all_speeds(
+    call: Annotated[CommandCall, calling(EXECUTE_ALL)], body: CommandRequestBody | None = None
+) -> Response:
+    """83h to all; each unit is read back."""
+    return await call.send(ExecuteAll(), body or CommandRequestBody())
+
+
+@router.post("/speeds", responses=RESULT_RESPONSES)
+async def set_speeds(call: Annotated[CommandCall, calling(SET_LINE)], body: SpeedsRequest) -> Response:
+    """Stage all, require every acknowledgement, broadcast, read back: all units change or none."""
+    typed = any(quantity.raw is None for quantity in body.setpoints.values())
+    deadline = call.deadline(body, len(body.setpoints), typed=typed)
+    setpoints: dict[int, int] = {}
+    scales: dict[int, UnitScale] = {}
+    for key, quantity in body.setpoints.items():
+        setpoints[int(key)], scale = await call.setpoint(int(key), quantity, deadline)
+        scales |= scale
+    return await call.send(SetLine(setpoints=setpoints), body, deadline=deadline, scales=scales)
+
+
+@router.put("/units/{unit:int}/outputs/{number:int}", responses=RESULT_RESPONSES)
+async def write_output(
+    call: Annotated[CommandCall, calling(WRITE_OUTPUT)], unit: int, number: int, body: OutputRequest
+) -> Response:
+    """87h, verified by the bit in ST2."""
+    unit_of_bus_or_404(call.bus, unit)
+    if number not in OUTPUT_NUMBERS:
+        raise Problem(404, "unknown_output", Message("no_such_output"), unit=unit)
+    return await call.send(WriteOutput(unit=unit, number=number, on=body.on), body, unit)
+
+
+@router.put("/units/{unit:int}/analog-output", responses=RESULT_RESPONSES)
+async def write_analog_output(
+    call: Annotated[CommandCall, calling(WRITE_ANALOG_OUTPUT)], unit: int, body: AnalogOutputRequest
+) -> Response:
+    """88h. The best outcome is acknowledged: there is nothing to read back."""
+    return await call.send(WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
+
+
+@router.post("/baud", responses=RESULT_RESPONSES)
+async def change_baud(call: Annotated[CommandCall, calling(CHANGE_BAUD)], body: BaudRequest) -> Response:
+    """Change #18 of every unit, then of the host; each unit is read back. All are set back if one is lost."""
+    return await call.send(ChangeBaud(baud=body.baud), body)
+
+
+@router.get("/units/{unit:int}/parameters", response_model=list[ParameterShown], responses=problems(504))
+async def get_parameters(
+    call: Annotated[CommandCall, calling(READ_PARAMETERS)],
+    unit: int,
+    refresh: bool = False,
+    gaps: bool = False,
+) -> list[dict[str, Any]]:
+    """All 40 parameters as last read, or with ``refresh`` read now. #21 is masked.
+
+    With ``gaps`` only the gaps of the scan are used: slower, and polling keeps its rate. A parameter that
+    was never read is read now if the unit responds.
+    """
+    found = unit_of_bus_or_404(call.bus, unit)
+    if refresh:
+        await _read(call, unit, list(PARAMETERS), gaps=gaps)
+    elif never_read := [number for number in PARAMETERS if number not in found.parameters]:
+        with suppress(Problem, TimeoutError):
+            async with asyncio.timeout(FIRST_READ_WITHIN_S):
+                await _read(call, unit, never_read, gaps=gaps)
+    return [parameter_json(found, number) for number in PARAMETERS]
+
+
+async def _read(call: CommandCall, unit: int, numbers: list[int], *, gaps: bool) -> None:
+    """Read them from the unit. Raises Problem 503 or 504 when not all of them come."""
+    action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
+    result = await call.commands.send(call.person, action)
+    check_all_read(unit, numbers, result)
+
+
+@router.put("/units/{unit:int}/parameters/{number:int}", responses=RESULT_RESPONSES)
+async def write_parameter(
+    call: Annotated[CommandCall, calling(WRITE_PARAMETER)], unit: int, number: int, body: ParameterRequest
+) -> Response:
+    """86h, read back with 85h. A parameter that can interrupt the link needs ``confirm``."""
+    deadline = call.deadline(body)
+    typed = call.typed(unit, deadline)
+    if number not in PARAMETERS:
+        raise Problem(404, "unknown_parameter", Message("no_such_parameter"), unit=unit)
+    raw, scales = body.raw, None
+    if raw is None:
+        raw = await typed.parameter(number, body.typed)
+        scales = {unit: parameter_scale(call.bus.units[unit], number, raw)}
+    action = WriteParameter(unit=unit, number=number, raw=raw)
+    return await call.send(action, body, unit, deadline, scales)

@@ -1,0 +1,230 @@
+"""Every kind of command, described once. Pure.
+
+A row holds what the app needs to know of a kind: who may send it, what it changes, how it is checked, worded
+and recorded, how long it may take. The request itself is in ``bus.contract.actions``, including whether it
+writes and which units it addresses; how a worker carries it out and verifies it is a row in
+``bus.line.commands.catalogue``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from app.core.web.admission.access import Role
+from app.core.web.admission.arrival import DEFAULT_TIMEOUT_S
+from app.line.commands import wording
+from app.line.commands.rules import action_checks
+from app.line.commands.rules.objection import RuleContext, objection
+from app.line.commands.rules.setpoint import (
+    NewSetpoint,
+    by_unit,
+    check_setpoint,
+    of_write_parameter,
+    staged_setpoints,
+)
+from app.line.commands.rules.slowing import slows_all
+from app.line.commands.wording import Wording
+from app.line.live.state.bus_live import BusLive
+from bus.catalogue.parameter import danger_of_writing
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import (
+    Action,
+    ChangeBaud,
+    ExecuteAll,
+    ExecuteSpeed,
+    ReadParameters,
+    ReadTrace,
+    ScanBus,
+    SetLine,
+    SetSpeed,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.contract.durations import longest_stage_s
+from bus.messages import Message, term
+
+SCALE_READS = 3
+"""How many parameters convert and bound a setpoint; they are read in the turn that stages its unit."""
+
+
+def timeout_s_for(bus: BusLive, staged_units: int = 0, *, typed: bool = False) -> float:
+    """How long a write may wait to be sent: a change of several units needs the time of its staging too.
+    ``staged_units``: how many, 0 for a command to one. ``typed``: its values were not given raw."""
+    reads = SCALE_READS if typed else 0
+    return DEFAULT_TIMEOUT_S + staged_units * longest_stage_s(bus.baud, bus.settings.turnaround_s, reads)
+
+
+def longest_change_s(bus: BusLive, units: int) -> float:
+    """Until the result of a change of several units is known at the latest: it may be withdrawn from each."""
+    return 2 * timeout_s_for(bus, units, typed=True)
+
+
+A = TypeVar("A", bound=Action)
+
+READ_S, READ_IN_GAPS_S = 30.0, 600.0
+"""Forty reads at 300 baud, and the same in a tenth of the wire."""
+SCAN_S = 180.0
+
+
+@dataclass(frozen=True, slots=True)
+class CommandKind(Generic[A]):
+    """One kind of command. The functions get the request, and the bus as it is now."""
+
+    request: type[A]
+    role: Role
+    """Who may send it, and all above."""
+    wording: Callable[[A, BusLive], Wording]
+    """What it is called in the events."""
+    part_wordings: Callable[[A, BusLive], Mapping[int, Wording]] = lambda _, _bus: {}
+    """What a change of several is called for each of its units."""
+    units_written: Callable[[A, BusLive], Sequence[int]] = lambda action, _: (
+        action.units if action.writes else ()
+    )
+    """The units at which it, or its broadcast, can change something."""
+    setpoints: Callable[[A, BusLive], Iterable[NewSetpoint]] = lambda _, _bus: ()
+    """The setpoints that it would bring about, as far as they are known; each is judged."""
+    check: Callable[[A, RuleContext], None] = lambda _, _now: None
+    """The kind's own check. Raises Problem."""
+    danger: Callable[[A], str] = lambda _: ""
+    """Why it must be confirmed; empty where it need not be."""
+    timeout_s: Callable[[A, BusLive], float] = lambda _, bus: timeout_s_for(bus)
+    """How long it may take where its sender gives no timeout."""
+    writes_parameters: bool = False
+    is_secret: Callable[[A], bool] = lambda _: False
+    """Whether its frames carry a secret (#21)."""
+    is_event: Callable[[A], bool] = lambda action: action.writes
+    """Whether it is recorded before it is sent."""
+    only_slows: Callable[[A, BusLive], bool] = lambda _, _bus: False
+    """Whether it can only make units slower, or stop them, as they were last read."""
+
+
+SET_SPEED = CommandKind(
+    SetSpeed,
+    Role.OPERATOR,
+    wording=lambda action, bus: wording.of_setpoint(
+        Message("event_set_speed" if action.execute else "event_stage_speed"), bus, action.unit, action.raw
+    ),
+    setpoints=lambda action, _: [NewSetpoint(action.unit, action.raw, is_staged=not action.execute)],
+    only_slows=lambda action, bus: action.execute and slows_all({action.unit: action.raw}, bus),
+)
+EXECUTE_SPEED = CommandKind(
+    ExecuteSpeed,
+    Role.OPERATOR,
+    wording=lambda action, bus: wording.of_setpoint(
+        Message("event_execute_speed"), bus, action.unit, bus.units[action.unit].staged
+    ),
+    setpoints=lambda action, bus: [
+        each for each in by_unit(staged_setpoints(bus)) if each.unit == action.unit
+    ],
+)
+EXECUTE_ALL = CommandKind(
+    ExecuteAll,
+    Role.OPERATOR,
+    wording=lambda _, bus: wording.of_several(Message("event_execute_all"), bus, staged_setpoints(bus)),
+    part_wordings=lambda _, bus: wording.of_each(
+        Message("event_execute_with_all"), bus, staged_setpoints(bus)
+    ),
+    units_written=lambda _, bus: list(staged_setpoints(bus)),
+    setpoints=lambda _, bus: by_unit(staged_setpoints(bus)),
+)
+SET_LINE = CommandKind(
+    SetLine,
+    Role.OPERATOR,
+    wording=lambda action, bus: wording.of_several(
+        Message.of("event_set_line", n=len(action.setpoints)), bus, action.setpoints
+    ),
+    part_wordings=lambda action, bus: wording.of_each(
+        Message.of("event_set_speed_of_several", n=len(action.setpoints)), bus, action.setpoints
+    ),
+    units_written=lambda action, bus: sorted({*action.setpoints, *staged_setpoints(bus)}),
+    setpoints=lambda action, _: by_unit(action.setpoints),
+    check=action_checks.check_line,
+    # Its broadcast executes what other units hold staged, too.
+    only_slows=lambda action, bus: slows_all({**staged_setpoints(bus), **action.setpoints}, bus),
+    timeout_s=lambda action, bus: timeout_s_for(bus, len(action.setpoints), typed=True),
+)
+WRITE_OUTPUT = CommandKind(
+    WriteOutput,
+    Role.OPERATOR,
+    wording=wording.of_write_output,
+    check=action_checks.check_output,
+)
+WRITE_ANALOG_OUTPUT = CommandKind(
+    WriteAnalogOutput,
+    Role.ENGINEER,
+    wording=lambda action, _: Wording(
+        Message("event_set_analog_output"), new=str(action.raw), new_raw=action.raw
+    ),
+    check=action_checks.check_analog_output,
+)
+WRITE_PARAMETER = CommandKind(
+    WriteParameter,
+    Role.ENGINEER,
+    wording=wording.of_write_parameter,
+    setpoints=of_write_parameter,
+    check=action_checks.check_parameter,
+    danger=lambda action: danger_of_writing(PARAMETERS[action.number], action.raw),
+    writes_parameters=True,
+    is_secret=lambda action: PARAMETERS[action.number].secret,
+)
+BAUD_DANGER = "every unit changes its baud rate; a unit that does not follow cannot be reached"
+CHANGE_BAUD = CommandKind(
+    ChangeBaud,
+    Role.ENGINEER,
+    wording=lambda action, bus: Wording(Message("event_change_baud"), str(bus.baud), str(action.baud)),
+    units_written=lambda _, bus: list(bus.units),
+    check=action_checks.check_baud,
+    danger=lambda _: BAUD_DANGER,
+    writes_parameters=True,
+)
+READ_PARAMETERS = CommandKind(
+    ReadParameters,
+    Role.VIEWER,
+    wording=lambda action, _: Wording(
+        Message.of("event_read_parameters", n=len(action.numbers) or len(PARAMETERS))
+    ),
+    timeout_s=lambda action, _: READ_S if action.urgent else READ_IN_GAPS_S,
+)
+SCAN_BUS = CommandKind(
+    ScanBus,
+    Role.ENGINEER,
+    wording=lambda action, _: Wording(Message.of("event_scan", first=action.first, last=action.last)),
+    timeout_s=lambda _, _bus: SCAN_S,
+    # A look at one address, as a swap takes every few seconds, is none.
+    is_event=lambda action: action.last > action.first,
+)
+READ_TRACE = CommandKind(
+    ReadTrace,
+    Role.ENGINEER,
+    wording=lambda _, _bus: Wording(Message("event_read_trace")),
+)
+
+COMMANDS: dict[type[Action], CommandKind[Any]] = {
+    kind.request: kind for kind in tuple(vars().values()) if isinstance(kind, CommandKind)
+}
+"""Every row above, by its request."""
+
+
+ROLES_BY_COMMAND: dict[str, Role] = {request.__name__: kind.role for request, kind in COMMANDS.items()}
+"""Who may send each command, for the templates, which name it by its request."""
+
+
+def kind_of_command(action: Action) -> CommandKind[Any]:
+    return COMMANDS[type(action)]
+
+
+def check(action: Action, now: RuleContext) -> None:
+    """Raises Problem for the first reason not to send ``action``."""
+    kind = kind_of_command(action)
+    for unit in kind.units_written(action, now.bus):
+        if (block := now.block(unit)) is not None:
+            raise objection("blocked", block.refusal(unit), unit=unit)
+    kind.check(action, now)
+    for setpoint in kind.setpoints(action, now.bus):
+        check_setpoint(setpoint.unit, setpoint.raw, now, setpoint.kind)
+    danger = kind.danger(action)
+    if danger and not now.confirm:
+        raise objection("dangerous", term(danger), unit=action.only_unit)

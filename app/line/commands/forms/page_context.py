@@ -1,0 +1,380 @@
+"""A request of a page that reviews or sends commands: of the site, of one bus, of one unit."""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from fastapi import Depends, Form
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.core.web.admission.access import Person, not_signed_in, person_of
+from app.core.web.admission.arrival import Deadline, made_at, refuse_late
+from app.core.web.rendering.templating import render, templates_of
+from app.core.web.services import bus_service_of, service_of
+from app.errors import Problem
+from app.line.commands.catalogue import kind_of_command, timeout_s_for
+from app.line.commands.forms.outcome import OutcomeText, outcome_text
+from app.line.commands.forms.undo_shown import UndoShown, undo_shown
+from app.line.commands.review import (
+    REVIEW_LASTS_S,
+    SetpointChange,
+    change_of,
+    obstacle_of,
+    present_setpoint,
+    ramp_parameters_missing,
+)
+from app.line.commands.rules.draw_changes import DrawChange, draw_changes
+from app.line.commands.rules.slowing import slows_all
+from app.line.commands.safeguards.limits import Limits
+from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.scale import Scales, parse_scale
+from app.line.commands.service.command_service import CommandService
+from app.line.commands.service.value_converter import ValueConverter
+from app.line.commands.values import setpoint_message
+from app.line.live.browsers.hub import Hub
+from app.line.live.lookup import unit_of_bus_or_404
+from app.line.live.pages import UnitOnLine, unit_on_line
+from app.line.live.screen.diff import FlatFields
+from app.line.live.screen.fields import Translator
+from app.line.live.state.bus_live import BusLive, LiveState, UnitLive
+from bus.contract import Action, Result, UnitOutcome, UnitScale
+from bus.errors import CallerError
+from bus.instants import UnixTime, unix_now
+from bus.messages import Message
+
+_RESULT: dict[str, Any] = {"requested": "", "reads": "", "undo": None, "controlled": ""}
+"""What a result shows where nothing else is given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmation:
+    """What a confirmed review posts: the id of its command, when it was shown, and the id of the command that
+    it undoes."""
+
+    id: str
+    reviewed_at: UnixTime
+    undoes: str = ""
+
+    def refuse_lapsed(self) -> None:
+        """Raises Problem 409 for a review that is over. Nothing is sent."""
+        if not unix_now() - self.reviewed_at <= REVIEW_LASTS_S:  # of NaN too
+            raise Problem(409, "lapsed", Message("review_lapsed"))
+
+
+class PageContext:
+    """A request of a page: its user, its language, and the live state of the site."""
+
+    def __init__(self, request: Request) -> None:
+        templates = templates_of(request)
+        language = templates.language_of(request).on_screen
+        self.request = request
+        self.translator = Translator(language, templates.formats(language.tag))
+        self.live = service_of(request, LiveState)
+        self.made_at = made_at(request)
+        self.undoes = ""
+        """The id of the command that the review undoes."""
+
+    @property
+    def person(self) -> Person:
+        """Raises Problem 401."""
+        person = person_of(self.request)
+        if person is None:
+            raise not_signed_in()
+        return person
+
+    def of_bus(self, bus: str) -> BusPage:
+        """This request, for one bus. Raises Problem 404."""
+        return BusPage(self.request, bus)
+
+    def buses(self) -> list[BusPage]:
+        """This request, for each bus."""
+        return [self.of_bus(name) for name in self.live.buses]
+
+    def fields(self) -> FlatFields:
+        """All texts of the screen as they are now."""
+        return service_of(self.request, Hub).screen(self.translator.language.tag).flat()
+
+    def people(self) -> dict[str, str]:
+        """Return the role of each user with an open page, keyed by user name."""
+        return service_of(self.request, Hub).people()
+
+    def render(self, template: str, /, *, status: int = 200, **context: Any) -> Response:
+        return render(self.request, template, status=status, **context)
+
+    def review(self, template: str, /, **context: Any) -> Response:
+        """The second step: what will be done once this is confirmed, and the id it will be done under."""
+        context = {"command_id": new_id(), "reviewed_at": unix_now(), "undoes": self.undoes, **context}
+        return self.render(template, **context)
+
+    def explain(
+        self,
+        reason: Message | CallerError | Problem,
+        place: str,
+        *,
+        nearest: str | Message = "",
+        status: int = 422,
+    ) -> Response:
+        """Why there is no review, at the CSS selector ``place``, with a way to control where that is missing.
+        A press on ``nearest`` enters it."""
+        response = self.render(
+            "unit/_no_review.html",
+            reason=reason if isinstance(reason, Message) else reason.message,
+            nearest=nearest,
+            controlled=_controlled(reason),
+            status=status,
+        )
+        response.headers["HX-Retarget"] = place
+        return response
+
+    def refused(self, problem: Problem, title: str) -> Response:
+        """The end of a review that sent nothing, in the dialog."""
+        outcome = OutcomeText("bad", problem.message)
+        return self.done(title, outcome, status=problem.status, controlled=_controlled(problem))
+
+    def done(self, title: str, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
+        """The end of a review, in the dialog. ``setpoint``: the requested value, its live field, its undo."""
+        context = _RESULT | setpoint
+        return self.render("unit/_done.html", title=title, outcome=outcome, status=status, **context)
+
+
+class BusPage(PageContext):
+    """A request of a page about one bus, and the way to its wire. Raises Problem 404 for one that is not
+    configured."""
+
+    def __init__(self, request: Request, bus: str) -> None:
+        super().__init__(request)
+        self.name = bus
+        self.bus = bus_service_of(request, bus, BusLive)
+        self.commands = bus_service_of(request, bus, CommandService)
+        self.guards = bus_service_of(request, bus, Safeguards)
+
+    def shown(self, unit: int) -> UnitOnLine:
+        """A unit as the templates want it."""
+        return unit_on_line(self.name, self.bus.units[unit])
+
+    def limits(self, unit: int) -> Limits:
+        return self.guards.limits.of(unit)
+
+    def deadline(self, staged_units: int = 0, *, typed: bool = True) -> Deadline:
+        """Deadline of the command that this request sends. ``staged_units``: number of units of a change."""
+        return Deadline(self.made_at, timeout_s_for(self.bus, staged_units, typed=typed))
+
+    def typed(self, unit: int, deadline: Deadline | None = None) -> ValueConverter:
+        """Converts what was typed for a unit."""
+        return ValueConverter(
+            self.commands, self.person, self.bus, self.bus.units[unit], deadline or self.deadline()
+        )
+
+    def check(self, action: Action) -> None:
+        """The checks of a command that need no reading. Raises Problem for what would not be sent."""
+        self.commands.check(self.person, action, confirm=True)
+
+    async def judge(self, action: Action, deadline: Deadline | None = None) -> None:
+        """All checks of a command; what they need to know of the units is read first, within its time.
+
+        Raises Problem for what would not be sent.
+        """
+        await self.commands.read_ranges(self.person, action, deadline or self.deadline())
+        self.check(action)
+
+    async def know_ramps(self, units: Iterable[int]) -> None:
+        """Read the ramp parameters that were never read; a ramp stays unknown where the unit does not
+        respond."""
+        deadline = self.deadline()
+
+        async def read(unit: int, numbers: list[int]) -> None:
+            with suppress(Problem):
+                await self.commands.read(self.person, unit, numbers, deadline)
+
+        missing = {unit: ramp_parameters_missing(self.bus.units[unit]) for unit in units}
+        await asyncio.gather(*(read(unit, numbers) for unit, numbers in missing.items() if numbers))
+
+    def undo(self, id: str) -> UndoShown | None:
+        """The undo of the command that this person has sent with this id; None where there is none."""
+        return undo_shown(self.commands.undo.offer(self.person, id), self.bus)
+
+    async def send(
+        self,
+        action: Action,
+        id: str,
+        deadline: Deadline | None = None,
+        undoes: str = "",
+        scales: Scales | None = None,
+    ) -> Result:
+        """Send the reviewed command, once; ``deadline`` where it is not that of its kind; ``undoes``: the id
+        of the command that it undoes; ``scales``: what the review was made with.
+
+        Raises Problem where it is not sent.
+        """
+        timeout_s = kind_of_command(action).timeout_s(action, self.bus)
+        deadline = deadline or Deadline(self.made_at, timeout_s)
+        return await self.commands.send(
+            self.person,
+            action,
+            deadline=deadline,
+            confirm=True,
+            id=id,
+            origin="page",
+            undoes=undoes,
+            scales=scales,
+        )
+
+    async def has_sent(self, id: str) -> bool:
+        """Whether the form was sent before: its command is not judged again, its result is shown."""
+        return await self.commands.has_taken(self.person, id)
+
+    async def carry_out(
+        self, action: Action, confirmation: Confirmation, scales: Scales | None = None
+    ) -> Result:
+        """Send what was confirmed while its review lasts; ``scales``: what that was made with. Raises Problem
+        where it is not sent."""
+        if not await self.has_sent(confirmation.id):
+            confirmation.refuse_lapsed()
+        return await self.send(action, confirmation.id, undoes=confirmation.undoes, scales=scales)
+
+    def outcome(self, result: Result | UnitOutcome, unit: int) -> OutcomeText:
+        """What became of a setpoint; what was read back is in the decimals of ``unit``."""
+        return outcome_text(result, lambda raw: setpoint_message(raw, self.bus.units[unit]))
+
+    def change(self, unit: int, raw: int, typed_with: UnitScale | None = None) -> SetpointChange:
+        """What a new setpoint means for a unit; ``typed_with``: what it was converted with, where it was
+        typed."""
+        block = self.guards.block_reason(unit, slows=slows_all({unit: raw}, self.bus))
+        live, limits, now = self.bus.units[unit], self.limits(unit), unix_now()
+        return change_of(self.bus, live, raw, limits, now, block=block, typed_with=typed_with)
+
+    def draws(self, setpoints: Mapping[int, int]) -> list[DrawChange]:
+        """What new setpoints, raw by unit, do to the draw between neighbors."""
+        return draw_changes(self.bus, setpoints)
+
+    def obstacle(self, unit: int) -> Message | None:
+        """Why a unit cannot take a command now; None where nothing is known against it."""
+        block = self.guards.block_reason(unit)
+        return obstacle_of(self.bus, self.bus.units[unit], unix_now(), block=block)
+
+    def refuse_unable(self, units: Iterable[int]) -> None:
+        """Raises Problem 409 where one of these units takes no command now: all of a change, or none. A block
+        is left to the command, whose refusal is recorded."""
+        for unit in units:
+            if (reason := obstacle_of(self.bus, self.bus.units[unit], unix_now())) is not None:
+                raise Problem(
+                    409, "not_loadable", Message.of("unit_unable", name=self.name_of(unit), reason=reason)
+                )
+
+    def name_of(self, unit: int) -> str | Message:
+        """The name of a unit, its address where it is not configured."""
+        live = self.bus.units.get(unit)
+        return Message.of("unit_address", unit=unit) if live is None else live.settings.name
+
+    def outcome_left_out(self, unit: int) -> OutcomeText:
+        """What became of a unit that a person has left out of a change: why, as far as that still holds."""
+        reason = self.obstacle(unit) if unit in self.bus.units else None
+        left_out = Message("result_left_out_by_choice")
+        return OutcomeText(
+            "unknown", left_out if reason is None else Message.of("result_left_out", reason=reason)
+        )
+
+    def not_taking_part(self, taking_part: Iterable[int]) -> tuple[list[tuple[str, Message]], list[str]]:
+        """The units that are not part of a change: those that could take no setpoint now, each with the
+        reason, and the names of the rest."""
+        left_out, unchanged, taking = [], [], set(taking_part)
+        for number in (unit for unit in self.bus.units if unit not in taking):
+            name, obstacle = self.bus.units[number].settings.name, self.obstacle(number)
+            if obstacle is None:
+                unchanged.append(name)
+            else:
+                left_out.append((name, obstacle))
+        return left_out, unchanged
+
+
+class UnitPage(BusPage):
+    """A request of a page about one unit. Raises Problem 404 for one that is not configured."""
+
+    def __init__(self, request: Request, bus: str, unit: int) -> None:
+        super().__init__(request, bus)
+        self.id = unit
+        self.unit: UnitLive = unit_of_bus_or_404(self.bus, unit)
+        self.title = self.unit.settings.name
+        self.on_line = self.shown(unit)
+
+    def neighbor(self, step: Literal[-1, 1]) -> UnitOnLine | None:
+        """The unit before or after this one in floor order; None at an end of the bus."""
+        units = list(self.bus.units)
+        at = units.index(self.id) + step
+        return self.shown(units[at]) if 0 <= at < len(units) else None
+
+    def result(self, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
+        """The result of a command, in place. ``setpoint``: the requested value, its live field, its undo."""
+        context = _RESULT | setpoint
+        return self.render("unit/_result.html", outcome=outcome, status=status, **context)
+
+    def not_sent(self, problem: Problem) -> Response:
+        """The result of a confirmed review of which nothing was sent."""
+        outcome = OutcomeText("bad", problem.message)
+        return self.result(outcome, status=problem.status, controlled=_controlled(problem))
+
+    def setpoint(self, raw: int | None) -> str:
+        """A setpoint as the unit shows it, in the reader's language; empty where there is none."""
+        return self.translator.t(setpoint_message(raw, self.unit))
+
+    @property
+    def present(self) -> int | None:
+        """The present setpoint, raw; None where it is not known."""
+        return present_setpoint(self.bus, self.unit)
+
+
+def _controlled(reason: Message | CallerError | Problem) -> str:
+    """The bus whose control was missing; empty for another reason."""
+    if isinstance(reason, Problem) and reason.code == "controlled":
+        return str(reason.extra.get("bus", ""))
+    return ""
+
+
+def new_id() -> str:
+    """The identity of a command: a form that is posted twice is carried out once."""
+    return uuid.uuid4().hex
+
+
+async def _page_of_site(request: Request) -> PageContext:
+    # A press that was held up on its way ends here, as a Problem 503.
+    refuse_late(request)
+    return PageContext(request)
+
+
+async def _page_of_bus(request: Request, bus: str) -> BusPage:
+    refuse_late(request)
+    return BusPage(request, bus)
+
+
+async def unit_page_of(request: Request, bus: str, unit: int) -> UnitPage:
+    """The request with its unit. Raises Problem 503 for a press that was held up on its way, and 404."""
+    refuse_late(request)
+    return UnitPage(request, bus, unit)
+
+
+async def _confirmation_of(
+    id: Annotated[str, Form(max_length=64)],
+    reviewed_at: Annotated[UnixTime, Form()],
+    undoes: Annotated[str, Form(max_length=64)] = "",
+) -> Confirmation:
+    return Confirmation(id, reviewed_at, undoes)
+
+
+Page = Annotated[PageContext, Depends(_page_of_site)]
+OfBus = Annotated[BusPage, Depends(_page_of_bus)]
+OfUnit = Annotated[UnitPage, Depends(unit_page_of)]
+Confirmed = Annotated[Confirmation, Depends(_confirmation_of)]
+
+
+async def _scale_of(scale: Annotated[str | None, Form(max_length=400)] = None) -> UnitScale:
+    return parse_scale(scale)
+
+
+ReviewedScale = Annotated[UnitScale, Depends(_scale_of)]
+"""What converted and bounded the value in the review that is confirmed. Raises Problem 422 without it."""

@@ -1,0 +1,197 @@
+"""Which worker has one bus, and how far it was followed."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import structlog
+
+from app.line.feed.channel import Channel, MessageSink
+from app.line.feed.holders import Credential, Ending, Holder
+from app.line.feed.ingest import Ingest, IngestPosition
+from app.line.feed.late import Coverage
+from app.line.feed.rates import FeedQuota
+from app.line.live.state.bus_live import NO_WORKER
+from app.line.pipeline import Pipeline
+from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome
+from bus.instants import MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.messages import Message
+
+_log = structlog.get_logger()
+
+HELD = Message("worker_bus_held")
+TIMED_OUT = Message("worker_silent")
+MALFORMED = Message("worker_malformed")
+REPLACED = "another worker connected for this bus"
+TICK_S = 1.0
+TIMEOUT_TICKS = 5
+"""A worker reports its figures every second; one that reports nothing for so long is gone or stuck. Ticks are
+counted, not seconds, so that a stall of the app does not count as a stall of the worker."""
+
+
+class WorkerLeft(ConnectionError):
+    """The worker announced that it leaves."""
+
+
+class WorkerTimeout(ConnectionError):
+    """Nothing came from the worker for too long."""
+
+
+class WorkerConnection(MessageSink, Protocol):
+    """A worker's WebSocket as this package sees it."""
+
+    async def receive(self) -> bytes:
+        """The next message. Raises ConnectionError when there is none (WorkerLeft where that was announced),
+        MalformedMessageError for text."""
+
+    def admit(self) -> None:
+        """Take the large messages that follow Hello."""
+
+    async def close(self, reason: str) -> None:
+        """End it, with a reason in words. Raises nothing."""
+
+
+@dataclass(eq=False, repr=False)
+class BusFeed:
+    """The feed of one bus. ``monotonic`` measures how long a bus is kept for a worker that may reconnect."""
+
+    _channel: Channel
+    _pipeline: Pipeline
+    monotonic: MonotonicClock = monotonic_now
+    timeout_ticks: int = TIMEOUT_TICKS
+    coverage: Coverage = field(default_factory=Coverage)
+    _quota: FeedQuota = field(default_factory=FeedQuota)
+    _received: IngestPosition = field(default_factory=lambda: IngestPosition(""))
+    _holder: Holder | None = None
+    _connection: WorkerConnection | None = None
+    _watches: set[asyncio.Task[None]] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self._began = self.monotonic()
+
+    async def load(self, newest: Awaitable[UnixTime | None]) -> None:
+        """Note up to when the last run of the server followed the bus: its newest stored reading."""
+        self.coverage.until = await newest
+
+    @property
+    def has_own_worker(self) -> bool:
+        """Whether a worker is linked, and is the child of this server."""
+        return self._connection is not None and self._holder is not None and self._holder.credential.own
+
+    def watch(self, units: list[int], trace: bool) -> None:
+        """Send the worker the units that are on an open page, and whether its trace is followed."""
+        watch = asyncio.create_task(self._channel.watch(units, trace=trace))
+        self._watches.add(watch)
+        watch.add_done_callback(self._watches.discard)
+
+    async def serve(
+        self,
+        hello: Hello,
+        connection: WorkerConnection,
+        credential: Credential,
+        refused: Message | None = None,
+    ) -> None:
+        """Serve a worker to its end, or send it away where it is ``refused`` or another has the bus. Raises
+        ConnectionError when it is gone before it was admitted."""
+        holder = self._holder
+        if refused is None and holder is not None:
+            is_free = holder.yields_to(hello.worker, credential, self.monotonic())
+            refused = None if is_free else HELD
+        if refused is not None:
+            held_by = "" if holder is None else str(holder.credential)
+            self._pipeline.worker_refused(unix_now(), held_by, str(credential), refused)
+            await send_away(connection, refused, unix_now())
+            return
+        # Taken in the same turn of the loop: of two concurrent hellos the second meets the first.
+        former = self._take(hello, connection, credential)
+        try:
+            await self._serve_holder(hello, connection, former)
+        finally:
+            self._release(connection, NO_WORKER, Ending.LOST)
+
+    def _take(
+        self, hello: Hello, connection: WorkerConnection, credential: Credential
+    ) -> WorkerConnection | None:
+        """Give the bus to this worker; the connection that it had until now, if it is still open."""
+        again = self._holder is not None and self._received.worker == hello.worker
+        if not again:
+            self._received = IngestPosition(hello.worker)
+        self._holder = Holder(hello.worker, credential)
+        former, self._connection = self._connection, connection
+        if former is not None:
+            self._channel.closed(former)
+        # After a restart of the server alone, the worker of another computer is linked again.
+        ran_before = not credential.own and hello.sent_at - hello.started_at > self.monotonic() - self._began
+        self._pipeline.worker_connected(hello, unix_now(), again=again or ran_before)
+        return former
+
+    async def _serve_holder(
+        self, hello: Hello, connection: WorkerConnection, former: WorkerConnection | None
+    ) -> None:
+        if former is not None:
+            await former.close(REPLACED)
+        connection.admit()
+        try:
+            await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, unix_now()))
+            await self._follow(hello, connection)
+        except MalformedMessageError as error:
+            _log.warning("bus worker sent a malformed message", bus=hello.bus, why=str(error))
+            self._release(connection, MALFORMED, Ending.LOST)
+            await connection.close(str(error))
+        except WorkerTimeout:
+            self._release(connection, TIMED_OUT, Ending.CUT)
+            await connection.close(str(TIMED_OUT))
+        except WorkerLeft:
+            self._release(connection, NO_WORKER, Ending.LEFT)
+
+    async def _follow(self, hello: Hello, connection: WorkerConnection) -> None:
+        channel, pipeline, quota = self._channel, self._pipeline, self._quota
+        ingest = Ingest(
+            hello,
+            self._received,
+            channel,
+            pipeline,
+            connection,
+            quota,
+            self.coverage,
+            unix_now,
+        )
+        works = (self._receive(ingest, connection), self._tick(ingest))
+        tasks = {asyncio.create_task(work) for work in works}
+        try:
+            ended, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in ended:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _receive(self, ingest: Ingest, connection: WorkerConnection) -> None:
+        while self._connection is connection:
+            await ingest.receive(await connection.receive())
+            if self._holder is not None:
+                self._holder.port_seen |= self._pipeline.port_is_open
+
+    async def _tick(self, ingest: Ingest) -> None:
+        while ingest.missed_ticks < self.timeout_ticks:
+            await ingest.tick()
+            await asyncio.sleep(TICK_S)
+        raise WorkerTimeout(str(TIMED_OUT))
+
+    def _release(self, connection: WorkerConnection, cause: Message, ending: Ending) -> None:
+        """This connection has ended. Nothing where it was released already, or another has its place."""
+        self._channel.closed(connection)
+        if self._connection is connection and self._holder is not None:
+            self._connection = None
+            self._holder.connection_ended(ending, self.monotonic())
+            self._pipeline.worker_disconnected(unix_now(), cause)
+
+
+async def send_away(connection: WorkerConnection, reason: Message, now: UnixTime) -> None:
+    """Refuse a worker in English words, which one of another version can read too."""
+    await connection.send(Welcome(CONTRACT_VERSION, 0, now, str(reason)))
+    await connection.close(str(reason))

@@ -1,0 +1,188 @@
+"""The commands of one bus on their way to the worker, by id, each with exactly one result.
+
+The worker carries out an id once and repeats its result when it gets the id again. A command in progress
+when the connection breaks is sent again to the *same* worker, and is unverified with any other.
+
+A worker reports its figures every second: one without a message past a command's deadline is stuck, and
+the command ends at once. The worker drops a late command by its own check of the deadline.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import Protocol
+
+from app.line.feed.plausibility import result_for
+from app.line.live.state.bus_live import NO_WORKER
+from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, ReserveTurn, Result, Watch
+from bus.instants import Monotonic, monotonic_now, unix_now
+from bus.messages import Message
+
+REASK_WITHIN_S = 10.0
+"""How long a command under way waits for its worker to come back."""
+PATIENCE_S = 15.0
+"""How long after its deadline, or its last sign of progress, a worker that lives is still waited for."""
+LOOK_S = 0.25
+STUCK_AFTER_LOOKS = 8
+"""After so many checks without a message from a connected worker it is stuck: two seconds, twice its period.
+Checks are counted, not seconds, so that a stall of the app does not count as a stall of the worker."""
+AWAY_LOOKS = 20
+"""The same for one whose connection broke, which may need a moment to come back."""
+
+
+class MessageSink(Protocol):
+    """What the channel needs of a worker's WebSocket."""
+
+    async def send(self, message: AppMessage) -> None:
+        """Raises ConnectionError when the worker is gone."""
+
+
+@dataclass(slots=True)
+class _OpenCommand:
+    command: Command
+    worker: str
+    result: asyncio.Future[Result]
+    due_at: Monotonic
+    """Its deadline, on the monotonic clock like ``give_up_at``."""
+    give_up_at: Monotonic
+    sent_to: MessageSink | None = None
+    """Only what this connection reports of it counts."""
+
+
+class Channel:
+    """Sends commands to one bus over the current connection of its worker."""
+
+    def __init__(self, *, patience_s: float = PATIENCE_S, reask_s: float = REASK_WITHIN_S) -> None:
+        self._patience_s = patience_s
+        self._reask_s = reask_s
+        self._connection: MessageSink | None = None
+        self._worker = ""
+        self._words = 0
+        self._open: dict[str, _OpenCommand] = {}
+        self._watch = Watch(units=[])
+
+    @property
+    def connected(self) -> bool:
+        return self._connection is not None
+
+    async def opened(self, connection: MessageSink, worker: str) -> None:
+        """A worker is ready: send it the watched units and the open commands."""
+        self._connection, self._worker = connection, worker
+        if self._watch.units or self._watch.trace:
+            await self._deliver(self._watch)
+        for open_command in tuple(self._open.values()):
+            if open_command.worker != worker:
+                _end(open_command, "unverified", Message("worker_restarted"))
+            else:
+                open_command.give_up_at = self._last_moment(open_command.command)
+                await self._send_command(open_command)
+
+    def closed(self, connection: MessageSink) -> None:
+        """The connection ended. Open commands wait a while for the worker's return."""
+        if self._connection is not connection:
+            return
+        self._connection = None
+        for open_command in self._open.values():
+            open_command.give_up_at = min(open_command.give_up_at, monotonic_now() + self._reask_s)
+
+    def on_message(self) -> None:
+        """Any message shows that the worker lives."""
+        self._words += 1
+
+    async def send(self, command: Command) -> Result:
+        """Send ``command`` and wait for its result. Never raises for a failure on the way."""
+        if self._connection is None:
+            return Result(id=command.id, at=unix_now(), outcome="bus_closed", message=NO_WORKER)
+        result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
+        open_command = _OpenCommand(
+            command, self._worker, result, _due_at(command), self._last_moment(command)
+        )
+        self._open[command.id] = open_command
+        try:
+            await self._send_command(open_command)
+            return await self._result_of(open_command)
+        finally:
+            del self._open[command.id]
+
+    async def reserve(self) -> None:
+        """Announce a write: the wire waits a moment for it."""
+        await self._deliver(ReserveTurn())
+
+    async def cancel(self, command_id: str) -> None:
+        """Request the worker to give a command up where nothing is half done; its result still arrives."""
+        if command_id in self._open:
+            await self._deliver(Cancel(id=command_id))
+
+    async def watch(self, units: list[int], *, trace: bool = False) -> None:
+        """Send which units are on an open page and whether the trace is followed."""
+        wanted = Watch(units=sorted(units), trace=trace)
+        if wanted != self._watch:
+            self._watch = wanted
+            await self._deliver(wanted)
+
+    def awaits(self, id: str) -> bool:
+        """Whether the result of this command is still to come."""
+        return id in self._open and not self._open[id].result.done()
+
+    def on_update(self, update: Result | Progress, connection: MessageSink) -> None:
+        """Take in the result or progress of a command. It counts only from the connection that the command
+        went to; an unknown id belongs to a command that has ended."""
+        open_command = self._open.get(update.id)
+        if open_command is None or open_command.result.done() or open_command.sent_to is not connection:
+            return
+        if isinstance(update, Result):
+            open_command.result.set_result(result_for(update, open_command.command.action))
+            return
+        open_command.give_up_at = max(open_command.give_up_at, monotonic_now() + self._patience_s)
+
+    def _last_moment(self, command: Command) -> Monotonic:
+        return _due_at(command) + self._patience_s
+
+    async def _send_command(self, open_command: _OpenCommand) -> None:
+        open_command.sent_to = self._connection
+        await self._deliver(open_command.command)
+
+    async def _deliver(self, message: AppMessage) -> None:
+        connection = self._connection
+        if connection is None:
+            return
+        try:
+            await connection.send(message)
+        except ConnectionError:
+            self.closed(connection)
+
+    async def _result_of(self, open_command: _OpenCommand) -> Result:
+        words, missed_looks = self._words, 0
+        while (left := self._time_left(open_command, missed_looks)) > 0 and not open_command.result.done():
+            await asyncio.wait({open_command.result}, timeout=min(left, LOOK_S))
+            missed_looks = missed_looks + 1 if self._words == words else 0
+            words = self._words
+        if not open_command.result.done():
+            _end(open_command, "unverified", self._why_no_result(missed_looks))
+        return open_command.result.result()
+
+    def _time_left(self, open_command: _OpenCommand, missed_looks: int) -> float:
+        """Seconds for which the result is still awaited."""
+        stuck = missed_looks >= (STUCK_AFTER_LOOKS if self.connected else AWAY_LOOKS)
+        return (
+            min(open_command.due_at, open_command.give_up_at) if stuck else open_command.give_up_at
+        ) - monotonic_now()
+
+    def _why_no_result(self, missed_looks: int) -> Message:
+        if not self.connected:
+            return Message("worker_lost")
+        if missed_looks >= STUCK_AFTER_LOOKS:
+            return Message("worker_no_response")
+        return Message("worker_no_result")
+
+
+def _due_at(command: Command) -> Monotonic:
+    return monotonic_now() + max(0.0, command.deadline - unix_now())
+
+
+def _end(open_command: _OpenCommand, outcome: Outcome, message: Message) -> None:
+    if not open_command.result.done():
+        open_command.result.set_result(
+            Result(id=open_command.command.id, at=unix_now(), outcome=outcome, message=message)
+        )

@@ -1,0 +1,100 @@
+"""The WebSocket ``/feed`` of the bus workers, opened with a bearer token."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+
+from fastapi import APIRouter, WebSocket
+from starlette.websockets import WebSocketDisconnect, WebSocketState
+
+from app.core.server.connection.client_connection import client_connection
+from app.core.web.admission.access import Worker
+from app.core.web.services import service_of
+from app.errors import Problem
+from app.line.feed.bus_feed import WorkerLeft
+from app.line.feed.holders import Credential
+from app.line.feed.workers import Workers
+from app.settings import Settings
+from bus.contract import AppMessage, MalformedMessageError, encode
+from bus.messages import Message
+
+router = APIRouter()
+
+GOING_AWAY = 1001
+POLICY_VIOLATION = 1008
+SEND_WITHIN_S = 5.0
+"""Bounds a worker that does not read: it must delay neither commands nor the end of its connection."""
+REASON_BYTES = 123
+"""What a close frame has room for (RFC 6455, 5.5)."""
+
+
+class WorkerSocket:
+    """Starlette's WebSocket with the words of :class:`app.line.feed.bus_feed.WorkerConnection`."""
+
+    def __init__(self, websocket: WebSocket) -> None:
+        self._websocket = websocket
+
+    async def send(self, message: AppMessage) -> None:
+        """Raises ConnectionError when the worker is gone, or does not read."""
+        try:
+            async with asyncio.timeout(SEND_WITHIN_S):
+                await self._websocket.send_bytes(encode(message))
+        except (WebSocketDisconnect, RuntimeError, TimeoutError) as error:
+            raise ConnectionError("the bus worker disconnected") from error
+
+    async def receive(self) -> bytes:
+        """Raises ConnectionError at the end (WorkerLeft where the worker announced it), MalformedMessageError
+        for anything but bytes."""
+        if self._websocket.application_state is not WebSocketState.CONNECTED:
+            raise ConnectionError("the connection was closed")
+        message = await self._websocket.receive()
+        if message["type"] == "websocket.disconnect":
+            raise (
+                WorkerLeft()
+                if message.get("code") == GOING_AWAY
+                else ConnectionError("the bus worker disconnected")
+            )
+        data = message.get("bytes")
+        if not isinstance(data, bytes):
+            raise MalformedMessageError("a worker speaks in binary messages")
+        return data
+
+    def admit(self) -> None:
+        """Take the large messages that follow Hello."""
+        client_connection(self._websocket.scope).trust()
+
+    async def close(self, reason: str) -> None:
+        """End it, with as many words as a close frame holds; at its end already, nothing happens."""
+        if self._websocket.application_state is not WebSocketState.CONNECTED:
+            return
+        short = reason.encode()[:REASON_BYTES].decode(errors="ignore")
+        with suppress(WebSocketDisconnect, RuntimeError, TimeoutError):
+            async with asyncio.timeout(SEND_WITHIN_S):
+                await self._websocket.close(POLICY_VIOLATION, short)
+
+
+def _check_certificate(websocket: WebSocket) -> None:
+    """Raises Problem 403 without the certificate that ``client_ca`` demands of a worker elsewhere."""
+    tls = service_of(websocket, Settings).server.tls
+    is_demanded = tls is not None and tls.client_ca is not None
+    if is_demanded and not client_connection(websocket.scope).is_certified():
+        raise Problem(403, "forbidden", Message("worker_certificate_missing"))
+
+
+@router.websocket("/feed")
+async def feed(websocket: WebSocket, worker: Worker) -> None:
+    """Serve one worker from its hello to its end. Raises Problem 403 for a token without a bus,
+    and for a worker without the certificate that it needs."""
+    if not worker.bus:
+        raise Problem(
+            403,
+            "forbidden",
+            Message.of("worker_token_without_bus", called=worker.name),
+        )
+    if worker.via != "worker":
+        _check_certificate(websocket)
+    await websocket.accept()
+    address = websocket.client.host if websocket.client else ""
+    credential = Credential(worker.name, worker.bus, address, own=worker.via == "worker")
+    await service_of(websocket, Workers).serve(WorkerSocket(websocket), credential)

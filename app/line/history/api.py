@@ -1,0 +1,334 @@
+"""``GET /api/v1/history`` and what goes with it. Every request names a span; limits are refused in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from operator import attrgetter
+from typing import Annotated, Any, Literal, NamedTuple
+from zoneinfo import ZoneInfo
+
+from fastapi import APIRouter, Query, Response
+from pydantic import Field
+from starlette.requests import Request
+from starlette.responses import StreamingResponse
+from typing_extensions import TypedDict
+
+from app.core.messages import Language
+from app.core.web.admission.access import Viewer
+from app.core.web.admission.turns import DOWNLOAD, SEARCH
+from app.core.web.api.route import ApiRoute
+from app.core.web.api.schema import problems
+from app.core.web.api.shape import Instant, MessageShown, iso, json_response, message_shown
+from app.core.web.rendering.csv_file import CsvForm, WantedCsv
+from app.core.web.rendering.templating import templates_of
+from app.errors import Problem
+from app.line.history import spans
+from app.line.history.export import ExportResolution, Format, Layout, export_response
+from app.line.history.query import QueryResult, Resolution, SeriesQuery, stored_queries
+from app.line.history.series import values
+from app.line.history.series.runs import SECOND
+from app.line.history.service import seconds
+from app.line.history.spans import HistoryOf, PointsOf, Span, SpanOf
+from app.line.history.status import HistoryStatus
+from app.people.audit.api import Events
+from app.people.audit.log import Event, EventLog
+from app.people.audit.queries import Filter
+from bus.instants import UnixTime
+from bus.messages import Message
+
+Column = Annotated[list[float | None], Field(description="In display units; null: a gap.")]
+TimeList = Annotated[
+    list[Instant | float], Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
+]
+
+HistorySeries = TypedDict(
+    "HistorySeries",
+    {
+        "bus": str,
+        "unit": Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")],
+        "value": Annotated[str, Field(description="Its name, such as actual or output.1.")],
+        "measure": Annotated[str, Field(description="Unit of measurement; empty: none is configured.")],
+        "decimals": Annotated[int | None, Field(description="Of the newest point; null: not known.")],
+        "from": Annotated[Instant, Field(description="Start of the span, ISO 8601 in UTC.")],
+        "to": Annotated[Instant, Field(description="End of the span, ISO 8601 in UTC.")],
+        "resolution": Resolution,
+        "bucket_s": Annotated[float, Field(description="Seconds that a point stands for; 0: one reading.")],
+        "t": TimeList,
+        "min": Column,
+        "max": Column,
+        "avg": Column,
+    },
+)
+
+
+class Sparkline(TypedDict):
+    """The columns of a sparkline."""
+
+    t: TimeList
+    avg: Column
+
+
+class HistoryMarkText(TypedDict, total=False):
+    """The texts of a mark in the reader's language."""
+
+    what: str
+    old: str
+    new: str
+
+
+class HistoryMark(TypedDict):
+    """One event to be drawn into a chart."""
+
+    t: Annotated[
+        Instant | float, Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
+    ]
+    until: Annotated[
+        Instant | float | None,
+        Field(description="Of readings that came late, which are those from t on: their end; else null."),
+    ]
+    id: Annotated[int, Field(description="Number of the event.")]
+    kind: str
+    what: str
+    who: str
+    bus: str | None
+    unit: Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255.")]
+    old: str | None
+    new: str | None
+    outcome: str | None
+    messages: Annotated[
+        dict[str, MessageShown],
+        Field(description="what, old and new as data, by field; empty: older."),
+    ]
+    shown: HistoryMarkText
+
+
+class HistoryMarks(TypedDict):
+    """Events of a span, oldest first."""
+
+    marks: list[HistoryMark]
+    more: Annotated[bool, Field(description="Whether there are more than the newest 500.")]
+
+
+def json_of(model: Any) -> dict[int | str, dict[str, Any]]:
+    """For ``responses=`` of an endpoint that writes its JSON itself."""
+    return {200: {"model": model, "description": "Successful Response"}, **problems(404)}
+
+
+EXPORT: dict[int | str, dict[str, Any]] = {
+    200: {
+        "content": {
+            "text/csv": {"schema": {"type": "string"}},
+            "application/vnd.apache.parquet": {"schema": {"type": "string", "format": "binary"}},
+        }
+    },
+    **problems(404, 501),
+}
+"""The response of an export."""
+
+
+MAX_MARKS = 500
+MARK_KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
+"""Events that explain a curve; sign-ins do not."""
+LATE = ("event_history_follows", "event_readings_late")
+"""Events about readings that came late: the message has the span of these."""
+_TEXTS = ("what", "old", "new")
+"""The fields of a mark that may be messages."""
+_OF_MARK = ("id", "kind", "who", "bus", "unit", "outcome", *_TEXTS)
+
+
+class Mark(NamedTuple):
+    """An event and its place in a chart; ``until``: the end of a span, None for a moment."""
+
+    at: UnixTime
+    until: UnixTime | None
+    event: Event
+
+
+async def marks_of(
+    events: EventLog, start: UnixTime, end: UnixTime, units: Sequence[str] | None
+) -> tuple[list[Mark], bool]:
+    """The marks of a span, oldest first, and whether there were more events. ``units``: the site and these,
+    each ``bus/unit``; empty: all. Raises StoreError."""
+    found, after = await events.page(Filter(since=start, until=end), MAX_MARKS)
+    marks = [Mark(event["time"], None, event) for event in found if _explains(event, units)]
+    for code in LATE:
+        # Readings come after their time, perhaps long after.
+        late, _ = await events.page(Filter(since=start, code=code), MAX_MARKS)
+        spans = (Mark(_time(event, "since"), _time(event, "until"), event) for event in late)
+        marks += [mark for mark in spans if mark.at < end and start <= (mark.until or mark.at)]
+    return sorted(marks, key=attrgetter("at")), after is not None
+
+
+def shown_mark(mark: Mark, times: str, language: Language) -> dict[str, Any]:
+    """A mark as the API returns it; ``times``: iso or epoch."""
+    event = mark.event
+    messages = {name: event["messages"][name] for name in _TEXTS if name in event["messages"]}
+    texts = {name: event[name] for name in _TEXTS if event[name]}
+    return {
+        **{name: event[name] for name in _OF_MARK},
+        "t": time_shown(mark.at, times),
+        "until": None if mark.until is None else time_shown(mark.until, times),
+        "messages": {name: message_shown(message) for name, message in messages.items()},
+        "shown": texts | {name: language.t(messages[name]) for name in messages.keys() & texts},
+    }
+
+
+def time_shown(at: UnixTime, times: str) -> str | UnixTime:
+    """A time as ISO 8601 or, with ``times`` epoch, in seconds."""
+    return at if times == "epoch" else iso(at)
+
+
+def _explains(event: Event, units: Sequence[str] | None) -> bool:
+    is_of_chosen = event["unit"] is None or not units or f"{event['bus']}/{event['unit']}" in units
+    return event["kind"] in MARK_KINDS and is_of_chosen and not _is_late(event)
+
+
+def _is_late(event: Event) -> bool:
+    return "what" in event["messages"] and event["messages"]["what"].code in LATE
+
+
+def _time(event: Event, name: str) -> UnixTime:
+    return UnixTime(datetime.fromisoformat(str(event["messages"]["what"].params[name])).timestamp())
+
+
+router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
+SPARK_POINTS = 120
+MAX_SPARKS = 255
+TimeFormat = Annotated[Literal["iso", "epoch"], Query(alias="format")]
+
+
+def shown(requested: SeriesQuery, found: QueryResult, times: str) -> dict[str, Any]:
+    """A result as the API returns it."""
+    unit = values.unit_settings(requested.bus, requested.unit)
+    at = map(seconds, found.series.at)
+    return {
+        "bus": requested.bus.name,
+        "unit": requested.unit,
+        "value": requested.value.name,
+        "measure": values.measure(unit, requested.value),
+        "decimals": found.decimals,
+        "from": iso(seconds(requested.start)),
+        "to": iso(seconds(requested.end)),
+        "resolution": found.resolution,
+        "bucket_s": found.bucket / SECOND,
+        "t": [time_shown(each, times) for each in at],
+        "min": found.series.least,
+        "max": found.series.greatest,
+        "avg": found.series.average,
+    }
+
+
+@router.get("", response_model=None, responses=json_of(HistorySeries), dependencies=[SEARCH])
+async def get_history(
+    _: Viewer,
+    history: HistoryOf,
+    span: SpanOf,
+    points: PointsOf,
+    bus: str,
+    unit: int,
+    value: str,
+    times: TimeFormat = "iso",
+) -> Response:
+    """One value of one unit over a span, in at most ``points`` (1 to 20 000, else 1000) points.
+
+    Columns ``t``, ``min``, ``max``, ``avg`` in display units, with the decimals (#3) and the analog
+    scale (#22, #23) as they were known at that time. Every reading itself (``bucket_s`` 0) where that
+    fits; equal readings one after the other are given as the first and the last. A null between is a
+    hole. ``format=epoch`` gives times in seconds since the epoch.
+    """
+    requested = spans.series_query(history, bus, unit, value, span, points)
+    (found,) = await history.query([requested])
+    return await json_response(lambda: shown(requested, found, times))
+
+
+@router.get("/series", response_model=None, responses=json_of(list[HistorySeries]), dependencies=[SEARCH])
+async def get_history_series(
+    _: Viewer,
+    history: HistoryOf,
+    span: SpanOf,
+    points: PointsOf,
+    series: Annotated[list[str], Query()],
+    times: TimeFormat = "iso",
+) -> Response:
+    """Several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history gives."""
+    requested = spans.series_queries(history, series, span, points)
+    found = await history.query(requested)
+    return await json_response(lambda: [shown(q, a, times) for q, a in zip(requested, found, strict=True)])
+
+
+@router.get("/sparks", response_model=None, responses=json_of(dict[str, Sparkline]), dependencies=[SEARCH])
+async def get_sparklines(
+    _: Viewer,
+    history: HistoryOf,
+    span: SpanOf,
+    series: Annotated[list[str], Query()],
+    times: TimeFormat = "iso",
+) -> Response:
+    """Sparklines of many units (up to 255): for each ``bus/unit/value`` the columns ``t`` and ``avg``, about
+    120 points."""
+    if len(series) > MAX_SPARKS:
+        raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MAX_SPARKS, count=len(series)))
+    requested = [spans.named_series_query(history, name, span, SPARK_POINTS) for name in series]
+    found = await history.query(requested)
+    sparks = zip(series, found, strict=True)
+    return await json_response(lambda: {name: _small(result, times) for name, result in sparks})
+
+
+def _small(found: QueryResult, times: str) -> dict[str, Any]:
+    return {"t": [time_shown(seconds(at), times) for at in found.series.at], "avg": found.series.average}
+
+
+@router.get("/marks", response_model=None, responses=json_of(HistoryMarks), dependencies=[SEARCH])
+async def get_history_marks(
+    request: Request,
+    _: Viewer,
+    events: Events,
+    span: SpanOf,
+    unit: Annotated[list[str] | None, Query()] = None,
+    times: TimeFormat = "iso",
+) -> Response:
+    """Events of a span, oldest first: events (setpoint changes too) of the site and of each
+    ``bus/unit`` named, and the spans of readings that came late. At most the newest 500; ``more``: there
+    were more. ``shown``: ``what``, ``old`` and ``new`` in the reader's language."""
+    language = templates_of(request).language_of(request)
+    found, more = await marks_of(events, seconds(span.start), seconds(span.end), unit)
+    return await json_response(
+        lambda: {"marks": [shown_mark(m, times, language) for m in found], "more": more}
+    )
+
+
+@router.get("/status")
+async def get_history_status(_: Viewer, history: HistoryOf) -> HistoryStatus:
+    """State of the history: ``state`` ok, low or scarce (little disk space), paused or failed; ``message``:
+    what to do. The rest of Lineside works in every state."""
+    return history.status
+
+
+@router.get("/export", response_class=StreamingResponse, responses=EXPORT, dependencies=[DOWNLOAD])
+async def export_history(
+    request: Request,
+    _: Viewer,
+    history: HistoryOf,
+    span: SpanOf,
+    series: Annotated[list[str], Query()],
+    file: Annotated[Format, Query(alias="format")] = "csv",
+    resolution: ExportResolution = "auto",
+    layout: Layout = "readings",
+    *,
+    form: WantedCsv,
+) -> StreamingResponse:
+    """CSV or Parquet of any span, streamed: ``series`` may be repeated, each ``bus/unit/value``. Of a draw
+    the file has the two speeds that it is made of.
+
+    ``resolution`` auto: values if they are stored for the complete span, else minutes. ``layout=table``, of
+    CSV: one row a time (a second, or longer over a long span) with every value in force then, in local time,
+    under the names of units in the reader's language; ``form=reader``: also with the separator and the
+    decimal sign of that language.
+    """
+    requested = spans.series_queries(history, series, Span(span.start, span.end), 1)
+    stored = [stored for each in requested for stored in stored_queries(each)]
+    once = {(each.bus.name, each.unit, each.value.name): each for each in stored}
+    if layout == "table" and form.language is None:
+        form = CsvForm(templates_of(request).language_of(request), ZoneInfo(history.time_zone))
+    return await export_response(history, list(once.values()), file, resolution, form, layout)

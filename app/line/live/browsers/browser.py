@@ -1,0 +1,128 @@
+"""One open page: it gets the newest values, never a queue.
+
+What changed while the socket was busy goes together as one update, so a slow browser is always shown the
+present and costs no more than a few references: all who missed the same share what it is made of.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import msgspec
+
+from app.line.live.screen.diff import Groups, merge_groups
+from bus.instants import UnixTime
+
+MAX_FRAMES = 300
+"""Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
+
+MAX_WAITING = 64
+"""Changes that wait for a slow browser before they are made one."""
+
+encode = msgspec.json.Encoder().encode
+
+
+@dataclass(eq=False)
+class Diff:
+    """What changed between the numbers ``before`` and ``after``, the same object for all of a language."""
+
+    before: int
+    after: int
+    at: UnixTime
+    groups: Groups
+    _since: dict[int, Diff] = field(default_factory=dict)
+
+    @cached_property
+    def text(self) -> str:
+        """Encoded once for all browsers."""
+        message = {"is": "diff", "p": self.before, "n": self.after, "t": round(self.at, 3), "f": self.groups}
+        return encode(message).decode()
+
+    def after_all(self, earlier: Sequence[Diff]) -> Diff:
+        """This diff and the ``earlier`` ones as one; made once for all browsers that missed the same."""
+        if not earlier:
+            return self
+        before = earlier[0].before
+        if before not in self._since:
+            groups = merge_groups({}, *(diff.groups for diff in (*earlier, self)))
+            self._since[before] = Diff(before, self.after, self.at, groups)
+        return self._since[before]
+
+
+@dataclass(eq=False)
+class LinesUpdate:
+    """Fields of lines that changed, the same object for all of a language that follow them."""
+
+    groups: Groups
+
+    @cached_property
+    def text(self) -> str:
+        """Encoded once for all browsers."""
+        return encode({"is": "lines", "f": self.groups}).decode()
+
+
+@dataclass(eq=False, slots=True)
+class Browser:
+    """What one open page wants and has not had yet. ``units``: the pages' own, for the worker's schedule."""
+
+    name: str
+    role: str
+    language: str
+    units: frozenset[tuple[str, int]] = frozenset()
+    trace: str = ""
+    lines: bool = False
+    """It shows all lines of all servers."""
+    _waiting: list[Diff] = field(default_factory=list)
+    _snapshot: dict[str, Any] | None = None
+    _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))
+    _lines: LinesUpdate | None = None
+    _wake: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def send_diff(self, diff: Diff) -> None:
+        """Newest wins: it goes together with what has not been sent."""
+        if len(self._waiting) >= MAX_WAITING:
+            self._waiting = [diff.after_all(self._waiting)]
+        else:
+            self._waiting.append(diff)
+        self._wake.set()
+
+    def send(self, message: dict[str, Any]) -> None:
+        """Send a snapshot, before any diff. It replaces pending messages, and is encoded when it is sent:
+        repeated requests yield one."""
+        self._waiting.clear()
+        self._snapshot = message
+        self._wake.set()
+
+    def show_frames(self, frames: list[dict[str, Any]]) -> None:
+        """Send frames to a browser that follows the trace."""
+        self._frames.extend(frames)
+        self._wake.set()
+
+    def show_lines(self, update: LinesUpdate) -> None:
+        """Send what changed of the lines, with what has not been sent."""
+        held = self._lines
+        self._lines = update if held is None else LinesUpdate(merge_groups({}, held.groups, update.groups))
+        self._wake.set()
+
+    async def next(self) -> list[str]:
+        """Wait for messages; return all, in order. A second call means that the first ones have been sent."""
+        await self._wake.wait()
+        self._wake.clear()
+        texts = [] if self._snapshot is None else [encode(self._snapshot).decode()]
+        self._snapshot = None
+        if self._waiting:
+            *earlier, newest = self._waiting
+            self._waiting.clear()
+            texts.append(newest.after_all(earlier).text)
+        if self._lines is not None:
+            texts.append(self._lines.text)
+            self._lines = None
+        if self._frames:
+            texts.append(encode({"is": "frames", "frames": list(self._frames)}).decode())
+            self._frames.clear()
+        return texts

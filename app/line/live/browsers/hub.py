@@ -1,0 +1,313 @@
+"""Broadcasts changes to every connected browser, in the turn of the event loop in which they are reported.
+
+Nothing here batches or waits for a timer. A change is rendered once for each language in use, and
+:mod:`app.line.live.browsers.broadcast` sends it to the pages. Only age, which no worker reports, is checked
+once a second; the same tick is the heartbeat that every page draws.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+import structlog
+
+from app.core.web.rendering.templating import WEBSOCKET_LINES, Templates
+from app.line.live.admission import Admission
+from app.line.live.browsers.broadcast import Broadcast
+from app.line.live.browsers.browser import Browser, LinesUpdate
+from app.line.live.browsers.watched import Watched
+from app.line.live.command_ids import key_of
+from app.line.live.screen.diff import Groups, merge_groups
+from app.line.live.screen.fields import Translator, frame_fields, health_fields, unit_key
+from app.line.live.screen.screen import ALARM_GROUP, LINE_GROUP, Screen
+from app.line.live.screen.sources import Sources
+from app.line.live.screen.totals import holders
+from app.line.live.screen.words import STAGE_WORDS
+from app.line.live.state.bus_live import Audience, LiveState, changed_by
+from bus.bucket import Bucket
+from bus.contract import BusFigures, Frame, Frames, Progress, Update
+from bus.instants import Clock, UnixTime, monotonic_now
+
+log = structlog.get_logger()
+
+HEARTBEAT_S = 1.0
+MINUTE_S = 60.0
+ALARM_PAUSE_S = 0.05
+"""From an alarm to the pages: what a flood of them costs is bounded by it."""
+WATCH_UPDATES_A_SECOND = 5.0
+MAX_WATCH_BURST = 50
+"""To each worker, which units are watched."""
+Watcher = Callable[[list[int], bool], None]
+"""Called with the units of a bus that someone has open, and whether someone follows its trace."""
+
+
+class Hub:
+    """Broadcasts changes to every open page. ``clock`` returns Unix time in seconds."""
+
+    def __init__(
+        self,
+        live: LiveState,
+        sources: Sources,
+        templates: Templates,
+        watchers: Mapping[str, Watcher],
+        clock: Clock,
+    ) -> None:
+        self.live = live
+        self._sources = sources
+        self._templates = templates
+        self._watchers = watchers
+        self._clock = clock
+        self._monotonic = monotonic_now
+        self._broadcasts: dict[str, Broadcast] = {}
+        """Broadcasts of every language requested so far; most are empty now."""
+        self._watched: dict[str, tuple[list[int], bool]] = {}
+        self.admission = Admission()
+        self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
+        self._watch_limit = Bucket(WATCH_UPDATES_A_SECOND, MAX_WATCH_BURST)
+        self._watched_is_due = False
+        self._alarms_due: asyncio.TimerHandle | None = None
+        self._minute = 0.0
+        self._has_warned_of_proxy = False
+        self._alarmed_units: set[tuple[str, int]] = set()
+        for name, bus in live.buses.items():
+            bus.subscribe(Audience.BROWSERS, partial(self._on_updates, name))
+            sources.guards[name].on_block(partial(self.refresh_unit, name))
+            sources.guards[name].on_control(self._show_control)
+            sources.drift[name].on_change(partial(self.refresh_unit, name))
+        sources.alarms.on_change(self._on_alarm)
+
+    def warn_of_proxy(self) -> None:
+        """Log once that a proxy before the server does not pass WebSockets."""
+        if not self._has_warned_of_proxy:
+            self._has_warned_of_proxy = True
+            log.warning("the proxy does not pass WebSockets", add=WEBSOCKET_LINES)
+
+    @property
+    def connected(self) -> int:
+        """How many pages are open now."""
+        return sum(len(broadcast.browsers) for broadcast in self._broadcasts.values())
+
+    def people(self) -> dict[str, str]:
+        """Return the role of each user with an open page, keyed by user name."""
+        roles = {browser.name: browser.role for browser in self._browsers()}
+        return {name: roles[name] for name in sorted(roles)}
+
+    def screen(self, language: str) -> Screen:
+        """The screen of a language, up to date."""
+        broadcast = self._broadcasts.get(language)
+        if broadcast is None:
+            broadcast = self._broadcasts[language] = Broadcast(
+                self._new_screen(language), self._clock, self._templates.page_digest
+            )
+        screen = broadcast.screen
+        if not broadcast.browsers:
+            # With a page open it follows every report: to render a long line for each that opens takes the
+            # event loop milliseconds, and some hundred may open at once.
+            now = self._clock()
+            screen.refresh(now)
+            screen.put(LINE_GROUP, self._faults(screen.translator, now))
+            self._control(screen)
+            screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
+        return screen
+
+    def _faults(self, translator: Translator, now: UnixTime) -> dict[str, str]:
+        """Faults of the records."""
+        return {
+            "memory": self._sources.notices(translator, now),
+        }
+
+    def _new_screen(self, language: str) -> Screen:
+        translator = Translator(
+            self._templates.languages[language].on_screen, self._templates.formats(language)
+        )
+        return Screen(self.live, translator, self._sources)
+
+    def join(self, browser: Browser) -> None:
+        """A page opened: send a complete snapshot first, then diffs."""
+        self.screen(browser.language)
+        self._broadcasts[browser.language].join(browser)
+        self._has_changed()
+
+    def leave(self, browser: Browser) -> None:
+        self._broadcasts[browser.language].leave(browser)
+        self._pages.turn(browser.units, frozenset(), browser.trace, "")
+        self._has_changed()
+
+    def _has_changed(self) -> None:
+        for broadcast in self._broadcasts.values():
+            broadcast.flow.share(self.connected)
+        self._notify_watchers()
+        self._publish_people()
+
+    def send_snapshot(self, browser: Browser) -> None:
+        """Everything, to a page that opened or missed a number."""
+        self._broadcasts[browser.language].send_snapshot(browser)
+
+    def follow(self, browser: Browser, keys: tuple[str, ...], trace: str, *, lines: bool = False) -> None:
+        """Note the units that a page shows, by their keys, the bus whose trace it follows, and whether it
+        shows all lines."""
+        if lines and not browser.lines:
+            translator = self._broadcasts[browser.language].screen.translator
+            browser.show_lines(LinesUpdate(self._sources.lines.shown(translator)))
+        browser.lines = lines
+        units, trace = self._pages.known(keys), trace if trace in self.live.buses else ""
+        if (units, trace) == (browser.units, browser.trace):
+            return
+        self._pages.turn(browser.units, units, browser.trace, trace)
+        browser.units, browser.trace = units, trace
+        self._notify_watchers()
+
+    def refresh_unit(self, bus: str, unit: int) -> None:
+        """Something that no worker reports has changed, for example a block."""
+        self._render(bus, [unit], include_bus=False)
+
+    def _on_alarm(self, bus: str | None, unit: int | None) -> None:
+        """Several that change together, or in a flood, are shown together."""
+        if bus is not None and unit is not None:
+            self._alarmed_units.add((bus, unit))
+        if self._alarms_due is None:
+            self._alarms_due = asyncio.get_running_loop().call_later(ALARM_PAUSE_S, self._show_alarms)
+
+    def _show_alarms(self) -> None:
+        self._alarms_due = None
+        units, self._alarmed_units = self._alarmed_units, set()
+        now = self._clock()
+        for broadcast in self._with_pages():
+            screen = broadcast.screen
+            groups = screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
+            for bus, unit in units:
+                fields = self._sources.alarms.of_unit(bus, unit, screen.translator, now)
+                groups |= screen.put(unit_key(bus, unit), fields)
+            broadcast.publish(groups)
+
+    def _show_control(self) -> None:
+        for broadcast in self._with_pages():
+            broadcast.publish(self._control(broadcast.screen))
+
+    def _control(self, screen: Screen) -> Groups:
+        """Who controls each bus, until when, and who requests it: ``control`` is another text whenever the
+        head of a page is."""
+        controls = [self._sources.guards[bus].bus_control() for bus in self.live.buses]
+        held_by = {each.bus: each.holder for each in controls}
+        keys = "\n\n".join(each.key for each in controls)
+        groups = screen.put(LINE_GROUP, {"holder": holders(held_by, screen.translator), "control": keys})
+        for each in controls:
+            lapses_at = f"{each.lapses_at:.0f}" if each.holder else ""
+            groups |= screen.put(each.bus, {"held_by": each.holder, "control_until": lapses_at})
+        return groups
+
+    async def beat(self) -> None:
+        """Send the heartbeat of every page, indefinitely."""
+        while True:
+            await asyncio.sleep(HEARTBEAT_S)
+            self.tick()
+
+    def tick(self) -> None:
+        """One heartbeat: what has aged, and the server's time."""
+        now = self._clock()
+        if self._watched_is_due:
+            self._notify_watchers()
+        minute = float(now) // MINUTE_S
+        if minute != self._minute:
+            # The time that an alarm shows gets its date as the day ends.
+            self._minute = minute
+            self._show_alarms()
+        for broadcast in self._with_pages():
+            screen = broadcast.screen
+            faults = screen.put(LINE_GROUP, self._faults(screen.translator, now))
+            groups = merge_groups(screen.settle(now), faults, self._control(screen))
+            broadcast.publish(groups, always=True)
+            self._show_lines(broadcast)
+
+    def _show_lines(self, broadcast: Broadcast) -> None:
+        followers = [browser for browser in broadcast.browsers if browser.lines]
+        translator = broadcast.screen.translator
+        if not followers:
+            self._sources.lines.forget(translator.language.tag)
+        elif changed := self._sources.lines.changes(translator):
+            update = LinesUpdate(changed)
+            for browser in followers:
+                browser.show_lines(update)
+
+    # --- what the workers report -------------------------------------------------------------------
+
+    def _on_updates(self, bus_name: str, updates: Sequence[Update]) -> None:
+        units, is_bus = changed_by(self.live.buses[bus_name], updates)
+        self._render(bus_name, units, include_bus=is_bus)
+        for update in updates:
+            self._pass_on(bus_name, update)
+
+    def _render(self, bus: str, units: list[int], *, include_bus: bool) -> None:
+        now = self._clock()
+        for broadcast in self._with_pages():
+            broadcast.publish(broadcast.screen.see(bus, units, now, include_bus=include_bus))
+
+    def _pass_on(self, bus: str, update: Update) -> None:
+        """Data that is not part of the live state."""
+        match update:
+            case Progress():
+                self._show_progress(bus, update)
+            case Frames():
+                self._show_frames(bus, update.frames)
+            case BusFigures():
+                self._show_health(bus, update)
+
+    def _show_progress(self, bus: str, progress: Progress) -> None:
+        """Progress of a scan goes to every page of the bus; it has no review whose page knows its id."""
+        group, field = f"command/{key_of(progress.id)}", "stage"
+        if progress.stage == "searching":
+            group, field = bus, "searched"
+        for broadcast in self._with_pages():
+            text = broadcast.screen.translator.t(STAGE_WORDS[progress.stage])
+            if progress.of > 1:
+                text += f" {progress.done}/{progress.of}"
+            broadcast.publish({group: {field: text}})
+
+    def _show_health(self, bus: str, figures: BusFigures) -> None:
+        watched = self._pages.units(bus)
+        for broadcast in self._with_pages():
+            screen, groups = broadcast.screen, Groups()
+            for unit in figures.units:
+                if unit.unit in watched:
+                    groups |= screen.put(
+                        f"health/{unit_key(bus, unit.unit)}", health_fields(unit, screen.translator)
+                    )
+            broadcast.publish(groups)
+
+    def _show_frames(self, bus: str, frames: Sequence[Frame]) -> None:
+        for broadcast in self._with_pages():
+            followers = [browser for browser in broadcast.browsers if browser.trace == bus]
+            if followers:
+                shown = [frame_fields(frame, broadcast.screen.translator) for frame in frames]
+                for browser in followers:
+                    browser.show_frames(shown)
+
+    # --- to the browsers ----------------------------------------------------------------------------
+
+    def _with_pages(self) -> list[Broadcast]:
+        """The languages with an open page."""
+        return [broadcast for broadcast in self._broadcasts.values() if broadcast.browsers]
+
+    def _browsers(self) -> list[Browser]:
+        return [browser for broadcast in self._broadcasts.values() for browser in broadcast.browsers]
+
+    def _publish_people(self) -> None:
+        people = self.people()
+        for broadcast in self._with_pages():
+            screen = broadcast.screen
+            here = [[name, screen.translator.t(role)] for name, role in people.items()]
+            broadcast.publish(screen.put("people", {"here": here, "count": str(len(people))}))
+
+    def _notify_watchers(self) -> None:
+        """At once, but not as often as pages can turn; the next tick makes up for it."""
+        self._watched_is_due = not self._watch_limit.take(self._monotonic())
+        if self._watched_is_due:
+            return
+        for bus, live in self.live.buses.items():
+            units = self._pages.units(bus) or (sorted(live.units) if self.connected else [])
+            watched = (units, self._pages.is_traced(bus))
+            if self._watched.get(bus, ([], False)) != watched:
+                self._watched[bus] = watched
+                self._watchers[bus](*watched)

@@ -1,0 +1,279 @@
+"""The present state of every bus and its units: the newest values, and what follows from a reading.
+
+Times are Unix times in seconds on the app's own clock; the feed shifts a worker's times before they come
+here. Overdue values are not marked here but computed from the age (:mod:`app.line.live.state.age`), so that a
+worker that hangs cannot keep anything looking fresh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from operator import itemgetter
+from typing import NamedTuple
+
+import structlog
+
+from app.line.conditions.evidence import follower as follower
+from app.line.conditions.evidence import reads_ratio
+from app.line.conditions.of_unit import DRAW_OUT_OF_BAND
+from app.line.live.state.conditions import bits_of, conditions_of
+from app.line.live.state.draw import draw_of
+from app.line.live.state.motion import Motion
+from app.line.live.state.onset import Onset, Onsets
+from app.line.live.state.scan_time import offline_after_s, scan_s_of, silence_after_s
+from bus.catalogue.numbers import (
+    ANALOG_IN_HIGH,
+    ANALOG_IN_LOW,
+    DECIMALS,
+    FOLLOWER_MODE,
+    MAX_DISPLAY,
+    SETPOINTS,
+)
+from bus.catalogue.values import RATIO_DECIMALS, plausible_parameter
+from bus.contract import (
+    BusFigures,
+    BusLink,
+    ParameterValue,
+    Reading,
+    Snapshot,
+    Staged,
+    UnitLink,
+    Update,
+)
+from bus.instants import UnixTime
+from bus.messages import Message
+from bus.settings import BusSettings, Seam, UnitSettings
+
+log = structlog.get_logger()
+
+SHOWN_WITH = (MAX_DISPLAY, DECIMALS, FOLLOWER_MODE, ANALOG_IN_LOW, ANALOG_IN_HIGH)
+"""The parameters that a reading is shown with."""
+NO_WORKER = Message("worker_not_connected")
+BusSubscriber = Callable[[Sequence[Update]], None]
+"""Called with the updates of a bus after they were applied."""
+
+
+class Audience(IntEnum):
+    """Who learns of a report, in this order: people who look come before what compares and judges."""
+
+    BROWSERS = 0
+    STREAM = 1
+    DRIFT = 2
+    ALARMS = 3
+
+
+@dataclass(slots=True)
+class UnitLive:
+    """The newest reading of one unit. ``link`` is the worker's view; the age counts too."""
+
+    settings: UnitSettings
+    link: UnitLink
+    reading: Reading | None = None
+    parameters: dict[int, ParameterValue] = field(default_factory=dict)
+    staged: int | None = None
+    staged_unknown: bool = False
+    """It did not acknowledge 82h, or was away while it held a staged speed: what it holds is not known."""
+    may_differ_since: UnixTime | None = None
+    """When a parameter was found changed, or the unit was back after it was offline: whoever has changed one
+    at the keypad may have changed others, and what was read before counts as old until it is read again."""
+    motion: Motion = field(default_factory=Motion)
+    onsets: Onsets = field(default_factory=Onsets)
+    last_response: UnixTime | None = None
+    """Unix time, before this server started; None while it is not known."""
+
+    def parameter_raw(self, number: int) -> int | None:
+        """The raw value of a parameter as last read; None when never read or not available, and outside of
+        its printed range: it scales and bounds nothing then."""
+        known = self.parameters.get(number)
+        return plausible_parameter(number, known.raw) if known is not None else None
+
+    def is_current(self, number: int) -> bool:
+        """Whether a parameter was read since the unit was last away or changed at its keypad."""
+        known, since = self.parameters.get(number), self.may_differ_since
+        return known is not None and (since is None or known.at >= since)
+
+    @property
+    def scale_is_old(self) -> bool:
+        """Whether the values of this unit are shown in a scale that was not read yet, or that it may not have
+        any more."""
+        if DECIMALS not in self.parameters:
+            return self.reading is not None
+        return self.may_differ_since is not None and not all(
+            self.is_current(number) for number in SHOWN_WITH if number in self.parameters
+        )
+
+    def see_parameter(self, value: ParameterValue) -> None:
+        """Take in a parameter that was read."""
+        former = self.parameters.get(value.number)
+        if former is not None and former.raw != value.raw and value.number not in SETPOINTS:
+            self.may_differ_since = value.at
+        self.parameters[value.number] = value
+
+
+class Silence(NamedTuple):
+    """A time in which no unit of a bus responded, as its port was closed or its worker stood still: from the
+    last reading before it to the first one after."""
+
+    since: UnixTime
+    until: UnixTime
+
+
+@dataclass(slots=True)
+class BusLive:
+    """One bus: its port as the worker sees it, its figures, its units in floor order. It has one writer: what
+    the worker reports. A command never changes it."""
+
+    settings: BusSettings
+    link: BusLink
+    link_onset: Onset
+    """When the present ``link`` began."""
+    worker_lost: Onset | None
+    """Since when no worker is connected; None while one is."""
+    figures: BusFigures | None = None
+    units: dict[int, UnitLive] = field(default_factory=dict)
+    read_at: UnixTime | None = None
+    """When the newest reading of any unit was made."""
+    silence: Silence | None = None
+    """The last one."""
+    seams: dict[int, Seam] = field(init=False, compare=False)
+    """The seam before each unit but the first, by its address."""
+    _subscribers: list[tuple[Audience, BusSubscriber]] = field(default_factory=list, compare=False)
+
+    def __post_init__(self) -> None:
+        self.seams = self.settings.seams
+
+    @property
+    def worker_connected(self) -> bool:
+        """Whether a worker speaks for this bus now."""
+        return self.worker_lost is None
+
+    @property
+    def baud(self) -> int:
+        """The present rate as the worker reports it, as #18 may have changed it; else as configured."""
+        return self.link.baud or self.settings.baud
+
+    def subscribe(self, audience: Audience, subscriber: BusSubscriber) -> Callable[[], None]:
+        """Call ``subscriber`` with the updates after each change, in the turn of its audience.
+
+        The result ends it.
+        """
+        entry = (audience, subscriber)
+        self._subscribers.append(entry)
+        self._subscribers.sort(key=itemgetter(0))
+        return lambda: self._subscribers.remove(entry)
+
+    def apply(self, updates: Sequence[Update]) -> None:
+        """Take in what the worker reported, in order, and call the subscribers; none of them can stop it. A
+        unit that is not configured is passed over."""
+        for update in updates:
+            self._apply_one(update, self.units.get(getattr(update, "unit", 0)))
+        for _, subscriber in tuple(self._subscribers):
+            try:
+                subscriber(updates)
+            except Exception:
+                log.exception("subscriber of the live state failed", bus=self.settings.name)
+
+    def take_snapshot(self, snapshot: Snapshot) -> list[Update]:
+        """A worker connected, with its complete state; returns that as updates."""
+        if not self.worker_connected:
+            self.worker_lost = None
+            # It reports the state of its port, and not since when.
+            self.link, self.link_onset = snapshot.bus, Onset(snapshot.bus.at, exact=False)
+        updates = updates_of(snapshot)
+        self.apply(updates)
+        return updates
+
+    def lose_worker(self, at: UnixTime, cause: Message = NO_WORKER) -> None:
+        """The worker's connection ended: the port counts as closed, nothing counts as fresh."""
+        self.worker_lost = Onset(at)
+        self.figures = None
+        units = [unit for unit in self.units.values() if unit.link.link == "online"]
+        stale = [UnitLink(unit=unit.settings.id, at=at, link="stale", cause=cause) for unit in units]
+        self.apply([BusLink(at=at, link="closed", cause=cause), *stale])
+
+    def _apply_one(self, update: Update, unit: UnitLive | None) -> None:
+        """``unit``: that it is about; None where it is about none that is configured."""
+        match update:
+            case Reading() if unit:
+                self.take_reading(unit, update)
+            case UnitLink() if unit:
+                if update.link == "online" and unit.link.link == "offline":
+                    unit.may_differ_since = update.at
+                unit.link = update
+            case ParameterValue() if unit:
+                unit.see_parameter(update)
+            case Staged() if unit:
+                unit.staged, unit.staged_unknown = update.raw, update.unknown
+            case BusFigures():
+                self.figures = update
+            case BusLink():
+                self._take_link(update)
+
+    def _take_link(self, link: BusLink) -> None:
+        """A worker reports a change of its port."""
+        if link.link != self.link.link:
+            self.link_onset = Onset(link.at)
+        self.link = link
+
+    def take_reading(self, unit: UnitLive, reading: Reading) -> None:
+        unit.reading = reading
+        bits, scan_s = bits_of(self, reading), scan_s_of(self)
+        if self.read_at is not None and reading.at - self.read_at > silence_after_s(scan_s):
+            self.silence = Silence(self.read_at, reading.at)
+        self.read_at = reading.at if self.read_at is None else max(self.read_at, reading.at)
+        unit.motion.see(reading, bits, scan_s=scan_s, ratio=reads_ratio(self, unit))
+        holding = conditions_of(bits, reading)
+        if DRAW_OUT_OF_BAND.holds(draw_of(self, unit, reading.at)):
+            holding |= {DRAW_OUT_OF_BAND.code}
+        unit.onsets.see(reading.at, holding, offline_after_s(scan_s))
+
+
+def changed_by(bus: BusLive, updates: Sequence[Update]) -> tuple[list[int], bool]:
+    """The configured units that updates are about, by address, and whether they are about the bus too."""
+    if any(type(update) is BusLink for update in updates):
+        return sorted(bus.units), True
+    units = {unit for update in updates if (unit := getattr(update, "unit", None)) in bus.units}
+    return sorted(units), any(type(update) is BusFigures for update in updates)
+
+
+def speed_decimals(bus: BusLive, unit: UnitLive) -> int | None:
+    """The decimals of commanded and actual speed; None while #3 was not read."""
+    return RATIO_DECIMALS if reads_ratio(bus, unit) else unit.parameter_raw(DECIMALS)
+
+
+def setpoint_decimals(unit: UnitLive) -> int | None:
+    """The decimals of a setpoint: those of a ratio for a follower; None while #3 was not read."""
+    return RATIO_DECIMALS if follower(unit) else unit.parameter_raw(DECIMALS)
+
+
+def never_seen(settings: BusSettings, at: UnixTime) -> BusLive:
+    """A bus that no worker has reported yet; first seen so at ``at``."""
+    units = {
+        unit.id: UnitLive(settings=unit, link=UnitLink(unit=unit.id, at=at, link="unknown"))
+        for unit in settings.unit
+    }
+    first_seen = Onset(at, exact=False)
+    return BusLive(settings, BusLink(at, "closed", NO_WORKER), first_seen, first_seen, units=units)
+
+
+def updates_of(snapshot: Snapshot) -> list[Update]:
+    """A complete state as the updates that lead to it."""
+    updates: list[Update] = [snapshot.bus]
+    for state in snapshot.units:
+        updates.append(state.link)
+        if state.reading is not None:
+            updates.append(state.reading)
+        staged = Staged(state.unit, snapshot.sent_at, state.staged, state.staged_unknown)
+        updates += [*state.parameters, staged]
+    if snapshot.figures is not None:
+        updates.append(snapshot.figures)
+    return updates
+
+
+class LiveState:
+    """Every configured bus, by its name."""
+
+    def __init__(self, buses: Iterable[BusSettings], started_at: UnixTime) -> None:
+        self.buses = {settings.name: never_seen(settings, started_at) for settings in buses}

@@ -1,0 +1,377 @@
+"""The archive: old months of events as files of JSON lines, verified before they leave the store.
+
+A file is written beside its place and put there once it is on disk and was read back. Then an entry of the
+log names it, and where the log was cut is noted and sealed in the same transaction. Only then entries are
+removed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gzip
+import hashlib
+import json
+import os
+import re
+import secrets
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from itertools import count, islice
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+from zoneinfo import ZoneInfo
+
+import structlog
+
+from app.core.database import Database, StoreConnection
+from app.core.database.private import FILE_MODE, sync_folder
+from app.core.server.in_thread import in_thread
+from app.errors import StoreError, system_error
+from app.people.audit.chain import KeyRing
+from app.people.audit.former import Ends
+from app.people.audit.log import EventLog
+from app.people.audit.proof import CHUNK, Cut, Walk, add_cut, cuts_of, heads_text
+from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.messages import Message
+
+EVERY_S = 3600.0
+"""How often it is looked whether a month is due, the first time so long after the start."""
+STEP_S = 60.0
+"""A clock that was set by more is not trusted for an hour."""
+MAX_REMOVED = 200
+"""Entries that one transaction removes: a few milliseconds, so that no command waits for more."""
+MAX_SCANNED = 2000
+MAX_LINE = 1024 * 1024
+"""Characters of an entry; the longest has a few hundred frames. A file that was put there in place of ours
+may unpack to one line without an end."""
+NAME = re.compile(r"events-\d{4}-\d{2}(-[1-9]\d*)?\.jsonl\.gz")
+_STAYS = "id IN (SELECT event FROM shift_signature)"
+"""The sheet of a shift is proven by the entries of its signatures, which therefore stay."""
+Entry = dict[str, Any]
+log = structlog.get_logger()
+
+
+class EventArchiveError(StoreError):
+    """A file of the archive cannot be written or read."""
+
+
+class Month(NamedTuple):
+    """A month by the clock of the site."""
+
+    year: int
+    month: int
+
+    def __str__(self) -> str:
+        return f"{self.year:04d}-{self.month:02d}"
+
+    def begins(self, zone: ZoneInfo) -> UnixTime:
+        return UnixTime(datetime(self.year, self.month, 1, tzinfo=zone).timestamp())
+
+    def after(self, months: int) -> Month:
+        years, month = divmod(self.month - 1 + months, 12)
+        return Month(self.year + years, month + 1)
+
+
+def month_of(at: UnixTime, zone: ZoneInfo) -> Month:
+    """Return the month in which a time is."""
+    local = datetime.fromtimestamp(float(at), zone)
+    return Month(local.year, local.month)
+
+
+def months_due(oldest: UnixTime, now: UnixTime, keep: int, zone: ZoneInfo) -> list[Month]:
+    """Return the months that are over for more than ``keep`` months, from that of the oldest event."""
+    kept, first = month_of(now, zone).after(-keep), month_of(oldest, zone)
+    over = 12 * (kept.year - first.year) + kept.month - first.month
+    return [first.after(months) for months in range(over)]
+
+
+class ArchiveWriter:
+    """Writes one file; ``close`` puts it in its place, ``discard`` leaves nothing of it. Raises OSError."""
+
+    def __init__(self, folder: Path, month: Month) -> None:
+        if not folder.is_dir():
+            # It may be that of a disk that is not mounted: it is not made.
+            raise EventArchiveError(Message.of("audit_archive_folder_missing", folder=str(folder)))
+        self._folder, self._month = folder, month
+        self._path = folder / f".events-{month}.{secrets.token_hex(4)}"
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        self._file: BinaryIO = os.fdopen(os.open(self._path, flags, FILE_MODE), "wb")
+        # Without its time and name: the same entries are the same bytes.
+        self._packed = gzip.GzipFile(filename="", mode="wb", fileobj=self._file, mtime=0)
+        self.entries = 0
+
+    def write(self, entries: list[Entry]) -> None:
+        lines = (json.dumps({k: v for k, v in each.items() if v is not None}) for each in entries)
+        self._packed.write("".join(f"{line}\n" for line in lines).encode())
+        self.entries += len(entries)
+
+    def close(self) -> tuple[str, str]:
+        """Return the name of the file and its SHA-256, once it is on disk. One with the same content takes
+        its place; no other one is ever replaced: where a store was restored from a backup, and went on
+        otherwise, a month has a second file. Raises EventArchiveError."""
+        self._packed.close()
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+        digest = digest_of(self._path)
+        if sum(1 for _ in entries_in(self._path)) != self.entries:
+            raise EventArchiveError(Message.of("audit_archive_not_read_back", file=str(self._path)))
+        names = (f"events-{self._month}{f'-{number}' * (number > 1)}.jsonl.gz" for number in count(1))
+        path = next(path for name in names if self._is_free_for(path := self._folder / name, digest))
+        self._path.replace(path)
+        sync_folder(self._folder)
+        return path.name, digest
+
+    def discard(self) -> None:
+        self._file.close()
+        self._path.unlink(missing_ok=True)
+
+    @staticmethod
+    def _is_free_for(path: Path, digest: str) -> bool:
+        return not os.path.lexists(path) or (path.is_file() and digest_of(path) == digest)
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file, in hex. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def entries_in(path: Path) -> Iterator[Entry]:
+    """Return the entries of a file as the store had them, without what they are a part of. Raises
+    EventArchiveError, OSError."""
+    try:
+        if not path.is_file():
+            raise ValueError("no file")
+        with gzip.open(path, "rt", encoding="utf-8") as lines:
+            while line := lines.readline(MAX_LINE):
+                yield _entry_of(line)
+    except (EOFError, RecursionError, ValueError, zlib.error, gzip.BadGzipFile) as error:
+        raise EventArchiveError(Message.of("audit_archive_unreadable", file=path.name)) from error
+
+
+def _entry_of(line: str) -> Entry:
+    entry = json.loads(line)
+    if not isinstance(entry, Mapping) or not isinstance(entry.get("id"), int):
+        raise ValueError("no entry")
+    if any(isinstance(value, dict | list) for value in entry.values()):
+        raise ValueError("no row of the store")
+    return {name: value for name, value in entry.items() if name != "part_of"}
+
+
+@dataclass(frozen=True, slots=True)
+class ArchiveProof:
+    """So many archived ``entries`` are proven. The files that are ``absent`` were not looked at."""
+
+    entries: int = 0
+    absent: tuple[str, ...] = ()
+
+
+def prove_archive(
+    cuts: Sequence[Cut], folder: Path | None, ring: KeyRing, anchors: Mapping[int, str]
+) -> ArchiveProof:
+    """Verify the files of all cuts that are in a folder: each continues the one before it. Raises
+    EventArchiveError at the first that is not as it was written, OSError for one that cannot be read."""
+    entries, absent = 0, []
+    start: Ends | None = None
+    expected = cuts[0].first if cuts else 0
+    for cut in cuts:
+        if not cut.is_sealed(ring) or cut.first != expected:
+            raise EventArchiveError(Message.of("audit_archive_forged", file=cut.file))
+        path = folder / cut.file if folder else None
+        if path is None or not path.exists():
+            absent.append(cut.file)
+        else:
+            _prove_file(path, cut, Walk(ring, anchors, start))
+            entries += cut.last - cut.first + 1
+        start, expected = cut.ends, cut.last + 1
+    return ArchiveProof(entries, tuple(absent))
+
+
+def _prove_file(path: Path, cut: Cut, walk: Walk) -> None:
+    entries = entries_in(path)
+    while chunk := [*islice(entries, CHUNK)]:
+        walk.follow(chunk)
+        if walk.fault is not None:
+            raise EventArchiveError(Message.of("audit_archive_altered_at", file=cut.file, reason=walk.fault))
+    if digest_of(path) != cut.digest or _plain(walk.ends) != _plain(cut.ends):
+        raise EventArchiveError(Message.of("audit_archive_altered", file=cut.file))
+
+
+def _plain(ends: Ends) -> set[tuple[str, int, str]]:
+    return {(chain, head.id, head.hash) for chain, head in ends.items()}
+
+
+class _Due(NamedTuple):
+    """Entries that are to be archived under the name of a month."""
+
+    month: Month
+    first: int
+    last: int
+
+
+class EventArchive:
+    """The archive of one store. ``folder`` None: all events stay in the store."""
+
+    def __init__(
+        self,
+        database: Database,
+        events: EventLog,
+        folder: Path | None,
+        keep_months: int,
+        zone: ZoneInfo,
+        clock: Clock = unix_now,
+        monotonic: MonotonicClock = monotonic_now,
+    ) -> None:
+        self.failing: Message | None = None
+        """Why old events could not be archived at the last attempt; mostly None."""
+        self._database, self._events = database, events
+        self._folder, self._keep, self._zone = folder, keep_months, zone
+        self._clock, self._monotonic = clock, monotonic
+
+    async def follow(self) -> None:
+        """Archive what is due each hour, without end."""
+        while True:
+            ahead = float(self._clock()) - float(self._monotonic())
+            await asyncio.sleep(EVERY_S)
+            if abs(float(self._clock()) - float(self._monotonic()) - ahead) < STEP_S:
+                await self.archive_due()
+
+    async def archive_due(self) -> None:
+        """Archive every month that is due. A failure is an event and :attr:`failing`, and is retried."""
+        try:
+            await self._remove_archived()
+            while self._folder is not None and (due := await self._next_due()):
+                await self._archive(self._folder, due)
+                await self._remove_archived()
+        except (StoreError, OSError) as error:
+            await self._failed(error.message if isinstance(error, StoreError) else system_error(error))
+        else:
+            self.failing = None
+
+    async def _failed(self, reason: Message) -> None:
+        log.error("events not archived", folder=str(self._folder), why=str(reason))
+        is_known_already = self.failing is not None
+        self.failing = reason
+        if not is_known_already:
+            try:
+                await self._events.record(kind="audit", what=Message("event_archive_failed"), message=reason)
+            except StoreError as error:
+                log.error("failure of the archive not logged", why=str(error))
+
+    async def _next_due(self) -> _Due | None:
+        """Return the next entries to archive. They end before the first entry of a later month, so that the
+        newest ones always stay, and no clock that is ahead archives all."""
+        cut = await self._newest_cut()
+        now, first, last = self._clock(), None, 0 if cut is None else cut.last
+        begin = last + 1
+        due: list[Month] = []
+        while times := await self._database.read(partial(_times_after, number=last)):
+            for number, time in times:
+                if not 0 < float(time) <= float(now):
+                    continue  # of a clock that was wrong
+                if first is None:
+                    first, due = number, months_due(time, now, self._keep, self._zone)
+                while due and time >= due[0].after(1).begins(self._zone):
+                    month = due.pop(0)
+                    until = await self._database.read_costly(
+                        partial(_before_unfinished, first=begin, last=number - 1)
+                    )
+                    if until >= begin:
+                        return _Due(month, begin, until)
+                if not due:
+                    return None
+            last = times[-1][0]
+        return None
+
+    async def _newest_cut(self) -> Cut | None:
+        noted = await self._database.read(cuts_of)
+        if noted and not noted[-1].is_sealed(self._events.keys.ring):
+            raise EventArchiveError(Message.of("audit_archive_forged", file=noted[-1].file))
+        return noted[-1] if noted else None
+
+    async def _archive(self, folder: Path, due: _Due) -> None:
+        before = await self._newest_cut()
+        walk = Walk(self._events.keys.ring, start=before.ends if before else None)
+        writer = await in_thread(partial(ArchiveWriter, folder, due.month))
+        try:
+            await self._write(writer, walk, due)
+            name, digest = await in_thread(writer.close)
+        except BaseException:
+            writer.discard()
+            raise
+        cut = Cut(due.last, due.first, name, digest, "", heads_text(walk.ends), self._clock())
+        sealed = cut.sealed(self._events.keys.ring)
+        what = Message.of("event_archived", first=due.first, last=due.last, file=name)
+        digest_text = Message.of("event_archived_digest", digest=digest)
+        await self._events.record(
+            kind="audit", what=what, message=digest_text, also=partial(add_cut, cut=sealed)
+        )
+
+    async def _write(self, writer: ArchiveWriter, walk: Walk, due: _Due) -> None:
+        """Write the entries. Raises EventArchiveError where the log was altered: it stays as it is, as
+        evidence."""
+        number = due.first
+        while number <= due.last:
+            read = partial(_entries_between, first=number, last=due.last)
+            chunk = await self._database.read(read)
+            bare = [{name: value for name, value in each.items() if name != "part_of"} for each in chunk]
+            await in_thread(partial(walk.follow, bare))
+            if not chunk or walk.fault is not None:
+                altered = walk.fault or Message("audit_altered_after_anchor")
+                raise EventArchiveError(Message.of("audit_archive_of_altered", reason=altered))
+            await in_thread(partial(writer.write, chunk))
+            number = chunk[-1]["id"] + 1
+
+    async def _remove_archived(self) -> None:
+        """Remove what is archived, in transactions between which others write."""
+        if await self._newest_cut() is None:
+            return
+        while await self._database.write(_remove_some):
+            continue
+
+
+def _times_after(connection: StoreConnection, number: int) -> list[tuple[int, UnixTime]]:
+    query = "SELECT id, time FROM events WHERE id > ? ORDER BY id LIMIT ?"
+    return [(row[0], UnixTime(row[1])) for row in connection.execute(query, (number, MAX_SCANNED))]
+
+
+def _before_unfinished(connection: StoreConnection, first: int, last: int) -> int:
+    """Return the highest number up to ``last`` at which the log can be cut without parting a command from its
+    result or a change from its parts."""
+    while True:
+        span = (first, last, last)
+        about = "SELECT min(about) FROM events WHERE about >= ? AND about <= ? AND id > ?"
+        change = "SELECT min(change) FROM event_parts WHERE change >= ? AND change <= ? AND event > ?"
+        found = [connection.execute(query, span).fetchone()[0] for query in (about, change)]
+        parted = min((number for number in found if number is not None), default=None)
+        if parted is None:
+            return last
+        last = parted - 1
+
+
+def _entries_between(connection: StoreConnection, first: int, last: int) -> list[Entry]:
+    """Return entries as they are stored; ``part_of``: the change that one is a part of."""
+    query = (
+        "SELECT e.*, p.change AS part_of FROM events e LEFT JOIN event_parts p ON p.event = e.id "
+        "WHERE e.id >= ? AND e.id <= ? ORDER BY e.id LIMIT ?"
+    )
+    return [dict(row) for row in connection.execute(query, (first, last, CHUNK))]
+
+
+def _remove_some(connection: StoreConnection) -> bool:
+    """Remove some of the entries that are archived, the newest first: a result goes before its command.
+    Return whether there may be more."""
+    query = (
+        f"SELECT max(id) FROM events WHERE id <= (SELECT max(last) FROM events_archive) AND NOT ({_STAYS})"
+    )
+    [top] = connection.execute(query).fetchone()
+    if top is None:
+        return False
+    span = (top - MAX_REMOVED, top)
+    connection.execute("DELETE FROM event_parts WHERE event > ? AND event <= ?", span)
+    connection.execute(f"DELETE FROM events WHERE id > ? AND id <= ? AND NOT ({_STAYS})", span)
+    return True

@@ -1,0 +1,186 @@
+"""The chain that makes the log provable, and the keys that seal it. Pure.
+
+Entries are numbered without a gap. Each holds the SHA-256 of the entry before it and of all its own fields,
+and a seal over that hash (HMAC-SHA256, FIPS 198-1) with a key that is not in the store. The newest entry is
+noted and sealed apart, so that a log that is cut off at its end is noticed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+from app.people.audit.entry import messages_of
+from bus.messages import Message
+
+KEY_BYTES = 32
+"""Length of the hash: RFC 2104, 3 discourages shorter keys, and longer ones add nothing."""
+BEGINNING = "0" * 64
+"""The hash before the first entry of a log."""
+FIELDS = (
+    *("id", "time", "kind", "about", "who", "origin", "bus", "unit"),
+    *("what", "old", "new", "old_raw", "new_raw", "outcome", "message", "frames"),
+)
+"""The fields that the hash of an entry without a key covers, as versions before the key wrote it."""
+SEALED_FROM_HERE = Message("event_audit_sealed")
+OTHER_KEY = Message("event_audit_other_key")
+ROTATED = Message("event_audit_key_rotated")
+END_ALTERED = Message("event_audit_end_altered")
+"""No failure of the machine causes this: an entry and the seal of the end are written in one transaction."""
+_END_ALTERED_TEXT = "the end of the audit log was altered before this entry"
+"""The text of that remark in an entry of a version that kept texts alone."""
+Purpose = Literal["entry", "head", "anchor", "command", "decoy", "cut"]
+"""The purpose of a seal. It is part of the sealed data: no seal passes for one of another purpose."""
+canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=str).encode
+_DERIVED = frozenset({"hash", "seal"})
+
+
+@dataclass(frozen=True)
+class KeyOrigin:
+    """The newest entry of the log when its first key was made; entries up to it have no seal of that key.
+    ``others``: chain, number and hash of the ends of further chains, of a log of 0.2."""
+
+    id: int = 0
+    hash: str = BEGINNING
+    others: tuple[tuple[str, int, str], ...] = ()
+
+    @cached_property
+    def hashes(self) -> dict[int, str]:
+        """The hash of the end of each chain, by the number of the entry."""
+        return {self.id: self.hash, **{number: digest for _, number, digest in self.others}}
+
+
+@dataclass(frozen=True)
+class KeyRing:
+    """Every key that a log was ever sealed with, the newest last; the newest seals new entries."""
+
+    keys: tuple[bytes, ...]
+    origin: KeyOrigin = KeyOrigin()
+
+    @cached_property
+    def _ranks(self) -> dict[str, int]:
+        return {_key_id(key): rank for rank, key in enumerate(self.keys)}
+
+    @cached_property
+    def newest(self) -> str:
+        """The id of the newest key, 16 hex digits that reveal nothing of the key."""
+        return _key_id(self.keys[-1])
+
+    def rank(self, key_id: str) -> int | None:
+        """Return the place of a key in the order of their making, None for one that is not here."""
+        return self._ranks.get(key_id)
+
+    def seal(self, purpose: Purpose, *parts: str) -> str:
+        """Seal ``parts`` with the newest key; hex. Only the last part may contain a line feed."""
+        return _seal(self.keys[-1], purpose, parts)
+
+    def confirms(self, seal: str, key_id: str, purpose: Purpose, *parts: str) -> bool:
+        """Whether ``seal`` was made of these parts with the key of this id, in constant time."""
+        rank = self.rank(key_id)
+        return rank is not None and _equal(seal, _seal(self.keys[rank], purpose, parts))
+
+    def confirms_by_any(self, seal: str, purpose: Purpose, *parts: str) -> bool:
+        """Whether ``seal`` was made of these parts with any of the keys, in constant time."""
+        return any(_equal(seal, _seal(key, purpose, parts)) for key in self.keys)
+
+    def with_key(self, key: bytes) -> KeyRing:
+        """Return a ring with a newer key beside these."""
+        return KeyRing((*self.keys, key), self.origin)
+
+
+def _key_id(key: bytes) -> str:
+    return hashlib.sha256(b"lineside audit key\n" + key).hexdigest()[:16]
+
+
+def _seal(key: bytes, purpose: Purpose, parts: Iterable[str]) -> str:
+    message = "\n".join((purpose, *parts))
+    return hmac.digest(key, message.encode("utf-8", "surrogatepass"), "sha256").hex()
+
+
+def _equal(seal: str, right: str) -> bool:
+    return hmac.compare_digest(seal.encode("utf-8", "surrogatepass"), right.encode())
+
+
+@dataclass(frozen=True)
+class Head:
+    """The newest entry of a chain, and its seal as such; ``key`` empty: no key was used yet. ``chain``: the
+    bus of a chain of 0.2; empty: the chain of the site, which goes on as the only one."""
+
+    id: int = 0
+    hash: str = BEGINNING
+    key: str = ""
+    seal: str = ""
+    chain: str = ""
+
+
+def newest_of(heads: Iterable[Head]) -> Head:
+    """Return the newest entry of all; number 0 where there is none."""
+    return max(heads, key=lambda head: head.id, default=Head())
+
+
+def entry_hash(previous: str, entry: Mapping[str, Any]) -> str:
+    """Return the SHA-256, in hex, over the previous hash and the entry as JSON with sorted keys.
+
+    An entry with a key is covered in every column that is not NULL, also in those of later versions.
+    """
+    covered = {name: value for name, value in entry.items() if value is not None and name not in _DERIVED}
+    if not entry.get("key"):
+        newer = covered.keys() - {*FIELDS, "previous", "key"}
+        covered = {name: entry.get(name) for name in FIELDS} | {name: covered[name] for name in newer}
+    return hashlib.sha256(f"{previous}\n{canonical(covered)}".encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def sealed_entry(previous: str, entry: Mapping[str, Any], ring: KeyRing) -> dict[str, Any]:
+    """Return ``entry``, which has its id, chained to the hash before and sealed with the newest key."""
+    sealed = {**entry, "previous": previous, "key": ring.newest}
+    sealed["hash"] = digest = entry_hash(previous, sealed)
+    sealed["seal"] = ring.seal("entry", digest)
+    return sealed
+
+
+def is_sound_alone(entry: Mapping[str, Any], ring: KeyRing) -> bool:
+    """Whether an entry is as it was written, whatever was before it; of one that is older than the key only
+    that it fits its hash."""
+    digest = entry_hash(entry.get("previous") or "", entry)
+    if entry.get("hash") != digest:
+        return False
+    seal, key = entry.get("seal") or "", entry.get("key") or ""
+    return entry["id"] <= ring.origin.id or ring.confirms(seal, key, "entry", digest)
+
+
+def sealed_head(entry: Mapping[str, Any], ring: KeyRing, chain: str = "") -> Head:
+    """Return a sealed entry as the newest of a chain."""
+    number, digest = entry["id"], entry["hash"]
+    return Head(number, digest, ring.newest, ring.seal("head", *_head_parts(number, digest, chain)), chain)
+
+
+def _head_parts(number: int, digest: str, chain: str) -> tuple[str, ...]:
+    return (str(number), digest, chain) if chain else (str(number), digest)
+
+
+def confirms_head(head: Head, ring: KeyRing) -> bool:
+    """Whether ``head`` was noted with a key of the ring."""
+    return ring.confirms(head.seal, head.key, "head", *_head_parts(head.id, head.hash, head.chain))
+
+
+def remark_on(head: Head, ring: KeyRing) -> Message | None:
+    """Return what an entry must state of the log itself before anything is added to ``head``; mostly
+    nothing."""
+    if head.id == 0 or confirms_head(head, ring):
+        return None
+    if not head.key:
+        return SEALED_FROM_HERE
+    return OTHER_KEY if ring.rank(head.key) is None else END_ALTERED
+
+
+def notes_altered_end(entry: Mapping[str, Any]) -> bool:
+    """Whether the entry is the remark :data:`END_ALTERED`."""
+    if entry["kind"] != "audit":
+        return False
+    what = (messages_of(entry.get("messages")) or {}).get("what")
+    return entry["what"] == _END_ALTERED_TEXT if what is None else what == END_ALTERED

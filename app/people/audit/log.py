@@ -1,0 +1,236 @@
+"""The event log: each entry continues the chain, in the transaction of what it is about."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, Required, TypedDict, Unpack
+
+import structlog
+
+from app.core.database import Database, StoreConnection
+from app.people.audit import former, queries
+from app.people.audit.chain import END_ALTERED, FIELDS, Head, newest_of, remark_on, sealed_entry, sealed_head
+from app.people.audit.entry import Event as Event
+from app.people.audit.entry import EventKind, is_moment, new_entry, readable
+from app.people.audit.former import SITE
+from app.people.audit.keys import Keys, passing_keys
+from app.people.audit.proof import LogProof
+from app.people.audit.queries import Filter
+from app.people.audit.repeated import RepeatedEvents
+from bus.contract import Frame, Outcome
+from bus.instants import Clock, UnixTime, unix_now
+from bus.messages import Message, joined
+
+log = structlog.get_logger()
+
+EventSubscriber = Callable[[Event], None]
+Also = Callable[[StoreConnection], object]
+"""Writes something else in the transaction of an event."""
+
+CHUNK = 1000
+ENDED_BEFORE = Message("server_stopped")
+
+
+class EventFields(TypedDict, total=False):
+    """The fields that an event may state."""
+
+    what: Required[str | Message]
+    who: str | Message
+    origin: str | Message
+    bus: str | None
+    unit: int | None
+    old: str | Message | None
+    new: str | Message | None
+    old_raw: int | None
+    new_raw: int | None
+    outcome: str | None
+    message: str | Message
+
+
+NO_TEXTS: Mapping[Any, Any] = MappingProxyType({})
+
+
+class EventLog:
+    """Append-only. Whatever returns from here is on disk. Without ``keys``, what seals the entries ends
+    with the process: nothing that is kept may be written so."""
+
+    def __init__(self, database: Database, clock: Clock = unix_now, keys: Keys | None = None) -> None:
+        self.keys = keys or passing_keys()
+        self.proof = LogProof(database, self.keys)
+        self.repeated = RepeatedEvents(self.record, clock)
+        self._database = database
+        self._clock = clock
+        self._subscribers: list[EventSubscriber] = []
+
+    def subscribe(self, subscriber: EventSubscriber) -> Callable[[], None]:
+        """Call ``subscriber`` with each event, a command again at its outcome; return what ends it."""
+        self._subscribers.append(subscriber)
+        return lambda: self._subscribers.remove(subscriber)
+
+    async def intend_together(
+        self, intents: Sequence[Mapping[str, Any]], also: Also | None = None
+    ) -> list[int]:
+        """Store commands before they are sent, in one transaction with ``also``; their numbers in order."""
+        return await self._append_all([self._entry("command", **intent) for intent in intents], also)
+
+    async def conclude_together(
+        self,
+        outcomes: Mapping[int, tuple[Outcome, str | Message]],
+        texts: Mapping[int, Mapping[str, Message]] = NO_TEXTS,
+    ) -> None:
+        """Store the outcome and message of several commands, by event number, in one transaction. ``texts``:
+        as in :meth:`conclude`."""
+        entries = [
+            self._entry("fate", about=event, outcome=outcome, message=message, **texts.get(event, {}))
+            for event, (outcome, message) in outcomes.items()
+        ]
+        await self._write_all(entries)
+        for event in outcomes:
+            await self._publish_stored(event)
+
+    async def conclude(
+        self,
+        event: int,
+        outcome: Outcome,
+        message: str | Message = "",
+        frames: Sequence[Frame] = (),
+        also: Also | None = None,
+        texts: Mapping[str, Message] = NO_TEXTS,
+    ) -> None:
+        """Store the outcome of an intent; ``frames`` carried it. ``also``: in the same transaction.
+        ``texts``: the fields ``old`` and ``new`` where the command has shown that they are others."""
+        entry = self._entry("fate", about=event, outcome=outcome, message=message, frames=frames, **texts)
+        await self._write_all([entry], also)
+        await self._publish_stored(event)
+
+    async def record(
+        self,
+        *,
+        kind: EventKind,
+        at: UnixTime | None = None,
+        count: int = 1,
+        also: Also | None = None,
+        **fields: Unpack[EventFields],
+    ) -> int:
+        """Store a complete event; ``at``: when, if not just now, ``count``: how often, and ``also``
+        what belongs to it, in the same transaction. Returns the event's number."""
+        time = {} if at is None or not is_moment(at) else {"time": at}
+        entry = self._entry(kind, **fields, count=count if count > 1 else None, **time)
+        return (await self._append_all([entry], also))[0]
+
+    async def close_open_intents(self) -> int:
+        """Note as unverified, at the start, what was open when the last run ended; return how many there
+        were."""
+        left = await self._database.read(queries.open_intents)
+        for first in range(0, len(left), CHUNK):
+            chunk = left[first : first + CHUNK]
+            await self.conclude_together(dict.fromkeys(chunk, ("unverified", ENDED_BEFORE)))
+        return len(left)
+
+    async def page(self, wanted: Filter, limit: int) -> tuple[list[Event], int | None]:
+        """Return events newest first, and the number to continue from (None at the end)."""
+        found = await self._database.read_costly(
+            lambda connection: queries.select(connection, wanted, limit + 1)
+        )
+        return found[:limit], found[limit - 1]["id"] if len(found) > limit else None
+
+    async def every(self, wanted: Filter) -> AsyncIterator[list[Event]]:
+        """Yield all events that are wanted, newest first, in pieces."""
+        while True:
+            chunk, after = await self.page(wanted, CHUNK)
+            yield chunk
+            if after is None:
+                return
+            wanted = replace(wanted, before=after)
+
+    async def kinds(self) -> list[str]:
+        """Return every kind there is an event of."""
+        return await self._database.read_costly(queries.kinds)
+
+    async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
+        numbers = await self._write_all(entries, also)
+        for number, entry in zip(numbers, entries, strict=True):
+            about = {"id": number, "concluded_at": None, "concluded_messages": None}
+            self._publish(readable({**entry, **about}))
+        return numbers
+
+    async def _write_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
+        def write(connection: StoreConnection) -> list[int]:
+            numbers = append(connection, entries, self.keys)
+            if also is not None:
+                also(connection)
+            return numbers
+
+        return await self._database.write(write)
+
+    def _entry(self, kind: str, **members: Any) -> dict[str, Any]:
+        return new_entry(**{"time": self._clock(), "kind": kind, **members})
+
+    async def _publish_stored(self, number: int) -> None:
+        if not self._subscribers:
+            return
+        event = await self._database.read(lambda connection: queries.one(connection, number))
+        if event is not None:
+            self._publish(event)
+
+    def _publish(self, event: Event) -> None:
+        for subscriber in tuple(self._subscribers):
+            try:
+                subscriber(event)
+            except Exception:
+                log.exception("subscriber of events failed", event_id=event["id"])
+
+
+_COLUMNS = (*FIELDS, "count", "messages", "key", "previous", "hash", "seal")
+"""A further column must allow NULL and stand here; the hash covers it wherever it is not NULL."""
+_INSERT = f"INSERT INTO events ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
+_LAST = "SELECT id, hash, key, chain FROM events ORDER BY id DESC LIMIT 1"
+_HEADS = "SELECT id, hash, key, seal, chain FROM events_head"
+_NOTE_HEAD = """
+INSERT INTO events_head (chain, id, hash, key, seal) VALUES (?, ?, ?, ?, ?)
+ON CONFLICT (chain) DO UPDATE
+SET id = excluded.id, hash = excluded.hash, key = excluded.key, seal = excluded.seal
+"""
+
+
+def append(connection: StoreConnection, entries: Sequence[Mapping[str, Any]], keys: Keys) -> list[int]:
+    """Add entries without their ids; return the ids. Where the log before them cannot be vouched for, or ends
+    in several chains, entries about that come first."""
+    if not entries:
+        return []
+    ends, is_altered = _ends(connection)
+    last = newest_of(ends.values())
+    ring = keys.knowing(last.key)
+    remarks = [remark for end in ends.values() if (remark := remark_on(end, ring)) is not None]
+    found: list[tuple[Message, Message | str]] = [(remark, "") for remark in remarks[:1]]
+    if is_altered:
+        found = [(END_ALTERED, "")]
+    if len(ends) > 1:
+        found.append((former.JOINED, joined(former.named(ends)) or ""))
+    time = entries[0]["time"]
+    first = [new_entry(kind="audit", time=time, what=what, message=why) for what, why in found]
+    number, previous, row = last.id, former.joined(ends), {}
+    for number, entry in enumerate([*first, *entries], start=last.id + 1):
+        # Exactly what the row will hold: the hash of anything else would not be confirmed by it.
+        row = {name: entry.get(name) for name in _COLUMNS} | {"id": number}
+        row = sealed_entry(previous, row, ring)
+        connection.execute(_INSERT, [row[name] for name in _COLUMNS])
+        previous = row["hash"]
+    head = sealed_head(row, ring)
+    connection.execute(_NOTE_HEAD, (SITE, head.id, head.hash, head.key, head.seal))
+    return [*range(number - len(entries) + 1, number + 1)]
+
+
+def _ends(connection: StoreConnection) -> tuple[dict[str, Head], bool]:
+    """Return what the next entry continues, by chain, and whether an entry is there behind what was noted as
+    the end, which cannot have been written so."""
+    last = connection.execute(_LAST).fetchone()
+    is_one = last is not None and last["chain"] is None
+    rows = connection.execute(f"{_HEADS} WHERE chain = ''" if is_one else _HEADS)
+    ends = {row["chain"]: Head(*row) for row in rows}
+    if last is None or last["id"] <= newest_of(ends.values()).id:
+        return ends, False
+    chain = last["chain"] or SITE
+    return {**ends, chain: Head(last["id"], last["hash"], last["key"], chain=chain)}, True

@@ -1,0 +1,311 @@
+"""Proof that the log of a store is as it was written, from its beginning or from where it was cut."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import astuple, dataclass, fields, replace
+from typing import Annotated, Any
+
+import msgspec
+from pydantic import ConfigDict, Field
+
+from app.core.database import Database, StoreConnection
+from app.core.database.connection import has_column
+from app.core.web.api.shape import MessageObject
+from app.people.audit.chain import (
+    Head,
+    KeyRing,
+    confirms_head,
+    entry_hash,
+    is_sound_alone,
+    newest_of,
+    notes_altered_end,
+)
+from app.people.audit.former import SITE, Ends, advance, expected_previous
+from app.people.audit.keys import Keys
+from bus.instants import UnixTime
+from bus.messages import Message
+
+LOWEST_ID = -(2**63)
+"""Where a walk begins: an entry that was added before the first must be seen too."""
+CHUNK = 500
+"""Entries that are verified at a stretch: a few milliseconds."""
+
+
+@dataclass(frozen=True)
+class AuditVerification:
+    """Whether the log is intact; ``broken``: the first altered entry; ``fault``: the cause. Entries that are
+    older than the key are verified to be as they were when it was made, and no further back."""
+
+    entries: int
+    broken: Annotated[int | None, Field(description="Number of the first broken entry; null: none.")] = None
+    fault: Annotated[MessageObject | None, Field(description="Why it is not intact; null: it is.")] = None
+    unsealed: Annotated[int, Field(description="Entries up to this one are older than the key; 0: none.")] = 0
+    anchored: Annotated[int, Field(description="The newest entry that the anchor names; 0: none.")] = 0
+    archived: Annotated[
+        int, Field(description="Entries up to this one are in the archive, not verified here; 0: none.")
+    ] = 0
+
+    __pydantic_config__ = ConfigDict(json_schema_serialization_defaults_required=True)
+
+
+class Walk:
+    """Follows a log up to its first broken entry, from its beginning or from ends that are known to be good.
+    ``anchors``: hashes that were noted elsewhere, by entry; ``archived``: up to this number the entries are
+    in the archive, and of those that are left each is verified alone. Pure."""
+
+    def __init__(
+        self,
+        ring: KeyRing,
+        anchors: Mapping[int, str] | None = None,
+        start: Ends | None = None,
+        archived: int = 0,
+    ) -> None:
+        self._ring = ring
+        self._archived = archived
+        self._anchors = {number: hash_ for number, hash_ in (anchors or {}).items() if number > archived}
+        self.ends = dict(start or {})
+        """The end of each chain so far."""
+        self._number = newest_of(self.ends.values()).id
+        ranks = (ring.rank(head.key) for head in self.ends.values())
+        self._rank = max((rank for rank in ranks if rank is not None), default=0)
+        self._broken = 0
+        self.fault: Message | None = None
+        """Why what was followed so far is not intact; None: it is."""
+
+    def follow(self, entries: Iterable[Mapping[str, Any]]) -> None:
+        """Follow the next entries, in order. Nothing more is looked at after the first broken one."""
+        for entry in entries:
+            if self.fault is not None:
+                return
+            number = entry["id"]
+            if 0 < number <= self._archived:
+                if not is_sound_alone(entry, self._ring):
+                    self._break(number, "audit_entry_changed", entry=number)
+            elif number > self._number + 1:
+                missing = self._number + 1
+                self._break(missing, "audit_entry_missing", entry=missing, before=self._number, found=number)
+            elif code := self._fault_of(entry):
+                self._break(number, code, entry=number)
+            else:
+                advance(self.ends, entry)
+                self._number = number
+
+    def end(self, heads: Ends) -> AuditVerification:
+        """Return the verdict once every entry was followed; ``heads``: what was noted apart as the newest."""
+        if self.fault is None:
+            self._check_end(heads)
+        if self.fault is not None:
+            return AuditVerification(self._number, self._broken, self.fault, archived=self._archived)
+        unsealed, anchored = min(self._number, self._ring.origin.id), max(self._anchors, default=0)
+        return AuditVerification(self._number, unsealed=unsealed, anchored=anchored, archived=self._archived)
+
+    def _fault_of(self, entry: Mapping[str, Any]) -> str:
+        number, previous = entry["id"], expected_previous(entry, self.ends)
+        if number != self._number + 1 or entry.get("previous") != previous:
+            return "audit_entry_apart"
+        if entry.get("hash") != entry_hash(previous, entry):
+            return "audit_entry_changed"
+        if self._anchors.get(number, entry["hash"]) != entry["hash"]:
+            return "audit_entry_not_anchored"
+        return self._fault_of_seal(entry)
+
+    def _fault_of_seal(self, entry: Mapping[str, Any]) -> str:
+        number, key, origin = entry["id"], entry.get("key") or "", self._ring.origin
+        if number <= origin.id:
+            is_noted = origin.hashes.get(number, entry["hash"]) == entry["hash"]
+            return "" if is_noted else "audit_entry_not_original"
+        rank = self._ring.rank(key)
+        if rank is None:
+            return "audit_entry_without_key"
+        if rank < self._rank:
+            return "audit_entry_older_key"
+        if not self._ring.confirms(entry.get("seal") or "", key, "entry", entry["hash"]):
+            return "audit_entry_not_sealed"
+        if notes_altered_end(entry):
+            return "audit_entry_notes_alteration"
+        self._rank = rank
+        return ""
+
+    def _check_end(self, heads: Ends) -> None:
+        last, written, origin = self._number, newest_of(heads.values()).id, self._ring.origin.id
+        named = max(self._anchors, default=0)
+        if last < written:
+            self._break(last + 1, "audit_end_before_newest", entry=last, written=written)
+        for chain, end in self.ends.items():
+            head = heads.get(chain, Head())
+            if (end.id, end.hash) != (head.id, head.hash):
+                self._break(end.id, "audit_entry_not_newest", entry=end.id)
+            elif end.id > origin and not confirms_head(head, self._ring):
+                self._break(end.id, "audit_end_not_sealed", entry=end.id)
+            elif end.id > origin and end.key != self._ring.newest:
+                self._break(last + 1, "audit_newest_key_unused")
+        if last < named:
+            self._break(last + 1, "audit_end_before_anchor", entry=last, named=named)
+        if last < origin:
+            self._break(last + 1, "audit_end_before_key", entry=last, written=origin)
+
+    def _break(self, number: int, code: str, **params: int) -> None:
+        if self.fault is None:
+            self._broken, self.fault = number, Message.of(code, **params)
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """Where the log was cut: entries ``first`` to ``last`` are in ``file`` of the archive, whose SHA-256 is
+    ``digest``. ``heads``: JSON of the ends of the chains at ``last``, from which the entries that stayed go
+    on; ``first_hash``: of the first entry of the log, in a cut of 0.2; ``at``: when it was made."""
+
+    last: int
+    first: int
+    file: str
+    digest: str
+    first_hash: str
+    heads: str
+    at: UnixTime
+    key: str = ""
+    seal: str = ""
+
+    @property
+    def ends(self) -> dict[str, Head]:
+        """The ends of the chains at ``last``, by chain."""
+        ends = msgspec.json.decode(self.heads, type=dict[str, tuple[int, str, str]])
+        return {chain: Head(*end, chain=chain) for chain, end in ends.items()}
+
+    def sealed(self, ring: KeyRing) -> Cut:
+        """Return the cut, sealed with the newest key."""
+        return replace(self, key=ring.newest, seal=ring.seal("cut", *self._sealed_parts))
+
+    def is_sealed(self, ring: KeyRing) -> bool:
+        """Whether it was written with a key of the ring."""
+        return ring.confirms(self.seal, self.key, "cut", *self._sealed_parts)
+
+    @property
+    def _sealed_parts(self) -> tuple[str, ...]:
+        at = repr(float(self.at))
+        return str(self.last), str(self.first), self.file, self.digest, self.first_hash, at, self.heads
+
+
+def heads_text(ends: Ends) -> str:
+    """Return the ends of chains as `Cut.heads` has them."""
+    plain = {chain: (head.id, head.hash, head.key) for chain, head in sorted(ends.items())}
+    return msgspec.json.encode(plain).decode()
+
+
+_CUT = ", ".join(field.name for field in fields(Cut))
+
+
+def cuts_of(connection: StoreConnection) -> list[Cut]:
+    """Return every cut, oldest first; of a store of any version."""
+    if not has_column(connection, "events_archive", "last"):
+        return []
+    return [Cut(*row) for row in connection.execute(f"SELECT {_CUT} FROM events_archive ORDER BY last")]
+
+
+def newest_cut(connection: StoreConnection, ring: KeyRing) -> Cut | None:
+    """Return where the log begins; None where nothing was archived. One that was not written with the key
+    counts for nothing: then what is gone is missing."""
+    cuts = cuts_of(connection)
+    return cuts[-1] if cuts and cuts[-1].is_sealed(ring) else None
+
+
+def add_cut(connection: StoreConnection, cut: Cut) -> None:
+    """Note a cut: from now on what it covers may be removed."""
+    marks = ", ".join("?" * len(fields(Cut)))
+    connection.execute(f"INSERT INTO events_archive ({_CUT}) VALUES ({marks})", astuple(cut))
+
+
+def heads_of(connection: StoreConnection) -> dict[str, Head]:
+    """Return the newest entry as noted apart, of each chain that there ever was; of a store of any
+    version."""
+    heads, _ = extent(connection)
+    return heads
+
+
+def extent(connection: StoreConnection) -> tuple[dict[str, Head], int]:
+    """Return the newest entries as noted apart, and the number of the last one stored, of one instant."""
+    query = "SELECT * FROM (SELECT max(id) AS last FROM events) AS log LEFT JOIN events_head ON 1 = 1"
+    rows = [dict(row) for row in connection.execute(query)]
+    # A store of an earlier version has one chain, and at first no key and no seal.
+    heads = [
+        Head(row["id"], row["hash"], row.get("key", ""), row.get("seal", ""), row.get("chain", SITE))
+        for row in rows
+        if row["id"] is not None
+    ]
+    return {head.chain: head for head in heads}, rows[0]["last"] or 0
+
+
+def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]) -> AuditVerification:
+    """Walk the log, chunk by chunk: entries added in between are left for the next time."""
+    heads, last = extent(connection)
+    walk, number = _from_cut(connection, ring, anchors), LOWEST_ID
+    while (following := _follow_chunk(connection, walk, number, last)) is not None:
+        number = following
+    return walk.end(heads)
+
+
+def _from_cut(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]) -> Walk:
+    cut = newest_cut(connection, ring)
+    return Walk(ring, anchors) if cut is None else Walk(ring, anchors, cut.ends, cut.last)
+
+
+def _from_known(connection: StoreConnection, ring: KeyRing, known: Head) -> tuple[Walk, int]:
+    """Return a walk over what follows an entry, and the number it begins with. Over the complete log where
+    the entry is not there as known, or several chains go on from it."""
+    query = "SELECT id, hash, key, chain FROM events WHERE id = ?"
+    row = connection.execute(query, (known.id,)).fetchone()
+    if row is None or row["hash"] != known.hash or row["chain"] is not None:
+        anchors = {known.id: known.hash} if known.id else {}
+        return _from_cut(connection, ring, anchors), LOWEST_ID
+    return Walk(ring, start={SITE: Head(row["id"], row["hash"], row["key"])}), known.id + 1
+
+
+def _follow_chunk(connection: StoreConnection, walk: Walk, number: int, until: int) -> int | None:
+    """Follow at most `CHUNK` entries from ``number`` to ``until``; return the next number or None."""
+    query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"
+    chunk = [dict(row) for row in connection.execute(query, (number, until, CHUNK))]
+    walk.follow(chunk)
+    return chunk[-1]["id"] + 1 if chunk and walk.fault is None else None
+
+
+class LogProof:
+    """Reads the log of a running server chunk by chunk in a thread: neither the event loop nor the store's
+    checkpoint waits until all of a long log is read."""
+
+    def __init__(self, database: Database, keys: Keys) -> None:
+        self._database = database
+        self._keys = keys
+        self._one_at_a_time = asyncio.Lock()
+
+    async def verify(self, anchors: Mapping[int, str] | None = None) -> AuditVerification:
+        """Whether the log is intact, and holds the hashes that ``anchors`` names by entry."""
+        async with self._one_at_a_time:
+            heads, last = await self.extent()
+            ring = self._knowing(heads)
+            walk = await self._database.read(lambda connection: _from_cut(connection, ring, anchors or {}))
+            await self._follow(walk, LOWEST_ID, last)
+            return walk.end(heads)
+
+    async def since(self, known: Head) -> AuditVerification:
+        """Whether the log holds an entry, which the anchor names, and what follows continues it."""
+        heads, last = await self.extent()
+        ring = self._knowing(heads)
+        walk, number = await self._database.read(lambda connection: _from_known(connection, ring, known))
+        await self._follow(walk, number, last)
+        return walk.end(heads)
+
+    async def extent(self) -> tuple[dict[str, Head], int]:
+        """Return the newest entries as noted apart, and the number of the last one stored."""
+        return await self._database.read(extent)
+
+    def _knowing(self, heads: Ends) -> KeyRing:
+        return self._keys.knowing(newest_of(heads.values()).key)
+
+    async def _follow(self, walk: Walk, number: int, until: int) -> None:
+        def follow(connection: StoreConnection) -> int | None:
+            return _follow_chunk(connection, walk, number, until)
+
+        while (following := await self._database.read(follow)) is not None:
+            number = following
+            await asyncio.sleep(0)

@@ -1,0 +1,254 @@
+"""Users and tokens as an admin keeps them, by page and by command line. Each change is an event."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field, replace
+
+from app.core.database import Database, StoreConnection
+from app.core.web.admission.access import Person, Role, account_of, name_of
+from app.errors import ConstraintError, Problem
+from app.people.audit.acts import Act
+from app.people.audit.log import EventLog
+from app.people.auth import acts, rules, store
+from app.people.auth.sign_in.passwords import check_secret, hash_secret
+from app.people.auth.store import CompanyAccount, Token, User
+from bus.errors import CallerError
+from bus.instants import Clock, unix_now
+from bus.messages import Message, ParamValue, term
+
+
+@dataclass(eq=False, repr=False)
+class Accounts:
+    """Every change takes ``by``: who makes it, whose role is checked here. ``buses``: those of the
+    configuration, for the tokens of workers; ``site``: its name, which no password may contain. A change
+    raises Problem 403 for a person without its role."""
+
+    _database: Database
+    _events: EventLog
+    _clock: Clock = unix_now
+    buses: Collection[str] = ()
+    site: str = ""
+    _subscribers: list[Callable[[], Awaitable[None]]] = field(default_factory=list)
+
+    def on_changed(self, subscriber: Callable[[], Awaitable[None]]) -> None:
+        """Call ``subscriber`` after each change."""
+        self._subscribers.append(subscriber)
+
+    async def users(self) -> list[User]:
+        """All users and panels by name."""
+        return await self._database.read(store.users)
+
+    async def tokens(self) -> list[Token]:
+        """All tokens by name, without what they are."""
+        return await self._database.read(store.tokens)
+
+    async def find(self, account: str) -> tuple[str, Role] | None:
+        """The account of a name, and its role: a user who may sign in, else a token, which
+        can also be named as such; None when there is none."""
+        name, only_token = name_of(account)
+        now = self._clock()
+
+        def find(connection: StoreConnection) -> tuple[str, Role] | None:
+            user = None if only_token else store.user(connection, name)
+            if user is not None and not user[0].disabled:
+                return name, user[0].role
+            tokens = (each for each in store.tokens(connection) if each.name == name and each.is_good(now))
+            return next(((account_of(name, token=True), each.role) for each in tokens), None)
+
+        return await self._database.read(find)
+
+    async def add_user(self, name: str, role: Role, password: str, *, by: Person) -> None:
+        """Add a person who signs in by a password. Raises CallerError."""
+        async with self._performing(acts.ADD_USER, by, name=name, role=term(role)):
+            await self._add(User(name, role, False, "/", "", False, self._clock(), None), password)
+
+    async def add_first_admin(self, name: str, password: str, *, address: str) -> None:
+        """Add the first user with a password, an admin who acts from ``address``. Raises
+        Problem 409 where there is one, CallerError."""
+        by = Person(name, Role.ADMIN, "session", address=address)
+        async with self._performing(acts.ADD_FIRST_ADMIN, by, name=name):
+            user = User(name, Role.ADMIN, False, "/", "", False, self._clock(), None)
+            await self._add(user, password, is_first=True)
+
+    async def add_panel(self, name: str, role: Role, pin: str, home: str, *, by: Person) -> None:
+        """Add a panel on the wall, which signs in by a PIN. Raises CallerError."""
+        async with self._performing(acts.ADD_PANEL, by, name=name, role=term(role)):
+            await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
+
+    async def follow_provider(self, account: CompanyAccount, name: str, role: Role, *, address: str) -> User:
+        """The user of a company account, with the role of its groups; added at the first sign-in, with a name
+        that no other user has. A disabled user is left as is. Raises CallerError."""
+
+        def follow(connection: StoreConnection) -> tuple[User, Message | None]:
+            there = store.user_of(connection, account)
+            if there is None:
+                return self._add_of_provider(connection, account, name, role)
+            if there.disabled or there.role is role:
+                return there, None
+            store.set_role(connection, there.name, role)
+            what = Message.of("event_role_followed", name=there.name, role=term(role))
+            return replace(there, role=role), what
+
+        user, what = await self._database.write(follow)
+        if what is not None:
+            await self._events.record(kind="user", what=what, who=user.name, origin=address)
+            for subscriber in self._subscribers:
+                await subscriber()
+        return user
+
+    async def set_role(self, name: str, role: Role, *, by: Person) -> None:
+        """Raises CallerError for an unknown user, for the last admin, for a panel above operator, and for the
+        user of a company account, whose role follows the groups there."""
+
+        def change(connection: StoreConnection) -> bool:
+            found = store.user(connection, name)
+            if found is not None and found[0].company_account is not None:
+                raise CallerError(Message.of("role_of_company_account", name=name))
+            if found is not None and found[0].panel:
+                rules.check_panel_role(role)
+            return store.set_role(connection, name, role)
+
+        async with self._performing(acts.SET_ROLE, by, name=name, role=term(role)):
+            await self._change(name, change)
+
+    async def set_disabled(self, name: str, disabled: bool, *, by: Person) -> None:
+        """Refuse a user, or admit again. Raises CallerError for an unknown user and for the last admin."""
+        async with self._performing(acts.DISABLE_USER if disabled else acts.ENABLE_USER, by, name=name):
+            await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
+
+    async def remove_user(self, name: str, *, by: Person) -> None:
+        """Raises CallerError for an unknown user and for the last admin."""
+        async with self._performing(acts.REMOVE_USER, by, name=name):
+            await self._change(name, lambda connection: store.remove_user(connection, name))
+
+    async def set_password(self, name: str, password: str, *, by: Person) -> None:
+        """Set the password of a user, or the PIN of a panel. Every session of the user ends. Raises
+        CallerError."""
+        async with self._performing(acts.SET_PASSWORD, by, name=name):
+            await self._set_password(name, password)
+
+    async def change_own_password(self, password: str, *, by: Person, keep: bytes) -> None:
+        """Set the password of the user who requests it. The session with the hash ``keep`` stays, every other
+        one of the user ends. Raises CallerError."""
+        async with self._performing(acts.CHANGE_OWN_PASSWORD, by, name=by.name):
+            check_has_own_password(by)
+            await self._set_password(by.name, password, keep)
+
+    async def set_language(self, person: Person, language: str) -> None:
+        """The language that the user chose; empty: that of the browser. Raises Problem 403 for a program."""
+        check_is_user(person)
+        await self._database.write(lambda connection: store.set_language(connection, person.name, language))
+
+    async def create_token(
+        self, name: str, role: Role, *, bus: str = "", expires_days: int | None = None, by: Person
+    ) -> str:
+        """Create a token for a program, or with ``bus`` for the worker of that bus; without ``expires_days``
+        it holds until it is revoked. Returns the secret, which is stored nowhere. Raises CallerError."""
+        secret, now = rules.new_secret(), self._clock()
+        act, of_bus = (acts.CREATE_WORKER_TOKEN, {"bus": bus}) if bus else (acts.CREATE_TOKEN, {})
+        async with self._performing(act, by, name=name, role=term(role), **of_bus):
+            rules.check_name(name)
+            rules.check_token_bus(role, bus, self.buses)
+            expires_at = rules.token_expiry(now, expires_days)
+            token = Token(0, name, role, by.name or str(by.address), now, None, bus or None, expires_at)
+
+            def add(connection: StoreConnection) -> None:
+                rules.check_distinct(name, (each.name for each in store.tokens(connection)))
+                store.add_token(connection, rules.secret_hash(secret), token)
+
+            await self._write_new(add, Message.of("token_exists", name=name))
+        return secret
+
+    async def revoke_token(self, name: str, *, by: Person) -> None:
+        """Raises CallerError for one that is not there."""
+        async with self._performing(acts.REVOKE_TOKEN, by, name=name):
+            if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
+                raise CallerError(Message.of("no_such_token", name=name[:80]))
+
+    @asynccontextmanager
+    async def _performing(self, act: Act, by: Person, **params: ParamValue) -> AsyncIterator[None]:
+        """Check the role of ``by`` before an act; record the act once it is done, with ``params``, and call
+        the subscribers."""
+        act.check(by)
+        yield
+        performed = act.by(by, **params)
+        # A user of the machine who calls the command line may have no name.
+        performed["who"], performed["origin"] = by.name or by.address, by.address
+        await self._events.record(**performed)
+        for subscriber in self._subscribers:
+            await subscriber()
+
+    async def _add(self, user: User, secret: str, *, is_first: bool = False) -> None:
+        rules.check_name(user.name)
+        if user.panel:
+            rules.check_panel_role(user.role)
+        check_secret(secret, user=user.name, panel=user.panel, site=self.site)
+        rules.check_home(user.home)
+        hashed = await hash_secret(secret)
+
+        def add(connection: StoreConnection) -> None:
+            if is_first and store.has_own_users(connection):
+                raise Problem(409, "not_in_state", Message("first_admin_exists"))
+            rules.check_distinct(user.name, (each.name for each in store.users(connection)))
+            store.add_user(connection, user, hashed)
+
+        await self._write_new(add, Message.of("user_exists", name=user.name))
+
+    def _add_of_provider(
+        self, connection: StoreConnection, account: CompanyAccount, name: str, role: Role
+    ) -> tuple[User, Message]:
+        rules.check_name(name)
+        names = [each.name for each in store.users(connection)]
+        if name in names:
+            raise CallerError(Message.of("user_exists", name=name))
+        rules.check_distinct(name, names)
+        user = User(name, role, False, "/", "", False, self._clock(), None, company_account=account)
+        store.add_user(connection, user, "")
+        return user, Message.of("event_user_of_company_added", name=name, role=term(role))
+
+    async def _write_new(self, add: Callable[[StoreConnection], None], exists: Message) -> None:
+        def alone(connection: StoreConnection) -> None:
+            add(connection)
+
+        try:
+            await self._database.write(alone)
+        except ConstraintError:
+            raise CallerError(exists) from None
+
+    async def _set_password(self, name: str, password: str, keep: bytes = b"") -> None:
+        found = await self._database.read(lambda connection: store.user(connection, name))
+        if found is None:
+            raise CallerError(Message.of("no_such_user", name=name[:80]))
+        if found[0].company_account is not None:
+            raise CallerError(Message.of("no_password_of_company_account", name=name))
+        check_secret(password, user=name, panel=found[0].panel, site=self.site)
+        hashed = await hash_secret(password)
+        await self._change(name, lambda c: store.set_secret(c, name, hashed, keep))
+
+    async def _change(self, name: str, change: Callable[[StoreConnection], bool]) -> None:
+        def guarded(connection: StoreConnection) -> None:
+            before = store.admins_left(connection)
+            if not change(connection):
+                raise CallerError(Message.of("no_such_user", name=name[:80]))
+            if before and not store.admins_left(connection):
+                raise CallerError(Message.of("last_admin", name=name))
+
+        await self._database.write(guarded)
+
+
+def check_is_user(person: Person) -> None:
+    """Raises Problem 403 for a program, which may have the name of a user."""
+    if person.via != "session":
+        raise Problem(403, "forbidden", Message("no_account"))
+
+
+def check_has_own_password(person: Person) -> None:
+    """Raises Problem 403 for a program, for the user of a company account, and for a panel, whose PIN an
+    admin changes."""
+    check_is_user(person)
+    if person.has_company_account:
+        raise Problem(403, "forbidden", Message.of("no_password_of_company_account", name=person.name))
+    if person.panel:
+        raise Problem(403, "forbidden", Message("panel_pin_by_admin"))

@@ -1,0 +1,39 @@
+"""Who: accounts, sign-ins, and what each may do."""
+
+from __future__ import annotations
+
+from app.core.database import Database
+from app.core.server.admission.refusal_log import RefusalLog
+from app.feature import Feature, Services
+from app.people.audit.log import EventLog
+from app.people.auth import api, pages, users
+from app.people.auth.accounts import Accounts
+from app.people.auth.acts import ACTS
+from app.people.auth.oidc.single_sign_on import SingleSignOn
+from app.people.auth.rights.identity import Identity
+from app.people.auth.rights.rights import Rights
+from app.people.auth.sign_in.first_admin import FirstAdmin
+from app.people.auth.sign_in.signin import SignIn
+
+
+def make(services: Services) -> None:
+    settings, database, events = services.settings, services[Database], services[EventLog]
+    site, buses = settings.site.name, list(services.buses)
+    accounts = services.add(Accounts(database, events, buses=buses, site=site))
+    rights = services.add(Rights(database))
+    accounts.on_changed(rights.apply)
+    services.lifespan.add("rights", rights.watch)
+    sign_in = services.add(SignIn(database, events, settings.server.sessions, rights, site=site))
+    single_sign_on = services.add(SingleSignOn(settings.oidc, accounts, sign_in, events))
+    if settings.oidc is not None:
+        services.lifespan.add(
+            "company accounts", single_sign_on.watch, start=single_sign_on.start, end=single_sign_on.end
+        )
+    first_admin = services.add(FirstAdmin(accounts, sign_in, events))
+    if not services.demo:
+        services.lifespan.add("first admin", start=first_admin.start)
+    services.add(RefusalLog())
+    services.add(Identity(database, sign_in, services.worker_tokens))
+
+
+FEATURE = Feature(make, (api.router, pages.router, users.router), ACTS)

@@ -1,0 +1,181 @@
+"""Signs in people by their company account: to the provider, and back with a code."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import structlog
+
+from app.core.server.admission.addresses import source_of
+from app.core.server.admission.fair_queue import FairQueue, TooManyWaitingError
+from app.people.audit.log import EventLog
+from app.people.auth.accounts import Accounts
+from app.people.auth.oidc.login import (
+    COUNTED,
+    LoginAttempt,
+    NotAdmittedError,
+    name_of,
+    new_attempt,
+    printable,
+    role_of,
+)
+from app.people.auth.settings import OidcSettings
+from app.people.auth.sign_in.signin import SignedIn, SignIn, count_refusal
+from app.people.auth.sign_in.throttle import MAX_KEPT, Bounded
+from app.people.auth.store import CompanyAccount, User
+from bus.bucket import Bucket
+from bus.errors import CallerError, LinesideError
+from bus.instants import MonotonicClock, monotonic_now
+from bus.messages import Message
+
+if TYPE_CHECKING:
+    from app.people.auth.oidc.provider import Provider
+
+MAX_AT_ONCE = 4
+MAX_WAITING_OF_PLACE, MAX_WAITING = 5, 100
+ALL_S = 10.0
+"""How long a browser that is back from the provider waits, for its turn and for the provider."""
+FAILURES, FAILURES_PER_S = 10, 0.2
+"""Of one address: at once, and in the long run. Only a browser that makes up codes fails so often."""
+MAX_CODE = 4096
+
+_log = structlog.get_logger()
+
+
+def require_package() -> None:
+    """Raises LinesideError where the package that speaks OpenID Connect is not installed."""
+    if find_spec("authlib") is None:
+        raise LinesideError(Message("oidc_lacks_package"))
+
+
+def provider_of(settings: OidcSettings) -> Provider:
+    """The provider of these settings. Its modules are loaded only where there is one."""
+    from app.people.auth.oidc.provider import Provider
+
+    return Provider(settings)
+
+
+@dataclass(eq=False, repr=False)
+class SingleSignOn:
+    """``settings``: None where no provider is configured. The rest of a sign-in that is under way is in its
+    browser."""
+
+    settings: OidcSettings | None
+    _accounts: Accounts
+    _sign_in: SignIn
+    _events: EventLog
+    _monotonic: MonotonicClock = monotonic_now
+    provider: Provider | None = None
+    _turns: FairQueue[str] = field(
+        default_factory=lambda: FairQueue(MAX_AT_ONCE, 1, MAX_WAITING_OF_PLACE, 2 * MAX_WAITING)
+    )
+    _failures: Bounded[str, Bucket] = field(
+        default_factory=lambda: Bounded(MAX_KEPT, lambda: Bucket(FAILURES_PER_S, FAILURES))
+    )
+
+    @property
+    def fault(self) -> Message | None:
+        """Why no one can sign in by a company account now."""
+        return None if self.provider is None else self.provider.fault
+
+    async def start(self) -> None:
+        """Load what speaks OpenID Connect, in another thread. Raises LinesideError where it is missing."""
+        if self.settings is not None:
+            require_package()
+            await asyncio.to_thread(import_module, "app.people.auth.oidc.provider")
+            self.provider = provider_of(self.settings)
+
+    async def watch(self) -> None:
+        """Run until canceled: know the provider."""
+        assert self.provider is not None
+        await self.provider.watch()
+
+    async def end(self) -> None:
+        """Close the connections to the provider."""
+        if self.provider is not None:
+            await self.provider.close()
+
+    def begin(self, next_page: str, callback: str, *, reauthenticate: bool) -> tuple[str, LoginAttempt]:
+        """Where the browser goes, and what it keeps. ``callback``: where the provider sends it back to.
+        Raises NotAdmittedError."""
+        attempt = new_attempt(next_page)
+        url = None
+        if self.provider is not None and self.provider.fault is None:
+            url = self.provider.login_url(attempt, callback, reauthenticate=reauthenticate)
+        if url is None:
+            raise NotAdmittedError("away")
+        return url, attempt
+
+    async def finish(
+        self,
+        attempt: LoginAttempt | None,
+        response: dict[str, str],
+        callback: str,
+        *,
+        address: str,
+        device: str,
+    ) -> SignedIn:
+        """Begin the session of a browser that is back. ``response``: the parameters with which the provider
+        sent it. Raises NotAdmittedError, whose reason is logged and counted."""
+        try:
+            code = self._code(attempt, response)
+            assert attempt is not None
+            user = await self._user(attempt, code, callback, address)
+        except NotAdmittedError as refused:
+            await self._note(refused, address)
+            raise
+        return await self._sign_in.begin_by_company_account(user, address, device)
+
+    def _code(self, attempt: LoginAttempt | None, response: dict[str, str]) -> str:
+        """The code of a response to this attempt. Raises NotAdmittedError."""
+        if self.provider is None or attempt is None or not attempt.has_state(response.get("state", "")):
+            raise NotAdmittedError("expired")
+        if not self.provider.is_issuer(response.get("iss")):
+            raise NotAdmittedError("token", "the response is of another issuer")
+        error = response.get("error")
+        if error is not None:
+            raise NotAdmittedError("canceled" if error == "access_denied" else "provider", printable(error))
+        code = response.get("code", "")
+        if not 0 < len(code) <= MAX_CODE:
+            raise NotAdmittedError("provider", "no code")
+        return code
+
+    async def _user(self, attempt: LoginAttempt, code: str, callback: str, address: str) -> User:
+        assert self.provider is not None
+        assert self.settings is not None
+        place = source_of(address)
+        if not self._failures.get(place).has_room(self._monotonic()):
+            raise NotAdmittedError("busy", "too many failures of this address")
+        try:
+            async with asyncio.timeout(ALL_S), self._turns.turn(place, known=False):
+                claims = await self.provider.claims(code, attempt, callback)
+        except TooManyWaitingError:
+            raise NotAdmittedError("busy", "too many are waiting") from None
+        except TimeoutError:
+            raise NotAdmittedError("away", "it took too long") from None
+        except NotAdmittedError as refused:
+            if refused.reason != "away":
+                self._failures.kept(place).pour(1, self._monotonic())
+            raise
+        account = CompanyAccount(self.settings.issuer, claims["sub"])
+        name, role = name_of(claims, self.settings), role_of(claims, self.settings)
+        if role is None:
+            raise NotAdmittedError("groups", "no group has a role", name)
+        try:
+            user = await self._accounts.follow_provider(account, name, role, address=address)
+        except CallerError as error:
+            raise NotAdmittedError("name_taken" if name else "name", str(error), name) from None
+        if user.disabled:
+            raise NotAdmittedError("disabled", "the user is disabled", user.name)
+        return user
+
+    async def _note(self, refused: NotAdmittedError, address: str) -> None:
+        _log.info("company account not admitted", reason=refused.reason, detail=refused.detail)
+        if refused.reason in COUNTED:
+            who = refused.name or Message("unknown_name")
+            what = Message("event_company_account_refused")
+            await count_refusal(self._events, "login_refused", what, who, address, refused.detail)

@@ -1,0 +1,260 @@
+"""Denies by default: every request and every handshake gets its person here, or is refused here."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Coroutine
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from typing import Any
+from urllib.parse import quote, urlsplit
+
+from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
+from starlette.responses import RedirectResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Message as AsgiMessage
+from starlette.websockets import WebSocketDisconnect
+
+from app.core.server.admission.handshakes import Handshakes
+from app.core.server.admission.refusal_log import REFUSED, RefusalLog
+from app.core.server.connection.client_connection import client_connection
+from app.core.web.admission.access import Person, Role, account_shown, address_of, not_signed_in
+from app.core.web.admission.cookies import session_name
+from app.core.web.admission.security import LOOPBACK, refuse
+from app.core.web.problems import is_below_a_path, is_fragment, problem_json, respond, wants_json
+from app.errors import Problem, StoreError
+from app.people.audit.log import EventLog
+from app.people.auth.rights.identity import ExpiredTokenError, Identity
+from app.people.auth.rights.rights import Rights
+from app.people.auth.sign_in.signin import count_refusal
+from bus.instants import monotonic_now
+from bus.messages import Message
+
+PUBLIC_PATHS = frozenset(
+    {
+        "/healthz",
+        "/login",
+        "/login/panel",
+        "/login/oidc",
+        "/login/oidc/callback",
+        "/setup",
+        "/manifest.webmanifest",
+        "/offline",
+        "/sw.js",
+        "/favicon.ico",
+    }
+)
+PUBLIC_PREFIX = "/static/"
+NO_LONGER_SIGNED_IN = 4401
+"""Close code: 4000 and the HTTP status of the same refusal."""
+
+Withdrawal = Callable[[], Coroutine[Any, Any, None]]
+
+
+class Identify:
+    """Puts ``person`` into the scope. Only public paths are open without one; a token or a cookie
+    that is not valid is refused even where the demo needs none. A WebSocket or a
+    response in pieces ends with the rights of its person."""
+
+    def __init__(self, app: ASGIApp, identity: Identity, rights: Rights, *, demo: bool = False) -> None:
+        self._app = app
+        self._identity = identity
+        self._rights = rights
+        self._demo = demo
+        self._handshakes = Handshakes()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        connection, seen = HTTPConnection(scope), self._rights.changes
+        try:
+            person = await self._person(connection)
+        except Problem as problem:
+            if isinstance(problem, ExpiredTokenError):
+                scope[REFUSED_ACCOUNT] = problem.account
+            await refuse(scope, receive, send, problem)
+            return
+        except StoreError as error:
+            await refuse(scope, receive, send, Problem(503, "store", error.message))
+            return
+        if person is None:
+            path = scope["path"]
+            if path not in PUBLIC_PATHS and not path.startswith(PUBLIC_PREFIX):
+                await _turn_away(connection, receive, send)
+                return
+            await self._app(scope, receive, send)
+            return
+        scope["person"] = replace(person, address=address_of(connection))
+        client_connection(scope).identify(person.account)
+        is_still = partial(self._is_still, connection, person)
+        withdrawal = partial(self._rights.until_withdrawn, is_still, seen)
+        is_socket = scope["type"] == "websocket"
+        if is_socket:
+            await asyncio.sleep(self._handshakes.wait_s(person.account, monotonic_now()))
+        # Returning without the rest makes the server cut the connection, as an incomplete response.
+        await run_while_allowed(partial(self._app, scope, receive), withdrawal, send, is_socket=is_socket)
+
+    async def _is_still(self, connection: HTTPConnection, person: Person) -> bool:
+        """Whether who opened a connection may have it still; a store that fails ends nothing that runs."""
+        try:
+            return await self._person(connection, is_use=person.panel) == person
+        except Problem:
+            return False
+        except StoreError:
+            return True
+
+    async def _person(self, connection: HTTPConnection, *, is_use: bool = True) -> Person | None:
+        scheme, _, bearer = connection.headers.get("authorization", "").partition(" ")
+        if scheme.lower() == "bearer":
+            program = await self._identity.by_token(bearer.strip())
+            if program is None:
+                raise not_signed_in()
+            return program
+        cookie = connection.cookies.get(session_name(connection))
+        person = await self._identity.by_cookie(cookie, is_use=is_use) if cookie else None
+        if person is None and self._demo and _is_loopback(connection):
+            return Person("demo", Role.ADMIN, "demo")
+        return person
+
+
+async def run_while_allowed(
+    run: Callable[[Send], Awaitable[None]], withdrawal: Withdrawal, send: Send, *, is_socket: bool = False
+) -> None:
+    """Run ``run``, which sends a response or has a WebSocket open, and end it when it is allowed no longer: a
+    WebSocket by its close, a response in pieces where it is, also while it waits for its next piece or for a
+    slow reader. A response that is sent at once costs nothing. ``withdrawal`` returns once it is allowed no
+    longer."""
+    running, watch, is_over = asyncio.current_task(), None, False
+    assert running is not None
+
+    def end(_: asyncio.Task[None]) -> None:
+        if not is_over:
+            running.cancel()
+
+    async def sending(message: AsgiMessage) -> None:
+        nonlocal watch
+        if watch is None and message.get("more_body"):
+            watch = _follow(withdrawal, end)
+        await send(message)
+
+    if is_socket:
+        watch = _follow(withdrawal, end)
+    try:
+        await run(sending)
+    except asyncio.CancelledError:
+        if watch is None or not watch.done() or running.uncancel():
+            raise
+        if is_socket:
+            with suppress(RuntimeError, OSError):
+                await send({"type": "websocket.close", "code": NO_LONGER_SIGNED_IN})
+        watch.result()  # raises where the right could not be looked up
+    finally:
+        is_over = True
+        if watch is not None:
+            watch.cancel()
+
+
+def _follow(withdrawal: Withdrawal, end: Callable[[asyncio.Task[None]], None]) -> asyncio.Task[None]:
+    watch = asyncio.create_task(withdrawal())
+    watch.add_done_callback(end)
+    return watch
+
+
+async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -> None:
+    if connection.scope["type"] == "websocket" or wants_json(connection):
+        await refuse(connection.scope, receive, send, not_signed_in())
+    elif is_below_a_path(connection):
+        message = Message.of("served_below_a_path", path=connection.url.path)
+        await respond(connection, Problem(404, "not_found", message))(connection.scope, receive, send)
+    else:
+        await to_login(connection)(connection.scope, receive, send)
+
+
+def to_login(connection: HTTPConnection) -> Response:
+    """Send a person to the login and from there back; htmx moves the complete page."""
+    if is_fragment(connection):
+        response = problem_json(not_signed_in())
+        response.headers["HX-Redirect"] = _login_url(_page_of(connection), refused=True)
+        return response
+    is_page = connection.scope["method"] in ("GET", "HEAD")
+    query = connection.url.query
+    where = connection.url.path + (f"?{query}" if query else "")
+    url = _login_url(where if is_page else _page_of(connection), refused=not is_page)
+    # Relative, so that a proxy that serves us below a path shows the page that says so.
+    is_proxied = any(name.startswith("x-forwarded-") for name in connection.headers)
+    return RedirectResponse(url[1:] if is_proxied and connection.url.path == "/" else url, 303)
+
+
+def _page_of(connection: HTTPConnection) -> str:
+    """Our own page that htmx or a form requests from; foreign ones were refused before."""
+    page = connection.headers.get("hx-current-url") or connection.headers.get("referer", "/")
+    try:
+        parts = urlsplit(page)
+    except ValueError:
+        return "/"
+    return parts.path + (f"?{parts.query}" if parts.query else "")
+
+
+def _login_url(next_page: str, *, refused: bool) -> str:
+    """``refused``: the login page then explains that the action was not carried out."""
+    query = [f"next={quote(next_page)}"] if next_page != "/" else []
+    query += ["refused=true"] if refused else []
+    return "/login" + ("?" + "&".join(query) if query else "")
+
+
+def _is_loopback(connection: HTTPConnection) -> bool:
+    """From this machine and under its own name: a foreign name for 127.0.0.1 is an attack."""
+    return address_of(connection) in LOOPBACK and connection.url.hostname in LOOPBACK
+
+
+REFUSED_ACCOUNT = "refused_account"
+"""Key in the scope: the account of an expired token."""
+
+
+class RecordRefusals:
+    """Logs what was refused, by the address of its client, and counts in the events each 403, and each 401
+    for a bearer token. A page without a sign-in is no attack."""
+
+    def __init__(self, app: ASGIApp, events: EventLog, log: RefusalLog) -> None:
+        self._app = app
+        self._events = events
+        self._log = log
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        status = 0
+
+        async def watching(message: AsgiMessage) -> None:
+            nonlocal status
+            status = message.get("status", status)
+            await send(message)
+
+        address: str = (scope.get("client") or ("", 0))[0]
+        try:
+            await self._app(scope, receive, watching)
+        except WebSocketDisconnect:  # before its handshake had a response
+            self._log.note(address, "incomplete", scope["path"])
+            return
+        if status not in REFUSED or (status == 401 and not Headers(scope=scope).get("authorization")):
+            return
+        self._log.note(address, str(status), scope["path"])
+        if status in (401, 403):
+            what, who, requested = _event_of(status, scope)
+            await count_refusal(self._events, "access_refused", what, who, address, requested)
+
+
+def _event_of(status: int, scope: Scope) -> tuple[Message, str | Message, str]:
+    """What the events have of a refusal, whose request it was, and its method and the path of its route,
+    without what the request filled into it."""
+    if status == 401:
+        account: str | None = scope.get(REFUSED_ACCOUNT)
+        who = account_shown(account) if account else Message("unknown_token")
+        return Message("event_token_refused"), who, ""
+    person: Person | None = scope.get("person")
+    if person is None:
+        return Message("event_foreign_page_refused"), "", ""
+    path = getattr(scope.get("route"), "path_format", "")
+    requested = f"{scope.get('method', 'GET')} {path}" if path else ""
+    return Message("event_access_refused"), account_shown(person.account), requested

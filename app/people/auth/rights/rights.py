@@ -1,0 +1,163 @@
+"""What every account may do now, in memory: looked up before each command of work that lasts.
+
+A request is authorized when it comes. A restore, a batch, a change of the baud rate or an open page goes on
+after that, and its account may be disabled meanwhile, also by the command line in another process. All of it
+follows from one look at the store: twice a second, and after each change that this process makes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import structlog
+
+from app.core.database import Database, StoreConnection
+from app.core.web.admission.access import AccountSubscriber, Person, Role, account_of
+from app.errors import Problem, StoreError
+from app.people.auth import store
+from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_now
+from bus.messages import Message
+
+WATCH_EVERY_S = 0.5
+FRESH_S = 1.0
+"""What was read longer ago permits nothing before the store has been read again."""
+RECHECK_S = 20.0
+"""How often an open connection looks up a right that ends without a change, as the idle time of a session."""
+
+USER_ENDED = Message("rights_user_ended")
+TOKEN_ENDED = Message("rights_token_ended")
+PASSWORD_CHANGED = Message("rights_password_changed")
+ROLE_LOWERED = Message("rights_role_lowered")
+
+_log = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """The rights of one account. ``credential`` distinguishes it from an earlier one of the same name;
+    ``signed_in``: whether it is a user with a session."""
+
+    role: Role
+    credential: str
+    signed_in: bool = False
+
+
+def why_withdrawn(person: Person, standing: Standing | None) -> Message | None:
+    """Why what a person began must stop; None while it may go on. ``standing``: of the account now."""
+    is_token = person.via == "token"
+    if standing is None:
+        return TOKEN_ENDED if is_token else USER_ENDED
+    if standing.credential != person.credential:
+        return TOKEN_ENDED if is_token else PASSWORD_CHANGED
+    return None if standing.role.includes(person.role) else ROLE_LOWERED
+
+
+@dataclass(eq=False, repr=False)
+class Rights:
+    """Holds the rights of every account. ``changes``: how often one of them has changed."""
+
+    _database: Database
+    clock: Clock = unix_now
+    monotonic: MonotonicClock = monotonic_now
+    changes: int = 0
+    _changed: asyncio.Event = field(default_factory=asyncio.Event)
+    _standings: Mapping[str, Standing] = field(default_factory=dict)
+    _read_at: Monotonic = Monotonic(float("-inf"))
+    _withdrawn: list[AccountSubscriber] = field(default_factory=list)
+
+    def on_withdrawn(self, subscriber: AccountSubscriber) -> None:
+        """Call ``subscriber`` with each account that may do less than before, or is signed in no more."""
+        self._withdrawn.append(subscriber)
+
+    async def check(self, person: Person) -> None:
+        """Raises Problem 403 ``rights_withdrawn`` when the account of a person may no longer do what it could
+        when the person was authenticated; StoreError when that cannot be known."""
+        if not person.has_account:
+            return
+        if self.monotonic() - self._read_at > FRESH_S or self._why_withdrawn(person):
+            await self.refresh()
+        reason = self._why_withdrawn(person)
+        if reason:
+            raise Problem(403, "rights_withdrawn", reason, outcome="rights_withdrawn")
+
+    def announce(self) -> None:
+        """Have each open connection look up again whether it is allowed."""
+        self.changes += 1
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    async def apply(self) -> None:
+        """Apply what this process has just changed of an account, or the end of a session. Raises
+        StoreError."""
+        # First: what acts on a withdrawal may wait for the disk.
+        self.announce()
+        await self.refresh()
+
+    async def refresh(self) -> None:
+        """Read the store now. Raises StoreError."""
+        began = self.monotonic()
+        standings = await self._database.read(self._read)
+        if began < self._read_at:
+            return  # another read began later and is here already
+        before, self._standings, self._read_at = self._standings, standings, began
+        if before != standings:
+            self.announce()
+        lessened = [
+            account for account, standing in before.items() if _is_less(standing, standings.get(account))
+        ]
+        # Together: a store that cannot record what one subscriber did keeps no other from acting.
+        await asyncio.gather(*(withdrawn(account) for account in lessened for withdrawn in self._withdrawn))
+
+    async def watch(self) -> None:
+        """Run until canceled: apply what the command line changes in the store, and what ends by itself."""
+        fault = ""
+        while True:
+            try:
+                await self.refresh()
+                fault = ""
+            except StoreError as error:
+                if str(error) != fault:
+                    _log.error("rights not read", error=str(error))
+                fault = str(error)
+            await asyncio.sleep(WATCH_EVERY_S)
+
+    async def until_withdrawn(
+        self, is_allowed: Callable[[], Awaitable[bool]], seen: int, every_s: float = RECHECK_S
+    ) -> None:
+        """Return once ``is_allowed`` denies, which is called at each change and every ``every_s``. ``seen``:
+        the `changes` before it was allowed."""
+        while True:
+            if self.changes == seen:
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(every_s):
+                        await self._changed.wait()
+            seen = self.changes
+            if not await is_allowed():
+                return
+
+    def _why_withdrawn(self, person: Person) -> Message | None:
+        return why_withdrawn(person, self._standings.get(person.account))
+
+    def _read(self, connection: StoreConnection) -> dict[str, Standing]:
+        now = self.clock()
+        signed_in = store.signed_in(connection, now)
+        return {
+            user.name: Standing(user.role, user.credential, user.name in signed_in)
+            for user in store.users(connection)
+            if not user.disabled
+        } | {
+            account_of(token.name, token=True): Standing(token.role, token.credential)
+            for token in store.tokens(connection)
+            if token.is_good(now)
+        }
+
+
+def _is_less(before: Standing, now: Standing | None) -> bool:
+    """Whether an account lost something. A user who has chosen another password keeps a session, and with it
+    everything."""
+    if now is None or not now.role.includes(before.role):
+        return True
+    return not now.signed_in and (before.signed_in or now.credential != before.credential)

@@ -1,0 +1,122 @@
+"""The rules for names, passwords, PINs and sessions. No clock: time is passed in."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import string
+import unicodedata
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+
+from app.core.web.admission.access import Role
+from app.people.auth.settings import Sessions
+from bus.errors import CallerError
+from bus.instants import UnixTime
+from bus.messages import Message, term
+
+MAX_NAME = 40
+_LETTERS = frozenset(string.ascii_letters + string.digits + "._@-" + "ßæœøþłÆŒØÞŁ")
+"""A name has these, each with or without accents: no letter of one script looks like one of another."""
+_SAME_SHAPE = str.maketrans("01i", "oll")
+"""Look-alikes in a sans-serif font, in small letters: ``I``, ``l`` and 1."""
+
+HOUR = 3600.0
+DAY = 24 * HOUR
+
+
+@dataclass(frozen=True)
+class Lifetime:
+    """How long a session lasts, in seconds: since it was last used, and in all."""
+
+    idle_s: float
+    absolute_s: float
+
+    def ends_at(self, created_at: UnixTime, used_at: UnixTime) -> UnixTime:
+        """The instant from which it is no longer good."""
+        return min(used_at + self.idle_s, created_at + self.absolute_s)
+
+
+def lifetime(sessions: Sessions, *, panel: bool) -> Lifetime:
+    """How long the sign-in of a person, or of a panel, lasts."""
+    if panel:
+        return Lifetime(sessions.panel_idle_days * DAY, sessions.panel_total_days * DAY)
+    return Lifetime(sessions.idle_hours * HOUR, sessions.total_days * DAY)
+
+
+MAX_TOKEN_DAYS = 3650
+USE_NOTED_EVERY_S = 60.0
+"""A session's last use is written this seldom; every request would wear the disk."""
+
+
+def check_name(name: str) -> None:
+    """The name of a new user or token. Raises CallerError."""
+    is_composed = unicodedata.is_normalized("NFC", name)
+    is_latin = is_composed and all(unicodedata.normalize("NFD", each)[0] in _LETTERS for each in name)
+    if not is_latin or not 1 <= len(name) <= MAX_NAME:
+        raise CallerError(Message.of("name_not_allowed", name=name[:80]))
+
+
+def check_distinct(name: str, names: Iterable[str]) -> None:
+    """Raises CallerError for a name that a person may take for one of ``names``."""
+    shape = _shape(name)
+    other = next((each for each in names if each != name and _shape(each) == shape), None)
+    if other is not None:
+        raise CallerError(Message.of("name_looks_like", name=name, other=other))
+
+
+def _shape(name: str) -> str:
+    """Alike for names that look alike (Unicode UTS 39, 4): without case, accents, zero width."""
+    plain = unicodedata.normalize("NFKD", name).casefold().translate(_SAME_SHAPE)
+    return "".join(each for each in plain if unicodedata.category(each)[0] not in "MC")
+
+
+def check_panel_role(role: Role) -> None:
+    """Raises CallerError: anyone who passes by a panel may touch it."""
+    if not Role.OPERATOR.includes(role):
+        raise CallerError(Message.of("panel_role_too_high", role=term(role)))
+
+
+def check_token_bus(role: Role, bus: str, buses: Collection[str]) -> None:
+    """Raises CallerError unless exactly a worker's token names a bus, and one of ``buses``."""
+    known = ", ".join(buses) or "none"
+    if role is not Role.WORKER:
+        if bus:
+            raise CallerError(Message.of("token_not_for_bus", role=term(role)))
+    elif not bus:
+        raise CallerError(Message.of("worker_token_needs_bus", known=known))
+    elif bus not in buses:
+        raise CallerError(Message.of("no_such_bus", bus=bus[:80], known=known))
+
+
+def token_expiry(now: UnixTime, days: int | None) -> UnixTime | None:
+    """When a token made at ``now`` expires; None where it does not. Raises CallerError."""
+    if days is None:
+        return None
+    if not 1 <= days <= MAX_TOKEN_DAYS:
+        raise CallerError(Message.of("token_days_out_of_range", most=MAX_TOKEN_DAYS, days=days))
+    return now + days * DAY
+
+
+def check_home(home: str) -> None:
+    """Raises CallerError. A page of ours only, so that nothing redirects elsewhere."""
+    if not is_own_path(home):
+        raise CallerError(Message("home_page_elsewhere"))
+
+
+def is_own_path(path: str) -> bool:
+    """Whether a redirect to this stays here: browsers take ``//`` and ``/\\`` for another host."""
+    return path.startswith("/") and not path.startswith(("//", "/\\")) and path.isprintable()
+
+
+SECRET_LENGTH = 43
+
+
+def new_secret() -> str:
+    """256 random bits in :data:`SECRET_LENGTH` characters, for a cookie or a bearer token."""
+    return secrets.token_urlsafe(32)
+
+
+def secret_hash(secret: str) -> bytes:
+    """The stored form of a random secret; it needs no slow hash, as 256 bits cannot be guessed."""
+    return hashlib.sha256(secret.encode()).digest()

@@ -1,0 +1,255 @@
+"""Signing in and out."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import ceil
+
+from app.core.database import Database, StoreConnection
+from app.core.server.admission.addresses import source_of
+from app.core.server.admission.fair_queue import FairQueue, TooManyWaitingError
+from app.core.web.admission.access import Person
+from app.core.web.admission.rate_limit import RateLimit
+from app.errors import Problem, StoreError
+from app.people.audit.entry import EventKind
+from app.people.audit.log import EventLog
+from app.people.auth import rules, store
+from app.people.auth.acts import LOG_OUT
+from app.people.auth.rights.rights import Rights
+from app.people.auth.settings import Sessions
+from app.people.auth.sign_in.passwords import (
+    MAX_CODE_POINTS,
+    check_secret,
+    hash_secret,
+    is_outdated,
+    verify_secret,
+)
+from app.people.auth.sign_in.throttle import Attempt, Throttle
+from app.people.auth.store import User
+from bus.errors import CallerError
+from bus.instants import Clock, MonotonicClock, monotonic_now, unix_now
+from bus.messages import Message, term
+
+_WRONG = {False: Message("name_or_password_wrong"), True: Message("name_or_pin_wrong")}
+"""The error for a person, and for a panel."""
+MAX_HASHED_AT_ONCE = 2
+"""Each takes 20 ms of a core."""
+MAX_WAITING_OF_PLACE = 5
+MAX_WAITING = 200
+"""Two seconds' worth; half of them at most from places that never signed in."""
+
+
+class WrongSecretError(Problem):
+    """401: there is no such user, or the secret is another."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignedIn:
+    """The cookies of a new session, and of the browser that it was begun in; their user."""
+
+    session: str
+    device: str
+    user: User
+
+
+@dataclass(eq=False, repr=False)
+class SignIn:
+    """The sessions of people and panels, from their beginning to their end."""
+
+    _database: Database
+    _events: EventLog
+    sessions: Sessions
+    _rights: Rights
+    _clock: Clock = unix_now
+    _monotonic: MonotonicClock = monotonic_now
+    site: str = ""
+    _throttle: Throttle = field(default_factory=Throttle)
+    _has_users: bool = False
+    """Once true it stays so: the last admin with a password cannot be removed."""
+    _hashing: FairQueue[str] = field(
+        default_factory=lambda: FairQueue(MAX_HASHED_AT_ONCE, 1, MAX_WAITING_OF_PLACE, MAX_WAITING)
+    )
+
+    async def sign_in(
+        self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
+    ) -> SignedIn:
+        """Begin a session. ``device``: the cookie of a browser that has signed in before.
+
+        Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 with the time to wait
+        after too many, 403 for a panel that has more rights than a panel may have.
+        """
+        user = await self.identify(name, secret, address, panel=panel, device=device)
+        if user.is_refused_panel:
+            refusal = Message.of("panel_with_higher_role", called=user.name, role=term(user.role))
+            raise Problem(403, "forbidden", refusal)
+        return await self._begin(user, secret, address, device)
+
+    async def identify(
+        self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
+    ) -> User:
+        """The user whose password or PIN it is: who signs in, or signs at the page of another.
+
+        Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 after too many."""
+        if not name or not secret:
+            # No user has an empty name or secret: it is not checked, costs nothing, and is no event.
+            raise Problem(401, "unauthorized", _WRONG[panel])
+        user = await self._checked(name, secret, address, device, panel)
+        if user is None:
+            raise WrongSecretError(401, "unauthorized", _WRONG[panel])
+        return user
+
+    async def has_company_account(self, name: str) -> bool:
+        """Whether there is such a user who has no password here."""
+        found = await self._database.read(lambda connection: store.user(connection, name))
+        return found is not None and found[0].company_account is not None
+
+    async def check_present(self, name: str, secret: str, address: str, device: str = "") -> None:
+        """Check the present password of who wants to change it, with the same limits as a sign-in. Raises
+        CallerError where it is wrong, Problem 429 after too many."""
+        if await self._checked(name, secret, address, device, panel=False) is None:
+            await count_refusal(self._events, "user", Message("event_password_change_refused"), name, address)
+            raise CallerError(Message("present_password_wrong"))
+
+    async def sign_out(self, cookie: str, person: Person) -> None:
+        """End the session of a cookie, which is of this person. Raises Problem 403."""
+        LOG_OUT.check(person)
+        await self.end(rules.secret_hash(cookie))
+        performed = LOG_OUT.by(person)
+        performed["origin"] = person.address
+        await self._events.record(**performed)
+
+    async def has_no_users(self) -> bool:
+        """Whether no one can sign in without a provider of company accounts."""
+        if not self._has_users:
+            self._has_users = await self._database.read(store.has_own_users)
+        return not self._has_users
+
+    async def end(self, hash_: bytes) -> None:
+        """End the session with this hash."""
+        await self._database.write(lambda connection: store.end_session(connection, hash_))
+        await self._rights.apply()
+
+    def lifetime_of(self, user: User) -> rules.Lifetime:
+        """How long the sessions of this user last."""
+        return rules.lifetime(self.sessions, panel=user.panel)
+
+    async def _checked(self, name: str, secret: str, address: str, device: str, panel: bool) -> User | None:
+        """The user whose secret it is, within the limits. Raises Problem 429."""
+        attempt = await self._attempt(name, address, device, panel)
+        self._refuse_too_soon(attempt)
+        try:
+            async with self._hashing.turn(attempt.place, known=attempt.known):
+                self._refuse_too_soon(attempt)
+                self._throttle.begin(attempt, self._monotonic())
+                user = await self._verified(name, secret, panel)
+                if user is None:
+                    self._throttle.failed(attempt, self._monotonic())
+                else:
+                    self._throttle.succeeded(attempt, self._monotonic())
+                return user
+        except TooManyWaitingError:
+            raise too_soon(1) from None
+
+    async def _attempt(self, name: str, address: str, device: str, panel: bool) -> Attempt:
+        network, browser = source_of(address), _browser(device)
+        is_own, is_used = await self._database.read(
+            lambda connection: store.are_places(connection, name, browser, network)
+        )
+        if device and is_own:
+            return Attempt(name, browser, panel, own_browser=True)
+        return Attempt(name, network, panel, used_network=is_used)
+
+    def _refuse_too_soon(self, attempt: Attempt) -> None:
+        wait_s = self._throttle.wait_s(attempt, self._monotonic())
+        if wait_s > 0:
+            raise too_soon(ceil(wait_s))
+
+    async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
+        secret = secret[: MAX_CODE_POINTS + 1]
+        user, stored = await self._user_or_decoy(name)
+        if not await verify_secret(stored, secret):
+            return None
+        if user is None or user.panel is not panel or user.disabled:
+            return None
+        if is_outdated(stored):
+            hashed = await hash_secret(secret)
+            await self._database.write(lambda c: store.replace_hash(c, name, stored, hashed))
+        return user
+
+    async def _user_or_decoy(self, name: str) -> tuple[User | None, str]:
+        """A user with the hash of the secret. For an unknown name, and for a user without a password, the
+        hash of another user, always the same one: hashes of an earlier version take longer, and the time must
+        not reveal which names exist."""
+        number = int(self._events.keys.ring.seal("decoy", name), 16)
+
+        def find(connection: StoreConnection) -> tuple[User | None, str]:
+            hashes = store.secret_hashes(connection)
+            decoy = hashes[number % len(hashes)] if hashes else ""
+            found = store.user(connection, name)
+            has_password = found is not None and found[0].company_account is None
+            return found if found is not None and has_password else (None, decoy)
+
+        return await self._database.read(find)
+
+    async def _begin(self, user: User, secret: str, address: str, device: str) -> SignedIn:
+        what, weak = Message("event_signed_in"), self._is_weak(user, secret)
+        return await self._begin_session(user, address, device, what, weak_secret=weak)
+
+    async def begin_by_company_account(self, user: User, address: str, device: str) -> SignedIn:
+        """Begin a session of a user whose company account has been verified."""
+        what = Message("event_signed_in_by_company_account")
+        return await self._begin_session(user, address, device, what, weak_secret=False)
+
+    async def _begin_session(
+        self, user: User, address: str, device: str, what: Message, *, weak_secret: bool
+    ) -> SignedIn:
+        session, device, now = rules.new_secret(), device or rules.new_secret(), self._clock()
+        hash_, ends = rules.secret_hash(session), self.lifetime_of(user).ends_at(now, now)
+        places = (source_of(address), _browser(device))
+
+        def begin(connection: StoreConnection) -> None:
+            store.begin_session(connection, hash_, user.name, now, ends, weak_secret=weak_secret)
+            store.note_places(connection, user.name, places, now)
+
+        await self._database.write(begin)
+        await self._rights.refresh()
+        await self._events.record(kind="login", what=what, who=user.name, origin=address)
+        return SignedIn(session, device, user)
+
+    def _is_weak(self, user: User, secret: str) -> bool:
+        """Whether today's rules refuse the secret; it works until it is changed; the admin is notified."""
+        try:
+            check_secret(secret, user=user.name, panel=user.panel, site=self.site)
+        except CallerError:
+            return True
+        return False
+
+    async def note_refusal(self, name: str, address: str) -> None:
+        """Count a wrong secret in the events. It is written to the disk for some names and not for others, so
+        only once the refusal is sent: its time must not reveal which names exist."""
+        known = await self._database.read(lambda connection: store.user(connection, name))
+        # A password typed into the field for the name must not end up in the log.
+        who = name if known else Message("unknown_name")
+        await count_refusal(self._events, "login_refused", Message("event_sign_in_refused"), who, address)
+
+
+async def count_refusal(
+    events: EventLog, kind: EventKind, what: Message, who: str | Message, address: str, message: str = ""
+) -> None:
+    """Count a refusal in the events. Of an IPv6 address the subnet: a sender has as many of its addresses as
+    it likes. Without an event a refusal is as good: the disk may be full."""
+    with suppress(StoreError):
+        await events.repeated.count(kind, what, who=who, origin=source_of(address), message=message)
+
+
+def _browser(device: str) -> str:
+    return f"browser {rules.secret_hash(device).hex()}"
+
+
+def too_soon(seconds: int) -> Problem:
+    """429 with the time to wait, after which there is one try. A refusal of a wrong secret does not show how
+    many are left: only a guesser needs that."""
+    problem = Problem(429, "too_many", Message.of("too_many_sign_ins", seconds=seconds))
+    problem.headers.update(RateLimit(1, 0, seconds).headers)
+    return problem.with_headers(Retry_After=str(seconds))

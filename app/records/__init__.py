@@ -1,0 +1,1 @@
+"""What people read and are told: reports, the shift handover, notification."""

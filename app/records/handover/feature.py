@@ -1,0 +1,34 @@
+"""Shift hand-over: notes, pictures, the sheet, and who signed it."""
+
+from __future__ import annotations
+
+import asyncio
+from functools import partial
+
+from app.core.database import Database
+from app.core.web.rendering.assets import Assets
+from app.core.web.rendering.templating import Templates
+from app.feature import Feature, Services
+from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.people.audit.log import EventLog
+from app.people.auth.sign_in.signin import SignIn
+from app.records.handover import api, pages
+from app.records.handover.acts import ACTS
+from app.records.handover.notes import api as notes_api
+from app.records.handover.notes.pictures import PictureStore
+from app.records.handover.service import Handover
+from app.records.handover.sheet.document import SheetDocuments
+from app.records.handover.signing.signing import Signing
+
+
+def make(services: Services) -> None:
+    settings, database, events = services.settings, services[Database], services[EventLog]
+    pictures = services.add(PictureStore(settings.server.data, settings.shift.pictures_mb))
+    services.lifespan.add("pictures", end=partial(asyncio.to_thread, pictures.close))
+    handover = services.add(Handover(settings, database, events, pictures))
+    templates, assets = services[Templates], services[Assets]
+    documents = services.add(SheetDocuments(templates, assets, services[LineAlarms], pictures))
+    services.add(Signing(handover, database, events, services[SignIn], documents.page))
+
+
+FEATURE = Feature(make, (notes_api.router, api.router, pages.router), ACTS)

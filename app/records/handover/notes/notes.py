@@ -1,0 +1,138 @@
+"""Notes of a shift: each is written once, and a correction is a new note that names the earlier one."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass, fields, replace
+
+from app.core.database import StoreConnection
+from app.errors import Problem
+from app.line.alarms.journal.store import JournalEntry
+from app.records.handover.rules.shift_times import Shift
+from bus.instants import UnixTime
+from bus.messages import Message
+
+MAX_NOTES = 500
+"""Notes of a shift: a sheet is read by people."""
+MAX_OF_SPAN = 200
+"""Notes of a span of any length: a chart has room for fewer."""
+MAX_READ = 5000
+MAX_PICTURES = 20
+MAX_OF_SITE = 200_000
+"""Notes of all shifts: five years with 100 a day."""
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """``at``: what it is about, ``alarm``: the id of an occurrence, ``sender``: the account with the time of
+    its creation, ``key``: by which its sender repeats the request,
+    ``pictures``: their digests, separated by blanks."""
+
+    at: UnixTime
+    written_at: UnixTime
+    who: str
+    text: str
+    bus: str | None
+    unit: int | None
+    alarm: str | None
+    corrects: int | None
+    sender: str
+    key: str | None
+    pictures: str = ""
+    id: int = 0
+
+
+class RepeatedNoteError(Exception):
+    """The request was carried out before; ``note`` is what it made."""
+
+    def __init__(self, note: Note) -> None:
+        super().__init__(note.id)
+        self.note = note
+
+
+_COLUMNS = tuple(field.name for field in fields(Note) if field.name != "id")
+_ENTRY = ", ".join(field.name for field in fields(JournalEntry))
+_SELECT = f"SELECT {', '.join(_COLUMNS)}, id FROM shift_note"
+_MARKS = ", ".join("?" * len(_COLUMNS))
+_INSERT = f"INSERT INTO shift_note ({', '.join(_COLUMNS)}) VALUES ({_MARKS}) RETURNING id"
+
+
+def notes_of(connection: StoreConnection, shift: Shift) -> list[Note]:
+    """The notes of a shift in the order of what they are about."""
+    rows = connection.execute(f"{_SELECT} WHERE at >= ? AND at < ? ORDER BY at, id", (shift.start, shift.end))
+    return [Note(*row) for row in rows]
+
+
+def notes_between(connection: StoreConnection, start: UnixTime, end: UnixTime) -> list[Note]:
+    """The newest notes about a time of a span, in order, without those that were corrected."""
+    corrected = "SELECT corrects FROM shift_note WHERE corrects IS NOT NULL"
+    query = (
+        f"{_SELECT} WHERE at >= ? AND at < ? AND id NOT IN ({corrected}) ORDER BY at DESC, id DESC LIMIT ?"
+    )
+    return [Note(*row) for row in connection.execute(query, (start, end, MAX_READ))][::-1]
+
+
+def counts_of(connection: StoreConnection, shifts: list[Shift]) -> list[int]:
+    """How many notes each shift has."""
+    query = "SELECT count(*) FROM shift_note WHERE at >= ? AND at < ?"
+    return [connection.execute(query, (shift.start, shift.end)).fetchone()[0] for shift in shifts]
+
+
+def find_repeated(connection: StoreConnection, note: Note) -> Note | None:
+    """The note that this request made before. Raises Problem 422 where its key was for another one."""
+    row = connection.execute(f"{_SELECT} WHERE sender = ? AND key = ?", (note.sender, note.key)).fetchone()
+    if row is None:
+        return None
+    earlier = Note(*row)
+    same = replace(note, at=earlier.at, written_at=earlier.written_at, id=earlier.id)
+    if same != earlier:
+        raise Problem(422, "invalid", Message("shift_note_key_of_other"))
+    return earlier
+
+
+def add(connection: StoreConnection, note: Note, shift: Shift) -> int:
+    """Store a note, and return its number. Raises as `check`."""
+    check(connection, note, shift)
+    [(number,)] = connection.execute(_INSERT, astuple(note)[:-1])
+    return int(number)
+
+
+def check(connection: StoreConnection, note: Note, shift: Shift) -> None:
+    """Raises RepeatedNoteError, and Problem 404 or 409 where it corrects a note that was corrected, its alarm
+    never was, or the shift has no room."""
+    repeated = find_repeated(connection, note)
+    if repeated is not None:
+        raise RepeatedNoteError(repeated)
+    if note.corrects is not None:
+        query = "SELECT id FROM shift_note WHERE corrects = ?"
+        row = connection.execute(query, (note.corrects,)).fetchone()
+        if row is not None:
+            message = Message.of("shift_note_superseded", note=note.corrects, newer=row["id"])
+            raise Problem(409, "superseded", message, id=row["id"])
+    if note.alarm is not None:
+        occurrence(connection, note.alarm)
+    if (connection.execute("SELECT max(id) FROM shift_note").fetchone()[0] or 0) >= MAX_OF_SITE:
+        raise Problem(409, "too_many", Message.of("shift_notes_of_site_full", n=MAX_OF_SITE))
+    if counts_of(connection, [shift])[0] >= MAX_NOTES:
+        raise Problem(409, "too_many", Message.of("shift_notes_full", n=MAX_NOTES))
+    there = sum(len(each.pictures.split()) for each in notes_of(connection, shift)) if note.pictures else 0
+    if there + len(note.pictures.split()) > MAX_PICTURES:
+        raise Problem(409, "too_many", Message.of("shift_pictures_full", n=MAX_PICTURES))
+
+
+def occurrence(connection: StoreConnection, alarm_id: str) -> JournalEntry:
+    """The last transition of an occurrence of an alarm. Raises Problem 404."""
+    alarm, _, number = alarm_id.rpartition(".")
+    query = f"SELECT {_ENTRY} FROM alarm_journal WHERE alarm = ? AND occurrence = ? ORDER BY id DESC LIMIT 1"
+    is_number = number.isascii() and number.isdigit() and len(number) < 19
+    row = connection.execute(query, (alarm, int(number))).fetchone() if is_number else None
+    if row is None:
+        raise Problem(404, "unknown_alarm", Message.of("alarm_unknown", id=alarm_id))
+    return JournalEntry(*row)
+
+
+def find(connection: StoreConnection, number: int, shift: Shift) -> Note:
+    """A note of a shift. Raises Problem 404."""
+    row = connection.execute(f"{_SELECT} WHERE id = ?", (number,)).fetchone()
+    if row is None or not shift.holds(row["at"]):
+        raise Problem(404, "unknown_note", Message.of("shift_note_unknown", note=number))
+    return Note(*row)

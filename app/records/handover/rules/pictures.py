@@ -1,0 +1,161 @@
+"""Judges a picture by its content and keeps of it only what draws it: JPEG (T.81), PNG, WebP (RFC 9649).
+
+Metadata (place, time, camera, comments), animations, and bytes behind the picture are left out. Of the Exif
+data of a JPEG or PNG the orientation stays, by which browsers turn it; Chromium does not read that of a WebP.
+Pure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from struct import pack, unpack_from
+from typing import Literal
+from zlib import crc32
+
+from app.records.handover.rules.orientation import plain_exif
+from bus.errors import CallerError
+from bus.messages import Message
+
+PictureType = Literal["image/jpeg", "image/png", "image/webp"]
+MAX_PIXELS = 25_000_000
+"""A browser takes 100 MB to draw them."""
+_PNG = b"\x89PNG\r\n\x1a\n"
+_PNG_KEPT = (b"IHDR", b"PLTE", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"IDAT", b"IEND")
+_WEBP_KEPT = (b"VP8X", b"VP8 ", b"VP8L", b"ALPH")
+_ALPHA = 0x10
+"""The one flag of VP8X that stays."""
+_EXIF = b"Exif\0\0"
+_FRAMES = frozenset((*range(0xC0, 0xD0),)) - {0xC4, 0xC8, 0xCC}
+"""SOF0 to SOF15: these hold the size."""
+_JPEG_KEPT = _FRAMES | {0xC4, 0xCC, 0xDA, 0xDB, 0xDC, 0xDD, 0xEE}
+"""Frames, tables, scans, restart intervals and Adobe's segment, which states how colors are coded."""
+_IN_SCAN = (0x00, *range(0xD0, 0xD8))
+"""Bytes after 0xFF that are data of a scan."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlainPicture:
+    """``content``: the picture without anything else."""
+
+    media_type: PictureType
+    content: bytes
+
+
+class _BrokenPictureError(Exception):
+    """The content is not what its first bytes promise."""
+
+
+def plain_picture(content: bytes) -> PlainPicture:
+    """Raises CallerError for what is no such picture, or has too many pixels."""
+    try:
+        if content.startswith(b"\xff\xd8\xff"):
+            return PlainPicture("image/jpeg", b"\xff\xd8" + b"".join(_jpeg(content)) + b"\xff\xd9")
+        if content.startswith(_PNG):
+            return PlainPicture("image/png", _PNG + b"".join(_png(content)))
+        if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
+            chunks = b"WEBP" + b"".join(_webp(content))
+            return PlainPicture("image/webp", b"RIFF" + len(chunks).to_bytes(4, "little") + chunks)
+    except (_BrokenPictureError, IndexError, ValueError):
+        raise CallerError(Message("picture_damaged")) from None
+    raise CallerError(Message("picture_of_other_kind"))
+
+
+def _png(content: bytes) -> Iterator[bytes]:
+    place, kind = len(_PNG), b""
+    while kind != b"IEND":
+        length = int.from_bytes(_part(content, place, 4), "big")
+        chunk, kind = _part(content, place, length + 12), content[place + 4 : place + 8]
+        if (kind == b"IHDR") is not (place == len(_PNG)):
+            raise _BrokenPictureError
+        if kind == b"IHDR":
+            _check_size(int.from_bytes(chunk[8:12], "big"), int.from_bytes(chunk[12:16], "big"))
+        if kind in _PNG_KEPT:
+            yield chunk
+        elif kind == b"eXIf" and (exif := plain_exif(chunk[8:-4])):
+            yield pack(">I", len(exif)) + kind + exif + pack(">I", crc32(kind + exif))
+        place += len(chunk)
+
+
+def _jpeg(content: bytes) -> Iterator[bytes]:
+    place, has_size = 2, False
+    while True:
+        if content[place] != 0xFF:
+            raise _BrokenPictureError
+        marker = content[place + 1]
+        if marker in (0xD9, 0xFF):
+            place += 1
+            if marker == 0xFF:
+                continue
+            break
+        end = place + 2 + int.from_bytes(_part(content, place + 2, 2), "big")
+        segment = _part(content, place, end - place)
+        if marker in _FRAMES:
+            _check_size(int.from_bytes(segment[7:9], "big"), int.from_bytes(segment[5:7], "big"))
+            has_size = True
+        if marker == 0xDA:
+            end = _end_of_scan(content, end)
+            segment = content[place:end]
+        if marker in _JPEG_KEPT:
+            yield segment
+        elif marker == 0xE1 and segment[4:10] == _EXIF and (exif := plain_exif(segment[10:])):
+            yield segment[:2] + pack(">H", len(exif) + 8) + _EXIF + exif
+        place = end
+    if not has_size:
+        raise _BrokenPictureError
+
+
+def _end_of_scan(content: bytes, place: int) -> int:
+    while True:
+        place = content.index(b"\xff", place)
+        if content[place + 1] not in _IN_SCAN:
+            return place
+        place += 2
+
+
+def _webp(content: bytes) -> Iterator[bytes]:
+    place, end, has_image = 12, 8 + int.from_bytes(content[4:8], "little"), False
+    while place < min(end, len(content)):
+        length = int.from_bytes(_part(content, place + 4, 4), "little")
+        kind, data = content[place : place + 4], _part(content, place + 8, length)
+        if kind in _WEBP_KEPT:
+            has_image |= _check_webp(kind, data)
+            yield kind + length.to_bytes(4, "little") + _kept(kind, data) + b"\0" * (length % 2)
+        place += 8 + length + length % 2
+    if not has_image:
+        raise _BrokenPictureError
+
+
+def _kept(kind: bytes, data: bytes) -> bytes:
+    return bytes([data[0] & _ALPHA]) + data[1:] if kind == b"VP8X" else data
+
+
+def _check_webp(kind: bytes, data: bytes) -> bool:
+    """Check the size that a chunk states; whether the chunk is the picture itself."""
+    if kind == b"VP8X":
+        _check_size(1 + int.from_bytes(data[4:7], "little"), 1 + int.from_bytes(data[7:10], "little"))
+    elif kind == b"VP8 ":
+        if data[3:6] != b"\x9d\x01\x2a" or len(data) < 10:
+            raise _BrokenPictureError
+        width, height = unpack_from("<HH", data, 6)
+        _check_size(width & 0x3FFF, height & 0x3FFF)
+    elif kind == b"VP8L":
+        bits = int.from_bytes(_part(data, 1, 4), "little")
+        if data[0] != 0x2F:
+            raise _BrokenPictureError
+        _check_size(1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF))
+    return kind in (b"VP8 ", b"VP8L")
+
+
+def _check_size(width: int, height: int) -> None:
+    if not width or not height:
+        raise _BrokenPictureError
+    if width * height > MAX_PIXELS:
+        raise CallerError(Message.of("picture_too_large", width=width, height=height))
+
+
+def _part(content: bytes, place: int, length: int) -> bytes:
+    part = content[place : place + length]
+    if len(part) < length:
+        raise _BrokenPictureError
+    return part

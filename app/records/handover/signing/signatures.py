@@ -1,0 +1,144 @@
+"""Signed sheets: what the leaving and the coming person have signed, and when."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal
+from zoneinfo import ZoneInfo
+
+from pydantic import Field
+
+from app.core.database import StoreConnection
+from app.core.database.connection import has_column, json_member
+from app.core.web.api.shape import InstantObject, iso
+from app.errors import Problem
+from app.people.audit import queries
+from app.records.handover.rules.shift_times import Shift, site_time
+from bus.instants import UnixTime
+from bus.messages import Message, term
+
+SignedPart = Literal["leaving", "coming"]
+"""Who signs: the person whose shift ends, then the one whose shift begins."""
+EVENTS: dict[SignedPart, str] = {"leaving": "event_shift_signed_over", "coming": "event_shift_taken_over"}
+
+_CODE, _START = json_member("messages", "what.code"), json_member("messages", "what.params.start")
+_LOGGED = f"""
+SELECT {_CODE}, who, time, id, {_START}
+FROM events WHERE kind = 'shift' AND about IS NULL AND {_CODE} IN (?, ?)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftSignature:
+    """Who signed, and when by the clock of the server."""
+
+    part: SignedPart
+    who: str
+    at: InstantObject
+    event: Annotated[int, Field(description="The number of its entry in the audit log.")]
+
+
+@dataclass(frozen=True, slots=True)
+class MissingSignature(ShiftSignature):
+    """A signature that the audit log names and the store has lost."""
+
+    start: Annotated[str, Field(exclude=True)]
+    """Of its shift, by the clock of the site."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignedSheet:
+    """A sheet as it was signed: JSON, and its page in the language of the site. ``is_altered``: it is not the
+    one that the audit log names."""
+
+    shift: Shift
+    sheet: bytes
+    page: bytes
+    signatures: Mapping[SignedPart, ShiftSignature] = field(default_factory=dict)
+    is_altered: bool = False
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the JSON, hexadecimal."""
+        return hashlib.sha256(self.sheet).hexdigest()
+
+    @property
+    def page_digest(self) -> str:
+        return hashlib.sha256(self.page).hexdigest()
+
+
+def signed_sheet(connection: StoreConnection, start: UnixTime) -> SignedSheet | None:
+    """The signed sheet of the shift that starts then."""
+    row = connection.execute("SELECT ends, sheet, page FROM shift_sheet WHERE start = ?", (start,)).fetchone()
+    if row is None:
+        return None
+    signatures = signatures_of(connection, start)
+    signed = SignedSheet(Shift(start, UnixTime(row["ends"])), row["sheet"], row["page"], signatures)
+    is_named = all(_is_named(connection, signed, each) for each in signatures.values())
+    return signed if signatures and is_named else replace(signed, is_altered=True)
+
+
+def signatures_of(connection: StoreConnection, start: UnixTime) -> dict[SignedPart, ShiftSignature]:
+    query = "SELECT part, who, at, event FROM shift_signature WHERE start = ?"
+    return {row["part"]: ShiftSignature(*row) for row in connection.execute(query, (start,))}
+
+
+def missing_signatures(connection: StoreConnection, start: str | None = None) -> list[MissingSignature]:
+    """The signatures that the audit log names and the store has lost, oldest first; ``start``: of one shift.
+    Of a store of any version."""
+    if not has_column(connection, "events", "messages"):
+        return []
+    stored = has_column(connection, "shift_signature", "event")
+    query = f"{_LOGGED} AND id NOT IN (SELECT event FROM shift_signature)" if stored else _LOGGED
+    parts = {code: part for part, code in EVENTS.items()}
+    found = connection.execute(f"{query} ORDER BY id", tuple(parts))
+    logged = (MissingSignature(parts[row[0]], row[1], row[2], row[3], row[4] or "") for row in found)
+    return [each for each in logged if start in (None, each.start)]
+
+
+def signed_between(connection: StoreConnection, start: UnixTime, end: UnixTime) -> list[Shift]:
+    """The shifts with a signed sheet, newest first. They keep their times when the configuration changes."""
+    query = "SELECT start, ends FROM shift_sheet WHERE start >= ? AND start <= ? ORDER BY start DESC"
+    return [Shift(*row) for row in connection.execute(query, (start, end))]
+
+
+def freeze(connection: StoreConnection, signed: SignedSheet) -> None:
+    """Store a sheet that its first signature follows."""
+    row = signed.shift.start, signed.shift.end, signed.sheet, signed.digest, signed.page, signed.page_digest
+    connection.execute("INSERT INTO shift_sheet VALUES (?, ?, ?, ?, ?, ?)", row)
+
+
+def add(connection: StoreConnection, start: UnixTime, part: SignedPart, who: str, at: UnixTime) -> None:
+    """Store a signature, in the transaction of its event, which is the newest."""
+    (event,) = connection.execute("SELECT max(id) FROM events").fetchone()
+    connection.execute("INSERT INTO shift_signature VALUES (?, ?, ?, ?, ?)", (start, part, who, at, event))
+
+
+def check_turn(
+    signatures: Mapping[SignedPart, ShiftSignature], part: SignedPart, who: str, zone: ZoneInfo
+) -> None:
+    """Whether a person may sign this part now. Raises Problem 409."""
+    earlier = signatures.get(part)
+    if earlier is not None:
+        at = site_time(earlier.at, zone)
+        message = Message.of("shift_already_signed", part=term(part), who=earlier.who, time=at)
+        raise Problem(409, "already_signed", message, who=earlier.who, time=iso(earlier.at))
+    if part == "coming" and "leaving" not in signatures:
+        raise Problem(409, "not_signed", Message("shift_not_signed_over"))
+    if any(each.who == who for each in signatures.values()):
+        raise Problem(409, "same_person", Message.of("shift_same_person", who=who))
+
+
+def _is_named(connection: StoreConnection, signed: SignedSheet, signature: ShiftSignature) -> bool:
+    """Whether the event of a signature names this sheet."""
+    event = queries.one(connection, signature.event)
+    what = None if event is None else event["messages"].get("what")
+    digests = {"digest": signed.digest, "page_digest": signed.page_digest}
+    return (
+        event is not None
+        and what is not None
+        and (what.code, event["who"]) == (EVENTS[signature.part], signature.who)
+        and digests.items() <= what.params.items()
+    )

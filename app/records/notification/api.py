@@ -1,0 +1,160 @@
+"""Notification over HTTP: whether the path works, what was sent, a test, and maintenance."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from pydantic import ConfigDict, Field
+from typing_extensions import TypeAliasType, TypedDict
+
+from app.core.web.admission.access import Engineer, Person
+from app.core.web.api.route import ApiRoute
+from app.core.web.api.shape import (
+    Instant,
+    MaybeInstant,
+    MessageShown,
+    StrictBody,
+    iso,
+    maybe_shown,
+)
+from app.core.web.services import service
+from app.records.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
+from app.records.notification.maintenance import MAX_MINUTES, RecurringMaintenanceShown
+from app.records.notification.notice import NoticeKind
+from app.records.notification.outbox import MaintenanceShown, NotificationDelivery
+from app.records.notification.rules.delivery import DeliveryState
+from app.records.notification.service import (
+    Notification,
+    NotificationEndpointShown,
+    NotificationGroup,
+)
+from bus.text import OneLine
+
+router = APIRouter(prefix="/api/v1/notifications", tags=["alarms"], route_class=ApiRoute)
+
+MAX_DELIVERIES = 200
+Notifying = Annotated[Notification, service(Notification)]
+MaintenanceReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
+MaintenanceMinutes = Annotated[int, Field(ge=1, le=MAX_MINUTES, description="At most a day, 1440.")]
+NotificationDeliveryState = TypeAliasType("NotificationDeliveryState", DeliveryState)
+NotificationKind = TypeAliasType("NotificationKind", NoticeKind)
+
+
+class NotificationTestRequest(StrictBody):
+    """Which address."""
+
+    endpoint: Annotated[str, Field(max_length=400, description="The key of an address.")]
+
+
+class MaintenanceRequest(StrictBody):
+    """A maintenance of a bus or, without one, of everything."""
+
+    model_config = ConfigDict(str_strip_whitespace=True)
+
+    reason: MaintenanceReason
+    minutes: MaintenanceMinutes
+    bus: Annotated[str | None, Field(max_length=80, description="null: all buses and the server.")] = None
+
+
+class NotificationShown(TypedDict):
+    """The path of notification, current."""
+
+    endpoints: list[NotificationEndpointShown]
+    groups: list[NotificationGroup]
+    maintenance: list[MaintenanceShown]
+    recurring: list[RecurringMaintenanceShown]
+
+
+class NotificationDeliveryShown(TypedDict):
+    """One message to one address."""
+
+    id: int
+    message_id: Annotated[str, Field(description="The same with every attempt.")]
+    endpoint: Annotated[str, Field(description="The key of the address.")]
+    state: NotificationDeliveryState
+    attempts: Annotated[int, Field(description="How often it was tried, 0 or more.")]
+    created_at: Annotated[Instant, Field(description="ISO 8601.")]
+    tried_at: Annotated[MaybeInstant, Field(description="The last attempt, ISO 8601; null: there was none.")]
+    result: Annotated[MessageShown | None, Field(description="Why it was not delivered; null: no reason.")]
+    kinds: Annotated[list[NotificationKind], Field(description="Of its notices; several are a digest.")]
+    alarms: Annotated[list[str], Field(description="Ids of the occurrences that it is about.")]
+
+
+class NotificationDeliveries(TypedDict):
+    """Newest first. ``next`` is the ``before`` of the next page, null at the end."""
+
+    deliveries: list[NotificationDeliveryShown]
+    next: int | None
+
+
+class NotificationTest(TypedDict):
+    """``delivery`` is null where the first attempt takes longer than 12 s; it goes on."""
+
+    delivery: NotificationDeliveryShown | None
+
+
+@router.get("")
+async def get_notification(_: Engineer, notification: Notifying) -> NotificationShown:
+    """Every address with its last result, who is on duty, and maintenance."""
+    return {
+        "endpoints": await notification.endpoints(),
+        "groups": notification.groups(),
+        "maintenance": notification.maintenance.present(),
+        "recurring": notification.maintenance.recurring(),
+    }
+
+
+@router.get("/deliveries")
+async def get_notification_deliveries(
+    _: Engineer,
+    notification: Notifying,
+    limit: Annotated[int, Query(ge=1, le=MAX_DELIVERIES)] = 100,
+    before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
+) -> NotificationDeliveries:
+    """What was sent, or is to be."""
+    found = await notification.outbox.deliveries(limit + 1, before)
+    following = found[limit - 1].id if len(found) > limit else None
+    return {"deliveries": [_delivery(each) for each in found[:limit]], "next": following}
+
+
+@router.post("/test")
+async def send_test_notification(
+    person: Annotated[Person, SEND_TEST.permitted], notification: Notifying, body: NotificationTestRequest
+) -> NotificationTest:
+    """Send a test message on the way of all others, and wait for its first attempt."""
+    delivery = await notification.test(person, body.endpoint)
+    return {"delivery": None if delivery is None else _delivery(delivery)}
+
+
+@router.post("/maintenance")
+async def begin_maintenance(
+    person: Annotated[Person, BEGIN_MAINTENANCE.permitted], notification: Notifying, body: MaintenanceRequest
+) -> list[MaintenanceShown]:
+    """Notify nothing for a time. What still waits for its acknowledgement at the end is notified then."""
+    await notification.maintenance.begin(person, body.bus, body.minutes, body.reason)
+    return notification.maintenance.present()
+
+
+@router.post("/maintenance/{maintenance_id}/end")
+async def end_maintenance(
+    person: Annotated[Person, END_MAINTENANCE.permitted], notification: Notifying, maintenance_id: int
+) -> list[MaintenanceShown]:
+    """Notify again, before its time."""
+    await notification.maintenance.end(person, maintenance_id)
+    return notification.maintenance.present()
+
+
+def _delivery(delivery: NotificationDelivery) -> NotificationDeliveryShown:
+    return {
+        "id": delivery.id,
+        "message_id": delivery.message_id,
+        "endpoint": delivery.endpoint,
+        "state": delivery.state,
+        "attempts": delivery.attempts,
+        "created_at": iso(delivery.created_at),
+        "tried_at": iso(delivery.tried_at) if delivery.attempts else None,
+        "result": maybe_shown(delivery.result),
+        "kinds": list(dict.fromkeys(item.kind for item in delivery.items)),
+        "alarms": [item.of_alarm.id for item in delivery.items if item.of_alarm is not None],
+    }

@@ -1,0 +1,215 @@
+"""The report of a span from the stores alone: what each unit did, the alarms that came, and what the sheet of
+a hand-over has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Annotated, Any, NamedTuple, NotRequired
+
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from app.core.database import StoreConnection
+from app.core.web.api.shape import Instant, iso
+from app.line.alarms.api import AlarmStateShown, AlarmTransition, transition_json
+from app.line.alarms.journal.store import JournalEntry
+from app.line.history.series.figures import DrawFigures, RunFigures, StopCause
+from app.line.history.series.runs import SECOND, micros
+from app.line.history.unit_report import MAX_READINGS, BusReport, UnitReport
+from app.records.handover.notes.notes import MAX_OF_SPAN
+from app.records.handover.rules.scope import Scope
+from app.records.handover.rules.shift_times import Shift
+from app.records.handover.sheet.sheet import ShiftSignatures, SignedShiftSheet, signed_json, write_sheet
+from app.records.handover.signing.signatures import signed_sheet
+from app.settings import Settings
+from bus.instants import UnixTime
+from bus.settings import BusSettings, UnitSettings
+
+MAX_ALARMS = 200
+PER_S = {"s": 1, "sec": 1, "min": 60, "h": 3600}
+"""Seconds in the time of a unit of speed, such as m/min."""
+DIGITS = 3
+_COLUMNS = ", ".join(field.name for field in fields(JournalEntry))
+_AT_END = """(
+    SELECT l.after FROM alarm_journal l WHERE l.alarm = j.alarm AND l.at < ? AND l.id < COALESCE((
+        SELECT n.id FROM alarm_journal n WHERE n.alarm = j.alarm AND n.id > j.id AND n.trigger = 'rise'
+        ORDER BY n.id LIMIT 1
+    ), 9223372036854775807) ORDER BY l.id DESC LIMIT 1
+)"""
+"""The state of an occurrence at the end of a span."""
+_RISEN = "FROM alarm_journal j WHERE trigger = 'rise' AND at >= ? AND at < ?"
+_COMMANDS = "FROM events WHERE about IS NULL AND kind = 'command' AND time >= ? AND time < ?"
+
+
+class ReportedStop(TypedDict):
+    """A time in which a unit stood still, cut at the ends of the span."""
+
+    start: Instant
+    end: Instant
+    seconds: Annotated[float, Field(description="How long it lasted.")]
+    cause: Annotated[StopCause, Field(description="What its first reading shows.")]
+
+
+class ReportedDraw(TypedDict):
+    """In percent, over the time in which the unit and the one before it were both at speed."""
+
+    average: Annotated[float, Field(description="Of all web that passed.")]
+    least: Annotated[float, Field(description="Of the minute with the least.")]
+    greatest: Annotated[float, Field(description="Of the minute with the greatest.")]
+
+
+class ReportedUnit(TypedDict):
+    """What a unit did. Without ``running_s`` its speeds are ratios to a master, and do not show it."""
+
+    bus: str
+    unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
+    name: str
+    known_s: NotRequired[Annotated[float, Field(description="For how long there are readings.")]]
+    unread_s: NotRequired[Annotated[float, Field(description="For how long there are none.")]]
+    running_s: NotRequired[Annotated[float, Field(description="With an actual speed other than 0.")]]
+    at_speed_s: NotRequired[
+        Annotated[
+            float,
+            Field(
+                description="Running with a setpoint above 0 while the unit reports at speed (window #12)."
+            ),
+        ]
+    ]
+    by_minute: NotRequired[
+        Annotated[
+            bool, Field(description="From averages of minutes: the readings are no longer kept, or many.")
+        ]
+    ]
+    stops: NotRequired[list[ReportedStop]]
+    speed_average: NotRequired[
+        Annotated[float | None, Field(description="While it ran, in display units; null: it never ran.")]
+    ]
+    speed_greatest: NotRequired[Annotated[float | None, Field(description="As speed_average.")]]
+    speed_unit: NotRequired[Annotated[str, Field(description="The measure of both, by its label.")]]
+    length: Annotated[float | None, Field(description="Null where the label of the speed has no time.")]
+    length_unit: Annotated[str | None, Field(description="The measure of the length; null without one.")]
+    draw: Annotated[ReportedDraw | None, Field(description="To the unit before; null: there is none.")]
+    alarms: Annotated[int, Field(description="How many came.")]
+    commands: Annotated[
+        int, Field(description="How many were sent to it, also as part of a change of several.")
+    ]
+
+
+class ReportedAlarm(AlarmTransition):
+    """That an alarm came."""
+
+    at_end: Annotated[AlarmStateShown, Field(description="Its state at the end of the span.")]
+
+
+class SpanReport(SignedShiftSheet):
+    """What the units did in a span up to ``until``, and what people have to know of it."""
+
+    signed: Annotated[ShiftSignatures | None, Field(description="Where the span is a shift that was signed.")]
+    units: Annotated[list[ReportedUnit], Field(description="Empty where there is no history.")]
+    alarms: Annotated[list[ReportedAlarm], Field(description="That came: the first 200, oldest first.")]
+
+
+class CountsByUnit(NamedTuple):
+    """How many alarms came and how many commands were sent, by bus and address."""
+
+    alarms: dict[tuple[str, int], int]
+    commands: dict[tuple[str, int], int]
+
+
+class ReportedBus(NamedTuple):
+    """The units of a bus that a report is about."""
+
+    settings: BusSettings
+    figures: BusReport
+
+
+def reported_buses(settings: Settings, scope: Scope, span: Shift, now: UnixTime) -> list[ReportedBus]:
+    """Each bus of a scope, with what its units are read by."""
+    buses = [bus for bus in settings.bus if scope.bus in (None, bus.name)]
+    wanted = micros(span.start), micros(min(span.end, now))
+    share = MAX_READINGS // max(1, len(buses))
+    return [ReportedBus(bus, BusReport(bus, scope.unit, wanted, share)) for bus in buses]
+
+
+def span_report(
+    connection: StoreConnection,
+    settings: Settings,
+    span: Shift,
+    now: UnixTime,
+    scope: Scope,
+    found: Sequence[tuple[BusSettings, UnitReport]],
+) -> dict[str, Any]:
+    """The report as the stores are; in a transaction. ``found``: what the units did, in floor order."""
+    until, signed = min(span.end, now), signed_sheet(connection, span.start)
+    where, values = scope.conditions()
+    came = connection.execute(
+        f"SELECT {_AT_END}, {_COLUMNS} {_RISEN}{where} ORDER BY at, id LIMIT ?",
+        (until, span.start, until, *values, MAX_ALARMS),
+    )
+    counts = CountsByUnit(*(_counts(connection, what, span.start, until) for what in (_RISEN, _COMMANDS)))
+    sheet = write_sheet(connection, settings, span, now, scope)
+    return {
+        **sheet,
+        "notes": sheet["notes"][-MAX_OF_SPAN:],
+        "signed": signed_json(signed if signed and signed.shift == span and not scope.bus else None),
+        "units": [_unit(bus, each, counts, round(until - span.start, DIGITS)) for bus, each in found],
+        "alarms": [{**transition_json(JournalEntry(*entry)), "at_end": at_end} for at_end, *entry in came],
+    }
+
+
+def _counts(
+    connection: StoreConnection, what: str, start: UnixTime, until: UnixTime
+) -> dict[tuple[str, int], int]:
+    rows = connection.execute(
+        f"SELECT bus, unit, count(*) {what} AND unit IS NOT NULL GROUP BY bus, unit", (start, until)
+    )
+    return {(bus, unit): times for bus, unit, times in rows}
+
+
+def _unit(bus: BusSettings, found: UnitReport, counts: CountsByUnit, lasts_s: float) -> ReportedUnit:
+    unit = next(each for each in bus.unit if each.id == found.unit)
+    place = bus.name, unit.id
+    shown: ReportedUnit = {
+        "bus": bus.name,
+        "unit": unit.id,
+        "name": unit.name,
+        "length": None,
+        "length_unit": None,
+        "draw": found.draw and _draw_shown(found.draw),
+        "alarms": counts.alarms.get(place, 0),
+        "commands": counts.commands.get(place, 0),
+    }
+    if found.runs is not None:
+        _add_runs(shown, found.runs, unit, lasts_s)
+    return shown
+
+
+def _draw_shown(draw: DrawFigures) -> ReportedDraw:
+    average, least, greatest = (round(each, DIGITS) for each in draw)
+    return {"average": average, "least": least, "greatest": greatest}
+
+
+def _add_runs(shown: ReportedUnit, figures: RunFigures, unit: UnitSettings, lasts_s: float) -> None:
+    ran = figures.running
+    shown["known_s"] = figures.known / SECOND
+    shown["unread_s"] = round(max(0.0, lasts_s - figures.known / SECOND), DIGITS)
+    shown["running_s"] = ran / SECOND
+    shown["at_speed_s"] = figures.at_speed / SECOND
+    shown["by_minute"] = figures.by_minute
+    shown["speed_average"] = round(figures.travel / ran, DIGITS) if ran else None
+    shown["speed_greatest"] = figures.fastest if ran else None
+    shown["speed_unit"] = unit.labels.unit
+    shown["stops"] = [
+        {
+            "start": iso(UnixTime(stop.at / SECOND)),
+            "end": iso(UnixTime(stop.until / SECOND)),
+            "seconds": (stop.until - stop.at) / SECOND,
+            "cause": stop.cause,
+        }
+        for stop in figures.stops
+    ]
+    length_unit, _, per = unit.labels.unit.strip().partition("/")
+    if length_unit and per.strip() in PER_S:
+        shown["length"] = round(figures.travel / SECOND / PER_S[per.strip()], DIGITS)
+        shown["length_unit"] = length_unit.strip()

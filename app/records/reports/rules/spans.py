@@ -1,0 +1,83 @@
+"""Which span a report is of, and when one that is sent on a schedule is due. Pure.
+
+A day is from midnight to midnight by the clock of the site, a week from Monday to Monday."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+from typing import Literal
+from zoneinfo import ZoneInfo
+
+from app.records.handover.rules.shift_times import Shift, shift_at
+from bus.instants import UnixTime
+from bus.messages import Message
+
+SpanName = Literal["shift", "last_shift", "today", "yesterday", "week"]
+ReportEvery = Literal["shift", "day", "week"]
+MAX_DAYS = 92
+MAX_UNIT_DAYS = 1800
+"""Units times days: all 255 units of a bus for a week."""
+DAY_S = 86_400.0
+SETTLE_S = 300.0
+"""So long after its end the report of a shift is sent: what readings come late are stored then."""
+LATE_S = 43_200.0
+"""A report that was due longer ago is not sent: the server was off, or the schedule is new."""
+_MIDNIGHT = (0,)
+
+
+def named_span(name: SpanName, now: UnixTime, starts: Sequence[int], zone: ZoneInfo) -> Shift:
+    """The span that people name; ``week``: today and the six days before."""
+    if name in ("shift", "last_shift"):
+        present = shift_at(now, starts, zone)
+        return present if name == "shift" else shift_at(present.start - 1.0, starts, zone)
+    today = _day(now, zone)
+    if name == "yesterday":
+        return _day(today.start - 1.0, zone)
+    return today if name == "today" else Shift(_days_before(now, 6, zone), today.end)
+
+
+def span_fault(span: Shift, now: UnixTime, units: int) -> Message | None:
+    """Why there is no report of a span of so many units; None: there is one."""
+    days = (min(span.end, now) - span.start) / DAY_S
+    if not UnixTime(0.0) < span.start < min(span.end, now):
+        return Message("report_span_malformed")
+    if days > MAX_DAYS:
+        return Message.of("report_span_too_long", days=MAX_DAYS)
+    if days * units > MAX_UNIT_DAYS:
+        most = max(1, int(MAX_UNIT_DAYS / units))
+        return Message.of("report_too_many_units", units=units, days=most)
+    return None
+
+
+def last_due(
+    every: ReportEvery, minute: int, now: UnixTime, starts: Sequence[int], zone: ZoneInfo
+) -> Shift | None:
+    """The last complete span whose report is due; None where that was too long ago. ``minute``: of the day,
+    at which that of a day is sent, and on Mondays that of a week."""
+    if every == "shift":
+        span = shift_at(shift_at(now - SETTLE_S, starts, zone).start - 1.0, starts, zone)
+        due = span.end + SETTLE_S
+    else:
+        due = shift_at(now, (minute,), zone).start
+        if every == "week":
+            due = _at_minute(due, datetime.fromtimestamp(float(due), zone).weekday(), minute, zone)
+        today = _day(due, zone).start
+        span = Shift(_days_before(due, 1 if every == "day" else 7, zone), today)
+    return span if now - due <= LATE_S else None
+
+
+def _day(at: UnixTime, zone: ZoneInfo) -> Shift:
+    return shift_at(at, _MIDNIGHT, zone)
+
+
+def _days_before(at: UnixTime, days: int, zone: ZoneInfo) -> UnixTime:
+    """The midnight so many days before that of a moment."""
+    return _day(_at_minute(at, days, 12 * 60, zone), zone).start
+
+
+def _at_minute(at: UnixTime, days: int, minute: int, zone: ZoneInfo) -> UnixTime:
+    """The moment at which the clock shows a minute, so many days before the day of another."""
+    local = datetime.fromtimestamp(float(at), zone).replace(tzinfo=None) - timedelta(days=days)
+    local = local.replace(hour=minute // 60, minute=minute % 60, second=0, microsecond=0)
+    return UnixTime(local.replace(tzinfo=zone).timestamp())

@@ -1,0 +1,110 @@
+"""Reports of any span while the server runs."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any
+from zoneinfo import ZoneInfo
+
+from app.core.database import Database, StoreConnection
+from app.core.database.connection import snapshot
+from app.core.web.admission.bounds import refuse_year
+from app.core.web.api.shape import parse_integer
+from app.core.web.services import unknown_bus, unknown_unit
+from app.errors import Problem
+from app.line.history.service import History
+from app.line.history.unit_report import UnitReport
+from app.records.handover.rules.scope import EVERYTHING, Scope
+from app.records.handover.rules.shift_times import Shift
+from app.records.reports.report import reported_buses, span_report
+from app.records.reports.rules.spans import SpanName, named_span, span_fault
+from app.settings import Settings
+from bus.instants import Clock, UnixTime, unix_now
+from bus.messages import Message
+from bus.settings import BusSettings
+
+
+class Reports:
+    """Reads a report from the stores of the running server."""
+
+    def __init__(
+        self, settings: Settings, database: Database, history: History, clock: Clock = unix_now
+    ) -> None:
+        self.settings = settings
+        self.zone = ZoneInfo(settings.site.zone)
+        self._database = database
+        self._history = history
+        self._clock = clock
+
+    def named(self, name: SpanName) -> Shift:
+        """A span by its name, as of now."""
+        return named_span(name, self._clock(), self.settings.shift.minutes, self.zone)
+
+    def span(self, since: str, until: str) -> Shift:
+        """A span by its ends as a field of a page has them, by the clock of the site; empty ``until``: now.
+        Raises Problem 422."""
+        return Shift(self._moment(since, "from"), self._moment(until, "to") if until else self._clock())
+
+    def scope(self, bus: str | None, unit: int | None) -> Scope:
+        """A line or a unit that is configured. Raises Problem 404, and 422 for a unit without its bus."""
+        if bus is None and unit is not None:
+            raise Problem(422, "invalid", Message("report_unit_without_bus"))
+        if bus is None:
+            return EVERYTHING
+        known = {each.name: {unit.id for unit in each.unit} for each in self.settings.bus}
+        if bus not in known:
+            raise unknown_bus(bus, known)
+        if unit is not None and unit not in known[bus]:
+            raise unknown_unit(bus, unit)
+        return Scope(bus, unit)
+
+    def scope_of(self, place: str) -> Scope:
+        """A scope as ``dry-end`` or ``dry-end/4``; empty: the site. Raises Problem 404."""
+        bus, slash, address = place.partition("/")
+        unit = parse_integer(address, 3) if slash else None
+        if slash and unit is None:
+            raise Problem(404, "unknown_unit", Message.of("report_unknown_place", place=place))
+        return self.scope(bus or None, unit)
+
+    async def report(self, span: Shift, scope: Scope) -> dict[str, Any]:
+        """The report of a span, of one under way up to now. Raises Problem 422, and StoreError."""
+        now = self._clock()
+        fault = span_fault(span, now, self._count(scope))
+        if fault is not None:
+            raise Problem(422, "invalid", fault)
+        found = await self._figures(span, scope, now)
+
+        def read(connection: StoreConnection) -> dict[str, Any]:
+            with snapshot(connection):
+                return span_report(connection, self.settings, span, now, scope, found)
+
+        return await self._database.read_costly(read)
+
+    async def _figures(
+        self, span: Shift, scope: Scope, now: UnixTime
+    ) -> list[tuple[BusSettings, UnitReport]]:
+        """Each unit in a read apart: others come in between."""
+        found = []
+        for bus, figures in reported_buses(self.settings, scope, span, now):
+            for unit in figures.units:
+                read = await self._history.read(
+                    lambda connection, tail, figures=figures, unit=unit: figures.read(connection, tail, unit),  # type: ignore[misc]
+                    costly=True,
+                )
+                if read is not None:
+                    found.append((bus, read))
+        return found
+
+    def _count(self, scope: Scope) -> int:
+        """How many units a scope has, at least one."""
+        places = ((bus.name, unit.id) for bus in self.settings.bus for unit in bus.unit)
+        return max(1, sum(scope.holds(*place) for place in places))
+
+    def _moment(self, text: str, name: str) -> UnixTime:
+        try:
+            written = datetime.fromisoformat(text.strip())
+            refuse_year(written, name)
+            return UnixTime((written if written.tzinfo else written.replace(tzinfo=self.zone)).timestamp())
+        except (ValueError, OverflowError):
+            wrong = Message.of("time_malformed", field=name, example="2026-11-21T06:00", text=text)
+            raise Problem(422, "invalid", wrong) from None

@@ -1,0 +1,52 @@
+"""``[[report]]`` of lineside.toml: reports that are sent by mail on a schedule."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated
+
+from pydantic import Field
+from pydantic_core import PydanticCustomError
+
+from app.records.notification.settings import ClockTime, MailAddress, NotifySettings, minute_of_day
+from app.records.reports.rules.spans import ReportEvery
+from bus.messages import Message
+from bus.settings import BusSettings, StrictModel
+
+
+class ReportSettings(StrictModel):
+    """A report that people get after each shift, day or week."""
+
+    every: ReportEvery
+    at: ClockTime = "06:00"
+    """When that of a day is sent, and on Mondays that of a week, local time; that of a shift is sent five
+    minutes after its end."""
+    bus: str | None = None
+    """None: all."""
+    unit: Annotated[int, Field(strict=True, ge=1, le=255)] | None = None
+    """None: all of the bus."""
+    to: Annotated[tuple[MailAddress, ...], Field(min_length=1, max_length=50)]
+
+    @property
+    def minute(self) -> int:
+        """``at`` as minutes after midnight."""
+        return minute_of_day(self.at)
+
+
+def refuse_unsendable(
+    reports: Iterable[ReportSettings], notify: NotifySettings, buses: Iterable[BusSettings]
+) -> None:
+    """Raises PydanticCustomError for a report of a bus or unit that is not configured, and for one without a
+    mail server."""
+    units = {bus.name: {unit.id for unit in bus.unit} for bus in buses}
+    for index, report in enumerate(reports):
+        if report.bus is not None and report.bus not in units:
+            raise _refusal(Message.of("setting_notify_bus", bus=report.bus), index, "bus")
+        if report.unit is not None and report.unit not in units.get(report.bus or "", ()):
+            raise _refusal(Message.of("setting_report_unit", unit=report.unit), index, "unit")
+        if notify.smtp is None:
+            raise _refusal(Message("setting_mail_server_missing"), index, "to")
+
+
+def _refusal(message: Message, index: int, key: str) -> PydanticCustomError:
+    return PydanticCustomError("report", "no such report", {"message": message, "at": ("report", index, key)})

@@ -1,0 +1,1 @@
+"""The machine room: configuration, backup, metrics, the plant's database, peers."""

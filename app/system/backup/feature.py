@@ -1,0 +1,20 @@
+"""The backups of the server."""
+
+from __future__ import annotations
+
+from zoneinfo import ZoneInfo
+
+from app.feature import Feature, Services
+from app.people.audit.log import EventLog
+from app.system.backup.service import Backups
+
+
+def make(services: Services) -> None:
+    settings = services.settings
+    zone = ZoneInfo(settings.site.zone)
+    backups = services.add(Backups(settings.backup, settings._file, zone, services[EventLog]))
+    if settings.backup.folder is not None:
+        services.lifespan.add("backups", backups.follow)
+
+
+FEATURE = Feature(make)

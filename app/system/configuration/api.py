@@ -1,0 +1,192 @@
+"""The configuration for programs: the same tables, checks and versions as on the pages."""
+
+from __future__ import annotations
+
+import asyncio
+from datetime import date
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from app.core.web.admission.access import Engineer, Person
+from app.core.web.api.route import ApiRoute
+from app.core.web.api.shape import MessageObject, StrictBody
+from app.core.web.services import service
+from app.errors import Problem
+from app.people.audit.acts import Act
+from app.system.configuration.acts import CHANGE, RESTART, ROLL_BACK
+from app.system.configuration.difference import DifferenceLine, difference
+from app.system.configuration.document import Edit, at
+from app.system.configuration.edits import act_on, edit_of
+from app.system.configuration.restart import Restart
+from app.system.configuration.service import ConfigurationFile
+from app.system.configuration.tables import TableKind, TablePlace, place_or_404, places_of, text_of
+from app.system.configuration.versions import ConfigurationVersion
+from bus.messages import Message
+from bus.text import OneLine
+
+router = APIRouter(prefix="/api/v1/configuration", tags=["configuration"], route_class=ApiRoute)
+
+FileOfServer = Annotated[ConfigurationFile, service(ConfigurationFile)]
+RestartOfServer = Annotated[Restart, service(Restart)]
+ConfigurationChanger = Annotated[Person, CHANGE.permitted]
+SetValue = str | bool | int | float | list[str | int | float]
+TableName = Annotated[str, Path(max_length=80, description="Keys and indexes, such as bus.0.unit.1.")]
+FileDigest = Annotated[str, Field(max_length=64, description="Of the file that the change began from.")]
+MAX_REASON = 200
+VersionNumber = Annotated[int, Path(ge=1, le=2**31, description="Number of a version.")]
+
+
+class ConfigurationTable(TypedDict):
+    """A table of the file that is changed here; ``values`` has those keys that are set, dotted."""
+
+    name: str
+    kind: TableKind
+    values: Annotated[dict[str, SetValue], Field(description="In the units of the file.")]
+
+
+class ConfigurationShown(TypedDict):
+    """The file. ``running``: whether the server runs with what it has; else the file takes effect at the next
+    start. ``faults``: why the server would not start with it."""
+
+    file: str
+    digest: str
+    writable: bool
+    running: bool
+    waiting: Annotated[
+        list[DifferenceLine], Field(description="Lines that take effect at the next start; secrets masked.")
+    ]
+    faults: list[MessageObject]
+    tables: list[ConfigurationTable]
+
+
+class ConfigurationVersions(TypedDict):
+    """Those that are kept, newest first."""
+
+    versions: list[ConfigurationVersion]
+    next: None
+
+
+class ConfigurationSince(TypedDict):
+    """A version, and how the file differs from it by now."""
+
+    version: ConfigurationVersion
+    difference: list[DifferenceLine]
+
+
+class ConfigurationChange(TypedDict):
+    """What was written, or with ``review`` would be; ``version``: null for a review."""
+
+    version: ConfigurationVersion | None
+    difference: list[DifferenceLine]
+
+
+class RestartRequest(StrictBody):
+    """The server restarts with the text of the file that has this digest, and no other."""
+
+    digest: FileDigest
+    reason: Annotated[OneLine, Field(max_length=MAX_REASON, description="Why, for the audit log.")] = ""
+
+
+class ConfigurationRollBackRequest(RestartRequest):
+    """``review``: nothing is written."""
+
+    review: bool = False
+
+
+class ConfigurationChangeRequest(ConfigurationRollBackRequest):
+    """``values``: keys to set, dotted, such as ``labels.output.1``; null removes one. ``act``: instead remove
+    the table, or exchange a unit with the one before it."""
+
+    act: Literal["change", "remove", "up"] = "change"
+    values: Annotated[dict[str, SetValue | None], Field(max_length=60, default_factory=dict)]
+
+
+@router.get("")
+async def get_configuration(_: Engineer, file: FileOfServer) -> ConfigurationShown:
+    """The tables of the file that can be changed here."""
+    present = await file.present()
+    return {
+        "file": str(file.path),
+        "digest": present.digest,
+        "writable": present.is_writable,
+        "running": present.is_running,
+        "waiting": await asyncio.to_thread(file.waiting, present),
+        "faults": list(present.faults),
+        "tables": [_table_shown(place, present.data) for place in places_of(present.data)],
+    }
+
+
+@router.put("/tables/{table_name}")
+async def change_configuration(
+    person: ConfigurationChanger, file: FileOfServer, table_name: TableName, body: ConfigurationChangeRequest
+) -> ConfigurationChange:
+    """Change a table. A name with the index behind the last one adds it."""
+    place = place_or_404(table_name, (await file.present()).data)
+    known = [field.key for field in place.form.fields]
+    for key in body.values:
+        if key not in known:
+            message = Message.of("configuration_no_key", key=key[:80], known=", ".join(known))
+            raise Problem(422, "invalid", message)
+    texts = {key: text_of(value) for key, value in body.values.items()}
+    return await _done(person, file, act_on(place), edit_of(place, body.act, texts), body)
+
+
+@router.get("/versions")
+async def get_configuration_versions(_: Engineer, file: FileOfServer) -> ConfigurationVersions:
+    """The versions of the file, with who wrote them and when."""
+    return {"versions": await file.versions(), "next": None}
+
+
+@router.get("/versions/{version_number}")
+async def get_configuration_version(
+    _: Engineer, file: FileOfServer, version_number: VersionNumber
+) -> ConfigurationSince:
+    """A version, and how the file differs from it by now. Secrets are masked."""
+    stored, present = await file.version(version_number), await file.present()
+    return {"version": stored.version, "difference": difference(stored.text, present.text)}
+
+
+@router.post("/versions/{version_number}/roll-back")
+async def roll_back_configuration(
+    person: Annotated[Person, ROLL_BACK.permitted],
+    file: FileOfServer,
+    version_number: VersionNumber,
+    body: ConfigurationRollBackRequest,
+) -> ConfigurationChange:
+    """Write the text of a version, as a version itself."""
+    stored = await file.version(version_number)
+    return await _done(person, file, ROLL_BACK, lambda _: stored.text, body)
+
+
+@router.post("/restart", status_code=204)
+async def restart_server(
+    person: Annotated[Person, RESTART.permitted], restart: RestartOfServer, body: RestartRequest
+) -> None:
+    """Restart the server with what the file has. The drives keep their speed; for a few seconds they are
+    neither monitored nor commanded."""
+    await restart.request(person, body.digest, body.reason)
+
+
+async def _done(
+    person: Person, file: ConfigurationFile, act: Act, edit: Edit, body: ConfigurationRollBackRequest
+) -> ConfigurationChange:
+    act.check(person)
+    review = await file.review(edit, body.digest)
+    if body.review:
+        file.refuse_faults(review)
+        return {"version": None, "difference": review.lines}
+    saved = await file.save(person, act, edit, body.digest, body.reason)
+    return {"version": saved, "difference": review.lines}
+
+
+def _table_shown(place: TablePlace, data: Any) -> ConfigurationTable:
+    found = ((field.key, at(data, (*place.path, *field.key.split(".")))) for field in place.form.fields)
+    values = {key: each.isoformat() if isinstance(each, date) else each for key, each in found}
+    return {
+        "name": place.name,
+        "kind": place.form.kind,
+        "values": {key: value for key, value in values.items() if value is not None},
+    }

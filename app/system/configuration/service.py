@@ -1,0 +1,263 @@
+"""The configuration file of this server: read, reviewed, written and kept in versions."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import structlog
+
+from app.core.database.private import fresh_file, sync_folder
+from app.core.web.admission.access import Person
+from app.errors import Problem, StoreError, or_404, system_error
+from app.people.audit.acts import Act
+from app.people.audit.log import EventLog
+from app.settings import Settings, parse
+from app.system.configuration.acts import ROLL_BACK
+from app.system.configuration.difference import DifferenceLine, difference
+from app.system.configuration.document import Edit, content_of
+from app.system.configuration.versions import ConfigurationVersion, StoredVersion, VersionOrigin, VersionStore
+from bus.configuration import ConfigurationError, read
+from bus.errors import LinesideError
+from bus.instants import Clock, unix_now
+from bus.messages import Message
+
+MAX_EVENT = 2000
+"""Characters of a difference in the audit log."""
+log = structlog.get_logger()
+
+
+class FileChangedError(LinesideError):
+    """The file was changed by hand while it was about to be replaced."""
+
+
+class PresentFile(NamedTuple):
+    """The file as it is now. ``data``: its content, None where it is no TOML; ``faults``: why the server
+    would not start with it; ``is_running``: whether the server runs with what it has."""
+
+    text: str
+    digest: str
+    data: Any
+    faults: tuple[Message, ...]
+    is_writable: bool
+    is_running: bool
+
+
+class ConfigurationReview(NamedTuple):
+    """What the file would become; with ``faults`` it is not written."""
+
+    text: str
+    lines: list[DifferenceLine]
+    faults: tuple[Message, ...]
+
+
+class SystemsBeside(list[Callable[[], Message]]):
+    """How each system is that the server is connected to, in a sentence; its feature adds it."""
+
+
+class ConfigurationFile:
+    """One change at a time. Nothing is written where the file is another than the one that a change began
+    from; what was changed by hand is a version before it is replaced."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        store: VersionStore,
+        events: EventLog,
+        clock: Clock = unix_now,
+    ) -> None:
+        self._store = store
+        self._settings = settings
+        self._events = events
+        self._clock = clock
+        self._one_at_a_time = asyncio.Lock()
+
+    @property
+    def path(self) -> Path:
+        """Raises Problem 404 where the server was started without a file."""
+        return or_404(self._settings._file, "not_found", Message("configuration_no_file"))
+
+    @property
+    def owner(self) -> str:
+        """Who may change the file where the server may not."""
+        try:
+            return self.path.owner()
+        except (OSError, KeyError):
+            return "root"
+
+    async def present(self) -> PresentFile:
+        """The file as it is; one that was changed by hand becomes a version. Raises Problem 404, and 409 for
+        one that cannot be read."""
+        async with self._one_at_a_time:
+            return await self._present()
+
+    async def begin(self) -> None:
+        """At the start: what was changed since the last version becomes one."""
+        if self._settings._file is not None:
+            with suppress(Problem):
+                await self.present()
+
+    async def versions(self) -> list[ConfigurationVersion]:
+        """Newest first."""
+        return [each.version for each in await asyncio.to_thread(self._store.every)]
+
+    def waiting(self, present: PresentFile) -> list[DifferenceLine]:
+        """The lines of the file that take effect at the next start."""
+        return [] if present.is_running else difference(self._settings._text, present.text)
+
+    async def version(self, number: int) -> StoredVersion:
+        """One of them. Raises Problem 404."""
+        found = await asyncio.to_thread(self._store.one, number)
+        return or_404(found, "not_found", Message.of("configuration_no_version", n=number))
+
+    async def version_of(self, digest: str) -> StoredVersion | None:
+        """The newest one with a text of this digest; None where none is kept."""
+        every = await asyncio.to_thread(self._store.every)
+        return next((each for each in every if each.version.digest == digest), None)
+
+    async def review(self, edit: Edit, digest: str) -> ConfigurationReview:
+        """What a change would make of the file. Raises Problem 409 where that is another one by now."""
+        present = await self.present()
+        self.refuse_superseded(present, digest)
+        return await asyncio.to_thread(self._reviewed, present, edit)
+
+    async def save(
+        self, person: Person, act: Act, edit: Edit, digest: str, reason: str
+    ) -> ConfigurationVersion:
+        """Write what a change makes of the file. Raises Problem 403, 409 or 422; then nothing was written."""
+        act.check(person)
+        async with self._one_at_a_time:
+            present = await self._present()
+            self.refuse_superseded(present, digest)
+            review = await asyncio.to_thread(self._reviewed, present, edit)
+            self.refuse_faults(review)
+            if review.text == present.text:
+                raise Problem(409, "not_in_state", Message("configuration_nothing_changed"))
+            if not present.is_writable:
+                message = Message.of("configuration_read_only", file=str(self.path), owner=self.owner)
+                raise Problem(409, "not_in_state", message)
+            return await self._stored(person, act, present, review, reason)
+
+    def refuse_superseded(self, present: PresentFile, digest: str) -> None:
+        """Raises Problem 409 where a change began from another text of the file."""
+        if present.digest != digest:
+            raise Problem(409, "superseded", Message("configuration_superseded"), digest=present.digest)
+
+    def refuse_faults(self, review: ConfigurationReview) -> None:
+        """Raises Problem 422 for a text with which the server would not start."""
+        if review.faults:
+            faults = Message.of("several", messages=list(review.faults))
+            raise Problem(422, "invalid", Message.of("configuration_not_valid", faults=faults))
+
+    def _not_written(self, error: Exception) -> Problem:
+        if isinstance(error, FileChangedError):
+            return Problem(409, "superseded", error.message)
+        message = Message.of("configuration_not_replaced", file=str(self.path), error=system_error(error))
+        return Problem(409, "not_in_state", message)
+
+    async def _present(self) -> PresentFile:
+        path = self.path
+        try:
+            text = await asyncio.to_thread(read, path)
+        except ConfigurationError as error:
+            raise Problem(409, "not_in_state", error.message) from error
+        await self._adopt(text)
+        return await asyncio.to_thread(self._judged, path, text)
+
+    async def _adopt(self, text: str) -> None:
+        """Where the text is none that was written here, make a version of it."""
+        newest = await asyncio.to_thread(self._store.newest)
+        digest = digest_of(text)
+        if newest is not None and newest.version.digest == digest:
+            return
+        number = await asyncio.to_thread(self._store.next_number)
+        origin: VersionOrigin = "found" if newest is None else "by_hand"
+        version = ConfigurationVersion(number, self._clock(), origin, digest)
+        try:
+            await asyncio.to_thread(self._store.add, StoredVersion(version, text))
+        except OSError as error:
+            log.warning("a version of the configuration is not kept", error=str(error))
+            return
+        if newest is not None:
+            what = Message.of("event_configuration_by_hand", version=number)
+            lines = difference(newest.text, text)
+            try:
+                await self._events.record(kind="configuration", what=what, message=_in_short(lines))
+            except StoreError:
+                # With the version the event would be done.
+                await asyncio.to_thread(self._store.withdraw, number)
+                raise
+
+    def _judged(self, path: Path, text: str) -> PresentFile:
+        faults: tuple[Message, ...] = ()
+        running, is_running = self._settings._text, text == self._settings._text
+        try:
+            parsed = parse(text, path)
+            is_running = is_running or parsed.model_dump() == parse(running, path).model_dump()
+        except ConfigurationError as error:
+            faults = error.faults
+        is_writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
+        return PresentFile(text, digest_of(text), content_of(text), faults, is_writable, is_running)
+
+    def _reviewed(self, present: PresentFile, edit: Edit) -> ConfigurationReview:
+        text = edit(present.text)
+        faults: tuple[Message, ...] = ()
+        try:
+            parse(text, self.path)
+        except ConfigurationError as error:
+            faults = error.faults
+        return ConfigurationReview(text, difference(present.text, text), faults)
+
+    async def _stored(
+        self, person: Person, act: Act, present: PresentFile, review: ConfigurationReview, reason: str
+    ) -> ConfigurationVersion:
+        number = await asyncio.to_thread(self._store.next_number)
+        origin: VersionOrigin = "rolled_back" if act is ROLL_BACK else "changed"
+        digest = digest_of(review.text)
+        version = ConfigurationVersion(number, self._clock(), origin, digest, person.account, reason)
+        try:
+            await asyncio.to_thread(self._store.add, StoredVersion(version, review.text))
+            performed = act.by(person, version=number, reason=reason or "-")
+            await self._events.record(**performed, message=_in_short(review.lines))
+            await asyncio.to_thread(replace_file, self.path, present.text, review.text)
+        except (OSError, FileChangedError) as error:
+            await asyncio.to_thread(self._store.withdraw, number)
+            problem = self._not_written(error)
+            await self._events.record(kind="configuration", **person.author, what=problem.message)
+            raise problem from error
+        except Exception:
+            await asyncio.to_thread(self._store.withdraw, number)
+            raise
+        return version
+
+
+def digest_of(text: str) -> str:
+    """Identifies a text of the file."""
+    return sha256(text.encode()).hexdigest()[:16]
+
+
+def replace_file(path: Path, before: str, text: str) -> None:
+    """Write all of a file or nothing, with the mode and, where permitted, the owner that it has. On disk when
+    this returns. Raises OSError, and FileChangedError where its text is not ``before`` in the last moment."""
+    found = path.stat()
+    with fresh_file(path, text.encode()) as fresh:
+        with suppress(PermissionError):
+            os.chown(fresh, found.st_uid, found.st_gid)
+        fresh.chmod(found.st_mode & 0o7777)
+        if read(path) != before:
+            raise FileChangedError(Message("configuration_superseded"))
+        fresh.replace(path)
+    sync_folder(path.parent)
+
+
+def _in_short(lines: list[DifferenceLine]) -> str:
+    """The lines that differ, for the audit log."""
+    signs = {"gone": "-", "new": "+"}
+    return "; ".join(f"{signs[each.kind]} {each.text.strip()}" for each in lines if each.kind in signs)[
+        :MAX_EVENT
+    ]

@@ -1,0 +1,51 @@
+"""The other servers whose lines are shown beside the own (``[[peer]]`` of lineside.toml)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+from urllib.parse import urlsplit
+
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
+
+from app.core.server.settings import WebUrl, is_loopback, url_refusal
+from bus.messages import Message
+from bus.settings import StrictModel
+from bus.text import OneLine
+
+
+def _server_address(written: str) -> str:
+    """Return the URL without a final slash. Raises ValueError where it is of a page, not of a server."""
+    parts = urlsplit(written)
+    if parts.path not in ("", "/") or parts.query or parts.fragment:
+        raise url_refusal(Message("setting_peer_url"))
+    return written.rstrip("/")
+
+
+class PeerSettings(StrictModel):
+    """Another server. ``token_file``: has a token of it with the role viewer; ``ca_file``: whom to trust
+    instead of the authorities of the machine."""
+
+    name: Annotated[OneLine, Field(min_length=1, max_length=80)]
+    url: Annotated[WebUrl, AfterValidator(_server_address)]
+    token_file: Path
+    ca_file: Path | None = None
+
+    @property
+    def is_in_clear(self) -> bool:
+        """Whether its token passes other machines without TLS."""
+        parts = urlsplit(self.url)
+        return parts.scheme == "http" and not is_loopback(parts.hostname or "")
+
+
+def refuse_repeated(peers: Iterable[PeerSettings]) -> None:
+    """Raises PydanticCustomError for two peers of one name or one address."""
+    known: dict[str, str] = {}
+    for index, peer in enumerate(peers):
+        for key, value in (("name", peer.name), ("url", peer.url.lower())):
+            if value in known and known[value] == key:
+                message = Message.of("setting_peer_twice", key=key, value=value)
+                raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, key)})
+            known[value] = key

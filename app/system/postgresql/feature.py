@@ -1,0 +1,35 @@
+"""The plant's database, where one is configured: its publisher, and the alarms of one that is behind."""
+
+from __future__ import annotations
+
+from app.core.database import Database
+from app.feature import Feature, Services
+from app.line.alarms.monitor.site_alarms import SiteAlarms
+from app.line.conditions import of_server
+from app.line.history.service import History
+from app.system.configuration.service import SystemsBeside
+from app.system.postgresql.publisher import Publisher
+from bus.instants import unix_now
+from bus.messages import Message
+
+
+def make(services: Services) -> None:
+    to = services.settings.postgresql
+    if to is None:
+        return
+    publisher = services.add(Publisher(services.settings, to, services[Database], services[History]))
+    services.lifespan.add("publisher", publisher.follow, end=publisher.end)
+
+    def behind() -> Message | bool:
+        status = publisher.status
+        return of_server.PUBLISHER_BEHIND.holds(status.lag_s(unix_now())) and (status.notice or True)
+
+    def day_behind() -> bool:
+        return of_server.PUBLISHER_DAY_BEHIND.holds(publisher.status.lag_s(unix_now()))
+
+    services[SystemsBeside].append(lambda: publisher.status.state(unix_now()))
+    services[SiteAlarms].watch("publisher_behind", behind)
+    services[SiteAlarms].watch("publisher_day_behind", day_behind)
+
+
+FEATURE = Feature(make)

@@ -1,0 +1,167 @@
+"""Copies what is stored into the plant's database, at once, or when the database is there again.
+
+Nothing waits for it. The threads of readers read the stores, and a thread of its own waits for the database.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from functools import partial
+
+import structlog
+
+from app.core.database import Database, StoreConnection
+from app.core.server.in_thread import in_thread
+from app.errors import StoreError
+from app.line.history.series.runs import MINUTE, micros
+from app.line.history.service import History, seconds
+from app.line.history.tail import Tail
+from app.line.history.writer import LATE
+from app.settings import Settings
+from app.system.postgresql.destination import Destination
+from app.system.postgresql.outbox import (
+    SETTLED,
+    Batch,
+    Cursor,
+    HistoryRows,
+    add_entries,
+    end_of_blocks,
+    end_of_logs,
+    first_block_since,
+    read_cursor,
+    read_identity,
+    write_cursor,
+)
+from app.system.postgresql.settings import PostgresqlSettings
+from app.system.postgresql.status import PublisherStatus
+from bus.instants import Clock, Monotonic, monotonic_now, unix_now
+from bus.messages import in_english
+
+EVERY_S = 1.0
+REST = 4.0
+"""How many times as long as a batch took it rests while it is behind: people and buses come first."""
+MAX_REST_S = 2.0
+RETRY_S = (1.0, 2.0, 5.0, 10.0, 30.0)
+"""Between attempts, the last one again and again."""
+STORE_EVERY_S = 10.0
+"""How often the cursor is stored. After a crash what was sent since is sent again."""
+AGAIN = 2 * MINUTE
+"""How much is sent again after a start: a store from a backup may be a moment older than the cursor, µs."""
+KEEP_UP_EVERY_S = 6 * 3600.0
+log = structlog.get_logger()
+
+
+class Publisher:
+    """Publishes what the stores of a site have. After any failure it waits and goes on where it was."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        to: PostgresqlSettings,
+        database: Database,
+        history: History,
+        clock: Clock = unix_now,
+    ) -> None:
+        identity = database.read_now(read_identity)
+        self._destination = Destination(to, settings.site.name, identity, settings.bus)
+        self._rows = HistoryRows(settings, to.step)
+        self._database, self._history, self._clock = database, history, clock
+        self._step = to.step
+        self._cursor: Cursor | None = None
+        self._stored: Cursor | None = None
+        self._store_at = self._keep_up_at = Monotonic(0.0)
+        self._shown_until = 0
+        self._failures = 0
+        self.status = PublisherStatus(to.place, clock())
+
+    async def follow(self) -> None:
+        """Publish without end."""
+        try:
+            while True:
+                wait_s = await self._attempt()
+                await asyncio.sleep(wait_s)
+        finally:
+            self._destination.abandon()
+
+    async def end(self) -> None:
+        """Store the cursor as the server ends."""
+        if self._cursor is not None and self._cursor != self._stored:
+            await self._store(self._cursor)
+
+    async def _attempt(self) -> float:
+        """Publish one batch; return for how many seconds to wait then."""
+        began = monotonic_now()
+        try:
+            is_behind = await self._publish()
+        except StoreError as error:
+            if self.status.fault != error.message:
+                log.warning("not published", why=in_english(error.message))
+            self.status = replace(self.status, fault=error.message)
+            wait = RETRY_S[min(self._failures, len(RETRY_S) - 1)]
+            self._failures += 1
+            return wait
+        if self.status.fault is not None:
+            log.info("published again")
+        self._failures = 0
+        self.status = replace(self.status, fault=None, clock_ahead_s=self._destination.clock_ahead_s)
+        took = monotonic_now() - began
+        return min(MAX_REST_S, REST * took) if is_behind else max(0.0, EVERY_S - took)
+
+    async def _publish(self) -> bool:
+        """Send what is behind the cursor, as much as one batch has; return whether there is more. Raises
+        StoreError."""
+        before = self._cursor = self._cursor or await self._begin()
+        await in_thread(self._destination.connect, stop=self._destination.abandon)
+        now, batch = micros(self._clock()), Batch()
+        cursor, has_entries = await self._database.read(lambda c: add_entries(c, before, batch))
+        read = partial(self._add_readings, cursor=cursor, now=now, batch=batch)
+        cursor, has_readings, shown_until = await self._history.read(read)
+        self._history.report(self._rows.damaged)
+        self._rows.damaged = []
+        if has_entries and has_readings:
+            cursor = replace(cursor, until=now)
+        if batch.size:
+            send = partial(self._destination.send, batch, self._clock())
+            await in_thread(send, stop=self._destination.abandon)
+        self._shown_until = shown_until
+        await self._advance(cursor, batch.size)
+        return not (has_entries and has_readings)
+
+    def _add_readings(
+        self, connection: StoreConnection, tail: Tail, cursor: Cursor, now: int, batch: Batch
+    ) -> tuple[Cursor, bool, int]:
+        cursor, has_all = self._rows.add_blocks(connection, tail, cursor, batch)
+        if not has_all:
+            return cursor, False, self._shown_until
+        self._rows.add_lost(connection, now - LATE, batch)
+        end = now - SETTLED - (now - SETTLED) % (self._step or 1)
+        self._rows.add_newest(connection, tail, (self._shown_until or end - AGAIN, end), batch)
+        return cursor, True, end
+
+    async def _begin(self) -> Cursor:
+        """Return the stored cursor, or one at the end of what is stored: its past is filled in by a
+        command."""
+        stored = await self._database.read(read_cursor)
+        if stored is None:
+            events, alarms = await self._database.read(end_of_logs)
+            blocks = await self._history.read(lambda connection, _: end_of_blocks(connection))
+            return Cursor(blocks, events, alarms, micros(self._clock()))
+        self.status = replace(self.status, until=seconds(stored.until))
+        again = await self._history.read(lambda c, _: first_block_since(c, stored.until - AGAIN))
+        return stored if again is None else replace(stored, blocks=min(stored.blocks, again - 1))
+
+    async def _advance(self, cursor: Cursor, rows: int) -> None:
+        self._cursor = cursor
+        self.status = replace(self.status, until=seconds(cursor.until), rows=self.status.rows + rows)
+        if monotonic_now() >= self._store_at:
+            self._store_at = monotonic_now() + STORE_EVERY_S
+            await self._store(cursor)
+        if monotonic_now() >= self._keep_up_at:
+            self._keep_up_at = monotonic_now() + KEEP_UP_EVERY_S
+            now = self._clock()
+            await in_thread(partial(self._destination.keep_up, now), stop=self._destination.abandon)
+
+    async def _store(self, cursor: Cursor) -> None:
+        await self._database.write(lambda connection: write_cursor(connection, cursor))
+        self._stored = cursor

@@ -1,0 +1,263 @@
+"""Makes what the stores have into rows of the plant's database: plain values in engineering units. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from typing import Any, NamedTuple
+
+from app.line.history.series.downsampling import Series
+from app.line.history.series.figures import RunFigures, RunStretch, run_figures
+from app.line.history.series.runs import MINUTE, SECOND, Run
+from app.line.history.series.values import VALUES, Scaling
+from app.people.audit.entry import is_moment
+from app.records.reports.report import PER_S
+from bus.settings import BusSettings, UnitSettings
+
+Row = tuple[Any, ...]
+BITS = tuple(value for value in VALUES.values() if value.kind == "bit")
+BIT_COLUMNS = tuple(value.name.replace(".", "_") for value in BITS)
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+class Table(NamedTuple):
+    """A table that rows are sent to. ``columns``: in the order of a row, without that of the site, which is
+    the first; ``key``: those that name a row, beside the site; ``is_final``: a row never changes."""
+
+    name: str
+    columns: tuple[str, ...]
+    key: tuple[str, ...]
+    is_final: bool = False
+
+
+READING = Table(
+    "reading",
+    ("at", "bus", "unit", "commanded", "actual", "analog", "decimals", *BIT_COLUMNS, "link"),
+    ("at", "bus", "unit"),
+)
+MINUTE_TABLE = Table(
+    "minute",
+    (
+        *("at", "bus", "unit", "count", "actual_min", "actual_avg", "actual_max"),
+        *("known_s", "run_s", "at_speed_s", "length"),
+    ),
+    ("at", "bus", "unit"),
+)
+EVENT = Table(
+    "event",
+    (
+        *("at", "id", "kind", "about", "who", "origin", "bus", "unit", "what", "old", "new"),
+        *("old_raw", "new_raw", "outcome", "message", "count", "previous", "hash"),
+    ),
+    ("at", "id", "hash"),
+    is_final=True,
+)
+ALARM = Table(
+    "alarm",
+    (
+        *("came", "alarm", "occurrence", "code", "name", "bus", "unit", "priority"),
+        *("cleared", "acknowledged", "acknowledged_by", "comment"),
+    ),
+    ("came", "alarm", "occurrence"),
+)
+UNIT = Table(
+    "unit",
+    (
+        *(
+            "valid_from",
+            "bus",
+            "unit",
+            "name",
+            "section",
+            "speed_unit",
+            "length_unit",
+            "analog_name",
+            "analog_unit",
+        ),
+        *(f"output_{number}_name" for number in range(1, 7)),
+    ),
+    ("valid_from", "bus", "unit"),
+)
+TABLES = (READING, MINUTE_TABLE, EVENT, ALARM, UNIT)
+
+
+def instant(at: int) -> datetime:
+    """Convert µs since the epoch to an instant, exactly."""
+    return _EPOCH + timedelta(microseconds=at)
+
+
+def instant_of(at: float | None) -> datetime | None:
+    """Convert Unix time to an instant; 1970 for one that no calendar has."""
+    return None if at is None else instant(round(at * SECOND) if is_moment(at) else 0)  # type: ignore[arg-type]
+
+
+# --- readings ---------------------------------------------------------------------------------------------
+
+
+def points_of(runs: Iterable[Run]) -> Iterator[tuple[int, Run]]:
+    """Yield each reading that is stored by itself: of a run its first and, if it lasted, its last."""
+    for run in runs:
+        yield run.at, run
+        if run.until > run.at:
+            yield run.until, run
+
+
+def steps_of(runs: Iterable[Run], step: int) -> Iterator[tuple[int, Run]]:
+    """Yield the last reading of each step in which the unit responded, by the beginning of the step, µs."""
+    last: dict[int, Run] = {}
+    for run in runs:
+        first = run.at - run.at % step
+        if run.until < first + step:
+            last[first] = run
+        else:
+            last.update(dict.fromkeys(_steps_within(run, step), run))
+    yield from sorted(last.items())
+
+
+def _steps_within(run: Run, step: int) -> Iterable[int]:
+    first, final = run.at - run.at % step, run.until - run.until % step
+    apart = (run.until - run.at) / max(1, run.readings - 1)
+    if apart <= step:
+        return range(first, final + step, step)
+    instants = (run.at + round(number * apart) for number in range(run.readings))
+    return (at - at % step for at in instants)
+
+
+class Scales(NamedTuple):
+    """The scales of the values of a unit over all time."""
+
+    commanded: Scaling
+    actual: Scaling
+    analog: Scaling
+
+
+def reading_rows(
+    place: tuple[str, int], points: Iterable[tuple[int, Run]], scales: Scales, estop_healthy: int
+) -> Iterator[Row]:
+    """Yield the rows of a unit. ``place``: its bus and its number."""
+    for at, run in points:
+        commanded, actual, analog = (scaling.at(run.at) for scaling in scales)
+        yield (
+            instant(at),
+            *place,
+            commanded.apply(run.commanded),
+            actual.apply(run.actual),
+            analog.apply(run.analog),
+            actual.decimals,
+            *_bits(run.word, estop_healthy),
+            "online",
+        )
+
+
+@cache
+def _bits(word: int, estop_healthy: int) -> tuple[bool, ...]:
+    bits = {value.name: bool(word >> value.bit & 1) for value in BITS}
+    return tuple((bits | {"estop": bits["estop"] != bool(estop_healthy)}).values())
+
+
+def lost_row(place: tuple[str, int], at: int, link: str) -> Row:
+    """Return the row of the moment at which a unit or its bus was lost: it has no values."""
+    values = (None,) * (len(READING.columns) - len(READING.key) - 1)
+    return (instant(at), *place, *values, link)
+
+
+# --- minutes ----------------------------------------------------------------------------------------------
+
+
+def length_of(unit: UnitSettings | None) -> tuple[str, int] | None:
+    """Return the unit of a length of web, and the seconds in the time of the unit of speed; None where the
+    unit of speed, such as m/min, does not say both."""
+    length, _, per = (unit.labels.unit if unit else "").strip().partition("/")
+    return (length.strip(), PER_S[per.strip()]) if length and per.strip() in PER_S else None
+
+
+def minute_rows(
+    place: tuple[str, int],
+    series: Series,
+    counts: Iterable[int],
+    figures: Mapping[int, RunFigures] | None,
+    per_s: int | None,
+) -> Iterator[Row]:
+    """Yield the rows of the minutes of a unit. ``series``: its actual speed; ``figures``: of each minute,
+    None for a follower whose speeds are ratios; ``per_s``: see `length_of`."""
+    columns = (series.at, counts, series.least, series.average, series.greatest)
+    for at, count, least, average, greatest in zip(*columns, strict=True):
+        run = None if figures is None else figures.get(at, RunFigures())
+        yield (
+            instant(at),
+            *place,
+            count,
+            least,
+            average,
+            greatest,
+            *(_times(run, per_s) if run else (None,) * 4),
+        )
+
+
+def _times(run: RunFigures, per_s: int | None) -> Row:
+    length = None if per_s is None else run.travel / SECOND / per_s
+    return run.known / SECOND, run.running / SECOND, run.at_speed / SECOND, length
+
+
+def figures_by_minute(
+    stretches: Iterable[RunStretch], estop_healthy: int, speed_of: Callable[[int, int], float]
+) -> dict[int, RunFigures]:
+    """Return the figures of each minute; what lasts over its end is divided."""
+    parts: dict[int, list[RunStretch]] = {}
+    for at, until, run in stretches:
+        while at < until:
+            minute = at - at % MINUTE
+            end = min(until, minute + MINUTE)
+            parts.setdefault(minute, []).append(RunStretch(at, end, run))
+            at = end
+    return {minute: run_figures(part, estop_healthy, speed_of) for minute, part in parts.items()}
+
+
+# --- events, alarms, units --------------------------------------------------------------------------------
+
+
+def event_row(entry: Mapping[str, Any]) -> Row:
+    """Return the row of an entry of the audit log. The outcome of a command is an entry of its own, about the
+    command."""
+    return (instant_of(entry["time"]), *(_text(entry[name]) for name in EVENT.columns[1:]))
+
+
+def alarm_row(transitions: Sequence[Mapping[str, Any]]) -> Row | None:
+    """Return the row of an occurrence of an alarm, of its transitions in order; None where it never came."""
+    last = {each["trigger"]: each for each in transitions}
+    came, cleared, answer = last.get("rise"), last.get("clear"), last.get("acknowledge")
+    if came is None:
+        return None
+    return (
+        instant_of(came["at"]),
+        *(_text(came[name]) for name in ALARM.columns[1:8]),
+        instant_of(cleared["at"]) if cleared else None,
+        *(
+            (instant_of(answer["at"]), _text(answer["who"]), _text(answer["reason"]))
+            if answer
+            else (None,) * 3
+        ),
+    )
+
+
+def unit_row(bus: BusSettings, unit: UnitSettings, valid_from: datetime) -> Row:
+    """Return the row of table ``unit`` that holds from ``valid_from`` on, with the names it has then."""
+    length, labels = length_of(unit), unit.labels
+    return (
+        valid_from,
+        bus.name,
+        unit.id,
+        unit.name,
+        unit.group,
+        labels.unit,
+        length[0] if length else "",
+        labels.analog,
+        labels.analog_unit,
+        *(labels.output.get(number, "") for number in range(1, 7)),
+    )
+
+
+def _text(value: Any) -> Any:
+    """Return a text without NUL, which PostgreSQL does not take."""
+    return value.replace("\0", "\ufffd") if isinstance(value, str) else value

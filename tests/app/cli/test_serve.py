@@ -1,0 +1,427 @@
+"""``lineside serve`` and ``lineside demo`` as processes: they start, restart what dies, and end
+completely.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+from app.cli.serving import hosting
+from app.cli.serving.hosting import HostingError, only_one
+from app.cli.serving.listening import NEXT_PORTS, ListenError, listen, listen_from
+from app.cli.simulated.demo import CHOOSE
+from app.core.database import Database
+from app.core.server.service_manager import ServiceManager
+from app.settings import load
+from bus.instants import monotonic_now
+from tests import fork_server
+from tests.fork_server import ForkedProcess
+from tests.sizes import sizes
+
+ROOT = Path(__file__).resolve().parents[3]
+LINESIDE = Path(sys.executable).with_name("lineside")
+PATIENCE_S = 60.0
+"""This machine may be busy; nothing here is a measurement."""
+Process = subprocess.Popen[str] | ForkedProcess
+CONFIG = """\
+[server]
+port = 0
+[[bus]]
+name = "dry-end"
+port = "{port}"
+[[bus.unit]]
+id = 1
+name = "Unwind"
+"""
+
+
+def eventually(condition: Callable[[], Any], what: str) -> Any:
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        result = condition()
+        if result:
+            return result
+        time.sleep(0.05)
+    raise AssertionError(f"never: {what}")
+
+
+def children_of(pid: int) -> list[int]:
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = status.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid and fields[0] != "Z":
+            found.append(int(status.parent.name))
+    return sorted(found)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@contextmanager
+def started(*words: str, as_installed: bool = False) -> Iterator[tuple[Process, str]]:
+    """The process and the URL that it prints. ``as_installed``: by the command; otherwise it is forked."""
+    process: Process
+    if as_installed:
+        process = subprocess.Popen([LINESIDE, *words], stdout=subprocess.PIPE, text=True)
+    else:
+        process = fork_server.start(*words, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    try:
+        line = process.stdout.readline()
+        url = re.search(r"http://127\.0\.0\.1:\d+", line)
+        assert url, f"no URL in {line!r}"
+        yield process, url[0]
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "lineside.toml"
+    path.write_text(CONFIG.format(port=tmp_path / "absent"))
+    return path
+
+
+def is_serving(url: str) -> bool:
+    return httpx.get(f"{url}/healthz", trust_env=False).json() == {"status": "ok"}
+
+
+def only_child(process: Process) -> int:
+    return int(eventually(lambda: children_of(process.pid), "a worker runs")[0])
+
+
+@pytest.mark.parametrize(
+    ("number", "as_installed", "within_s"),
+    [
+        (signal.SIGTERM, True, PATIENCE_S),
+        (signal.SIGINT, False, PATIENCE_S),
+        pytest.param(signal.SIGTERM, False, 5.0, marks=pytest.mark.soak),
+    ],
+)
+def test_it_ends_completely(config: Path, number: int, as_installed: bool, within_s: float) -> None:
+    with started("serve", "--config", str(config), as_installed=as_installed) as (process, url):
+        assert is_serving(url)
+        worker = only_child(process)
+        process.send_signal(number)
+        assert process.wait(timeout=within_s) == 0
+        assert not is_alive(worker)
+    proof = fork_server.run("audit", "verify", "--config", config)
+    assert proof.returncode == 0, proof.stderr
+
+
+def test_a_stop_while_the_dashboard_is_still_read_ends_its_workers_at_once(
+    config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    happened: list[str] = []
+    workers_ended = threading.Event()
+
+    class Workers:
+        def __init__(self, *_: object, **__: object) -> None: ...
+
+        def start_all(self) -> None: ...
+
+        async def stop_all(self) -> None:
+            happened.append("workers ended")
+            workers_ended.set()
+
+    def import_module(_: str) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        workers_ended.wait(PATIENCE_S)
+        happened.append("dashboard read")
+
+    monkeypatch.setattr(hosting, "WorkerProcesses", Workers)
+    monkeypatch.setattr(hosting, "import_module", import_module)
+    monkeypatch.setattr(hosting, "configure_log", lambda: None)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        hosting.host(load(config), config, listening, ServiceManager({}), monotonic_now())
+    assert happened == ["workers ended", "dashboard read"]
+
+
+def test_an_open_page_does_not_hold_the_end_up(config: Path) -> None:
+    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
+    with started("serve", "--config", str(config)) as (process, url):
+        address = url.replace("http", "ws", 1) + "/live"
+        headers = {"Authorization": f"Bearer {token}"}
+        with connect(address, additional_headers=headers, proxy=None) as page:
+            assert "snapshot" in str(page.recv())
+            process.terminate()
+            assert process.wait(timeout=PATIENCE_S) == 0
+            with pytest.raises(ConnectionClosed):
+                read_to_the_end(page)
+
+
+def read_to_the_end(page: ClientConnection) -> None:
+    while True:
+        page.recv()
+
+
+def test_no_worker_outlives_a_killed_parent(config: Path) -> None:
+    with started("serve", "--config", str(config)) as (process, _):
+        worker = only_child(process)
+        process.kill()
+        process.wait()
+        eventually(lambda: not is_alive(worker), "the worker ends too")
+
+
+def test_a_worker_that_dies_is_started_again(config: Path) -> None:
+    with started("serve", "--config", str(config)) as (process, url):
+        first = only_child(process)
+        os.kill(first, signal.SIGKILL)
+        second = eventually(
+            lambda: [pid for pid in children_of(process.pid) if pid != first], "another worker runs"
+        )
+        assert is_serving(url)
+        assert second != [first]
+
+
+@pytest.mark.soak
+def test_a_worker_that_is_frozen_is_replaced(config: Path) -> None:
+    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
+    with started("serve", "--config", str(config)) as (process, url):
+
+        def is_linked() -> bool:
+            headers = {"Authorization": f"Bearer {token}"}
+            line = httpx.get(f"{url}/api/v1/line", headers=headers, trust_env=False).json()
+            return bool(line["buses"][0]["worker"])
+
+        eventually(is_linked, "the worker is linked")
+        frozen = only_child(process)
+        os.kill(frozen, signal.SIGSTOP)
+        eventually(lambda: not is_alive(frozen), "the frozen worker is killed")
+        eventually(lambda: children_of(process.pid) not in ([], [frozen]), "another worker runs")
+        eventually(is_linked, "it is linked")
+
+
+def test_the_app_knows_its_worker_and_reports_the_missing_port(config: Path) -> None:
+    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
+    with started("serve", "--config", str(config)) as (process, url):
+
+        def bus() -> Any:
+            headers = {"Authorization": f"Bearer {token}"}
+            return httpx.get(f"{url}/api/v1/line", headers=headers, trust_env=False).json()["buses"][0]
+
+        eventually(lambda: bus()["worker"], "the worker is linked")
+        eventually(lambda: "absent" in bus()["link_cause"]["detail"], "the cause names the port")
+        assert bus()["link"] == "closed"
+        harmless = {"LINESIDE_PARENT", "PYDANTIC_DISABLE_PLUGINS", "COLUMNS", "LINES"}
+        assert shown_by_ps(only_child(process)) <= harmless
+
+
+def test_the_description_of_the_api_writes_no_warning_into_the_log(config: Path) -> None:
+    """As installed: the models are built when the description is read."""
+    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
+    log = config.with_name("log")
+    words = [LINESIDE, "serve", "--config", str(config)]
+    with log.open("w") as output, subprocess.Popen(words, stdout=output, stderr=output) as process:
+        try:
+            url = eventually(lambda: re.search(r"http://127\.0\.0\.1:\d+", log.read_text()), "it serves")[0]
+            headers = {"Authorization": f"Bearer {token}"}
+            found = httpx.get(f"{url}/api/v1/openapi.json", headers=headers, trust_env=False, timeout=30)
+        finally:
+            process.terminate()
+    assert found.status_code == 200
+    assert "Warning" not in log.read_text()
+
+
+def shown_by_ps(pid: int) -> set[str]:
+    """The variables that a listing shows of a worker, beyond those of this test."""
+    shown = Path(f"/proc/{pid}/environ").read_text().split("\0")
+    arguments = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+    assert {each for each in arguments if each.startswith("--")} == {"--config", "--bus", "--app", "--child"}
+    return {each.partition("=")[0] for each in shown} - os.environ.keys() - {""}
+
+
+def test_a_busy_port_prints_one_line_and_exits_with_1(config: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        config.write_text(config.read_text().replace("port = 0", f"port = {port}"))
+        done = fork_server.run("serve", "--config", config)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.count("\n") == 1
+    assert f"port {port} of 127.0.0.1 is in use by another program" in done.stderr
+    assert f"set port in [server] of {config}" in done.stderr
+
+
+def test_a_demo_on_a_busy_port_names_its_option() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        done = fork_server.run("demo", "--port", port)
+        # These tests may run under another make, which passes its options down.
+        environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
+        command = ["make", "--no-print-directory", "demo", f"PORT={port}"]
+        made = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert "lineside demo --port 8100, or make demo PORT=8100" in done.stderr
+    assert made.returncode != 0
+    assert made.stderr.startswith(f"Port {port} is in use."), "before everything else that make would do"
+    assert "make demo PORT=8100" in made.stderr
+
+
+def test_a_demo_without_a_port_takes_the_next_that_is_free() -> None:
+    with listen("127.0.0.1", 0, CHOOSE) as taken:
+        first = taken.getsockname()[1]
+        with listen_from("127.0.0.1", first, CHOOSE) as found:
+            assert first < found.getsockname()[1] <= first + NEXT_PORTS
+    with pytest.raises(ListenError, match="no address of this machine"):
+        listen_from("192.0.2.1", first, CHOOSE)
+
+
+@pytest.mark.parametrize("port", ["abc", "80x"])
+def test_make_refuses_a_word_as_a_port(port: str) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
+    made = subprocess.run(
+        ["make", "free-port", f"PORT={port}"], capture_output=True, text=True, cwd=ROOT, env=environment
+    )
+    assert made.returncode != 0
+    assert f"PORT={port} is no number" in made.stderr
+    assert "in use" not in made.stderr
+
+
+@pytest.mark.parametrize(
+    ("host", "words"),
+    [("192.0.2.1", "is no address of this machine"), ("a..b", "there is no host 'a..b'")],
+)
+def test_an_impossible_address_is_reported(host: str, words: str) -> None:
+    with pytest.raises(ListenError, match=words):
+        listen(host, 0, "choose another")
+
+
+def test_two_servers_never_share_their_data(config: Path) -> None:
+    with started("serve", "--config", str(config)):
+        done = fork_server.run("serve", "--config", config)
+    assert done.returncode == 1
+    assert "another Lineside server uses" in done.stderr
+
+
+def test_a_service_that_cannot_start_is_named_in_one_line(config: Path) -> None:
+    store = load(config).server.store
+    Database(store).close()
+    with closing(sqlite3.connect(store)) as connection:
+        connection.execute("ALTER TABLE swap RENAME TO lost")
+    done = fork_server.run("serve", "--config", config)
+    assert (done.returncode, done.stdout) == (1, "")
+    reason = "lineside: the dashboard could not start: swaps of dry-end: "
+    assert done.stderr.splitlines()[-1].startswith(reason)
+    assert "Traceback" not in done.stderr
+    with closing(sqlite3.connect(store)) as connection:
+        (last,) = connection.execute("SELECT what FROM events ORDER BY id DESC LIMIT 1").fetchone()
+    assert last == "server stopped"
+
+
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "data").write_text("no folder")
+    with pytest.raises(HostingError, match="File exists; give the server"):
+        only_one(tmp_path / "data").__enter__()
+
+
+def test_a_store_that_is_missing_is_not_replaced(config: Path, tmp_path: Path) -> None:
+    fork_server.run("audit", "rotate-key", "--config", config)  # makes the store
+    former = (tmp_path / "lineside.audit.key").read_bytes()
+    (tmp_path / "data").rename(tmp_path / "unmounted")
+    for words in (("serve",), ("user", "list"), ("audit", "rotate-key")):
+        done = fork_server.run(*words, "--config", config)
+        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+        assert f"the store {tmp_path / 'data' / 'lineside.db'} is missing" in done.stderr
+        assert "lineside serve --new" in done.stderr
+    assert not (tmp_path / "data").exists()
+    (tmp_path / "unmounted").rename(tmp_path / "data")
+    with started("serve", "--config", str(config)) as (_, url):
+        assert is_serving(url)
+    assert (tmp_path / "lineside.audit.key").read_bytes() == former
+
+
+@pytest.mark.parametrize(
+    "content", sizes(b"", None, b"no store " * 1000), ids=["empty", "missing", "damaged"]
+)
+def test_a_new_site_is_begun_by_command_and_recorded(
+    config: Path, tmp_path: Path, content: bytes | None
+) -> None:
+    store = tmp_path / "data" / "lineside.db"
+    fork_server.run("audit", "rotate-key", "--config", config)  # makes the store
+    there = fork_server.run("serve", "--new", "--config", config)
+    assert (there.returncode, there.stderr.count("\n")) == (1, 1)
+    assert "holds a site" in there.stderr
+    store.unlink()
+    if content is not None:
+        store.write_bytes(content)
+    with started("serve", "--new", "--config", str(config)) as (_, url):
+        assert is_serving(url)
+    proof = fork_server.run("audit", "verify", "--config", config)
+    assert proof.returncode == 0, proof.stderr
+    with closing(sqlite3.connect(store)) as connection:
+        [(first, _), *_] = connection.execute("SELECT what, id FROM events ORDER BY id").fetchall()
+    assert "new site begun with --new" in first
+    assert len(list(tmp_path.glob("lineside.audit.key.before-*"))) == 1
+    kept = [path.read_bytes() for path in store.parent.glob("lineside.db.damaged-*")]
+    assert kept == ([content] if content else [])
+
+
+def test_a_new_site_does_not_begin_with_the_anchor_of_the_former(config: Path, tmp_path: Path) -> None:
+    config.write_text(config.read_text() + '[audit]\nanchor = "./worm.anchor"\n')
+    fork_server.run("audit", "rotate-key", "--config", config)  # makes the store
+    (tmp_path / "worm.anchor").write_text("of the former site")
+    (tmp_path / "data" / "lineside.db").unlink()
+    verified = fork_server.run("audit", "verify", "--config", config)
+    assert (verified.returncode, "lineside serve --new" in verified.stderr) == (1, True)
+    done = fork_server.run("serve", "--new", "--config", config)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "is of the former site" in done.stderr
+    assert (tmp_path / "worm.anchor").read_text() == "of the former site"
+    assert not (tmp_path / "data" / "lineside.db").exists()
+
+
+def test_the_demo_shows_a_line_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with started("demo", "--units", "3", "--port", "0") as (process, url):
+
+        def line() -> Any:
+            return httpx.get(f"{url}/api/v1/line", trust_env=False).json()
+
+        units = eventually(
+            lambda: [unit for unit in line()["buses"][0]["units"] if unit["link"] == "online"][2:], "3 units"
+        )
+        assert units[0]["id"] == 3
+        page = httpx.get(f"{url}/", trust_env=False)
+        assert (page.status_code, "SIMULATED" in page.text) == (200, True)
+        assert list(tmp_path.iterdir())
+        pids = children_of(process.pid)
+        assert len(pids) == 2
+        process.terminate()
+        assert process.wait(timeout=PATIENCE_S) == 0
+        assert not any(is_alive(pid) for pid in pids)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_of_a_killed_demo_lives_on() -> None:
+    with started("demo", "--units", "1", "--port", "0") as (process, _):
+        pids = eventually(lambda: children_of(process.pid)[1:] and children_of(process.pid), "both run")
+        process.kill()
+        process.wait()
+        eventually(lambda: not any(is_alive(pid) for pid in pids), "both end too")

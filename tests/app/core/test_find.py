@@ -1,0 +1,101 @@
+"""Find anything: by which names, what comes first, and for whom."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.core.find.matching import missing, rank, words_of
+from app.core.web.admission.access import Role
+from app.engineering.recipes.book import RecipeBook
+from app.line.live.state.bus_live import LiveState
+from app.people.audit.log import EventLog
+from app.people.audit.queries import Filter
+from bus.contract import ParameterValue
+from bus.messages import Message
+from tests.app.complete_app import complete_app
+from tests.app.played_commands import ANNA
+
+PLACE = re.compile(
+    r'<a class="find__place" href="([^"]+)"><span class="find__label" dir="auto">([^<]+)</span>'
+)
+
+
+@pytest.mark.parametrize(
+    ("typed", "names", "found"),
+    [
+        ("kuhl", ["Kühlwalze"], 1),
+        ("KÜHLWALZE", ["kühlwalze"], 0),
+        ("dryer 1", ["Dryer 1", "4"], 3),
+        ("walze", ["Kühlwalze"], 3),
+        ("2", ["12"], None),
+        ("#2", ["Coater", "2"], 0),
+        ("dryer nip", ["Dryer 1"], None),
+        ("حزام", ["حزام ناقل"], 1),
+    ],
+)
+def test_words_are_found_in_names(typed: str, names: list[str], found: int | None) -> None:
+    assert rank(words_of(typed), names) == found
+
+
+@given(st.text(max_size=20), st.lists(st.text(max_size=20), max_size=4))
+def test_a_name_finds_itself_and_only_missing_words_hinder(typed: str, names: list[str]) -> None:
+    words = words_of(typed)
+    assert rank(words, [*names, typed]) is not None
+    assert (rank(words, names) is None) == bool(missing(words, names))
+
+
+async def test_units_parameters_recipes_events_and_pages_are_found(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        live = house.services[LiveState].buses["dry-end"]
+        live.apply([ParameterValue(unit=1, number=number, at=1, raw=raw) for number, raw in ((3, 1), (8, 0))])
+        await house.services[RecipeBook].save(ANNA, "dry-end", "Board 200", "", {1: 700})
+        events = house.services[EventLog]
+        await events.record(kind="note", what=Message("event_server_started"), bus="dry-end", unit=2)
+        client = await house.signed_in(Role.VIEWER)
+
+        async def found(typed: str, **more: str) -> list[tuple[str, str]]:
+            response = await client.get("/find", params={"typed": typed, "part": "true", **more})
+            assert response.status_code == 200
+            return PLACE.findall(response.text)
+
+        assert (await found("nip"))[0] == ("/units/dry-end/2", "Nip")
+        assert (
+            "/units/dry-end/2/parameters#parameter-6",
+            "Acceleration Ramp Rate (parameter 6)",
+        ) in await found("nip accel")
+        near = await found("#6", near="/units/dry-end/2")
+        assert ("/units/dry-end/2/parameters#parameter-6", "Acceleration Ramp Rate (parameter 6)") in near
+        assert ("/recipes/1", "Board 200") in await found("board")
+        assert ("/alarms", "Alarms") in await found("alarms")
+        events_found = [label for href, label in await found("nip") if "#event-" in href]
+        assert events_found == ["Nip · server started"], "an event of the unit by its name, and with it"
+        page = await client.get("/events", params={"search": "Nip"})
+        assert "server started" in page.text
+        assert not [href for href, _ in await found("add user") if href.startswith("/users")]
+        assert await found("") == []
+        assert await found("!?%") == []
+
+
+@pytest.mark.parametrize(
+    "query", [{"typed": "x" * 81}, {"near": "x" * 201, "typed": "x"}, {"typed": "a\nb"}, {"part": "maybe"}]
+)
+async def test_typed_text_is_bounded(tmp_path: Path, query: dict[str, str]) -> None:
+    async with complete_app(tmp_path) as house:
+        client = await house.signed_in(Role.VIEWER)
+        assert (await client.get("/find", params=query)).status_code == 422
+
+
+async def test_a_key_press_searches_the_newest_entries_of_a_long_log(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        events = house.services[EventLog]
+        for _ in range(3):
+            await events.record(kind="note", what=Message("event_server_started"), bus="dry-end", unit=2)
+        every, _ = await events.page(Filter(search="server started"), 10)
+        newest, _ = await events.page(Filter(search="server started", newest=2), 10)
+        assert len(every) >= 3
+        assert [event["id"] for event in newest] == [event["id"] for event in every[:2]]

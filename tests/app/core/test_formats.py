@@ -1,0 +1,71 @@
+"""Numbers and times in one's own writing."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.core.web.rendering.formats import UNKNOWN, Formats
+from bus.instants import UnixTime
+
+NOON = datetime(2026, 3, 29, 10, 0, tzinfo=UTC).timestamp()
+"""The day on which Berlin's clocks went forward: noon there."""
+
+
+def test_a_typed_number_is_searched_as_it_is_kept() -> None:
+    assert Formats("de").typed_number(" 250,0") == "250.0"
+    assert Formats("en").typed_number("250,0") == "250,0"
+    assert Formats("de").typed_number("Nip, 2,5") == "Nip, 2,5"
+
+
+@pytest.mark.parametrize(
+    ("raw", "decimals", "english", "german"),
+    [
+        (12345, 1, "1234.5", "1234,5"),
+        (12345, 0, "12345", "12345"),
+        (5, 3, "0.005", "0,005"),
+        (0, 2, "0.00", "0,00"),
+        (99999, None, "99999", "99999"),
+        (-15, 1, "-1.5", "-1,5"),
+        (None, 1, UNKNOWN, UNKNOWN),
+    ],
+)
+def test_fixed_decimals(raw: int | None, decimals: int | None, english: str, german: str) -> None:
+    assert Formats("en").fixed(raw, decimals) == english
+    assert Formats("de").fixed(raw, decimals) == german
+
+
+@given(st.integers(0, 99999), st.integers(0, 4))
+def test_fixed_is_exact(raw: int, decimals: int) -> None:
+    text = Formats("en").fixed(raw, decimals)
+    assert int(text.replace(".", "")) == raw
+    assert len(text.partition(".")[2]) == decimals
+
+
+def test_numbers() -> None:
+    assert Formats("de").number(3.14159, 2) == "3,14"
+    assert Formats("de").number(None) == UNKNOWN
+
+
+def test_times_are_the_sites() -> None:
+    berlin = Formats("de", "Europe/Berlin")
+    assert berlin.moment(NOON) == "29.03.2026, 12:00:00"
+    assert berlin.clock(NOON) == "12:00:00"
+    assert berlin.day(NOON) == "29.03.2026"
+    assert berlin.iso(NOON) == "2026-03-29T12:00:00.000+02:00"
+    assert berlin.moment(None) == UNKNOWN
+    assert "12:00:00" in Formats("en", "Europe/Berlin").moment(datetime.fromtimestamp(NOON, UTC))
+
+
+def test_a_shift_is_its_date_and_its_hours() -> None:
+    english, german = Formats("en_GB", "Europe/Berlin"), Formats("de", "Europe/Berlin")
+    assert english.minute(UnixTime(NOON)) == "29 Mar 2026, 12:00"
+    assert german.hours(UnixTime(NOON), UnixTime(NOON + 8 * 3600)) == "29.03.2026, 12:00\N{EN DASH}20:00"
+    assert english.hours(UnixTime(NOON), UnixTime(NOON + 18 * 3600)) == "29 Mar 2026, 12:00\N{EN DASH}06:00"
+
+
+def test_a_negative_number_has_a_true_minus_sign() -> None:
+    assert Formats("de").number(-0.5, 2) == "\N{MINUS SIGN}0,50"

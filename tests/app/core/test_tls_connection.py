@@ -1,0 +1,270 @@
+"""The TLS of a connection, on real sockets: what it carries, what it bounds, how it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import ssl
+import weakref
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from websockets.asyncio.client import connect
+
+from app.core.server.connection.connections import MAX_OF_ADDRESS
+from app.core.server.connection.pace import WITHIN_S, Awaited
+from app.core.server.connection.records import HEADER_BYTES
+from bus.instants import monotonic_now
+from tests.app.gated import PATIENCE_S, Ends, everything, until
+from tests.app.tls_site import GET, TlsSite, tls_site
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> AsyncIterator[TlsSite]:
+    async with tls_site(tmp_path) as site:
+        yield site
+
+
+async def response(ends: Ends, request: bytes = GET, ending: bytes = b"hello") -> bytes:
+    reader, writer = ends
+    writer.write(request)
+    return await asyncio.wait_for(reader.readuntil(ending), PATIENCE_S)
+
+
+class ByHand:
+    """A client whose records the test sends."""
+
+    def __init__(self, site: TlsSite, ends: Ends) -> None:
+        self.reader, self.writer = ends
+        self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+        self.tls = site.client().wrap_bio(self._incoming, self._outgoing, server_hostname="localhost")
+
+    def hello(self) -> bytes:
+        with pytest.raises(ssl.SSLWantReadError):
+            self.tls.do_handshake()
+        return self._outgoing.read()
+
+    async def finish(self) -> bytes:
+        """Read the server's part; return the client's last."""
+        while True:
+            self._incoming.write(await asyncio.wait_for(self.reader.read(65536), PATIENCE_S))
+            try:
+                self.tls.do_handshake()
+            except ssl.SSLWantReadError:
+                continue
+            return self._outgoing.read()
+
+    def records(self, *parts: bytes) -> bytes:
+        for part in parts:
+            self.tls.write(part)
+        return self._outgoing.read()
+
+    async def text(self, ending: bytes) -> bytes:
+        found = b""
+        while not found.endswith(ending):
+            try:
+                found += self.tls.read(65536)
+            except ssl.SSLWantReadError:
+                self._incoming.write(await asyncio.wait_for(self.reader.read(65536), PATIENCE_S))
+        return found
+
+
+async def by_hand(site: TlsSite) -> ByHand:
+    """A client after its handshake."""
+    client = ByHand(site, await site.plain())
+    client.writer.write(client.hello())
+    client.writer.write(await client.finish())
+    return client
+
+
+async def test_a_request_is_of_https_and_its_client_is_known(site: TlsSite) -> None:
+    ends = await site.connect()
+    assert (await response(ends)).endswith(b"hello")
+    assert (await response(ends)).endswith(b"hello")
+    first, second = site.scopes
+    assert (first["scheme"], first["client"][0], first["certified"]) == ("https", "127.0.0.1", False)
+    assert first["client"] == second["client"]
+    assert ends[1].get_extra_info("ssl_object").selected_alpn_protocol() == "http/1.1"
+
+
+async def test_large_bodies_pass_both_ways(site: TlsSite) -> None:
+    site.response = bytes(1_000_000) + b"end"
+    body = b"x" * 300_000
+    head = b"POST / HTTP/1.1\r\nHost: here\r\nContent-Length: %d\r\n\r\n" % len(body)
+    got = await response(await site.connect(limit=2_000_000), head + body, b"end")
+    assert got.endswith(site.response)
+    assert site.bodies == [body]
+
+
+async def test_a_websocket_by_tls(site: TlsSite) -> None:
+    async with connect(f"wss://localhost:{site.port}/live", ssl=site.client(), proxy=None) as socket:
+        for text in ("a", "b" * 7000):
+            await socket.send(text)
+            assert await socket.recv() == text
+    assert site.scopes[0]["scheme"] == "wss"
+
+
+@pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
+async def test_both_versions_are_spoken(site: TlsSite, version: ssl.TLSVersion) -> None:
+    context = site.client()
+    context.minimum_version = context.maximum_version = version
+    assert await response(await site.connect(context))
+
+
+@pytest.mark.filterwarnings("ignore:ssl.TLSVersion")
+async def test_an_older_version_is_refused(site: TlsSite) -> None:
+    context = site.client()
+    context.set_ciphers("DEFAULT@SECLEVEL=0")
+    context.minimum_version = context.maximum_version = ssl.TLSVersion.TLSv1_1
+    with pytest.raises((ssl.SSLError, ConnectionError)):
+        await site.connect(context)
+
+
+async def test_every_byte_may_come_alone(site: TlsSite) -> None:
+    client = ByHand(site, await site.plain())
+    for byte in client.hello():
+        client.writer.write(bytes([byte]))
+        await asyncio.sleep(0)
+    last = await client.finish()
+    for byte in last + client.records(*(bytes([each]) for each in GET)):
+        client.writer.write(bytes([byte]))
+        await asyncio.sleep(0)
+    assert (await client.text(b"hello")).startswith(b"HTTP/1.1 200")
+
+
+@pytest.mark.parametrize("parts", [1, len(GET)], ids=["one record", "records of a byte"])
+async def test_a_request_has_the_time_at_which_its_first_byte_arrived(site: TlsSite, parts: int) -> None:
+    client = await by_hand(site)
+    await until(lambda: site.served.made[0].is_encrypted)
+    request = client.records(*(GET[n::parts][:1] if parts > 1 else GET for n in range(parts)))
+    received = site.served.received
+    client.writer.write(request[: HEADER_BYTES + 3])
+    await until(lambda: site.served.received > received)
+    begun = monotonic_now()
+    await asyncio.sleep(0.3)
+    client.writer.write(request[HEADER_BYTES + 3 :])
+    await client.text(b"hello")
+    client.writer.write(client.records(GET))
+    await client.text(b"hello")
+    first, second = site.arrivals
+    assert first <= float(begun) < second
+
+
+async def test_a_record_that_began_with_the_end_of_another_has_the_time_of_its_own_first_byte(
+    site: TlsSite,
+) -> None:
+    """Also where the network held up the rest: the command in it was made before that."""
+    client = await by_hand(site)
+    first, second = client.records(GET), client.records(GET)
+    client.writer.write(first + second[: HEADER_BYTES + 3])
+    await client.text(b"hello")
+    begun = monotonic_now()
+    await asyncio.sleep(0.3)
+    client.writer.write(second[HEADER_BYTES + 3 :])
+    await client.text(b"hello")
+    assert site.arrivals[1] <= float(begun)
+
+
+async def test_a_handshake_without_an_end_has_the_time_of_a_first_request(site: TlsSite) -> None:
+    idle, begun = await site.plain(), ByHand(site, await site.plain())
+    begun.writer.write(begun.hello())
+    await until(lambda: site.served.received)
+    site.served.pass_s(WITHIN_S[Awaited.FIRST] - 1)
+    assert site.served.is_open(0)
+    assert site.served.is_open(1)
+    site.served.pass_s(WITHIN_S[Awaited.FIRST] + 1)
+    assert await everything(idle[0]) == b""
+    await until(lambda: not site.served.gates.open)
+
+
+async def test_unfinished_handshakes_displace_one_another(site: TlsSite) -> None:
+    served, known = await site.connect(), GET.replace(b"/", b"/known", 1)
+    assert await response(served, known)
+    ends = [await site.plain() for _ in range(MAX_OF_ADDRESS + 5)]
+    await until(lambda: len(site.served.gates.open) == MAX_OF_ADDRESS + 1)
+    assert await response(served, known)
+    for _, writer in ends:
+        writer.close()
+
+
+async def test_plain_http_gets_a_hint(site: TlsSite) -> None:
+    reader, writer = await site.plain()
+    writer.write(GET)
+    got = await everything(reader)
+    assert got.startswith(b"HTTP/1.1 400")
+    assert b"begin the address with https://" in got
+    assert site.scopes == []
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        b"\x80\x2e\x01\x00\x02",
+        b"\x00" * 40,
+        b"\x16\x03\x01\xff\xff" + b"x" * 100,
+        b"\x16\x03\x01\x00\x05abcde",
+        b"\x16\x03\x01\x00\x00",
+    ],
+)
+async def test_garbage_is_no_handshake(site: TlsSite, garbage: bytes) -> None:
+    reader, writer = await site.plain()
+    writer.write(garbage)
+    if len(garbage) > HEADER_BYTES:
+        got = await everything(reader)
+        assert got == b"" or got[0] == 21  # an alert
+    writer.close()
+    assert await response(await site.connect())
+
+
+async def test_garbage_after_the_handshake_ends_the_connection(site: TlsSite) -> None:
+    client = await by_hand(site)
+    client.writer.write(b"\x17\x03\x03\x00\x20" + b"x" * 32)
+    await asyncio.wait_for(client.reader.read(), PATIENCE_S)
+    await until(lambda: not site.served.gates.open)
+    assert site.scopes == []
+
+
+async def test_a_client_cannot_renegotiate(site: TlsSite) -> None:
+    context = site.client()
+    context.maximum_version = ssl.TLSVersion.TLSv1_2
+    await site.connect(context)
+    assert site.certificate.context_for(b"").options & ssl.OP_NO_RENEGOTIATION
+
+
+async def test_the_end_is_announced_and_the_socket_closes(site: TlsSite) -> None:
+    reader, writer = await site.connect()
+    writer.write(b"GET / HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n")
+    assert (await everything(reader)).endswith(b"hello")
+    await until(lambda: not site.served.gates.open)
+
+
+async def test_the_clients_end_closes_the_connection(site: TlsSite) -> None:
+    _, writer = await site.connect()
+    writer.close()
+    await until(lambda: not site.served.gates.open)
+
+
+async def test_a_refusal_reaches_a_client_that_goes_on_sending(site: TlsSite) -> None:
+    reader, writer = await site.connect()
+    writer.write(b"GET / HTTP/1.1\r\nX: " + b"x" * 40_000)
+    got = b""
+    while b"\r\n\r\n" not in got:
+        got += await asyncio.wait_for(reader.read(1000), PATIENCE_S)
+    assert got.startswith(b"HTTP/1.1 431")
+    writer.close()
+
+
+async def test_a_connection_that_has_ended_is_freed_at_once(site: TlsSite) -> None:
+    reader, writer = await site.connect()
+    assert await response((reader, writer))
+    gate = site.served.made.pop()
+    left = [weakref.ref(gate), weakref.ref(gate.inner)]
+    del gate
+    site.scopes.clear()
+    gc.disable()
+    try:
+        writer.close()
+        await until(lambda: not any(each() for each in left))
+    finally:
+        gc.enable()

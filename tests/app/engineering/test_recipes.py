@@ -1,0 +1,257 @@
+"""Recipes: versions, what stands in the way, what loading does, what departs afterwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.core.database import Database
+from app.core.web.admission.access import Person, Role
+from app.engineering.recipes.book import RecipeBook
+from app.engineering.recipes.rules import (
+    NOT_CONFIGURED,
+    Recipe,
+    RecipeDryRunStep,
+    RecipeSetpoint,
+    dry_run,
+    setpoints_now,
+)
+from app.engineering.recipes.store import RecipeStore
+from app.errors import Problem
+from app.line.live.state.bus_live import LiveState
+from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
+from bus.instants import monotonic_now, unix_now
+from bus.messages import Message, in_english
+from tests.app.played_commands import ANNA, HEALTHY, REMOTE, Noted, PlayedCommands, a_bus, fresh, responding
+
+
+class Scene:
+    def __init__(self, folder: Path) -> None:
+        self.live = a_bus()
+        self.commands = PlayedCommands(self.live, {})
+        self.events = Noted()
+        self.database = Database(folder / "store.db")
+        store = RecipeStore(self.database)
+        self.book = RecipeBook(self.live, {"dry-end": self.commands}, store, self.events)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    return Scene(tmp_path)
+
+
+async def test_a_new_save_is_a_new_version_and_the_old_one_stays(scene: Scene) -> None:
+    responding(scene.live)
+    one = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
+    two = await scene.book.save(ANNA, "dry-end", "Kraft 80", "faster", {1: 1300})
+    assert (one.version, two.version) == (1, 2)
+    assert [recipe.version for recipe in await scene.book.store.newest()] == [2]
+    assert [recipe.version for recipe in await scene.book.store.versions("dry-end", "Kraft 80")] == [2, 1]
+    kept = await scene.book.store.load(one.id)
+    assert kept is not None
+    assert [(row.unit, row.raw, row.kind) for row in kept.setpoints] == [
+        (1, 1200, "speed"),
+        (2, 1210, "speed"),
+    ]
+
+
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: Role) -> None:
+    responding(scene.live)
+    await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200})
+    person = Person("ben", role, "session")
+    with pytest.raises(Problem, match="role engineer"):
+        await scene.book.save(person, "dry-end", "Kraft 80", "", {1: 1300})
+    with pytest.raises(Problem, match="role engineer"):
+        await scene.book.retire(person, "dry-end", "Kraft 80")
+    assert [recipe.version for recipe in await scene.book.store.newest()] == [1]
+
+
+async def test_a_complete_list_has_an_end(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.engineering.recipes.book.MAX_RECIPES", 2)
+    responding(scene.live)
+    for name in ("one", "two", "two"):
+        await scene.book.save(ANNA, "dry-end", name, "", {1: 1200})
+    with pytest.raises(Problem, match="2 recipes in use"):
+        await scene.book.save(ANNA, "dry-end", "three", "", {1: 1200})
+    await scene.book.retire(ANNA, "dry-end", "one")
+    await scene.book.save(ANNA, "dry-end", "three", "", {1: 1200})
+
+
+async def test_a_unit_whose_mode_was_never_read_cannot_be_in_a_recipe(scene: Scene) -> None:
+    with pytest.raises(Problem, match=r"\(parameter 8\)"):
+        await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200})
+
+
+async def test_the_dry_run_shows_old_new_and_the_time_of_the_ramp(scene: Scene) -> None:
+    responding(scene.live, commanded=1000)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 11000, 2: 0})
+    run = scene.book.try_out(ANNA, recipe)
+    assert run.loadable
+    assert [(str(step.old), step.new, step.ramp_s) for step in run.steps] == [
+        ("100.0", "1100.0", 5.0),
+        ("100.0", "0.0", 0.25),
+    ]
+    assert run.ramp_s == 5.0
+    assert scene.commands.sent == []
+
+
+@pytest.mark.parametrize(
+    ("raw", "remote", "mode", "error"),
+    [
+        (20001, True, 0, "maximum"),
+        (95000, True, 0, "maximum"),
+        (100, False, 0, "not in REMOTE"),
+        (100, True, 1, "ratio"),
+    ],
+)
+async def test_obstacles_are_reported_and_nothing_is_sent(
+    scene: Scene, raw: int, remote: bool, mode: int, error: str
+) -> None:
+    responding(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100, 2: raw})
+    responding(scene.live, remote=remote)
+    scene.live.buses["dry-end"].apply([ParameterValue(unit=2, number=8, at=2.0, raw=mode)])
+    with pytest.raises(Problem, match=error):
+        await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id=None)
+    assert scene.commands.sent == []
+
+
+async def test_a_refusal_states_once_that_nothing_was_sent(scene: Scene) -> None:
+    responding(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100, 2: 95000})
+    with pytest.raises(Problem) as refused:
+        await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id=None)
+    assert str(refused.value).count("nothing was sent") == 1
+
+
+async def test_a_recipe_is_not_loaded_to_a_line_that_does_not_respond(scene: Scene) -> None:
+    responding(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100})
+    scene.live.buses["dry-end"].lose_worker(5.0)
+    run = scene.book.try_out(ANNA, recipe)
+    assert not run.loadable
+    assert run.steps[0].obstacle == Message("obstacle_no_link")
+
+
+async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None:
+    responding(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
+    await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id="one")
+    assert scene.commands.sent == [SetLine(setpoints={1: 1200, 2: 1210})]
+    loaded = scene.book.loaded("dry-end")
+    assert loaded is not None
+    assert loaded.recipe.id == recipe.id
+    responding(scene.live, commanded=1200)
+    assert [(one.unit, one.recipe, str(one.now)) for one in scene.book.departed("dry-end")] == [
+        (2, "121.0", "120.0")
+    ]
+    assert scene.book.loaded_words("dry-end") == ("Kraft 80", ["Nip"])
+
+
+async def test_units_are_left_out_by_name_and_the_event_names_them(scene: Scene) -> None:
+    responding(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 95000})
+
+    async def load(*left_out: int) -> None:
+        await scene.book.load(
+            ANNA, recipe, monotonic_now(), confirm=True, command_id="one", left_out=left_out
+        )
+
+    for refused, left_out in (("Nip", (1,)), ("every unit", (1, 2))):
+        with pytest.raises(Problem, match=refused):
+            await load(*left_out)
+    await load(2)
+    assert scene.commands.sent == [SetLine(setpoints={1: 1200})]
+    loaded = scene.events.events[-1]
+    assert (loaded["kind"], in_english(loaded["message"])) == ("recipe", "left out: Nip")
+    responding(scene.live, commanded=1200)
+    assert scene.book.loaded_words("dry-end") == ("Kraft 80", ["Nip"])
+
+
+async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_departed(scene: Scene) -> None:
+    responding(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
+    await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id="one")
+    live = a_bus()
+    again = RecipeBook(live, {"dry-end": scene.commands}, scene.book.store, scene.events)  # type: ignore[arg-type]
+    await again.load_mark("dry-end")
+    assert again.loaded_words("dry-end") == ("Kraft 80", [])
+    responding(live, commanded=1200)
+    assert again.loaded_words("dry-end") == ("Kraft 80", ["Nip"])
+    del live.buses["dry-end"].units[2]
+    assert [(one.name, one.now) for one in again.departed("dry-end")] == [
+        (Message.of("unit_address", unit=2), NOT_CONFIGURED)
+    ]
+    assert not again.try_out(ANNA, recipe).loadable
+
+
+async def test_the_dry_run_explains_what_will_happen(scene: Scene) -> None:
+    responding(scene.live, commanded=1000)
+    scene.live.buses["dry-end"].apply(
+        [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()],
+    )
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 11000, 2: 10100})
+    effects = [in_english(step.effect) for step in scene.book.try_out(ANNA, recipe).steps]
+    assert effects == [
+        "speeds up from 100.0 to 1100.0 in 5.0 s",
+        "follows at 1.0100 of its master instead of 1.0000",
+    ]
+
+
+async def test_a_ratio_read_before_the_recipe_was_loaded_is_no_departure(scene: Scene) -> None:
+    responding(scene.live)
+    follower = [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()]
+    scene.live.buses["dry-end"].apply(follower)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {2: 10100})
+    await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id="one")
+    assert scene.book.departed("dry-end") == []
+    loaded = scene.book.loaded("dry-end")
+    assert loaded is not None
+    scene.live.buses["dry-end"].apply([ParameterValue(unit=2, number=37, at=loaded.at + 60, raw=9900)])
+    assert [str(one.now) for one in scene.book.departed("dry-end")] == ["0.9900"]
+
+
+FOLLOWER = {8: 1, 37: 10000}
+
+
+def a_recipe(*setpoints: RecipeSetpoint) -> Recipe:
+    return Recipe("dry-end", "Kraft 80", "", "anna", 0.0, setpoints)
+
+
+def steps_of(live: LiveState, *setpoints: RecipeSetpoint) -> tuple[RecipeDryRunStep, ...]:
+    return dry_run(a_recipe(*setpoints), live.buses["dry-end"], lambda _unit, _raw: None, unix_now()).steps
+
+
+def test_a_unit_that_is_not_configured_is_named_by_its_address() -> None:
+    [step] = steps_of(a_bus(), RecipeSetpoint(9, 1200, "speed"))
+    assert (step.name, step.obstacle) == (Message.of("unit_address", unit=9), NOT_CONFIGURED)
+
+
+def test_what_a_unit_has_now_is_unknown_until_it_was_read() -> None:
+    [step] = steps_of(a_bus(), RecipeSetpoint(1, 1200, "speed"))
+    assert (step.old, in_english(step.effect)) == (None, "becomes 1200; what it has now is not known")
+
+
+def test_a_unit_whose_mode_was_not_read_cannot_be_loaded() -> None:
+    live = a_bus()
+    live.buses["dry-end"].apply([BusLink(at=1.0, link="open"), UnitLink(unit=1, at=1.0, link="online")])
+    live.buses["dry-end"].apply([Reading(1, fresh(), 1000, 1000, 0, REMOTE, HEALTHY)])
+    [step] = steps_of(live, RecipeSetpoint(1, 1200, "speed"))
+    assert step.obstacle == Message("recipe_mode_unread")
+
+
+def test_a_recipe_begins_from_the_setpoints_that_are_known() -> None:
+    live = a_bus()
+    assert setpoints_now(live.buses["dry-end"].units.values()) == ()
+    responding(live, commanded=1000)
+    follower = [
+        ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in ((8, 1), (37, 9900))
+    ]
+    live.buses["dry-end"].apply(follower)
+    units = live.buses["dry-end"].units
+    assert setpoints_now(units.values()) == (
+        RecipeSetpoint(1, 1000, "speed", "2:20000,8:0,3:1"),
+        RecipeSetpoint(2, 9900, "ratio", "8:1"),
+    )

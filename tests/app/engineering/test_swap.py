@@ -1,0 +1,347 @@
+"""The swap path: from what the wire shows to what a person has to do."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+
+from app.core.database import Database
+from app.core.web.admission.access import Person, Role
+from app.engineering.sets.comparison.sides import offers
+from app.engineering.sets.model import ParameterRow, ParameterSet, ParameterSetSummary, UnitRows
+from app.engineering.sets.restore.order import Write
+from app.engineering.sets.restore.plan import LeftOut, RestorePlan
+from app.engineering.sets.restore.record import Restore, RestoreState, RowResult
+from app.engineering.sets.restore.restores import EndSubscriber
+from app.engineering.sets.store import SetStore
+from app.engineering.swap.record import Swap, SwapSource
+from app.engineering.swap.rules import PROVEN, STEPS, ProbeFinding, SwapState, advice, done_steps
+from app.engineering.swap.service import MAX_PROBES, SwapService, look, step_text
+from app.engineering.swap.store import SwapStore
+from app.errors import Problem
+from app.line.live.state.bus_live import LiveState
+from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
+from bus.instants import UnixTime
+from bus.messages import Message, term
+from bus.settings import BusSettings
+from tests.app.played_commands import ANNA, Noted
+from tests.app.screens import line
+
+
+def state(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: object) -> SwapState:
+    given = {"remote": None, "equal": None, "configured": frozenset({5})} | more
+    return SwapState(5, at_target, at_factory, **given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("seen", "step", "at_panel", "code"),
+    [
+        (state("silent"), "find", True, "swap_nothing_new"),
+        (state("silent", "digimax"), "address", True, "swap_at_factory"),
+        (state("silent", "digimax", configured=frozenset({1, 5})), "find", True, "swap_nothing_new"),
+        (state("silent", "garbled"), "address", True, "swap_two_at_factory"),
+        (state("garbled"), "address", True, "swap_two_units"),
+        (state("foreign"), "address", True, "swap_foreign"),
+        (state("late"), "find", False, "swap_late"),
+        (state("digimax", remote=None), "remote", True, "swap_set_remote"),
+        (state("digimax", remote=False), "remote", True, "swap_set_remote"),
+        (state("digimax", remote=True), "restore", False, "swap_restore_now"),
+        (state("digimax", remote=True, equal=False), "restore", False, "swap_restore_now"),
+        (state("digimax", remote=True, equal=True), "proven", False, "swap_proven"),
+    ],
+)
+def test_what_to_do_now(seen: SwapState, step: str, at_panel: bool, code: str) -> None:
+    now = advice(seen)
+    assert (now.step, now.at_panel, now.text.code) == (step, at_panel, code)
+    assert "{" not in str(now.text)
+
+
+def test_the_old_unit_is_not_taken_for_the_spare() -> None:
+    now = advice(state("digimax", remote=True, is_new=False))
+    assert (now.step, now.confirms_spare) == ("find", True)
+    assert now.text == Message.of("swap_old_or_new", target=5)
+
+
+def test_another_baud_than_that_of_the_box_is_named() -> None:
+    text = advice(state("silent", baud=4800)).text
+    assert text == Message.of("swap_nothing_new_other_baud", target=5, baud=4800, hundreds=48)
+
+
+class Scene:
+    """A swap service on a store that holds one set of unit 2."""
+
+    def __init__(self, folder: Path) -> None:
+        self.events = Noted()
+        self.database = Database(folder / "store.db")
+        self.store = SwapStore(self.database)
+        self.restores: dict[str, Restore] = {}
+        self.swaps = self.another()
+
+    def another(self) -> SwapService:
+        """Return the swap service of a server that was restarted."""
+        return SwapService(self.events, self.store, self, lambda: 100.0)  # type: ignore[arg-type]
+
+    async def find(self, restore_id: str) -> Restore | None:
+        """Find a restore, as the restore service does."""
+        return self.restores.get(restore_id)
+
+    def on_end(self, _subscriber: EndSubscriber) -> None:
+        """Do nothing: the test itself reports the end of a restore."""
+
+    async def begin(self, unit: int = 2) -> Swap:
+        kept = await SetStore(self.database).save(
+            ParameterSet("dry-end", 1.0, "anna", "by hand", (UnitRows(2, "Nip", {}),))
+        )
+        return await self.swaps.begin(ANNA, "dry-end", unit, SwapSource(kept.id, 2))
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    made = Scene(tmp_path)
+    yield made
+    made.database.close()
+
+
+async def test_a_swap_ends_with_one_complete_event(scene: Scene) -> None:
+    swap, events = await scene.begin(), scene.events
+    for seen in (
+        state("digimax"),
+        state("silent", "garbled"),
+        state("silent"),
+        state("digimax", remote=True),
+    ):
+        swap.saw(seen)
+    assert swap.is_new
+    restore = a_restore(state="different")
+    await scene.swaps.on_restore_end(restore)
+    assert swap.equal is False
+    assert len(events.events) == 1
+    restore.state = "equal"
+    await scene.swaps.on_restore_end(restore)
+    await scene.swaps.on_restore_end(restore)
+    assert swap.proven
+    [_, end] = events.events
+    assert (end["what"], end["outcome"], end["unit"]) == ("unit replaced and verified", "verified", 2)
+    for part in (
+        "no response at address 5 and two units respond at address 1",
+        "from set 1:",
+        "done: Acceleration Ramp Rate (parameter 6)",
+        "Unit ID Number (parameter 17): the address is set at the keypad only",
+        "verified by a full read",
+    ):
+        assert part in end["message"]
+
+
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: Role) -> None:
+    swap, swaps, person = await scene.begin(), scene.swaps, Person("ben", role, "session")
+    kept = ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9)
+    for step in (
+        swaps.begin(person, "dry-end", 1, None),
+        swaps.confirm_spare(person, swap),
+        swaps.begin_restore(person, swap, a_restore(state="planned")),
+        swaps.save_entered(person, swap, kept),
+        swaps.cancel(person, swap),
+    ):
+        with pytest.raises(Problem, match="role engineer") as refused:
+            await step
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert (swap.is_new, swap.restore, swap.proven, swap.seen) == (False, None, False, [])
+    assert (swaps.of("dry-end", 1), swaps.of("dry-end", 2)) == (None, swap)
+    assert len(scene.events.events) == 1
+
+
+async def test_a_restore_from_before_the_swap_verifies_nothing_about_it(scene: Scene) -> None:
+    swap = await scene.begin()
+    await scene.swaps.on_restore_end(a_restore(state="equal", planned_at=99.0))
+    assert (swap.restore, swap.proven) == (None, False)
+
+
+async def test_another_restore_of_the_unit_verifies_nothing_about_the_swap(scene: Scene) -> None:
+    swap = await scene.begin()
+    await scene.swaps.on_restore_end(a_restore(state="equal", for_swap=False))
+    assert (swap.restore, swap.proven) == (None, False)
+    assert len(scene.events.events) == 1
+
+
+def test_what_the_spare_was_not_given_is_named_with_the_result() -> None:
+    swap, restore = Swap("dry-end", 2, "anna", SwapSource(1, 2), UnixTime(100.0)), a_restore(state="equal")
+    restore.wanted = UnitRows(2, "Nip", {number: ParameterRow(number, 5) for number in (6, 7, 17)})
+    swap.restore, swap.proven = restore, True
+    assert step_text(PROVEN, swap) == Message("swap_proven")
+    left = LeftOut(7, "deselected", Message("row_deselected"))
+    restore.plan = replace(restore.plan, left_out=(*restore.left_out, left))
+    assert str(step_text(PROVEN, swap)) == (
+        "The new unit has the parameters of the old unit, verified by a full read, except what was not"
+        " written: Deceleration Ramp Rate (parameter 7). The report states why."
+    )
+
+
+async def test_of_two_who_begin_at_once_one_is_refused(scene: Scene) -> None:
+    begun = await asyncio.gather(scene.begin(), scene.begin(), return_exceptions=True)
+    assert [type(each) for each in begun] == [Swap, Problem]
+    assert scene.swaps.of("dry-end", 2) is begun[0]
+    assert len(scene.events.events) == 1
+
+
+async def test_a_closed_swap_stays_closed_while_its_unit_is_read(scene: Scene) -> None:
+    """Another person cancels it, and perhaps begins another, while the requests of the first still read."""
+    swap = await scene.begin()
+
+    async def late() -> SwapState:
+        await scene.swaps.cancel(ANNA, swap)
+        return state("silent")
+
+    await scene.swaps.look(swap, late)
+    kept = ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9)
+    for step in (
+        scene.swaps.begin_restore(ANNA, swap, a_restore(state="planned")),
+        scene.swaps.confirm_spare(ANNA, swap),
+        scene.swaps.save_entered(ANNA, swap, kept),
+        scene.swaps.cancel(ANNA, swap),
+    ):
+        with pytest.raises(Problem, match="no replacement of unit 2") as refused:
+            await step
+        assert refused.value.status == 404
+    later = scene.another()
+    await later.load("dry-end")
+    assert (later.of("dry-end", 2), swap.proven) == (None, False)
+    assert [event["what"] for event in scene.events.events][-1] == "unit replacement canceled"
+
+
+async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
+    swap, restore = await scene.begin(), a_restore(state="different")
+    await scene.swaps.look(swap, lambda: shown(state("silent")))
+    await scene.swaps.look(swap, lambda: shown(state("digimax", remote=True)))
+    await scene.swaps.on_restore_end(restore)
+
+    scene.restores[restore.id] = restore
+    again = scene.another()
+    await again.load("dry-end")
+    known = again.of_or_404("dry-end", 2)
+    assert (known.who, known.began_at, known.source) == ("anna", 100.0, SwapSource(1, 2))
+    assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
+    with pytest.raises(Problem, match="anna has already started a replacement of unit 2"):
+        await again.begin(ANNA, "dry-end", 2, None)
+    await again.cancel(ANNA, known)
+    later = scene.another()
+    await later.load("dry-end")
+    assert later.of("dry-end", 2) is None
+
+
+async def test_without_a_set_the_sheet_is_entered_and_the_unit_kept(scene: Scene) -> None:
+    swap = await scene.swaps.begin(ANNA, "dry-end", 2, None)
+    assert scene.events.events[-1]["what"] == "unit replacement started, from the parameter sheet"
+    ready = advice(state("digimax", remote=True))
+    assert step_text(ready, swap) == Message("swap_enter_sheet")
+    await scene.swaps.save_entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))
+    assert swap.equal
+    proven = advice(state("digimax", remote=True, equal=True))
+    assert step_text(proven, swap) == Message("swap_compare_with_sheet")
+    assert "saved as set 9" in scene.events.events[-1]["message"]
+
+
+def test_a_unit_without_a_set_is_offered_those_of_its_group_first() -> None:
+    settings = BusSettings.model_validate(
+        {
+            "name": "dry-end",
+            "port": "/dev/null",
+            "unit": [
+                {"id": 1, "name": "Unwind", "group": "winder"},
+                {"id": 2, "name": "Nip", "group": "press"},
+                {"id": 3, "name": "Coater", "group": "press"},
+            ],
+        }
+    )
+    live = LiveState([settings], started_at=0.0)
+    sets = [
+        ParameterSetSummary(number, "dry-end", "", "", float(number), "anna", "by hand", golden, units)
+        for number, units, golden in ((4, (1, 2), ()), (3, (2,), ()), (2, (2,), (2,)))
+    ]
+    helps = offers(live, sets, "dry-end", 3)
+    assert (helps.own, helps.best) == ([], "")
+    assert [one.text for one in helps.sisters] == ["set:4:2", "set:2:2", "set:4:1"]
+    assert [one.text for one in helps.neighbours] == ["live:dry-end:2", "live:dry-end:1"]
+    assert offers(live, sets, "dry-end", 2).best == "set:2:2"
+
+
+async def shown(seen: SwapState) -> SwapState:
+    return seen
+
+
+@dataclass
+class Wire:
+    """A command service on which each scan of an address returns the next of ``seen``."""
+
+    seen: list[ProbeFinding]
+    outcome: Outcome = "verified"
+
+    async def send(self, _who: Person, action: Action, **_: Any) -> Result:
+        assert isinstance(action, ScanBus)
+        kind = self.seen.pop(0)
+        found = [] if kind == "silent" else [FoundUnit(action.first, 9600, kind)]
+        return Result(id="x", at=1.0, outcome=self.outcome, message=term("no link"), found=found)
+
+
+@pytest.mark.parametrize(
+    ("link", "seen", "at_target"),
+    [
+        ("online", ["silent", "digimax"], "digimax"),
+        ("online", ["silent", "silent", "garbled"], "garbled"),
+        ("online", ["silent"] * MAX_PROBES + ["silent"], "silent"),
+        ("offline", ["silent", "silent"], "silent"),
+    ],
+)
+async def test_one_lost_response_of_an_online_unit_is_no_loss(
+    scene: Scene, link: Literal["online", "offline"], seen: list[ProbeFinding], at_target: ProbeFinding
+) -> None:
+    swap, live, wire = await scene.begin(), line(2), Wire(seen)
+    swap.bus = "dry"
+    live.buses["dry"].apply([UnitLink(unit=2, at=101.0, link=link)])
+    shown_now = await look(wire, live, ANNA, swap)  # type: ignore[arg-type]
+    assert (shown_now.at_target, wire.seen) == (at_target, [])
+
+
+async def test_a_look_that_came_to_no_end_shows_nothing(scene: Scene) -> None:
+    swap, live = await scene.begin(), line(2)
+    swap.bus = "dry"
+    with pytest.raises(Problem, match="no link"):
+        await look(Wire(["silent"], "unverified"), live, ANNA, swap)  # type: ignore[arg-type]
+    assert not swap.is_new
+
+
+def a_restore(state: RestoreState, planned_at: float = 101.0, *, for_swap: bool = True) -> Restore:
+    write = Write(6, present=100, wanted=50)
+    plan = RestorePlan((write,), (LeftOut(17, "address", Message("row_address")),), equal=38)
+    empty = UnitRows(2, "Nip", {})
+    rows = [RowResult(write, "verified")]
+    return Restore("r", "dry-end", 2, "anna", empty, empty, plan, rows, planned_at, state, for_swap=for_swap)
+
+
+def test_all_steps_are_done_only_when_it_is_verified() -> None:
+    assert tuple(done_steps("proven")) == STEPS
+    assert list(done_steps("remote")) == ["find", "address"]
+
+
+async def test_repeated_page_requests_do_not_pile_up_scans(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.engineering.swap.service.LOOK_WAIT_S", 0.01)
+    swap = await scene.begin(5)
+    begun, seen = [], asyncio.Event()
+
+    async def look() -> SwapState:
+        begun.append(1)
+        await seen.wait()
+        return state("silent")
+
+    assert [await scene.swaps.look(swap, look) for _ in range(3)] == [None] * 3
+    assert len(begun) == 1
+    seen.set()
+    assert (await scene.swaps.look(swap, look)) == state("silent", equal=None)
+    assert swap.is_new

@@ -1,0 +1,265 @@
+"""Random histories of one alarm against the model of the standard, and single transitions by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.line.alarms.rules import state_machine
+from app.line.alarms.rules.state_machine import (
+    FACTS_OF,
+    TRANSITIONS,
+    AlarmAttributes,
+    AlarmFacts,
+    Changed,
+    NoTransitionError,
+    due_at,
+    shifted,
+)
+from bus.instants import UnixTime
+from tests.app.alarm_model import FOREVER, ModelAlarm
+
+ACTS = ("acknowledge", "silence", "reset", "shelve", "unshelve", "remove", "return", "suppress", "unsuppress")
+STEPS = st.one_of(
+    st.tuples(st.just("observe"), st.sampled_from((True, False, True, False, None))),
+    st.tuples(st.sampled_from(ACTS), st.tuples(st.integers(1, 8), st.booleans())),
+)
+HISTORIES = st.lists(st.tuples(st.integers(1, 4), STEPS), max_size=40)
+
+
+def act(facts: AlarmFacts, how: AlarmAttributes, word: str, at: float, end: float, once: bool) -> Changed:
+    """One act of a person or of the suppression."""
+    match word:
+        case "acknowledge":
+            return state_machine.acknowledge(facts, how, UnixTime(at))
+        case "silence":
+            return state_machine.silence(facts, how, UnixTime(at))
+        case "reset":
+            return state_machine.reset(facts, how, UnixTime(at))
+        case "shelve":
+            return state_machine.shelve(facts, how, UnixTime(at), for_s=end - at, once=once)
+        case "unshelve":
+            return state_machine.unshelve(facts, how, UnixTime(at))
+        case "remove":
+            return state_machine.remove_from_service(facts, how, UnixTime(at))
+        case "return":
+            return state_machine.return_to_service(facts, how, UnixTime(at))
+        case _:
+            return state_machine.suppress(facts, word == "suppress", UnixTime(at))
+
+
+@settings(max_examples=5 * settings.default.max_examples)
+@given(
+    st.sampled_from((0.0, 2.5)),
+    st.sampled_from((0.0, 1.5)),
+    st.sampled_from((None, 3.125)),
+    st.booleans(),
+    HISTORIES,
+)
+def test_random_histories_equal_the_model_of_the_standard(
+    on_delay: float,
+    off_delay: float,
+    realarm: float | None,
+    latching: bool,
+    history: list[tuple[int, tuple[str, object]]],
+) -> None:
+    how = AlarmAttributes(on_delay, off_delay, realarm, latching=latching)
+    model = ModelAlarm(on_delay, off_delay, realarm or FOREVER, latching)
+    facts, journal, at = AlarmFacts(), list[str](), 0.0
+    for wait_s, (word, details) in history:
+        for _ in range(wait_s):
+            at += 1
+            facts, passed = state_machine.advance(facts, how, UnixTime(at))
+            journal += [each.trigger for each in passed]
+            assert (facts.state, facts.occurrence) == (model.state(at), model.occurrences(at))
+        if word == "observe":
+            assert details in (True, False, None)
+            model.observed.append((at, details))  # type: ignore[arg-type]
+            facts, done = state_machine.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
+        else:
+            assert isinstance(details, tuple)
+            end, once = (at + details[0] + 0.25, details[1]) if word == "shelve" else (FOREVER, False)
+            allowed = model.allows(word, at)
+            try:
+                facts, done = act(facts, how, word, at, end, once)
+            except NoTransitionError:
+                done = ()
+            assert bool(done) == allowed
+            if allowed:
+                model.acts.append((at, word, end, once))
+        journal += [each.trigger for each in done]
+        assert (facts.state, facts.occurrence) == (model.state(at), model.occurrences(at))
+    found = model.detections(at)
+    assert [word for word in journal if word in ("rise", "clear")] == [
+        "rise" if rises else "clear" for _, rises in found
+    ]
+
+
+@given(st.sampled_from((0.0, 2.5)), st.booleans(), HISTORIES)
+def test_an_alarm_whose_definition_ends_is_normal_as_the_standard_leads_there(
+    on_delay: float, latching: bool, history: list[tuple[int, tuple[str, object]]]
+) -> None:
+    how = AlarmAttributes(on_delay, latching=latching)
+    model, facts, at = ModelAlarm(on_delay, 0, FOREVER, latching), AlarmFacts(), 0.0
+    for wait_s, (word, details) in history:
+        at += wait_s
+        facts, _ = state_machine.advance(facts, how, UnixTime(at))
+        if word == "observe":
+            model.observed.append((at, details))  # type: ignore[arg-type]
+            facts, _ = state_machine.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
+        elif model.allows(word, at):
+            facts, _ = act(facts, how, word, at, FOREVER, once=False)
+            model.acts.append((at, word, FOREVER, False))
+    before = facts
+    facts, done = state_machine.withdraw(facts, how, UnixTime(at))
+    for each in done:
+        if each.trigger == "clear":
+            model.observed.append((at, False))
+        else:
+            model.acts.append((at, each.trigger, FOREVER, False))
+    assert (facts.state, model.state(at), facts.occurrence) == ("normal", "normal", model.occurrences(at))
+    assert due_at(facts, how) is None
+    assert bool(done) == (before.state != "normal")
+    assert not any(each.after in ("unack_active", "latched_unack") for each in done)
+    assert [each.before for each in done[1:]] == [each.after for each in done[:-1]]
+
+
+def test_a_suppressed_alarm_whose_definition_ends_is_normal_and_no_longer_suppressed() -> None:
+    how = AlarmAttributes()
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.suppress(facts, True, UnixTime(11))
+    facts, done = state_machine.withdraw(facts, how, UnixTime(12))
+    assert [each.trigger for each in done] == ["remove", "clear", "unsuppress", "return"]
+    assert (facts.state, facts.suppressed) == ("normal", False)
+
+
+def test_an_alarm_is_silenced_once() -> None:
+    how = AlarmAttributes()
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.silence(facts, how, UnixTime(11))
+    assert (facts.sounds, facts.state) == (False, "unack_active")
+    with pytest.raises(NoTransitionError):
+        state_machine.silence(facts, how, UnixTime(12))
+
+
+def test_every_base_state_has_its_own_facts_and_leads_only_where_the_table_does() -> None:
+    assert len(set(FACTS_OF.values())) == len(FACTS_OF)
+    for base in FACTS_OF:
+        facts = AlarmFacts().with_base(base)
+        for trigger, change in (("acknowledge", state_machine.acknowledge), ("reset", state_machine.reset)):
+            target = TRANSITIONS.get((base, trigger))  # type: ignore[arg-type]
+            if target is None:
+                with pytest.raises(NoTransitionError):
+                    change(facts, AlarmAttributes(), UnixTime(1))
+            else:
+                assert change(facts, AlarmAttributes(), UnixTime(1))[0].base == target.plain
+
+
+@pytest.mark.parametrize("word", [word for word in ACTS if not word.endswith("suppress")])
+def test_nothing_can_be_ended_that_has_not_begun(word: str) -> None:
+    facts, once = AlarmFacts(), word in ("shelve", "remove")
+    if once:
+        facts, _ = act(facts, AlarmAttributes(), word, 1.0, 9.0, False)
+    with pytest.raises(NoTransitionError):
+        act(facts, AlarmAttributes(), word, 2.0, 9.0, False)
+
+
+def test_an_unknown_condition_stops_a_delay_and_changes_nothing_else() -> None:
+    how = AlarmAttributes(on_delay_s=2)
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(1))
+    facts, _ = state_machine.observe(facts, how, holds=None, at=UnixTime(2))
+    facts, _ = state_machine.observe(facts, how, holds=None, at=UnixTime(9))
+    assert (facts.state, facts.unknown_since) == ("normal", 2)
+    facts, _ = state_machine.observe(facts, how, holds=True, at=UnixTime(10))
+    facts, done = state_machine.advance(facts, how, UnixTime(12))
+    assert (facts.state, facts.unknown_since, done[0].at) == ("unack_active", None, 12)
+
+
+def test_a_transition_has_the_time_at_which_it_was_due() -> None:
+    how = AlarmAttributes(on_delay_s=5, off_delay_s=2)
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    assert due_at(facts, how) == 15
+    facts, done = state_machine.observe(facts, how, holds=False, at=UnixTime(40))
+    assert [(each.trigger, each.at) for each in done] == [("rise", 15)]
+    assert due_at(facts, how) == 42
+
+
+def test_an_alarm_rises_again_while_it_stays_after_its_time_since_it_was_acknowledged() -> None:
+    how = AlarmAttributes(realarm_s=3)
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.acknowledge(facts, how, UnixTime(12))
+    facts, done = state_machine.advance(facts, how, UnixTime(20))
+    assert [(each.trigger, each.at, facts.state) for each in done] == [("realarm", 15, "unack_active")]
+
+
+def test_a_shelf_for_once_ends_with_the_condition_and_hides_from_acts_until_then() -> None:
+    how = AlarmAttributes()
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.shelve(facts, how, UnixTime(11), for_s=88, once=True)
+    for hidden_act in (state_machine.acknowledge, state_machine.reset):
+        with pytest.raises(NoTransitionError):
+            hidden_act(facts, how, UnixTime(12))
+    with pytest.raises(NoTransitionError):
+        state_machine.shelve(facts, how, UnixTime(12), for_s=87)
+    facts, done = state_machine.observe(facts, how, holds=False, at=UnixTime(13))
+    assert ([each.trigger for each in done], facts.shelved_until) == (["clear", "unshelve"], None)
+
+
+def test_what_hides_an_alarm_is_named_in_the_order_in_which_a_person_has_to_end_it() -> None:
+    facts = AlarmFacts(suppressed=True, shelved_until=UnixTime(9), out_of_service=True)
+    assert facts.state == "out_of_service"
+    assert replace(facts, out_of_service=False).state == "shelved"
+    assert AlarmFacts(suppressed=True).state == "suppressed"
+
+
+def test_running_times_keep_their_length_when_the_clock_is_set() -> None:
+    facts = AlarmFacts(shelved_until=UnixTime(100), changing_since=UnixTime(90))
+    later = shifted(facts, -50.0)
+    assert (later.shelved_until, later.changing_since, later.unknown_since) == (50, 40, None)
+
+
+def times(facts: AlarmFacts) -> tuple[float | None, float | None, float | None]:
+    """When it came, cleared and was acknowledged."""
+    return facts.came, facts.cleared, facts.acknowledged_at
+
+
+def test_coming_clearing_and_acknowledging_are_three_times_and_none_changes_another() -> None:
+    how = AlarmAttributes()
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    assert times(facts) == (10, None, None)
+    facts, _ = state_machine.acknowledge(facts, how, UnixTime(12))
+    assert (times(facts), facts.since) == ((10, None, 12), 12)
+    facts, _ = state_machine.observe(facts, how, holds=False, at=UnixTime(15))
+    assert (times(facts), facts.since) == ((10, 15, 12), 15)
+    facts, _ = state_machine.observe(facts, how, holds=True, at=UnixTime(20))
+    assert times(facts) == (20, None, None)
+    facts, _ = state_machine.observe(facts, how, holds=False, at=UnixTime(25))
+    facts, _ = state_machine.acknowledge(facts, how, UnixTime(30))
+    assert (times(facts), facts.state) == ((20, 25, 30), "normal")
+
+
+def test_an_acknowledgement_ends_where_it_is_annunciated_again_and_the_time_it_came_stays() -> None:
+    how = AlarmAttributes(realarm_s=3)
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.acknowledge(facts, how, UnixTime(12))
+    again, _ = state_machine.advance(facts, how, UnixTime(15))
+    assert times(again) == (10, None, None)
+    hidden, _ = state_machine.shelve(facts, how, UnixTime(13), for_s=1)
+    back, _ = state_machine.advance(hidden, how, UnixTime(14))
+    assert (times(back), back.state) == ((10, None, None), "unack_active")
+
+
+def test_one_that_cleared_after_its_acknowledgement_is_not_annunciated_again_by_time() -> None:
+    how = AlarmAttributes(realarm_s=3)
+    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = state_machine.acknowledge(facts, how, UnixTime(11))
+    facts, _ = state_machine.observe(facts, how, holds=False, at=UnixTime(12))
+    assert (due_at(facts, how), facts.state) == (None, "normal")
+
+
+def test_the_three_times_move_with_the_clock() -> None:
+    facts = AlarmFacts(came=UnixTime(10), cleared=UnixTime(20), acknowledged_at=UnixTime(30))
+    assert times(shifted(facts, 100.0)) == (110, 120, 130)

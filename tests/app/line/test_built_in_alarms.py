@@ -1,0 +1,244 @@
+"""The conditions of single built-in alarms against the model of the standard, on a clock of the test. 2 s."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from app.core.database import Database
+from app.core.web.admission.access import Role
+from app.line.alarms.journal.store import AlarmStore
+from app.line.alarms.monitor.bus_alarms import control_left_by
+from app.line.alarms.monitor.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
+from app.line.conditions.catalogue import CONDITIONS
+from app.line.conditions.of_server import DAY_S, certificate_expires, token_expires
+from app.line.history.status import HistoryStatus
+from app.line.live.diagnosis.links import bus_facts
+from app.people.audit.anchor import AnchorStatus
+from app.people.auth.store import Token
+from bus.contract import BusFigures, BusLink, ParameterValue
+from bus.instants import Monotonic, UnixTime
+from tests.app.alarm_bus import AT_SPEED, REMOTE, AlarmBus
+from tests.app.alarm_model import FOREVER, ModelAlarm
+from tests.app.notification_servers import certificate
+
+CODES = (
+    "unit_offline link_degraded estop_active not_at_speed deviation running_without_run ratio_out_of_limits "
+    "not_in_remote parameter_drift analog_out_of_limits duplicate_address staged_left port_lost worker_lost "
+    "second_master clock_stepped history_degraded audit_degraded disk_low certificate_expiring "
+    "notification_failed"
+)
+"""Those that programs rely on."""
+DAY = UnixTime(DAY_S)
+
+
+@pytest.fixture
+def bus(database: Database) -> AlarmBus:
+    bus = AlarmBus(database)
+    bus.connect()
+    bus.apply(*(ParameterValue(unit=unit, number=2, at=bus.now, raw=2000) for unit in (1, 2, 3)))
+    bus.wait(2, 1, 2, 3)
+    return bus
+
+
+def test_every_code_that_programs_rely_on_is_in_the_catalogue() -> None:
+    assert set(CODES.split()) <= set(CONDITIONS)
+
+
+def model_of(code: str) -> ModelAlarm:
+    row = CONDITIONS[code]
+    return ModelAlarm(row.tuning.on_delay_s, row.tuning.off_delay_s, FOREVER, row.latching)
+
+
+@pytest.mark.parametrize(
+    ("code", "abnormal"),
+    [("deviation", {"actual": 1150}), ("analog_out_of_limits", {"analog": 255})],
+)
+@pytest.mark.parametrize("seed", range(5))
+def test_a_random_history_of_readings_equals_the_model(
+    bus: AlarmBus, code: str, abnormal: dict[str, int], seed: int
+) -> None:
+    """Normal, abnormal, quiet, and late readings of a moment when it was otherwise."""
+    random, model, alarm = Random(seed), model_of(code), bus.alarm(f"1.{code}")
+    read_at, holds = bus.now, False
+    for _ in range(40):
+        what = random.choice(("normal", "abnormal", "quiet", "late"))
+        for _ in range(random.randrange(1, 20)):
+            bus.now += 0.5
+            bus.read(2, 3)
+            if what == "late":
+                read_at = bus.now - 30
+                bus.read(1, at=read_at, **({} if holds else abnormal))
+            elif what != "quiet":
+                read_at, holds = bus.now, what == "abnormal"
+                bus.read(1, **(abnormal if holds else {}))
+                model.observed.append((bus.now, holds))
+            if what in ("quiet", "late") and bus.now - read_at > 2:
+                model.observed.append((bus.now, None))
+            bus.alarms.tick()
+            bus.alarms.list.advance(Monotonic(bus.now))
+            assert alarm.facts.state == model.state(bus.now)
+            assert (alarm.facts.unknown_since is not None) == (model.observed[-1][1] is None)
+    assert alarm.facts.occurrence == model.occurrences(bus.now) > 0
+
+
+def test_a_deviation_ends_by_its_deadband_and_means_nothing_on_a_ramp_or_at_rest(bus: AlarmBus) -> None:
+    bus.wait(6, 1, 2, 3, actual=1101)
+    assert bus.present() == {"1.deviation", "2.deviation", "3.deviation"}
+    bus.wait(5, 1, 2, 3, actual=1090)
+    assert bus.state("1.deviation") == "unack_active"
+    bus.wait(3, 1, 2, 3, actual=1079)
+    assert bus.state("1.deviation") == "rtn_unack"
+    bus.wait(1, 1, 2, 3, commanded=2000, outputs=REMOTE)
+    assert bus.alarm("1.deviation").holds is False
+    assert [bus.alarm(f"{unit}.deviation").first_out for unit in (1, 2, 3)] == [True, False, False]
+
+
+def test_a_deviation_is_not_known_before_the_full_scale_is(database: Database) -> None:
+    bus = AlarmBus(database)
+    bus.connect()
+    bus.wait(9, 1, 2, 3, actual=1500)
+    assert bus.alarm("1.deviation").holds is None
+    assert bus.state("1.deviation") == "normal"
+
+
+def test_an_analog_input_that_is_not_wired_is_no_alarm(bus: AlarmBus) -> None:
+    unit = bus.live.units[2]
+    unit.settings = unit.settings.model_copy(
+        update={"labels": unit.settings.labels.model_copy(update={"analog": ""})}
+    )
+    bus.wait(12, 1, 2, analog=0)
+    assert bus.state("1.analog_out_of_limits") == "unack_active"
+    assert bus.state("2.analog_out_of_limits") == "normal"
+
+
+def test_a_scan_over_its_budget_is_an_alarm_after_a_minute_and_unknown_without_a_port(bus: AlarmBus) -> None:
+    slow = BusFigures(at=bus.now, scan_hz=1, scan_s=1.0, wire_utilisation=1.0, scan_s_with_one_more=1.3)
+    for _ in range(62):
+        bus.apply(replace_at(slow, bus.now))
+        bus.wait(1, 1, 2, 3)
+    assert bus.present() == {"wire_overloaded"}
+    bus.apply(BusLink(at=bus.now, link="closed"))
+    bus.wait(1)
+    assert bus.state("wire_overloaded") == "suppressed"
+    assert bus.alarm("wire_overloaded").facts.unknown_since is not None
+    facts = bus_facts(bus.live, bus.now)._replace(port_is_closed=False)
+    assert CONDITIONS["wire_overloaded"].holds(facts) is True, "only the port is in the way"
+
+
+def replace_at(figures: BusFigures, at: float) -> BusFigures:
+    return BusFigures(
+        at=at,
+        scan_hz=figures.scan_hz,
+        scan_s=figures.scan_s,
+        wire_utilisation=figures.wire_utilisation,
+        scan_s_with_one_more=figures.scan_s_with_one_more,
+    )
+
+
+def test_control_is_left_when_its_holder_has_no_page_and_sends_nothing(bus: AlarmBus) -> None:
+    pages, used_at = {"anna"}, Monotonic(bus.now)
+    bus.left_control = lambda: control_left_by("anna", used_at, pages, Monotonic(bus.now))
+    bus.wait(200, 1, 2, 3)
+    assert bus.state("control_left") == "normal"
+    pages.clear()
+    bus.wait(1, 1, 2, 3)
+    alarm = bus.alarm("control_left")
+    assert (alarm.facts.state, str(bus.alarms.present(alarm))) == ("unack_active", "held by anna")
+    used_at = Monotonic(bus.now)
+    bus.wait(6, 1, 2, 3)
+    assert alarm.facts.state == "rtn_unack"
+
+
+# --- the clock -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
+def test_a_step_of_the_clock_raises_nothing_on_a_bus_and_keeps_every_distance(
+    database: Database, step_s: float
+) -> None:
+    bus = AlarmBus(database, units=1)
+    bus.connect()
+    bus.wait(2, 1)
+    bus.wait(6, 1, outputs=AT_SPEED)
+    alarm = bus.alarm("1.not_in_remote")
+    assert alarm.facts.since is not None
+    age = bus.now - alarm.facts.since
+    bus.step_s = step_s
+    bus.alarms.tick()
+    assert bus.now + step_s - alarm.facts.since == age
+    assert bus.alarms.list.take_unwritten()[1] != []
+    bus.wait(9)
+    assert bus.present() == {"1.not_in_remote"}
+    bus.wait(1, 1, outputs=AT_SPEED)
+    bus.wait(20)
+    assert "1.unit_offline" in bus.present()
+
+
+def test_that_the_clock_was_set_is_an_alarm_with_the_step(database: Database) -> None:
+    now, step = 1000.0, 0.0
+    site = SiteAlarms(
+        {},
+        AlarmStore(database),
+        lambda: UnixTime(now + step),
+        lambda: now,  # type: ignore
+    )
+    alarm = site.list.alarms["_.clock_stepped"]
+    model = model_of("clock_stepped")
+    for seconds in range(200):
+        now += 1.0
+        step = -7200.0 if seconds > 20 else 0.0
+        site.tick()
+        site.list.advance(UnixTime(now + step))
+        model.observed.append((now, seconds == 21))
+        assert alarm.facts.state == model.state(now)
+    assert (alarm.facts.state, str(site.present(alarm))) == ("rtn_unack", "set by -7200.0 s")
+
+
+# --- what expires ----------------------------------------------------------------------------------------
+
+
+def test_a_token_expires_near_its_end_while_a_program_uses_it() -> None:
+    def expires(days_left: float, life: float = 365, unused: float | None = 0) -> bool:
+        now = DAY + 1000 * DAY_S
+        used_at = None if unused is None else now - unused * DAY_S
+        return token_expires(now + (days_left - life) * DAY_S, now + days_left * DAY_S, used_at, now)
+
+    assert [expires(days) for days in (15, 13, -1)] == [False, True, True]
+    assert [expires(0.5, life=1), expires(0.05, life=1)] == [False, True]
+    assert [expires(1, unused=31), expires(1, unused=None)] == [False, False]
+    assert not token_expires(DAY, None, DAY, DAY)
+    assert [certificate_expires(DAY + days * DAY_S, DAY) for days in (31, 29, -1)] == [False, True, True]
+
+
+async def test_the_token_and_the_certificate_that_end_first_are_named(
+    database: Database, tmp_path: Path
+) -> None:
+    now = DAY + 1000 * DAY_S
+    tokens = [
+        Token(number, name, Role.VIEWER, "t", DAY, now, expires_at=now + days * DAY_S)
+        for number, (name, days) in enumerate((("later", 5), ("scada", 2), ("good", 90)))
+    ]
+
+    async def stored() -> list[Token]:
+        return tokens
+
+    expiry = ExpiryWatch(stored, [certificate(tmp_path), tmp_path / "none.pem"], lambda: now)
+    conditions = site_conditions(lambda: HistoryStatus(), AnchorStatus, FailingEndpoints(), expiry)
+    site = SiteAlarms(conditions, AlarmStore(database))
+    site.tick()
+    token, authority = (site.list.alarms[f"_.{code}"] for code in ("token_expiring", "certificate_expiring"))
+    assert (token.holds, authority.holds) == (None, None)
+    await expiry.look()
+    site.tick()
+    assert (token.facts.state, str(site.present(token))) == ("unack_active", "scada until 1972-09-30")
+    assert authority.facts.state == "normal"
+    now = UnixTime(time.time()) + 365 * DAY_S
+    tokens.clear()
+    await expiry.look()
+    site.tick()
+    assert (token.facts.state, authority.facts.state) == ("rtn_unack", "unack_active")
+    assert str(site.present(authority)).startswith("plant.pem until 20")

@@ -1,0 +1,244 @@
+"""The first broken rung of e-stop → run → mode → link → ramp, with its time and in words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from app.line.live.diagnosis.cause import Cause, broken_rung, unit_cause
+from app.line.live.screen.cause_text import cause_texts, check_text
+from app.line.live.state.bus_live import LiveState
+from app.line.live.state.onset import Onset
+from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
+from bus.messages import term
+from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, translator
+
+NOW = 8520.0
+"""02:22 on the first day."""
+OFF_SPEED = {"outputs": REMOTE, "actual": 900}
+STOPPED = {"outputs": REMOTE, "actual": 0}
+
+
+def after(changes: dict[str, int], *, seconds: float = 10.0, link: str = "online") -> LiveState:
+    """A unit at speed whose readings are changed from 02:22 on, for some seconds."""
+    live = line()
+    live.buses["dry"].apply([reading(1, at=NOW - 0.2)])
+    steps = int(seconds / 0.2)
+    live.buses["dry"].apply([reading(1, at=NOW + 0.2 * step, **changes) for step in range(steps + 1)])
+    live.buses["dry"].apply([UnitLink(unit=1, at=NOW + seconds, link=link)])  # type: ignore[arg-type]
+    return live
+
+
+def cause_of(live: LiveState, now: float) -> Cause | None:
+    bus = live.buses["dry"]
+    return unit_cause(bus, bus.units[1], now)
+
+
+def shown_cause(live: LiveState, now: float = NOW + 10, tag: str = "en") -> tuple[str, str]:
+    """Level and first line."""
+    found = cause_of(live, now)
+    return (found.level, cause_texts(found, translator(tag), now).line) if found is not None else ("", "")
+
+
+def test_a_unit_at_speed_in_remote_has_none() -> None:
+    assert cause_of(after({}), NOW + 10) is None
+    assert cause_of(after({"commanded": 0, "actual": 0, "inputs": HEALTHY}), NOW + 10) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "level", "text", "german"),
+    [
+        (
+            STOPPED | {"inputs": RUN},
+            "urgent",
+            "Stopped: emergency stop active since 02:22",
+            "Steht: Not\u2011Halt aktiv seit 02:22",
+        ),
+        (
+            {"commanded": 0, "actual": 0, "inputs": RUN},
+            "urgent",
+            "Stopped: emergency stop active since 02:22",
+            "Steht: Not\u2011Halt aktiv seit 02:22",
+        ),
+        (
+            {"inputs": RUN},
+            "urgent",
+            "Turning: emergency stop active since 02:22",
+            "Dreht: Not\u2011Halt aktiv seit 02:22",
+        ),
+        (
+            STOPPED | {"inputs": HEALTHY},
+            "high",
+            "Stopped: run input off since 02:22",
+            "Steht: Eingang Lauf aus seit 02:22",
+        ),
+        (
+            {"inputs": HEALTHY},
+            "urgent",
+            "Turning without run since 02:22",
+            "Dreht ohne Lauf-Freigabe seit 02:22",
+        ),
+        (
+            {"inputs": HEALTHY, "commanded": 0, "actual": 30},
+            "urgent",
+            "Turning without run since 02:22",
+            "Dreht ohne Lauf-Freigabe seit 02:22",
+        ),
+        ({"outputs": AT_SPEED}, "low", "In LOCAL since 02:22", "In LOCAL seit 02:22"),
+        (
+            {"outputs": 0, "actual": 900},
+            "high",
+            "Off speed: in LOCAL since 02:22",
+            "Nicht auf Sollwert: in LOCAL seit 02:22",
+        ),
+        (OFF_SPEED, "high", "Off speed since 02:22", "Nicht auf Sollwert seit 02:22"),
+        (STOPPED, "high", "Stopped with run input on since 02:22", "Steht trotz Eingang Lauf seit 02:22"),
+    ],
+)
+def test_the_first_broken_rung_is_named_with_its_time(
+    changes: dict[str, int], level: str, text: str, german: str
+) -> None:
+    live = after(changes)
+    assert shown_cause(live) == (level, text)
+    assert shown_cause(live, tag="de") == (level, german)
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "rung"),
+    [
+        ({"outputs": 0, "actual": 0, "inputs": 0}, "estop_active", "e-stop urgent"),
+        ({"outputs": 0, "actual": 0, "inputs": HEALTHY}, "run_off", "run high"),
+        ({"outputs": 0, "actual": 0}, "not_in_remote", "mode high"),
+        ({"outputs": REMOTE, "actual": 0}, "not_at_speed", "ramp high"),
+    ],
+)
+def test_a_rung_hides_those_that_need_it(changes: dict[str, int], code: str, rung: str) -> None:
+    found = cause_of(after(changes), NOW + 10)
+    assert found is not None
+    assert (found.code, broken_rung(found)) == (code, rung)
+
+
+def test_while_it_slows_down_it_is_not_shown_as_stopped() -> None:
+    live = line()
+    live.buses["dry"].apply([reading(1, at=NOW - 0.2)])
+    slowing = [reading(1, at=NOW + 0.2 * n, inputs=HEALTHY, actual=1200 - 50 * n) for n in range(10)]
+    live.buses["dry"].apply(slowing)
+    assert shown_cause(live, NOW + 2) == ("high", "Still turning: run input off since 02:22")
+
+
+def test_slowing_down_to_a_commanded_zero_without_run_is_not_abnormal() -> None:
+    live = after({"inputs": HEALTHY, "commanded": 0, "actual": 300}, seconds=1.0)
+    assert shown_cause(live, NOW + 1) == ("", "Still turning: run input off since 02:22")
+
+
+def test_turning_is_dated_from_when_it_began_and_not_from_when_run_went_off() -> None:
+    live = after(STOPPED | {"inputs": HEALTHY})
+    live.buses["dry"].apply(
+        [reading(1, at=NOW + 10 + 0.2 * n, inputs=HEALTHY, actual=40) for n in range(620)]
+    )
+    assert shown_cause(live, NOW + 134)[1] == "Turning without run since 02:22"
+    found = cause_of(live, NOW + 134)
+    assert found is not None
+    assert found.onset == Onset(NOW + 10)
+
+
+def test_the_link_comes_after_what_was_last_read_and_before_the_ramp() -> None:
+    late = after(OFF_SPEED, link="stale")
+    assert shown_cause(late, NOW + 13) == ("low", "Response overdue since 02:22")
+    assert shown_cause(after(OFF_SPEED, link="stale"), NOW + 11)[1] == "Off speed since 02:22", (
+        "one poll missed"
+    )
+    assert shown_cause(after(STOPPED | {"inputs": HEALTHY}, link="stale"), NOW + 13)[1].startswith(
+        "Stopped: run"
+    )
+
+
+def test_of_a_unit_that_is_offline_nothing_else_is_claimed() -> None:
+    live = after(STOPPED | {"inputs": RUN}, link="offline")
+    assert shown_cause(live, NOW + 700) == ("high", "No response since 02:22")
+
+
+def test_a_lost_port_is_the_cause_of_its_units_and_abnormal_once() -> None:
+    live = after({})
+    live.buses["dry"].apply([BusLink(at=NOW + 10, link="closed", cause=term("the port is closed"))])
+    assert shown_cause(live, NOW + 70) == ("", "Port closed since 02:22: the port is closed")
+    assert broken_rung(cause_of(live, NOW + 70)) == "link", "its bus has the priority"
+
+
+def test_a_worker_that_does_not_respond_is_the_cause_of_its_units() -> None:
+    live = after({})
+    live.buses["dry"].apply(
+        [BusFigures(at=NOW + 10, scan_hz=5, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3)],
+    )
+    assert shown_cause(live, NOW + 70)[1] == "Bus worker does not respond since 02:22"
+    live.buses["dry"].lose_worker(NOW + 80)
+    assert shown_cause(live, NOW + 90)[1] == "Bus worker not connected since 02:23"
+
+
+def test_a_unit_never_read_and_a_unit_lost_before_the_start_with_its_time() -> None:
+    live = line()
+    bus = live.buses["dry"]
+    bus.units[1].reading = None
+    assert shown_cause(live, 105.0) == ("low", "No response yet")
+    assert shown_cause(live, 200.0) == ("high", "No response since at least 00:01"), "as its alarm"
+    bus.units[1].last_response = 60.0
+    assert shown_cause(live, 105.0) == ("low", "No response yet"), "it has its time to respond"
+    assert shown_cause(live, 111.0) == ("high", "No response since 00:01")
+
+
+RAMPING: list[tuple[dict[int, int | None], str]] = [
+    ({}, "Ramping to 120.0, about 2 s left"),
+    ({6: 5000}, "Ramping to 120.0, about 75 s left"),
+    ({6: 9999, 2: 400}, "Ramping to 120.0, about 12 min left"),
+    ({6: None}, "Ramping to 120.0"),
+    ({6: 0}, "Ramping to 120.0"),
+    ({2: None}, "Ramping to 120.0"),
+    ({8: 1}, "Ramping to 120.0"),
+]
+
+
+@pytest.mark.parametrize(("parameters", "text"), RAMPING)
+def test_a_ramp_shows_its_target_and_known_duration(parameters: dict[int, int | None], text: str) -> None:
+    live = after({"outputs": REMOTE, "actual": 900}, seconds=1.0)
+    values = [ParameterValue(1, n, NOW, raw, available=raw is not None) for n, raw in parameters.items()]
+    live.buses["dry"].apply(values)
+    assert shown_cause(live, NOW + 1) == ("", text)
+
+
+def test_a_ramp_down_takes_the_deceleration() -> None:
+    live = line()
+    live.buses["dry"].apply([reading(1, at=NOW, commanded=0, actual=1000, outputs=REMOTE)])
+    assert shown_cause(live, NOW)[1] == "Ramping to 0.0, about 10 s left"
+
+
+def test_what_was_there_at_the_start_is_first_seen_then() -> None:
+    live = line()
+    live.buses["dry"].units[1] = LiveState([live.buses["dry"].settings], 0.0).buses["dry"].units[1]
+    live.buses["dry"].apply([reading(1, at=NOW, **(STOPPED | {"inputs": HEALTHY}))])
+    assert shown_cause(live, NOW + 1)[1] == "Stopped: run input off since at least 02:22"
+    assert shown_cause(live, NOW + 1, tag="de")[1] == "Steht: Eingang Lauf aus mindestens seit 02:22"
+
+
+def test_the_text_of_the_strip_has_no_time() -> None:
+    found = cause_of(after(STOPPED | {"inputs": HEALTHY}), NOW + 10)
+    assert found is not None
+    assert cause_texts(found, translator(), NOW).text == "Stopped: run input off"
+    assert check_text(found, translator()) == "Check the run contact at the drive"
+    assert check_text(None, translator()) == ""
+
+
+def test_keylock_is_named_where_19_reports_it() -> None:
+    live = after({"outputs": AT_SPEED})
+    live.buses["dry"].apply([ParameterValue(1, 19, NOW, 2)])
+    assert shown_cause(live)[1] == "In KEYLOCK since 02:22"
+
+
+def test_units_that_read_ratios_are_not_shown_as_stopped_or_turning() -> None:
+    settings = line().buses["dry"].settings.model_copy(update={"follower_speed": "ratio"})
+    live = LiveState([settings], 0.0)
+    live.buses["dry"].worker_lost = None
+    values: list[Any] = [BusLink(at=NOW, link="open"), ParameterValue(1, 8, NOW, 1)]
+    ratio: list[Reading] = [reading(1, at=NOW + n, inputs=HEALTHY, outputs=REMOTE) for n in range(10)]
+    live.buses["dry"].apply([*values, UnitLink(unit=1, at=NOW, link="online"), *ratio])
+    assert shown_cause(live)[1] == "Run input off since at least 02:22"

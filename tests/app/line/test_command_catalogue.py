@@ -1,0 +1,133 @@
+"""Every kind of command is described once, and its description is true."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import pytest
+
+from app.core.web.admission.access import Role
+from app.line.commands.catalogue import COMMANDS, kind_of_command, timeout_s_for
+from app.line.commands.rules.setpoint import NewSetpoint
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import (
+    Action,
+    ChangeBaud,
+    ExecuteAll,
+    ExecuteSpeed,
+    ReadParameters,
+    ReadTrace,
+    ScanBus,
+    SetLine,
+    SetSpeed,
+    Staged,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from tests.app.line.test_command_check import bus_with, parameter
+from tests.app.stage import reading
+
+SECRET = next(number for number, each in PARAMETERS.items() if each.secret)
+ALL: list[Action] = [
+    SetSpeed(unit=2, raw=5),
+    ExecuteSpeed(unit=2),
+    ExecuteAll(),
+    SetLine(setpoints={2: 1, 1: 1}),
+    WriteOutput(unit=2, number=1, on=True),
+    WriteAnalogOutput(unit=2, raw=5),
+    WriteParameter(unit=2, number=6, raw=50),
+    ChangeBaud(baud=4800),
+    ReadParameters(unit=2),
+    ScanBus(),
+    ReadTrace(since=0.0),
+]
+
+
+def test_every_action_has_one_row() -> None:
+    assert COMMANDS.keys() == set(get_args(Action)) == {type(action) for action in ALL}
+
+
+@pytest.mark.parametrize("action", ALL, ids=lambda action: type(action).__name__)
+def test_what_writes_needs_an_operator_and_is_recorded(action: Action) -> None:
+    kind = kind_of_command(action)
+    assert kind.role.includes(Role.OPERATOR) or not action.writes
+    assert kind.is_event(action) or not action.writes
+    assert kind.wording(action, bus_with(reading(2))).what
+    assert action.writes or not kind.units_written(action, bus_with())
+
+
+@pytest.mark.parametrize(
+    ("action", "named", "written"),
+    [
+        (SetSpeed(unit=2, raw=5), (2,), [2]),
+        (WriteParameter(unit=1, number=6, raw=50), (1,), [1]),
+        (SetLine(setpoints={2: 1, 1: 1}), (1, 2), [1, 2, 16]),
+        (ExecuteAll(), (), [16]),
+        (ChangeBaud(baud=4800), (), [1, 2, 16]),
+        (ReadParameters(unit=2), (2,), []),
+        (ScanBus(), (), []),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_a_broadcast_reaches_what_others_have_staged(
+    action: Action, named: tuple[int, ...], written: list[int]
+) -> None:
+    bus = bus_with(Staged(unit=16, at=0.0, raw=7))
+    assert action.units == named
+    assert list(kind_of_command(action).units_written(action, bus)) == written
+
+
+def test_the_setpoints_that_a_command_would_bring_about() -> None:
+    bus = bus_with(Staged(unit=16, at=0.0, raw=7), Staged(unit=2, at=0.0, raw=8))
+
+    def of(action: Action) -> list[NewSetpoint]:
+        return list(kind_of_command(action).setpoints(action, bus))
+
+    assert of(SetSpeed(unit=1, raw=5)) == [NewSetpoint(1, 5)]
+    assert of(SetSpeed(unit=1, raw=5, execute=False)) == [NewSetpoint(1, 5, is_staged=True)]
+    assert of(SetLine(setpoints={2: 1, 1: 3})) == [NewSetpoint(1, 3), NewSetpoint(2, 1)]
+    assert of(ExecuteAll()) == [NewSetpoint(2, 8), NewSetpoint(16, 7)]
+    assert of(ExecuteSpeed(unit=16)) == [NewSetpoint(16, 7)]
+    assert of(ExecuteSpeed(unit=1)) == []
+    assert of(WriteParameter(unit=1, number=20, raw=5)) == [NewSetpoint(1, 5, "speed")]
+    assert of(WriteParameter(unit=1, number=37, raw=5)) == [NewSetpoint(1, 5, "ratio")]
+    assert of(WriteParameter(unit=1, number=6, raw=5)) == []
+    assert of(WriteOutput(unit=1, number=1, on=True)) == []
+
+
+def test_only_the_value_of_a_secret_is_hidden() -> None:
+    hidden = [
+        number
+        for number in PARAMETERS
+        if kind_of_command(action := WriteParameter(unit=1, number=number, raw=1)).is_secret(action)
+    ]
+    assert hidden == [SECRET]
+    wording = kind_of_command(action).wording(
+        WriteParameter(unit=1, number=SECRET, raw=1234), bus_with(parameter(1, SECRET, 4321))
+    )
+    assert (wording.old_raw, wording.new_raw) == (None, None)
+    assert not {"1234", "4321"} & {wording.old, wording.new}
+
+
+def test_a_search_is_an_event_and_a_look_at_one_address_is_none() -> None:
+    search, look = ScanBus(first=1, last=9), ScanBus(first=9, last=9)
+    assert kind_of_command(search).is_event(search)
+    assert not kind_of_command(look).is_event(look)
+
+
+def test_a_change_of_the_line_may_take_the_time_of_its_staging_and_a_list_of_parameters_its_own() -> None:
+    bus = bus_with()
+    times = {type(action): kind_of_command(action).timeout_s(action, bus) for action in ALL}
+    assert times[SetLine] == timeout_s_for(bus, 2, typed=True) > times[SetSpeed] == timeout_s_for(bus)
+    slow = ReadParameters(unit=2, urgent=False)
+    assert times[ReadParameters] < kind_of_command(slow).timeout_s(slow, bus)
+
+
+def test_a_change_of_several_is_worded_for_each_of_its_units() -> None:
+    bus = bus_with(reading(1), reading(2), Staged(unit=16, at=0.0, raw=7))
+    line, everything = SetLine(setpoints={2: 5, 1: 4}), ExecuteAll()
+    parts = kind_of_command(line).part_wordings(line, bus)
+    assert {unit: each.new_raw for unit, each in parts.items()} == {1: 4, 2: 5}
+    assert list(kind_of_command(everything).part_wordings(everything, bus)) == [16]
+    assert kind_of_command(ALL[0]).part_wordings(ALL[0], bus) == {}

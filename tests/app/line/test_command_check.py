@@ -1,0 +1,320 @@
+"""Every check before a byte leaves: properties of what is refused, what is let through, what is offered."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.core.web.admission.arrival import DEFAULT_TIMEOUT_S
+from app.errors import Problem
+from app.line.commands.catalogue import check, longest_change_s, timeout_s_for
+from app.line.commands.rules.objection import RuleContext
+from app.line.commands.rules.setpoint import Moves
+from app.line.commands.safeguards.limits import HIGHEST_SETPOINT, NO_LIMITS, CommandBlock, Limits
+from app.line.live.state.bus_live import BusLive, LiveState
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import (
+    Action,
+    ChangeBaud,
+    ExecuteAll,
+    ExecuteSpeed,
+    ParameterValue,
+    ReadParameters,
+    SetLine,
+    SetSpeed,
+    Staged,
+    Update,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.instants import Monotonic
+from tests.app.stage import HEALTHY, bus_settings, reading
+
+RUNNING = HEALTHY | 1
+BLOCK = CommandBlock("belt off, do not run", "anna", 0.0)
+
+
+def bus_with(*updates: Update, **settings: object) -> BusLive:
+    """The three units, after these updates."""
+    live = LiveState([bus_settings(**settings)], time.time())
+    live.buses["dry-end"].apply(updates)
+    return live.buses["dry-end"]
+
+
+def parameter(unit: int, number: int, raw: int) -> ParameterValue:
+    """A value that was read."""
+    return ParameterValue(unit=unit, number=number, at=time.time(), raw=raw)
+
+
+def circumstances(
+    bus: BusLive | None = None,
+    *,
+    limits: Limits = NO_LIMITS,
+    blocked: int = 0,
+    moved: int = 0,
+    confirm: bool = False,
+) -> RuleContext:
+    """Unit 1 has these limits, unit ``blocked`` is blocked."""
+    return RuleContext(
+        bus=bus or bus_with(reading(1), reading(2), reading(16)),
+        limits=lambda unit: limits if unit == 1 else NO_LIMITS,
+        block=lambda unit: BLOCK if unit == blocked else None,
+        moved=lambda unit: moved if unit == 1 else 0,
+        confirm=confirm,
+    )
+
+
+def objection(action: Action, now: RuleContext) -> Problem:
+    """The objection there must be."""
+    with pytest.raises(Problem) as caught:
+        check(action, now)
+    return caught.value
+
+
+def nearest_of(problem: Problem) -> int | None:
+    """The value that the refusal offers."""
+    return problem.extra.get("nearest")
+
+
+setpoints = st.integers(-(2**40), 2**40)
+bounds = st.integers(0, HIGHEST_SETPOINT)
+
+
+@given(setpoints)
+def test_what_the_link_can_carry_passes_and_nothing_else(raw: int) -> None:
+    if 0 <= raw <= HIGHEST_SETPOINT:
+        check(SetSpeed(unit=1, raw=raw), circumstances())
+    else:
+        error = objection(SetSpeed(unit=1, raw=raw), circumstances())
+        assert error.code == "invalid"
+        assert nearest_of(error) == (0 if raw < 0 else HIGHEST_SETPOINT)
+
+
+@given(setpoints, bounds, bounds)
+def test_the_nearest_that_is_offered_would_be_allowed(raw: int, one: int, other: int) -> None:
+    now = circumstances(limits=Limits(lowest=min(one, other), highest=max(one, other)))
+    if raw == 0 or min(one, other) <= raw <= max(one, other):
+        check(SetSpeed(unit=1, raw=raw), now)
+        return
+    nearest = nearest_of(objection(SetSpeed(unit=1, raw=raw), now))
+    assert nearest is not None
+    check(SetSpeed(unit=1, raw=nearest), now)
+
+
+@given(bounds, st.booleans())
+def test_limits_hold_on_every_path_to_a_setpoint(raw: int, execute: bool) -> None:
+    limits = Limits(lowest=500, highest=600)
+    staged = circumstances(bus_with(reading(1), Staged(unit=1, at=0.0, raw=raw)), limits=limits)
+    paths: list[tuple[Action, RuleContext]] = [
+        (SetSpeed(unit=1, raw=raw, execute=execute), circumstances(limits=limits)),
+        (SetLine(setpoints={1: raw, 2: 5}), circumstances(limits=limits)),
+        (WriteParameter(unit=1, number=20, raw=raw), circumstances(limits=limits)),
+        (ExecuteSpeed(unit=1), staged),
+        (ExecuteAll(), staged),
+    ]
+    for action, now in paths:
+        if raw == 0 or 500 <= raw <= 600:
+            check(action, now)
+        else:
+            assert objection(action, now).code == "invalid"
+
+
+def test_zero_is_always_allowed_to_a_master() -> None:
+    limits = Limits(lowest=500, highest=600, largest_step=1, per_minute=1)
+    check(SetSpeed(unit=1, raw=0), circumstances(limits=limits, moved=1))
+
+
+@given(bounds, bounds)
+def test_a_large_step_needs_a_review(raw: int, largest: int) -> None:
+    limits = Limits(largest_step=largest)
+    if raw == 0 or abs(raw - 1000) <= largest:
+        check(SetSpeed(unit=1, raw=raw), circumstances(limits=limits))
+    else:
+        assert objection(SetSpeed(unit=1, raw=raw), circumstances(limits=limits)).code == "confirm_needed"
+        check(SetSpeed(unit=1, raw=raw), circumstances(limits=limits, confirm=True))
+
+
+def test_a_step_from_a_speed_that_was_never_read_needs_a_review() -> None:
+    now = circumstances(bus_with(), limits=Limits(largest_step=99999))
+    assert objection(SetSpeed(unit=1, raw=5), now).code == "confirm_needed"
+
+
+def test_the_movement_within_a_minute_is_limited_over_all_confirmations() -> None:
+    limits = Limits(per_minute=100)
+    check(SetSpeed(unit=1, raw=1040), circumstances(limits=limits, moved=60))
+    error = objection(SetSpeed(unit=1, raw=1041), circumstances(limits=limits, moved=60, confirm=True))
+    assert error.code == "invalid"
+    assert "40 remains" in str(error)
+
+
+def test_a_follower_takes_a_ratio_between_its_own_limits() -> None:
+    bus = bus_with(reading(1), parameter(1, 8, 1), parameter(1, 38, 5000), parameter(1, 31, 15000))
+    check(SetSpeed(unit=1, raw=10000), circumstances(bus))
+    assert nearest_of(objection(SetSpeed(unit=1, raw=4999), circumstances(bus))) == 5000
+    assert nearest_of(objection(SetSpeed(unit=1, raw=15001), circumstances(bus))) == 15000
+    assert nearest_of(objection(SetSpeed(unit=1, raw=0), circumstances(bus))) == 5000
+
+
+WRITES: list[Action] = [
+    SetSpeed(unit=2, raw=5),
+    SetSpeed(unit=2, raw=5, execute=False),
+    ExecuteSpeed(unit=2),
+    SetLine(setpoints={1: 5, 2: 5}),
+    WriteOutput(unit=2, number=1, on=True),
+    WriteAnalogOutput(unit=2, raw=5),
+    WriteParameter(unit=2, number=6, raw=50),
+    ChangeBaud(baud=4800),
+]
+
+
+@pytest.mark.parametrize("action", WRITES, ids=lambda action: type(action).__name__)
+def test_a_blocked_unit_is_refused_on_every_path(action: Action) -> None:
+    error = objection(action, circumstances(blocked=2, confirm=True))
+    assert error.code == "blocked"
+    assert "anna" in str(error)
+    assert BLOCK.reason in str(error)
+    check(action, circumstances(blocked=16 if not isinstance(action, ChangeBaud) else 0, confirm=True))
+
+
+def test_a_broadcast_is_refused_when_it_would_execute_what_a_blocked_unit_has_staged() -> None:
+    bus = bus_with(reading(1), Staged(unit=2, at=0.0, raw=5))
+    assert objection(ExecuteAll(), circumstances(bus, blocked=2)).code == "blocked"
+    assert objection(SetLine(setpoints={1: 5}), circumstances(bus, blocked=2)).code == "blocked"
+    check(ExecuteAll(), circumstances(bus, blocked=1))
+
+
+def test_reading_a_blocked_unit_is_no_write() -> None:
+    check(ReadParameters(unit=2), circumstances(blocked=2))
+
+
+def test_an_empty_change_is_refused() -> None:
+    assert objection(SetLine(setpoints={}), circumstances()).code == "invalid"
+
+
+@given(st.integers(-5, 12))
+def test_outputs_are_one_to_six(number: int) -> None:
+    action = WriteOutput(unit=1, number=number, on=True)
+    if 1 <= number <= 6:
+        check(action, circumstances())
+    else:
+        assert objection(action, circumstances()).code == "invalid"
+
+
+@given(st.integers(-10, 3000))
+def test_the_analog_output_stays_between_29_and_30_where_they_are_known(raw: int) -> None:
+    action = WriteAnalogOutput(unit=1, raw=raw)
+    known = circumstances(bus_with(parameter(1, 29, 100), parameter(1, 30, 2000)))
+    if 100 <= raw <= 2000:
+        check(action, known)
+    else:
+        assert nearest_of(objection(action, known)) == (100 if raw < 100 else 2000)
+    if raw >= 0:
+        check(action, circumstances())
+
+
+@given(st.sampled_from(sorted(PARAMETERS)), st.integers(-(2**33), 2**33))
+def test_a_parameter_out_of_range_never_leaves(number: int, raw: int) -> None:
+    row = PARAMETERS[number]
+    action = WriteParameter(unit=1, number=number, raw=raw)
+    legal = row.minimum <= raw <= row.maximum and (row.allowed is None or raw in row.allowed)
+    if legal and not row.never_writable:
+        check(action, circumstances(confirm=True))
+    else:
+        assert objection(action, circumstances(confirm=True)).code == "invalid"
+
+
+def test_the_address_is_never_written() -> None:
+    assert objection(WriteParameter(unit=1, number=17, raw=5), circumstances(confirm=True)).code == "invalid"
+
+
+@pytest.mark.parametrize(("number", "raw"), [(18, 48), (19, 0), (19, 2), (27, 1)])
+def test_what_can_cut_the_link_off_needs_a_confirmation(number: int, raw: int) -> None:
+    action = WriteParameter(unit=1, number=number, raw=raw)
+    assert objection(action, circumstances()).code == "dangerous"
+    check(action, circumstances(confirm=True))
+
+
+def test_remote_is_no_danger() -> None:
+    check(WriteParameter(unit=1, number=19, raw=1), circumstances())
+
+
+def test_the_mode_is_not_changed_while_running() -> None:
+    action = WriteParameter(unit=1, number=8, raw=1)
+    running = circumstances(bus_with(reading(1, inputs=RUNNING)))
+    assert objection(action, running).code == "invalid"
+    check(action, circumstances())
+
+
+def test_a_baud_that_no_unit_speaks_is_refused_with_the_nearest() -> None:
+    assert nearest_of(objection(ChangeBaud(baud=5000), circumstances())) == 4800
+    assert objection(ChangeBaud(baud=4800), circumstances()).code == "dangerous"
+
+
+def test_a_parameter_that_no_unit_has_is_refused() -> None:
+    error = objection(WriteParameter(unit=1, number=41, raw=1), circumstances(confirm=True))
+    assert (error.code, str(error)) == ("invalid", "a unit has the parameters 1 to 40; nothing was sent")
+
+
+def test_a_unit_that_was_never_read_is_not_taken_for_running() -> None:
+    [number, *_] = [row.number for row in PARAMETERS.values() if row.not_while_running]
+    action = WriteParameter(unit=1, number=number, raw=PARAMETERS[number].minimum)
+    check(action, circumstances(bus_with(), confirm=True))
+
+
+# --- how far a setpoint was moved within a minute ------------------------------------------------
+
+
+@pytest.fixture
+def moves() -> Moves:
+    """Unit 1 was moved by 30 at second 100, and by 12 at second 130."""
+    noted = Moves()
+    noted.note({1: 30}, Monotonic(100.0))
+    noted.note({1: 12}, Monotonic(130.0))
+    return noted
+
+
+@pytest.mark.parametrize(
+    ("at", "moved"), [(130.0, 42), (159.9, 42), (160.0, 12), (189.9, 12), (190.0, 0), (1e9, 0)]
+)
+def test_a_step_counts_for_a_minute(moves: Moves, at: float, moved: int) -> None:
+    assert moves.within_a_minute(1, Monotonic(at)) == moved
+    assert moves.within_a_minute(1, Monotonic(at)) == moved
+
+
+def test_each_unit_has_its_own(moves: Moves) -> None:
+    assert moves.within_a_minute(2, Monotonic(130.0)) == 0
+
+
+def test_a_step_that_did_not_happen_counts_no_more(moves: Moves) -> None:
+    moves.take_back({1: 30}, Monotonic(100.0))
+    assert moves.within_a_minute(1, Monotonic(130.0)) == 12
+
+
+def test_only_the_step_that_was_noted_is_taken_back(moves: Moves) -> None:
+    moves.take_back({1: 30}, Monotonic(130.0))
+    moves.take_back({2: 30}, Monotonic(100.0))
+    assert moves.within_a_minute(1, Monotonic(130.0)) == 42
+
+
+def test_limits_that_were_typed_for_another_display_are_refused_but_for_speed_zero() -> None:
+    bus = bus_with(parameter(1, 3, 1), parameter(1, 8, 0))
+    for decimals in (None, 1):
+        check(SetSpeed(1, 1100), circumstances(bus, limits=Limits(highest=1500, decimals=decimals)))
+    other = circumstances(bus, limits=Limits(highest=1500, decimals=0))
+    check(SetSpeed(1, 0), other)
+    with pytest.raises(Problem, match="since its limits were set"):
+        check(SetSpeed(1, 1100), other)
+    check(SetSpeed(1, 1100), circumstances(bus, limits=Limits(decimals=0)))
+
+
+def test_a_change_of_several_units_may_wait_for_its_stages_and_be_withdrawn_from_each() -> None:
+    bus = bus_with()
+    slow = bus_with(baud=300)
+    assert timeout_s_for(bus) == timeout_s_for(slow) == DEFAULT_TIMEOUT_S
+    assert timeout_s_for(bus) < timeout_s_for(bus, 3) < timeout_s_for(slow, 3)
+    assert timeout_s_for(bus, 3) < timeout_s_for(bus, 3, typed=True)
+    assert longest_change_s(bus, 3) == 2 * timeout_s_for(bus, 3, typed=True)

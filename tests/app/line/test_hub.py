@@ -1,0 +1,238 @@
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import pytest
+
+from app.core.web.rendering.assets import Assets, static_dir, templates_dir
+from app.core.web.rendering.templating import Templates
+from app.line.live.browsers.browser import Browser
+from app.line.live.browsers.hub import Hub
+from app.line.live.command_ids import key_of, new_command_id
+from app.line.live.screen.fields import Translator
+from app.line.live.screen.screen import Screen
+from app.line.live.state.bus_live import LiveState
+from app.settings import Site
+from bus.contract import BusFigures, Frame, Frames, Progress, UnitFigures
+from bus.messages import term
+from tests.app.played_sources import NoAlarms, played_sources
+from tests.app.screens import line, reading
+
+
+@dataclass
+class World:
+    live: LiveState = field(default_factory=line)
+    now: float = 100.0
+    watched: list[tuple[str, list[int], bool]] = field(default_factory=list)
+    controls: dict[str, str] = field(default_factory=dict)
+    alarms: NoAlarms = field(default_factory=NoAlarms)
+
+    def __post_init__(self) -> None:
+        templates = Templates(templates_dir(), Assets(static_dir()), Site())
+        sources = replace(played_sources(self.live.buses, controls=self.controls), alarms=self.alarms)
+        watchers = {bus: partial(self.watch, bus) for bus in self.live.buses}
+        self.hub = Hub(self.live, sources, templates, watchers, lambda: self.now)
+
+    def watch(self, bus: str, units: list[int], trace: bool) -> None:
+        self.watched.append((bus, units, trace))
+
+    def join(self, name: str = "anna", language: str = "en") -> Browser:
+        browser = Browser(name, "operator", language)
+        self.hub.join(browser)
+        return browser
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+async def sent(browser: Browser) -> list[dict[str, Any]]:
+    return [json.loads(text) for text in await browser.next()]
+
+
+async def test_a_snapshot_comes_first_then_changes(world: World) -> None:
+    browser = world.join()
+    first, _people = await sent(browser)
+    assert first["is"] == "snapshot"
+    assert first["f"]["dry/1"]["actual"] == "120.0"
+    world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
+    (diff,) = await sent(browser)
+    assert diff["f"]["dry/1"]["actual"] == "121.0"
+    assert "dry/2" not in diff["f"]
+    assert diff["p"] == _people["n"]
+
+
+async def test_numbers_follow_each_other_without_a_gap(world: World) -> None:
+    browser = world.join()
+    last = (await sent(browser))[-1]["n"]
+    for step in range(1, 20):
+        world.live.buses["dry"].apply([reading(1, at=100 + step / 10, actual=1200 + step)])
+        (diff,) = await sent(browser)
+        assert diff["p"] == last
+        last = diff["n"]
+
+
+async def test_every_language_gets_its_texts(world: World) -> None:
+    english, german = world.join("anna", "en"), world.join("bernd", "de")
+    await sent(english)
+    await sent(german)
+    world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
+    assert (await sent(english))[-1]["f"]["dry/1"]["actual"] == "121.0"
+    assert (await sent(german))[-1]["f"]["dry/1"]["actual"] == "121,0"
+
+
+async def test_the_same_text_goes_to_all_of_a_language(world: World) -> None:
+    one, other = world.join("anna"), world.join("bernd")
+    await sent(one)
+    await sent(other)
+    world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
+    (first,), (second,) = await one.next(), await other.next()
+    assert first is second
+
+
+async def test_a_page_that_opens_beside_another_renders_nothing_again(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await sent(world.join("anna"))
+    world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
+    monkeypatch.delattr(Screen, "refresh")
+    first, *_ = await sent(world.join("bernd"))
+    assert first["f"]["dry/1"]["actual"] == "121.0"
+
+
+async def test_a_page_that_opens_alone_shows_what_was_reported_while_none_was_open(world: World) -> None:
+    world.hub.leave(world.join("anna"))
+    world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
+    first, *_ = await sent(world.join("bernd"))
+    assert first["f"]["dry/1"]["actual"] == "121.0"
+
+
+async def test_a_heartbeat_comes_each_second_with_the_server_s_time(world: World) -> None:
+    browser = world.join()
+    await sent(browser)
+    world.now = 101.0
+    world.hub.tick()
+    (beat,) = await sent(browser)
+    assert (beat["t"], beat["f"].get("dry/1")) == (101.0, None)
+
+
+async def test_a_missing_reading_shows_with_the_heartbeat(world: World) -> None:
+    browser = world.join()
+    await sent(browser)
+    world.now = 103.0
+    world.hub.tick()
+    (beat,) = await sent(browser)
+    assert beat["f"]["dry/1"]["link"] == "stale"
+
+
+async def test_each_user_is_listed_once(world: World) -> None:
+    one = world.join("anna")
+    world.join("anna")
+    other = world.join("bernd")
+    await sent(one)
+    assert world.hub.connected == 3
+    world.hub.leave(other)
+    (diff,) = await sent(one)
+    assert diff["f"]["people"] == {"here": [["anna", "operator"]], "count": "1"}
+
+
+async def test_how_far_a_command_is_goes_to_the_pages_and_is_not_kept(world: World) -> None:
+    browser = world.join("bernd", "de")
+    await sent(browser)
+    world.live.buses["dry"].apply([Progress(id="x1", at=100.1, stage="sent")])
+    (diff,) = await sent(browser)
+    assert diff["f"] == {"command/x1": {"stage": "gesendet"}}
+    assert "command/x1" not in world.hub.screen("de").shown
+
+
+async def test_a_page_finds_its_command_by_the_key_that_it_gave(world: World) -> None:
+    browser = world.join("bernd", "de")
+    await sent(browser)
+    command_id = new_command_id("form#7")
+    assert command_id != new_command_id("form#7")
+    world.live.buses["dry"].apply([Progress(id=command_id, at=100.1, stage="sent")])
+    (diff,) = await sent(browser)
+    assert diff["f"] == {"command/form#7": {"stage": "gesendet"}}
+    unnamed = new_command_id()
+    assert key_of(unnamed) == unnamed
+
+
+async def test_scan_progress_goes_to_pages_of_the_bus(world: World) -> None:
+    browser = world.join("bernd", "de")
+    await sent(browser)
+    world.live.buses["dry"].apply([Progress(id="x1", at=100.1, stage="searching", done=17, of=255)])
+    (diff,) = await sent(browser)
+    assert diff["f"] == {"dry": {"searched": "abgesuchte Adressen: 17/255"}}
+    assert "searched" not in world.hub.screen("de").shown["dry"]
+
+
+async def test_frames_go_only_to_who_follows(world: World) -> None:
+    follower, other = world.join("anna"), world.join("bernd")
+    await sent(follower)
+    await sent(other)
+    world.hub.follow(follower, (), "dry")
+    frame = Frame(at=100.1, direction="out", data=b"\x10\x02", meanings=[term("a beginning")])
+    world.live.buses["dry"].apply([Frames(frames=[frame])])
+    (shown,) = await sent(follower)
+    assert shown["frames"][0]["hex"] == "10 02"
+    world.hub.tick()
+    assert [message["is"] for message in await sent(other)] == ["diff"]
+
+
+async def test_the_worker_gets_the_watched_units_until_there_are_none(world: World) -> None:
+    browser = world.join()
+    world.hub.follow(browser, ("dry/2", "elsewhere/1"), "")
+    world.hub.follow(browser, ("dry/2",), "")
+    world.hub.leave(browser)
+    assert world.watched == [("dry", [1, 2], False), ("dry", [2], False), ("dry", [], False)]
+
+
+async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
+    browser = world.join()
+    world.hub.follow(browser, ("dry/2",), "")
+    await sent(browser)
+    units = [UnitFigures(unit=n, polls=5, responses=5) for n in (1, 2)]
+    world.live.buses["dry"].apply(
+        [
+            BusFigures(
+                at=100.1, scan_hz=4, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3, units=units
+            )
+        ],
+    )
+    (diff,) = await sent(browser)
+    assert diff["f"]["health/dry/2"]["responses"] == "5"
+    assert "health/dry/1" not in diff["f"]
+
+
+async def test_who_holds_control_is_on_every_page(world: World) -> None:
+    world.controls["dry"] = "anna"
+    browser = world.join()
+    snapshot = (await sent(browser))[0]
+    assert snapshot["f"]["line_summary"]["holder"] == "anna"
+    world.controls["dry"] = "ben"
+    world.hub.tick()
+    changed = (await sent(browser))[-1]["f"]
+    assert (changed["line_summary"]["holder"], changed["dry"]["held_by"]) == ("ben", "ben")
+
+
+class AlarmOfADay(NoAlarms):
+    """One whose text has the day."""
+
+    def banner(self, _translator: Translator, now: float) -> dict[str, str]:
+        """The number of the day."""
+        return {"state": f"day {now // 86_400:.0f}"}
+
+
+async def test_the_time_of_an_alarm_is_that_of_the_day_on_which_it_is_read() -> None:
+    world = World(alarms=AlarmOfADay())
+    browser = world.join()
+    first, _people = await sent(browser)
+    assert first["f"]["alarms_present"]["state"] == "day 0"
+    world.now = 86_460.0
+    world.hub.tick()
+    messages = await sent(browser)
+    assert {"state": "day 1"} in [message["f"].get("alarms_present") for message in messages]

@@ -1,0 +1,179 @@
+"""The pages of the line as the server sends them, and what makes them an app on a device."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from app.core.web.admission.access import Role
+from app.line.live.pages import digits_of, view_for
+from app.line.live.state.bus_live import LiveState
+from bus.contract import ParameterValue
+from tests.app.complete_app import House, complete_app
+from tests.app.screens import line
+
+PAGES = ["/", "/units/dry-end/1", "/units/dry-end/1/parameters", "/setpoints", "/bus/dry-end"]
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with complete_app(tmp_path) as house:
+        yield house
+
+
+@pytest.mark.parametrize(
+    ("units", "view"),
+    [(0, "tiles"), (24, "tiles"), (25, "matrix"), (255, "matrix")],
+)
+def test_the_view_follows_the_number_of_units(units: int, view: str) -> None:
+    assert view_for(units) == view
+
+
+@pytest.mark.parametrize(("decimals", "span", "digits"), [(0, 2000, 4), (1, 2000, 5), (4, 99, 6), (2, 0, 6)])
+def test_a_number_has_room_for_the_highest_speed(decimals: int, span: int, digits: int) -> None:
+    live = line()
+    values = [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((2, span), (3, decimals))]
+    live.buses["dry"].apply(list(values))
+    assert digits_of(live.buses["dry"].units[1]) == digits
+
+
+@pytest.mark.parametrize("path", PAGES)
+async def test_no_page_has_an_inline_style_or_script(house: House, path: str) -> None:
+    page = await (await house.program(Role.ENGINEER)).get(path)
+    assert page.status_code == 200
+    assert not re.search(r"\sstyle=|<style|\son[a-z]+=|javascript:", page.text)
+    assert all(' src="' in tag for tag in re.findall(r"<script[^>]*>", page.text))
+
+
+@pytest.mark.parametrize("path", PAGES)
+async def test_nothing_is_called_stop(house: House, path: str) -> None:
+    page = await (await house.program(Role.ENGINEER)).get(path)
+    buttons = re.findall(r"<button[^>]*>(.*?)</button>", page.text, re.DOTALL)
+    assert buttons
+    assert not [button for button in buttons if re.search(r"\bstop\b", button, re.IGNORECASE)]
+
+
+async def test_bounds_without_decimals_are_numbers_of_the_wire_and_have_no_unit(house: House) -> None:
+    client = await house.program(Role.VIEWER)
+    live = house.services[LiveState].buses["dry-end"].units[1]
+    unit = live.settings.labels.unit
+    assert unit
+    unread = (await client.get("/units/dry-end/1")).text
+    assert "raw</span>" in unread
+    assert f"raw {unit}</span>" not in unread
+    values = [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((2, 2000), (3, 1))]
+    house.services[LiveState].buses["dry-end"].apply(list(values))
+    assert f"200.0 {unit}</span>" in (await client.get("/units/dry-end/1")).text
+
+
+async def test_the_faceplate_is_a_part_of_the_line_with_what_the_role_may_do(house: House) -> None:
+    for role, may_set in ((Role.VIEWER, False), (Role.OPERATOR, True)):
+        part = await (await house.program(role)).get("/units/dry-end/1/faceplate")
+        assert part.status_code == 200
+        assert "<html" not in part.text
+        assert 'class="lamp' in part.text
+        assert ('name="value"' in part.text) is may_set
+
+
+async def test_the_line_has_lamps_on_the_faceplate_alone(house: House) -> None:
+    client = await house.program(Role.VIEWER)
+    for view in ("tiles", "rows", "matrix"):
+        assert 'class="lamp' not in (await client.get(f"/?view={view}")).text
+
+
+async def test_an_unknown_unit_is_explained(house: House) -> None:
+    page = await (await house.program(Role.VIEWER)).get("/units/dry-end/200")
+    assert page.status_code == 404
+    assert "200" in page.text
+
+
+async def test_the_view_is_remembered(house: House) -> None:
+    client = await house.program(Role.VIEWER)
+    response = await client.get("/?view=matrix")
+    assert response.cookies["lineside_view"] == "matrix"
+    assert (await client.get("/?view=nonsense")).status_code == 422
+
+
+async def test_the_matrix_has_a_former_name_in_stored_home_pages_and_cookies(house: House) -> None:
+    client = await house.program(Role.VIEWER)
+    response = await client.get("/?view=board")
+    assert (response.status_code, response.cookies["lineside_view"]) == (200, "matrix")
+    client.cookies.set("lineside_view", "board")
+    assert 'class="line line--matrix"' in (await client.get("/")).text
+
+
+async def test_the_manifest_names_the_app(house: House) -> None:
+    manifest = (await house.client().get("/manifest.webmanifest")).json()
+    assert (manifest["start_url"], manifest["display"]) == ("/", "standalone")
+    for icon in manifest["icons"]:
+        assert (await house.client().get(icon["src"])).status_code == 200
+
+
+async def test_the_service_worker_keeps_only_the_offline_page(house: House) -> None:
+    worker = await house.client().get("/sw.js")
+    assert worker.headers["content-type"].startswith("text/javascript")
+    kept = re.search(r"const KEPT = (\[.*?\]);", worker.text)
+    assert kept is not None
+    of_the_page = re.compile(r"/css/|/icons/|/js/(theme|offline)\.js$")
+    assert all(of_the_page.search(name) for name in json.loads(kept[1]))
+
+
+async def test_a_press_without_its_review_is_refused(house: House) -> None:
+    client = await house.program(Role.OPERATOR)
+    assert (await client.post("/units/dry-end/1/speed", data={"raw": "100"})).status_code == 422
+
+
+async def test_refused_limits_are_explained_at_their_place_on_the_page(house: House) -> None:
+    client = await house.program(Role.ENGINEER)
+    refused = await client.post("/units/dry-end/1/limits", data={"lowest": "5", "highest": "4"})
+    assert (refused.status_code, refused.headers["hx-retarget"]) == (422, "#limits-result")
+    assert 'id="limits-result"' in (await client.get("/units/dry-end/1")).text
+
+
+@pytest.mark.parametrize("header", ["Lineside-Clicked-At", "Lineside-Asked-At"])
+async def test_an_old_click_sends_nothing_and_reports_it(house: House, header: str) -> None:
+    client = await house.program(Role.OPERATOR)
+    form = {"raw": "100", "id": "a1", "how": "now", "reviewed_at": "1.0", "was": "", "scale": "-"}
+    late = await client.post("/units/dry-end/1/speed", data=form, headers={header: "1.0"})
+    assert (late.status_code, "too late" in late.text) == (503, True)
+    expired = await client.post("/units/dry-end/1/speed", data=form)
+    assert (expired.status_code, "expired" in expired.text) == (409, True)
+
+
+async def test_a_viewer_is_refused_where_the_line_is_set_to_zero(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    for path in ("/", "/units/dry-end/1", "/trends", "/account"):
+        assert 'hx-get="/line/zero"' in (await viewer.get(path)).text, path
+    refused = await viewer.get("/line/zero")
+    assert "Setting the line to zero needs the role operator" in refused.text
+    assert "data-review-act" not in refused.text
+    assert (await viewer.post("/line/zero", data={"id": "a", "reviewed_at": "1"})).status_code == 403
+
+
+async def test_the_trends_page_offers_parquet_only_where_it_can_be_written(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewer = await house.program(Role.VIEWER)
+    assert 'id="export-parquet"' in (await viewer.get("/trends")).text
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    page = (await viewer.get("/trends")).text
+    assert ('id="export-parquet"' in page, 'id="export-csv"' in page) == (False, True)
+
+
+async def test_a_raw_value_and_a_choice_are_in_the_readers_language(house: House) -> None:
+    client = await house.signed_in(Role.ENGINEER)
+    client.headers["Accept-Language"] = "de"
+    read = [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((8, 0), (20, 1234))]
+    house.services[LiveState].buses["dry-end"].apply(list(read))
+    page = (await client.get("/units/dry-end/1/parameters")).text
+    assert "1234 roh" in page
+    assert "1234 raw" not in page
+    review = await client.post("/units/dry-end/1/parameters/16/review", data={"value": "1"})
+    assert "Einrichten im Lauf (Parameter 16) schreiben: Ja" in review.text
+    speed = await client.post("/units/dry-end/1/parameters/1/review", data={"value": "1750"})
+    assert "<small>1/min</small>" in speed.text

@@ -1,0 +1,205 @@
+"""What the reviews of the pages show before anything is sent: units at risk, units left out, and the units of
+every number; in English and German.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.core.web.admission.access import Role
+from app.engineering.recipes.book import RecipeBook
+from app.line.commands.safeguards.limits import Limits
+from app.line.commands.safeguards.service import Safeguards
+from app.line.live.state.bus_live import LiveState
+from bus.contract import ParameterValue, Reading
+from tests.app.complete_app import House, complete_app
+from tests.app.played_commands import ANNA, HEALTHY, REMOTE, RUN, fresh, responding
+
+NOTICE = re.compile(r'data-remark="(\w+)">.*?<p><b>([^<]*)</b>([^<]*)</p>', re.S)
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    """Two units that run in REMOTE at 100.0 of 2000.0; only the first has a label for its unit, m/min."""
+    async with complete_app(tmp_path) as house:
+        responding(house.services[LiveState], run=True)
+        await house.signed_in(Role.OPERATOR)
+        yield house
+
+
+def report(
+    house: House, unit: int, *, inputs: int = HEALTHY | RUN, outputs: int = REMOTE, **more: float
+) -> None:
+    """A unit responds like this."""
+    at = time.time() - more["age"] if more else fresh()
+    house.services[LiveState].buses["dry-end"].apply([Reading(unit, at, 1000, 1000, 0, outputs, inputs)])
+
+
+def report_parameter(house: House, unit: int, number: int, raw: int | None) -> None:
+    """A unit has this parameter."""
+    value = ParameterValue(unit=unit, number=number, at=1.0, raw=raw, available=raw is not None)
+    house.services[LiveState].buses["dry-end"].apply([value])
+
+
+def remarks(response: httpx.Response) -> list[tuple[str, str]]:
+    """Return (code, names) of the remarks, in order."""
+    assert response.status_code == 200, response.text
+    return [(code, names) for code, names, _ in NOTICE.findall(response.text)]
+
+
+def operator(house: House) -> httpx.AsyncClient:
+    """Who reviews."""
+    return house.clients[0]
+
+
+async def single(house: House, value: str = "150.0", **form: str) -> httpx.Response:
+    browser = operator(house)
+    return await browser.post("/units/dry-end/1/review", data={"value": value, **form})
+
+
+async def group(house: House, **setpoints: str) -> httpx.Response:
+    browser = operator(house)
+    return await browser.post("/setpoints/review", data={"bus": "dry-end", **setpoints})
+
+
+async def recipe(house: House, units: dict[int, int]) -> httpx.Response:
+    browser = operator(house)
+    saved = await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", units)
+    return await browser.get(f"/recipes/{saved.id}/review")
+
+
+async def zero(house: House) -> httpx.Response:
+    return await operator(house).get("/line/zero")
+
+
+async def test_without_a_risk_there_is_no_remark(house: House) -> None:
+    assert remarks(await single(house)) == []
+
+
+@pytest.mark.parametrize("way", ["single", "group", "recipe", "zero"])
+async def test_a_unit_at_risk_is_named_by_every_review(house: House, way: str) -> None:
+    report(house, 1, inputs=0)
+    report_parameter(house, 1, 7, 0)
+    match way:
+        case "single":
+            response = await single(house, "50.0")
+        case "group":
+            response = await group(house, **{"new-1": "50.0", "new-2": "150.0"})
+        case "recipe":
+            response = await recipe(house, {1: 500, 2: 1500})
+        case _:
+            response = await zero(house)
+    expected = [("risk_estop_active", "Unwind"), ("risk_run_off", "Unwind"), ("risk_no_ramp", "Unwind")]
+    assert remarks(response) == expected
+    assert "data-review-act" in response.text
+
+
+async def test_a_change_of_several_names_units_left_out_and_why(house: House) -> None:
+    report(house, 2, outputs=0)
+    assert remarks(await group(house, **{"new-1": "50.0"})) == [("obstacle_not_in_remote", "Nip")]
+
+
+async def test_a_recipe_and_zero_name_units_left_out_too(house: House) -> None:
+    report(house, 2, outputs=0)
+    assert remarks(await recipe(house, {1: 500})) == [("obstacle_not_in_remote", "Nip")]
+    await house.services.buses["dry-end"][Safeguards].block(ANNA, 2, "belt off")
+    response = await zero(house)
+    assert remarks(response) == [("obstacle_blocked", "Nip")]
+    assert "belt off" in response.text
+
+
+async def test_units_not_part_of_it_are_named_without_alarm(house: House) -> None:
+    response = await group(house, **{"new-1": "50.0"})
+    assert remarks(response) == []
+    assert "Not part of this change: Nip" in response.text
+
+
+async def test_a_unit_of_the_change_that_cannot_take_it_is_an_obstacle(house: House) -> None:
+    report(house, 2, age=60)
+    response = await group(house, **{"new-1": "50.0", "new-2": "50.0"})
+    assert remarks(response) == [("obstacle_offline", "Nip")]
+    assert "All units change or none" in response.text
+
+
+@pytest.mark.parametrize("what", ["outputs/3", "analog-output/review"])
+async def test_an_output_that_the_unit_cannot_switch_now_is_an_obstacle(house: House, what: str) -> None:
+    browser = await house.signed_in(Role.ENGINEER)
+
+    async def review() -> list[tuple[str, str]]:
+        path = f"/units/dry-end/1/{what}"
+        sending = browser.get(path) if "outputs" in what else browser.post(path, data={"value": "7"})
+        return remarks(await sending)
+
+    assert await review() == []
+    report(house, 1, outputs=0)
+    assert await review() == [("obstacle_not_in_remote", "Unwind")]
+    report(house, 1, age=60)
+    assert await review() == [("obstacle_offline", "Unwind")]
+
+
+async def test_an_unknown_ramp_is_reported(house: House) -> None:
+    report_parameter(house, 1, 6, None)
+    assert remarks(await single(house)) == [("risk_ramp_unknown", "Unwind")]
+
+
+async def test_an_old_value_is_shown_with_its_age(house: House) -> None:
+    report(house, 1, age=4)
+    response = await single(house)
+    assert remarks(response) == [("risk_stale", "Unwind")]
+    assert re.search(r"last response is \d s old", response.text)
+
+
+async def test_an_engineers_limit_above_the_maximum_is_reported(house: House) -> None:
+    await house.services.buses["dry-end"][Safeguards].set_limits(ANNA, 1, Limits(highest=25000))
+    assert remarks(await single(house, "2100.0")) == [("risk_above_display", "Unwind")]
+    assert remarks(await single(house, "2000.0")) == []
+
+
+async def test_a_staged_value_has_no_risk_yet(house: House) -> None:
+    report(house, 1, inputs=0)
+    assert remarks(await single(house, how="stage")) == []
+
+
+async def test_every_number_has_its_unit(house: House) -> None:
+    for response in (
+        await single(house),
+        await group(house, **{"new-1": "150.0"}),
+        await recipe(house, {1: 1500}),
+    ):
+        for number in ("100.0", "150.0"):
+            assert re.search(rf"{number}(</b>|<small>|\s|<b>)*m/min", response.text), (number, response.text)
+    assert "0.0 to 2000.0 m/min" in (await single(house)).text
+
+
+async def test_a_ramp_of_nothing_is_warned_of_where_it_is_written(house: House) -> None:
+    browser = await house.signed_in(Role.ENGINEER)
+    report_parameter(house, 1, 16, 1)
+    response = await browser.post("/units/dry-end/1/parameters/7/review", data={"value": "0.0"})
+    assert remarks(response) == [("risk_no_ramp", "Unwind")]
+    assert re.search(r"0\.0 <small>s</small>", response.text)
+    speed = await browser.post("/units/dry-end/1/parameters/20/review", data={"value": "50.0"})
+    assert remarks(speed) == [("risk_is_setpoint", "Unwind")]
+    assert "50.0 <small>m/min</small>" in speed.text
+
+
+async def test_in_german_too(house: House) -> None:
+    report(house, 1, inputs=0, age=4)
+    report(house, 2, outputs=0)
+    report_parameter(house, 1, 7, 0)
+    browser = operator(house)
+    form = {"bus": "dry-end", "new-1": "50,0"}
+    response = await browser.post("/setpoints/review", data=form, headers={"Accept-Language": "de"})
+    texts = [re.sub(r"ist \d s", "ist N s", text.strip()) for _, _, text in NOTICE.findall(response.text)]
+    assert texts == [
+        ": seine letzte Antwort ist N s alt",
+        ": Not\u2011Halt ist aktiv: der Sollwert wirkt, sobald er aufgehoben ist",
+        ": Eingang Lauf ist aus: der Sollwert wirkt, sobald er an ist",
+        ": ändert sich sofort: seine Rampe ist 0,0 s",
+        "ausgelassen: nicht in REMOTE",
+    ]

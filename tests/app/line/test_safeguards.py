@@ -1,0 +1,470 @@
+"""Limits, blocks and control over HTTP: kept, shown, enforced, written down."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.core.database import Database, StoreConnection
+from app.core.web.admission.access import Person, Role
+from app.errors import Problem
+from app.line.commands.safeguards import service
+from app.line.commands.safeguards.control import LAPSES_AFTER_S
+from app.line.commands.safeguards.limits import (
+    NO_LIMITS,
+    BlockStore,
+    CommandBlock,
+    Limits,
+    LimitsStore,
+    Protection,
+    read_protection,
+)
+from app.line.commands.safeguards.read_only import ReadOnly, ReadOnlyStore
+from app.line.commands.service import command_service
+from app.people.audit.queries import Filter
+from bus.contract import Command, Update
+from bus.instants import Monotonic, UnixTime, unix_now
+from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged, until
+
+
+@pytest.fixture
+async def controlled(tmp_path: Path) -> AsyncIterator[Stage]:
+    async with staged(tmp_path, control=True) as built:
+        yield built
+
+
+async def obeying(stage: Stage) -> PlayedWorker:
+    """A worker whose units take every speed."""
+    played = await stage.worker()
+
+    async def play(command: Command) -> Sequence[Update]:
+        raw = getattr(command.action, "raw", 1000)
+        return [reading(1, raw), result_of(command, "verified", read_back=raw)]
+
+    played.play = play
+    return played
+
+
+async def speed(stage: Stage, raw: int, **more: object) -> tuple[int, str]:
+    """Status and code of setting unit 1."""
+    name = str(more.pop("name", ""))
+    response = await stage.request("POST", "/units/1/speed", {"raw": raw, **more}, role="operator", name=name)
+    return response.status_code, response.json()["code"]
+
+
+async def test_limits_are_enforced_from_the_moment_they_are_set(stage: Stage) -> None:
+    worker = await obeying(stage)
+    nothing = dict.fromkeys(("lowest", "highest", "largest_step", "per_minute"))
+    assert (await stage.request("GET", "/units/1/limits")).json() == nothing
+    put = await stage.request("PUT", "/units/1/limits", {"lowest": 900, "highest": 1200}, role="engineer")
+    assert put.status_code == 200
+    assert (await stage.request("GET", "/units/1/limits", role="viewer")).json()["highest"] == 1200
+    assert await speed(stage, 1201) == (422, "invalid")
+    assert await speed(stage, 899) == (422, "invalid")
+    line = await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 1201}, "2": {"raw": 1}}})
+    assert line.status_code == 422
+    assert worker.commands == []
+    assert await speed(stage, 1200) == (200, "verified")
+    assert await speed(stage, 0) == (200, "verified")
+
+
+async def test_a_large_step_needs_confirmation(stage: Stage) -> None:
+    await obeying(stage)
+    await stage.request("PUT", "/units/1/limits", {"largest_step": 50})
+    assert await speed(stage, 1051) == (409, "confirm_needed")
+    assert await speed(stage, 1051, confirm=True) == (200, "verified")
+    assert await speed(stage, 1101) == (200, "verified")
+
+
+async def test_movement_within_a_minute_adds_up(stage: Stage) -> None:
+    await obeying(stage)
+    await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
+    assert await speed(stage, 1060) == (200, "verified")
+    assert await speed(stage, 1101) == (422, "invalid")
+    assert await speed(stage, 1100) == (200, "verified")
+    assert await speed(stage, 1101) == (422, "invalid")
+
+
+@pytest.mark.parametrize("step_s", [3600.0, -3600.0])
+async def test_a_clock_that_is_set_neither_forgives_movement_nor_ends_control(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, step_s: float
+) -> None:
+    await obeying(stage)
+    stage.guards.control.required = True
+    anna, ben = (Person(name, Role.OPERATOR, "session") for name in ("anna", "ben"))
+    since = (await stage.guards.take(anna)).since
+    await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
+    assert await speed(stage, 1100, name="anna") == (200, "verified")
+    for module in (command_service, service):
+        monkeypatch.setattr(module, "unix_now", lambda: time.time() + step_s)
+    assert await speed(stage, 1101, name="anna") == (422, "invalid")
+    assert (stage.guards.holder(), stage.guards.holding().since) == ("anna", since)
+    with pytest.raises(Problem, match="anna"):
+        await stage.guards.take(ben)
+    left = stage.guards.lapses_at(stage.guards.holding()) - (time.time() + step_s)
+    assert LAPSES_AFTER_S - 60 < left <= LAPSES_AFTER_S
+
+
+async def test_movement_counts_for_a_minute_that_has_passed(stage: Stage) -> None:
+    await obeying(stage)
+    await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
+    assert await speed(stage, 1100) == (200, "verified")
+    stage.command_clock_ahead_s = 59.0
+    assert await speed(stage, 1101) == (422, "invalid")
+    stage.command_clock_ahead_s = 61.0
+    assert await speed(stage, 1101) == (200, "verified")
+
+
+async def test_two_moves_at_once_do_not_both_pass(stage: Stage) -> None:
+    await obeying(stage)
+    await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
+    outcomes = await asyncio.gather(speed(stage, 1060), speed(stage, 1080))
+    assert sorted(outcomes) == [(200, "verified"), (422, "invalid")]
+
+
+async def test_what_did_not_move_does_not_count(stage: Stage) -> None:
+    worker = await stage.worker()
+    worker.play = responding("refused", unit_error=128)
+    await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
+    assert await speed(stage, 1100) == (409, "refused")
+    assert await speed(stage, 1100) == (409, "refused")
+
+
+async def test_limits_keep_the_decimals_they_were_typed_for(stage: Stage) -> None:
+    limits = Limits(highest=1500, decimals=1)
+    await stage.guards.limits.put(1, limits, "anna", unix_now())
+    again = LimitsStore(stage.database, "dry-end")
+    await again.load()
+    assert again.of(1) == limits
+    await stage.request("PUT", "/units/1/limits", {"highest": 1500})
+    await again.load()
+    assert again.of(1) == Limits(highest=1500), "given raw, they hold for every display"
+
+
+async def test_what_guards_a_store_of_an_earlier_version_is_read(stage: Stage) -> None:
+    await stage.guards.limits.put(1, Limits(highest=1500), "anna", unix_now())
+
+    def former(store: StoreConnection) -> Protection:
+        store.execute("DROP TABLE limits_scale")
+        return read_protection(store)
+
+    protection = await stage.database.write(former)
+    assert protection.keys() == {"blocks", "limits"}
+    assert len(protection["limits"]) == 1
+
+
+@pytest.mark.parametrize(
+    "body",
+    [{"lowest": 5, "highest": 4}, {"lowest": -1}, {"highest": 100000}, {"fastest": 1}, {"lowest": True}],
+)
+async def test_limits_that_make_no_sense_are_refused(stage: Stage, body: dict[str, object]) -> None:
+    assert (await stage.request("PUT", "/units/1/limits", body)).status_code == 422
+    assert stage.guards.limits.of(1) == NO_LIMITS
+
+
+async def test_a_block_is_refused_shown_recorded_and_lifted(stage: Stage) -> None:
+    worker = await obeying(stage)
+    notified: list[int] = []
+    stage.guards.on_block(notified.append)
+    body = {"reason": " belt off since 14:20, do not run "}
+    blocked = await stage.request("POST", "/units/1/block", body, role="operator", name="anna")
+    assert blocked.json()["by"] == "anna"
+    refused = await stage.request("POST", "/units/1/speed", {"raw": 5})
+    assert refused.status_code == 423
+    assert refused.json()["code"] == "blocked"
+    assert "belt off since 14:20" in refused.json()["detail"]
+    assert (await stage.request("GET", "/units/1/block", role="viewer")).json()["blocked"] is True
+    assert "belt off" in (await stage.request("GET", "/units/1")).json()["blocked"]["detail"]
+    assert worker.commands == []
+    assert (await stage.request("DELETE", "/units/1/block", role="operator")).json()["blocked"] is False
+    assert await speed(stage, 5) == (200, "verified")
+    assert notified == [1, 1]
+    events = (await stage.http().get("/api/v1/events?kind=block")).json()["events"]
+    assert [event["what"] for event in events] == ["command block lifted", "commands blocked"]
+
+
+async def test_a_block_needs_a_reason(stage: Stage) -> None:
+    for body in ({}, {"reason": ""}, {"reason": "  "}, {"reason": "x" * 201}):
+        assert (await stage.request("POST", "/units/1/block", body)).status_code == 422
+
+
+async def test_lifting_nothing_is_no_event(stage: Stage) -> None:
+    assert (await stage.request("DELETE", "/units/1/block")).status_code == 200
+    assert (await stage.http().get("/api/v1/events?kind=block")).json()["events"] == []
+
+
+async def test_a_read_only_bus_takes_no_command(stage: Stage) -> None:
+    worker = await obeying(stage)
+    notified: list[int] = []
+    stage.guards.on_block(notified.append)
+    body = {"on": True, "reason": "cable is open", "minutes": 30}
+    for role in ("viewer", "operator", "engineer"):
+        assert (await stage.request("POST", "/read-only", body, role=role)).status_code == 403
+    shown = (await stage.request("POST", "/read-only", body, role="admin")).json()
+    assert (shown["on"], shown["reason"], shown["until"] > shown["since"]) == (True, "cable is open", True)
+    assert sorted(notified) == sorted(stage.live.buses["dry-end"].units)
+    assert await speed(stage, 1500) == (423, "blocked")
+    execute = await stage.request("POST", "/execute", {}, role="admin")
+    assert (execute.status_code, execute.json()["code"]) == (423, "blocked")
+    assert "cable is open" in execute.json()["detail"]
+    assert worker.commands == []
+    assert (await stage.request("POST", "/read-only", {"on": False})).json()["on"] is False
+    assert (await stage.request("POST", "/read-only", {"on": False})).json()["on"] is False
+    assert await speed(stage, 5) == (200, "verified")
+    events = (await stage.http().get("/api/v1/events?kind=block")).json()["events"]
+    assert [(event["what"], event["old"], event["new"]) for event in events] == [
+        ("read-only mode ended", "cable is open", None),
+        ("bus set to read-only", None, "cable is open (for 30 min)"),
+    ]
+
+
+async def test_a_read_only_bus_takes_what_makes_it_slower_and_nothing_else(stage: Stage) -> None:
+    worker = await obeying(stage)
+    assert await speed(stage, 500) == (200, "verified")
+    await stage.request("POST", "/read-only", {"on": True, "reason": "cable is open"})
+    assert stage.guards.block_reason(1) is not None
+    assert stage.guards.block_reason(1, slows=True) is None, "what setting the line to zero goes by"
+    assert await speed(stage, 501) == (423, "blocked")
+    assert await speed(stage, 400, execute=False) == (423, "blocked")
+    assert await speed(stage, 400) == (200, "verified")
+    assert await speed(stage, 0) == (200, "verified")
+    assert await speed(stage, 400) == (423, "blocked")
+    sent = [getattr(command.action, "raw", None) for command in worker.commands]
+    assert sent == [500, 400, 0]
+    await stage.request("POST", "/units/1/block", {"reason": "belt off"}, role="operator")
+    assert await speed(stage, 0) == (423, "blocked"), "a block of the unit is the operator's"
+
+
+async def test_a_speed_that_is_under_way_when_the_bus_becomes_read_only_goes_on_where_it_slows(
+    stage: Stage,
+) -> None:
+    worker = await obeying(stage)
+    assert await speed(stage, 500) == (200, "verified")
+    held = asyncio.Event()
+
+    async def play(command: Command) -> Sequence[Update]:
+        await held.wait()
+        raw = getattr(command.action, "raw", 0)
+        return [reading(1, raw), result_of(command, "verified", read_back=raw)]
+
+    worker.play = play
+    slower = asyncio.create_task(speed(stage, 100))
+    await until(lambda: len(worker.commands) == 2, "the slower speed is sent")
+    await stage.request("POST", "/read-only", {"on": True, "reason": "cable is open"})
+    held.set()
+    assert await slower == (200, "verified")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {},
+        {"on": True},
+        {"on": True, "reason": " "},
+        {"on": True, "reason": "x" * 201},
+        {"on": True, "reason": "x", "minutes": 0},
+        {"on": True, "reason": "x", "minutes": 10081},
+        {"on": True, "reason": "x", "minutes": 1.5},
+    ],
+)
+async def test_a_bad_request_of_read_only_changes_nothing(stage: Stage, body: dict[str, Any]) -> None:
+    assert (await stage.request("POST", "/read-only", body)).status_code == 422
+    assert (await stage.request("GET", "/read-only", role="viewer")).json()["on"] is False
+
+
+async def test_read_only_ends_after_its_minutes_whatever_the_wall_clock_does(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await obeying(stage)
+    await stage.request("POST", "/read-only", {"on": True, "reason": "x", "minutes": 1})
+    notified: list[int] = []
+    stage.guards.on_block(notified.append)
+    real = time.monotonic
+    monkeypatch.setattr(service, "unix_now", lambda: UnixTime(time.time() + 3600))
+    assert await speed(stage, 1500) == (423, "blocked")
+    monkeypatch.setattr(service, "monotonic_now", lambda: Monotonic(real() + 61))
+    assert await speed(stage, 5) == (200, "verified")
+
+
+async def test_read_only_survives_a_restart_and_not_its_end(tmp_path: Path) -> None:
+    database = Database(tmp_path / "lineside.db")
+    now, monotonic = UnixTime(1000.0), Monotonic(10.0)
+    mode = ReadOnly("why", "anna", now, UnixTime(1060.0))
+    await ReadOnlyStore(database, "b").put(mode, monotonic)
+    stored, other = ReadOnlyStore(database, "b"), ReadOnlyStore(database, "c")
+    await stored.load(UnixTime(1020.0), Monotonic(0.0))
+    await other.load(now, monotonic)
+    assert stored.of(Monotonic(39.0)) == mode
+    assert stored.of(Monotonic(40.0)) is None
+    assert other.of(monotonic) is None
+    await stored.put(ReadOnly("why", "anna", now), monotonic)
+    assert stored.left_s(monotonic) == math.inf
+    await stored.end()
+    await stored.load(now, monotonic)
+    assert stored.of(monotonic) is None
+    database.close()
+
+
+async def test_limits_and_blocks_survive_a_restart(tmp_path: Path) -> None:
+    database = Database(tmp_path / "lineside.db")
+    limits, block = (
+        Limits(lowest=1, highest=2, largest_step=3, per_minute=4),
+        CommandBlock("why", "anna", 5.0),
+    )
+    await LimitsStore(database, "b").put(1, limits, "anna", 1.0)
+    await BlockStore(database, "b").put(1, block)
+    stored_limits, stored_blocks = LimitsStore(database, "b"), BlockStore(database, "b")
+    await stored_limits.load()
+    await stored_blocks.load()
+    assert stored_limits.of(1) == limits
+    assert stored_blocks.of(1) == block
+    await stored_blocks.lift(1)
+    await stored_blocks.load()
+    assert stored_blocks.of(1) is None
+    database.close()
+
+
+async def test_without_the_setting_control_is_not_needed(stage: Stage) -> None:
+    await obeying(stage)
+    assert await speed(stage, 5) == (200, "verified")
+    assert (await stage.request("GET", "/control")).json()["required"] is False
+
+
+async def test_one_user_has_control_and_all_see_who(controlled: Stage) -> None:
+    worker = await obeying(controlled)
+    assert await speed(controlled, 5, name="anna") == (409, "controlled")
+    taken = await controlled.request("POST", "/control", role="operator", name="anna")
+    assert taken.json()["holder"] == "anna"
+    assert await speed(controlled, 5, name="anna") == (200, "verified")
+    assert await speed(controlled, 6, name="ben") == (409, "controlled")
+    assert (await controlled.request("POST", "/control", role="operator", name="ben")).status_code == 409
+    assert (await controlled.request("GET", "/control", role="viewer")).json()["holder"] == "anna"
+    assert len(worker.commands) == 1
+
+
+async def test_control_is_handed_over_released_and_taken_by_an_admin(controlled: Stage) -> None:
+    await obeying(controlled)
+    await controlled.request("POST", "/control", role="operator", name="anna")
+    by_ben = await controlled.request(
+        "POST", "/control/hand-over", {"to": "ben"}, role="operator", name="ben"
+    )
+    assert by_ben.status_code == 409
+    await controlled.request("POST", "/control/hand-over", {"to": "ben"}, role="operator", name="anna")
+    assert await speed(controlled, 5, name="ben") == (200, "verified")
+    for other, word in (("nobody", "there is no user nobody"), ("vera", "vera has the role viewer")):
+        refused = await controlled.request(
+            "POST", "/control/hand-over", {"to": other}, role="operator", name="ben"
+        )
+        assert (refused.status_code, refused.json()["code"]) == (422, "invalid")
+        assert word in refused.json()["detail"]
+    assert await speed(controlled, 5, name="ben") == (200, "verified")
+    forced = await controlled.request("POST", "/control/hand-over", {"to": "chef"}, role="admin", name="chef")
+    assert forced.json()["holder"] == "chef"
+    assert (await controlled.request("DELETE", "/control", role="operator", name="ben")).status_code == 409
+    assert (await controlled.request("DELETE", "/control", role="admin", name="chef")).json()[
+        "holder"
+    ] is None
+    events = (await controlled.http().get("/api/v1/events?kind=control")).json()["events"]
+    assert [event["what"] for event in events] == [
+        *("control released", "control handed over", "control handed over", "control taken"),
+    ]
+
+
+async def step(stage: Stage, method: str, path: str, name: str) -> tuple[int, dict[str, Any]]:
+    response = await stage.request(method, f"/control{path}", role="operator", name=name)
+    return response.status_code, response.json()
+
+
+async def test_control_is_requested_declined_requested_again_and_granted(controlled: Stage) -> None:
+    await obeying(controlled)
+    changes: list[str] = []
+    controlled.guards.on_control(lambda: changes.append(controlled.guards.bus_control().key))
+    assert (await step(controlled, "POST", "/request", "ben"))[0] == 409
+    await step(controlled, "POST", "/take", "anna")
+    status, shown = await step(controlled, "POST", "/request", "ben")
+    assert (status, shown["holder"], shown["request_lapses_after_s"]) == (200, "anna", 60.0)
+    assert (shown["request"]["by"], shown["request"]["state"]) == ("ben", "pending")
+    assert await speed(controlled, 5, name="ben") == (409, "controlled")
+    assert (await step(controlled, "POST", "/grant", "ben"))[0] == 409
+    status, shown = await step(controlled, "DELETE", "/request", "anna")
+    assert (status, shown["request"]["state"]) == (200, "declined")
+    status, problem = await step(controlled, "POST", "/request", "ben")
+    assert (status, problem["code"]) == (409, "controlled")
+    await step(controlled, "POST", "/release", "anna")
+    await step(controlled, "POST", "/take", "anna")
+    await step(controlled, "POST", "/request", "ben")
+    status, shown = await step(controlled, "POST", "/grant", "anna")
+    assert (status, shown["holder"], shown["request"]) == (200, "ben", None)
+    assert await speed(controlled, 5, name="ben") == (200, "verified")
+    assert len(changes) == len(set(changes)) == 7
+    events = (await controlled.http().get("/api/v1/events?kind=control")).json()["events"]
+    assert [(event["what"], event["who"], event["new"]) for event in events] == [
+        ("control handed over", "anna", "ben"),
+        ("control requested", "ben", "ben"),
+        ("control taken", "anna", "anna"),
+        ("control released", "anna", None),
+        ("request for control ended", "anna", "declined"),
+        ("control requested", "ben", "ben"),
+        ("control taken", "anna", "anna"),
+    ]
+
+
+async def test_requests_for_control_are_bounded(controlled: Stage) -> None:
+    await step(controlled, "POST", "/take", "anna")
+    statuses, remaining = [], []
+    for _ in range(service.MAX_REQUESTS + 1):
+        response = await controlled.request("POST", "/control/request", role="operator", name="ben")
+        statuses.append(response.status_code)
+        remaining.append(int(response.headers["ratelimit-remaining"]))
+        await step(controlled, "DELETE", "/request", "ben")
+    assert statuses == [200] * service.MAX_REQUESTS + [429]
+    assert remaining == [*reversed(range(service.MAX_REQUESTS)), 0]
+    assert int(response.headers["retry-after"]) > 0
+
+
+async def test_reading_needs_no_control(controlled: Stage) -> None:
+    worker = await obeying(controlled)
+    await controlled.request("GET", "/units/1/parameters?refresh=true", role="viewer")
+    assert len(worker.commands) == 1
+
+
+async def test_control_is_released_when_its_holder_is_gone_with_an_event(controlled: Stage) -> None:
+    assert (await controlled.request("POST", "/control", role="operator")).status_code == 200
+    await controlled.guards.revoke_control("operator")
+    assert controlled.guards.holder() == ""
+    newest = (await controlled.events.page(Filter(kind="control"), 1))[0][0]
+    assert (newest["what"], newest["old"], newest["who"]) == ("control released", "operator", "operator")
+    await controlled.guards.revoke_control("operator")
+    assert len((await controlled.events.page(Filter(kind="control"), 9))[0]) == 2
+
+
+async def test_a_caller_without_a_route_needs_the_role_too(controlled: Stage) -> None:
+    guards, vera = controlled.guards, Person("vera", Role.VIEWER, "session")
+    anna, chef = Person("anna", Role.OPERATOR, "session"), Person("chef", Role.ADMIN, "session")
+    await guards.block(chef, 1, "belt off")
+    await guards.take(anna)
+    refused = [
+        guards.block(vera, 2, "bearing"),
+        guards.lift(vera, 1),
+        guards.take(vera),
+        guards.hand_over(vera, "vera"),
+        guards.release(vera),
+        guards.request(vera),
+        guards.grant(vera),
+        guards.end_request(vera),
+        guards.set_limits(vera, 1, Limits(highest=5)),
+        guards.set_limits(anna, 1, Limits(highest=5)),
+    ]
+    for attempt in refused:
+        with pytest.raises(Problem, match="needs the role") as problem:
+            await attempt
+        assert (problem.value.status, problem.value.code) == (403, "forbidden")
+    assert (guards.blocks.of(1) is None, guards.blocks.of(2)) == (False, None)
+    assert (guards.holder(), guards.limits.of(1)) == ("anna", NO_LIMITS)
+    assert len((await controlled.events.page(Filter(), 9))[0]) == 2

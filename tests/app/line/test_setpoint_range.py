@@ -1,0 +1,284 @@
+"""The range of a setpoint, and that every path to a setpoint and every label uses the same."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.core.web.admission.access import Role
+from app.engineering.recipes.book import RecipeBook
+from app.line.commands.rules.setpoint_range import (
+    SetpointRange,
+    parameter_bounds,
+    setpoint_range,
+    unread_for_range,
+)
+from app.line.commands.safeguards.limits import NO_LIMITS, Limits
+from app.line.commands.safeguards.service import Safeguards
+from app.line.live.state.bus_live import LiveState, UnitLive
+from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSpeed, Update
+from tests.app.complete_app import House, complete_app
+from tests.app.played_commands import ANNA, a_bus, responding
+from tests.app.stage import PlayedWorker, Stage, result_of, snapshot, unit_state
+
+TO = "\N{EN DASH}"
+FOLLOWER = {8: 1, 31: 15000, 38: 5000}
+
+
+def unit(parameters: dict[int, int | None]) -> UnitLive:
+    """A unit of which this was read; None: it does not have it (NAK 82h)."""
+    live = a_bus()
+    live.buses["dry-end"].apply(
+        [
+            ParameterValue(unit=1, number=number, at=1.0, raw=raw, available=raw is not None)
+            for number, raw in parameters.items()
+        ],
+    )
+    return live.buses["dry-end"].units[1]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "limits", "expected"),
+    [
+        ({8: 0, 2: 2000}, NO_LIMITS, SetpointRange("speed", 0, 2000, "display")),
+        ({8: 0, 2: 2000}, Limits(highest=2500), SetpointRange("speed", 0, 2500, "limits")),
+        ({8: 0, 2: 2000}, Limits(lowest=100, highest=1500), SetpointRange("speed", 100, 1500, "limits")),
+        ({8: 0, 2: 2000}, Limits(lowest=2500), SetpointRange("speed", 2000, 2000, "limits")),
+        ({8: 0, 2: 0}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
+        ({8: 0, 2: None}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
+        ({8: 0, 2: 4_000_000}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
+        ({8: None, 2: 2000}, NO_LIMITS, SetpointRange("speed", 0, 2000, "display")),
+        ({**FOLLOWER, 2: 2000}, NO_LIMITS, SetpointRange("ratio", 5000, 15000, "ratio")),
+        ({**FOLLOWER, 8: 2}, NO_LIMITS, SetpointRange("ratio", 5000, 15000, "ratio")),
+        (FOLLOWER, Limits(highest=20000), SetpointRange("ratio", 5000, 15000, "ratio")),
+        (FOLLOWER, Limits(lowest=8000, highest=9000), SetpointRange("ratio", 8000, 9000, "limits")),
+        (FOLLOWER, Limits(lowest=20000), SetpointRange("ratio", 15000, 15000, "limits")),
+        (FOLLOWER, Limits(highest=3000), SetpointRange("ratio", 5000, 5000, "limits")),
+        ({8: 1, 31: 79999, 38: 99999}, NO_LIMITS, SetpointRange("ratio", 99999, 99999, "ratio")),
+        ({8: 1, 31: None, 38: None}, NO_LIMITS, SetpointRange("ratio", 0, 99999, "protocol")),
+        ({8: 1, 31: 0, 38: 0}, NO_LIMITS, SetpointRange("ratio", 0, 99999, "protocol")),
+    ],
+)
+def test_the_range(parameters: dict[int, int | None], limits: Limits, expected: SetpointRange) -> None:
+    assert setpoint_range(unit(parameters), limits) == expected
+
+
+def test_the_setpoint_that_is_not_the_unit_s_own_is_bounded_by_the_unit_alone() -> None:
+    """#37 of a master, #20 of a follower."""
+    limits = Limits(lowest=8000, highest=9000)
+    master = unit({**FOLLOWER, 8: 0, 2: 2000})
+    follower = unit({**FOLLOWER, 2: 2000})
+    assert parameter_bounds(master, 37, limits) == (5000, 15000)
+    assert parameter_bounds(master, 20, limits) == (8000, 9000)
+    assert parameter_bounds(follower, 20, limits) == (0, 2000)
+    assert parameter_bounds(follower, 37, limits) == (8000, 9000)
+    assert parameter_bounds(master, 6, limits) == (0, 9999)
+
+
+@pytest.mark.parametrize(
+    ("known", "limits", "raw", "unread"),
+    [
+        ({}, NO_LIMITS, 5, (8, 2)),
+        ({8: 0}, NO_LIMITS, 5, (2,)),
+        ({8: 0, 2: None}, NO_LIMITS, 5, ()),
+        ({8: 0}, Limits(highest=5), 5, ()),
+        ({8: 0}, Limits(lowest=5), 5, (2,)),
+        ({8: 1}, Limits(highest=5), 5, (31, 38)),
+        ({8: 1, 31: 5}, NO_LIMITS, 0, (38,)),
+        ({}, NO_LIMITS, 0, ()),
+    ],
+)
+def test_what_has_to_be_read_first(
+    known: dict[int, int | None], limits: Limits, raw: int, unread: tuple[int, ...]
+) -> None:
+    assert unread_for_range(unit(known), limits, raw) == unread
+
+
+# --- every path ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    """Two units, 0 to 2000.0 (#2, one decimal), at 100.0."""
+    async with complete_app(tmp_path) as house:
+        responding(house.services[LiveState])
+        yield house
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("POST", "/units/1/speed", {"raw": 20001}),
+        ("POST", "/units/1/speed", {"value": "2000.1", "execute": False}),
+        ("POST", "/speeds", {"setpoints": {"2": {"raw": 5}, "1": {"value": "2000.1"}}}),
+        ("PUT", "/units/1/parameters/20", {"raw": 20001}),
+        ("PUT", "/units/1/parameters/20", {"value": "2000.1"}),
+    ],
+)
+async def test_a_program_is_refused_above_the_maximum_with_the_nearest(
+    house: House, method: str, path: str, body: Any
+) -> None:
+    program = await house.program(Role.ENGINEER)
+    response = await program.request(method, f"/api/v1/buses/dry-end{path}", json=body)
+    result = response.json()
+    assert (response.status_code, result["code"], result["nearest"]) == (422, "invalid", 20000)
+    assert "2000.1 is outside 0.0 to 2000.0" in result["detail"]
+
+
+@pytest.mark.parametrize(
+    ("path", "form"),
+    [
+        ("/units/dry-end/1/review", {"value": "2000.1"}),
+        ("/units/dry-end/1/review", {"value": "2000.1", "how": "stage"}),
+        ("/units/dry-end/1/nudge", {"step": "19001", "id": "c" * 32, "scale": "-"}),
+        ("/setpoints/review", {"bus": "dry-end", "new-2": "5.0", "new-1": "2000.1"}),
+        ("/units/dry-end/1/parameters/20/review", {"value": "2000.1"}),
+    ],
+)
+@pytest.mark.parametrize("language", ["en", "de"])
+async def test_a_person_gets_no_review_above_the_maximum(
+    house: House, path: str, form: dict[str, str], language: str
+) -> None:
+    browser = await house.signed_in(Role.ENGINEER)
+    response = await browser.post(path, data=form, headers={"Accept-Language": language})
+    assert response.status_code == 422
+    assert "data-review" not in response.text
+    assert ("2000,0" if language == "de" else "2000.0") in response.text
+    assert language == "en" or "nearest" not in response.text
+
+
+async def test_what_was_reviewed_below_a_maximum_that_has_sunk_since_is_refused(house: House) -> None:
+    house.services[LiveState].buses["dry-end"].apply([ParameterValue(unit=1, number=2, at=2.0, raw=900)])
+    browser = await house.signed_in(Role.OPERATOR)
+    recipe = await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {1: 1000})
+    reviewed = {"id": "c" * 32, "reviewed_at": f"{time.time()}", "raw-1": "1000", "was-1": "1000"}
+    reviewed |= {"scale": "-", "scale-1": "-"}
+    for path, form in (
+        ("/units/dry-end/1/speed", {"raw": "1000", "was": "1000", "how": "now"}),
+        ("/setpoints", {"bus": "dry-end"}),
+        (f"/recipes/{recipe.id}/load", {}),
+    ):
+        response = await browser.post(path, data=reviewed | form)
+        assert "100.0 is outside 0.0 to 90.0" in response.text, path
+    assert "100.0 is outside 0.0 to 90.0" in (await browser.get(f"/recipes/{recipe.id}")).text
+
+
+async def test_labels_agree_with_the_checks(house: House) -> None:
+    browser = await house.signed_in(Role.ENGINEER)
+    bus = "/api/v1/buses/dry-end/units/1"
+    for highest, label in ((None, "2000.0"), (25000, "2500.0"), (1500, "150.0")):
+        await house.services.buses["dry-end"][Safeguards].set_limits(ANNA, 1, Limits(highest=highest))
+        assert f"0.0 to {label}" in (await browser.get("/units/dry-end/1")).text
+        assert f"0.0 to {label}" in (await browser.get("/setpoints")).text
+        review = await browser.post("/units/dry-end/1/review", data={"value": label})
+        assert f"0.0 to {label}" in review.text
+        shown = (await browser.get(f"{bus}/setpoint-range")).json()
+        raw = highest or 20000
+        assert (shown["highest_raw"], shown["highest"], shown["lowest_raw"]) == (raw, label, 0)
+        assert f"0{TO}{raw} raw" in (await browser.get("/units/dry-end/1/parameters")).text
+        review = await browser.post("/units/dry-end/1/parameters/20/review", data={"value": label})
+        assert f"0{TO}{raw}" in review.text
+        above = await browser.post(f"{bus}/speed", json={"raw": raw + 1})
+        assert above.json()["nearest"] == raw
+
+
+async def test_an_engineer_s_limit_is_what_the_protocol_can_carry_at_most(house: House) -> None:
+    browser = await house.signed_in(Role.ENGINEER)
+    response = await browser.post("/units/dry-end/1/limits", data={"highest": "10000.0"})
+    assert "9999.9" in response.text
+    assert house.services.buses["dry-end"][Safeguards].limits.of(1) == NO_LIMITS
+
+
+# --- what was never read is read first --------------------------------------------------------------
+
+
+def unit_with_parameters(values: dict[int, int | None]) -> Any:
+    """Return a worker's play: reads return these values, every write is verified."""
+
+    async def play(command: Command) -> Sequence[Update]:
+        if not isinstance(command.action, ReadParameters):
+            return [result_of(command, "verified")]
+        read_values = [
+            ParameterValue(
+                command.action.unit, number, time.time(), values[number], available=values[number] is not None
+            )
+            for number in command.action.numbers
+            if number in values
+        ]
+        outcome = "verified" if len(read_values) == len(command.action.numbers) else "unverified"
+        return [*read_values, result_of(command, outcome, values=read_values)]
+
+    return play
+
+
+async def unread(stage: Stage, values: dict[int, int | None]) -> PlayedWorker:
+    """Return a worker whose unit 1 has no parameter read yet."""
+    states = [unit_state(1, {}), unit_state(2), unit_state(16)]
+    worker = await stage.worker(state=snapshot(units=states))
+    worker.play = unit_with_parameters(values)
+    return worker
+
+
+@pytest.mark.parametrize(
+    ("values", "raw", "nearest"),
+    [
+        ({8: 0, 2: 20000}, 20001, 20000),
+        ({8: 0, 2: 20000}, 20000, None),
+        ({8: 0, 2: None}, 99999, None),
+        ({8: 0, 2: 0}, 99999, None),
+        ({8: 0, 2: 0}, 100000, 99999),
+        ({8: 1, 2: 20000, 31: 15000, 38: 5000}, 15001, 15000),
+        ({8: 1, 2: 20000, 31: 15000, 38: 5000}, 4999, 5000),
+    ],
+)
+@pytest.mark.parametrize("many", [False, True])
+async def test_it_is_read_within_the_time_of_the_command(
+    stage: Stage, values: dict[int, int | None], raw: int, nearest: int | None, many: bool
+) -> None:
+    worker = await unread(stage, values)
+    path, body = ("/speeds", {"setpoints": {"1": {"raw": raw}}}) if many else ("/units/1/speed", {"raw": raw})
+    response = await stage.request("POST", path, body)
+    assert response.status_code == (200 if nearest is None else 422), response.text
+    assert response.json().get("nearest") == nearest
+    written = [
+        command.action for command in worker.commands if not isinstance(command.action, ReadParameters)
+    ]
+    expected = [SetLine(setpoints={1: raw}) if many else SetSpeed(unit=1, raw=raw)]
+    assert written == ([] if nearest else expected)
+    assert len({round(command.deadline, 1) for command in worker.commands}) <= 2
+
+
+async def test_what_cannot_be_read_is_not_taken_for_unlimited(stage: Stage) -> None:
+    worker = await unread(stage, {8: 0})
+    for path, body in (
+        ("/units/1/speed", {"raw": 5}),
+        ("/speeds", {"setpoints": {"1": {"raw": 5}, "2": {"raw": 5}}}),
+        ("/units/1/parameters/20", {"raw": 5}),
+    ):
+        response = await stage.request("PUT" if "parameters" in path else "POST", path, body)
+        result = response.json()
+        assert (response.status_code, result["code"], result["outcome"]) == (504, "unverified", "unverified")
+        assert "could not be read from unit 1" in result["detail"]
+        assert {unit["outcome"] for unit in result["units"].values()} <= {"not_sent"}
+        assert set(result["units"]) == ({"1", "2"} if path == "/speeds" else set())
+    assert all(isinstance(command.action, ReadParameters) for command in worker.commands)
+
+
+async def test_zero_waits_for_nothing_to_be_read(stage: Stage) -> None:
+    worker = await unread(stage, {})
+    assert (await stage.request("POST", "/units/1/speed", {"raw": 0})).status_code == 200
+    assert [command.action for command in worker.commands] == [SetSpeed(unit=1, raw=0)]
+
+
+async def test_each_that_was_never_read_is_read_once(stage: Stage) -> None:
+    states = [unit_state(number, {}) for number in (1, 2, 16)]
+    worker = await stage.worker(state=snapshot(units=states))
+    worker.play = unit_with_parameters({8: 0, 2: 20000})
+    body = {"setpoints": {number: {"raw": 100} for number in ("1", "2", "16")}}
+    assert (await stage.request("POST", "/speeds", body)).status_code == 200
+    assert worker.commands[-1].action == SetLine({1: 100, 2: 100, 16: 100})
+    assert len(worker.commands) == 4

@@ -1,0 +1,163 @@
+"""A unit, a bus and a parameter as the API shows them."""
+
+from __future__ import annotations
+
+import time
+from datetime import datetime
+from typing import Any
+
+import pytest
+
+from app.line.live.api.view import parameter_json
+from app.line.live.state.bus_live import LiveState
+from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink
+from bus.messages import term
+from tests.app.screens import line_view
+from tests.app.stage import HEALTHY, PARAMETERS, REMOTE, bus_settings, reading, snapshot
+
+CONTRACT_UNIT = {
+    *("id", "name", "link", "read_at", "age_ms", "commanded_raw", "actual_raw", "commanded", "actual"),
+    *("decimals", "analog_raw", "analog", "at_speed", "remote", "outputs", "inputs"),
+}
+CONTRACT_BUS = {"name", "port", "baud", "link", "scan_hz", "wire_utilisation", "units"}
+NULL_BEFORE_READ = CONTRACT_UNIT - {"id", "name", "link"}
+
+
+def live_with(**settings: Any) -> LiveState:
+    """Return the state of three units that responded."""
+    live = LiveState([bus_settings(**settings)], time.time())
+    live.buses["dry-end"].take_snapshot(snapshot())
+    return live
+
+
+def shown(live: LiveState, unit: int = 1, later_s: float = 0.0) -> dict[str, Any]:
+    """One unit's JSON."""
+    return line_view(live).unit("dry-end", unit, time.time() + later_s)
+
+
+def parameter(number: int, raw: int | None, **more: Any) -> ParameterValue:
+    """Of unit 1."""
+    return ParameterValue(unit=1, number=number, at=time.time(), raw=raw, **more)
+
+
+def test_what_was_never_read_is_null() -> None:
+    unit = shown(LiveState([bus_settings()], time.time()))
+    assert unit.keys() >= CONTRACT_UNIT
+    assert {name for name in CONTRACT_UNIT if unit[name] is None} == NULL_BEFORE_READ
+    assert unit["link"] == "unknown"
+
+
+def test_a_unit_in_its_own_decimals() -> None:
+    live = live_with()
+    live.buses["dry-end"].apply([reading(1, 12345, actual=12300, analog=51)])
+    unit = shown(live)
+    assert unit.keys() >= CONTRACT_UNIT
+    assert (unit["commanded_raw"], unit["actual_raw"], unit["decimals"]) == (12345, 12300, 1)
+    assert (unit["commanded"], unit["actual"], unit["deviation"]) == ("1234.5", "1230.0", "-4.5")
+    assert (unit["analog_raw"], unit["analog"]) == (51, 100.0)
+    assert unit["rpm"] == 1076.2
+    assert unit["link"] == "online"
+
+
+def test_without_decimals_no_number_is_made_up() -> None:
+    live = LiveState([bus_settings()], time.time())
+    live.buses["dry-end"].apply([reading(1, 12345), UnitLink(unit=1, at=time.time(), link="online")])
+    unit = shown(live)
+    assert unit["commanded_raw"] == 12345
+    assert unit["commanded"] is unit["actual"] is unit["decimals"] is unit["analog"] is unit["rpm"] is None
+
+
+def test_the_age_is_by_the_servers_clock() -> None:
+    unit = shown(live_with(), later_s=3.0)
+    assert 2900 <= unit["age_ms"] <= 60_000
+    assert unit["link"] in ("stale", "offline")
+    assert datetime.fromisoformat(unit["read_at"]).tzinfo is not None
+
+
+@pytest.mark.parametrize(
+    ("outputs", "inputs", "expected"),
+    [
+        (REMOTE, HEALTHY, {"remote": True, "at_speed": False}),
+        (0x80, HEALTHY, {"remote": False, "at_speed": True, "mode": "LOCAL"}),
+        (0b101001, HEALTHY, {"outputs": [True, False, False, True, False, True]}),
+    ],
+)
+def test_output_bits(outputs: int, inputs: int, expected: dict[str, Any]) -> None:
+    live = live_with()
+    live.buses["dry-end"].apply([reading(1, outputs=outputs, inputs=inputs)])
+    assert shown(live).items() >= expected.items()
+
+
+def test_keylock_is_distinguished_from_local_by_its_parameter() -> None:
+    live = live_with()
+    live.buses["dry-end"].apply([reading(1, outputs=0), parameter(19, 2)])
+    assert shown(live)["mode"] == "KEYLOCK"
+
+
+@pytest.mark.parametrize(
+    ("healthy", "bit", "active"), [(1, 1, False), (1, 0, True), (0, 0, False), (0, 1, True)]
+)
+def test_estop_is_true_when_one_is_active_in_this_dialect(healthy: int, bit: int, active: bool) -> None:
+    live = live_with(estop_healthy=healthy)
+    live.buses["dry-end"].apply([reading(1, inputs=bit << 1)])
+    assert shown(live)["inputs"]["estop"] is active
+
+
+def test_every_input_has_its_name() -> None:
+    names = ("run", "estop", "preset", "reverse", "up", "down", "slave")
+    for position, name in enumerate(names):
+        live = live_with(estop_healthy=0)
+        live.buses["dry-end"].apply([reading(1, inputs=1 << position)])
+        inputs = shown(live)["inputs"]
+        assert [key for key in names if inputs[key]] == [name]
+        assert set(inputs) == set(names)
+
+
+def test_a_follower_stages_a_ratio_and_shows_a_speed_or_a_ratio_by_dialect() -> None:
+    for follower_speed, commanded in (("speed", "1000.0"), ("ratio", "1.0000")):
+        live = live_with(follower_speed=follower_speed)
+        live.buses["dry-end"].apply([reading(1, 10000), parameter(8, 1), Staged(unit=1, at=0.0, raw=12345)])
+        unit = shown(live)
+        assert unit["follower"] is True
+        assert (unit["commanded"], unit["staged"]) == (commanded, "1.2345")
+
+
+def test_a_bus_with_and_without_figures() -> None:
+    live = live_with()
+    bus = line_view(live).bus("dry-end", time.time())
+    assert bus.keys() >= CONTRACT_BUS
+    assert (bus["link"], bus["scan_hz"], len(bus["units"])) == ("open", None, 3)
+    figures = BusFigures(at=1.0, scan_hz=12.5, scan_s=0.08, wire_utilisation=0.98, scan_s_with_one_more=0.1)
+    live.buses["dry-end"].apply([figures, BusLink(at=2.0, link="closed", cause=term("unplugged"))])
+    bus = line_view(live).bus("dry-end", time.time())
+    assert (bus["link"], bus["link_cause"]["detail"], bus["scan_hz"]) == ("closed", "unplugged", 12.5)
+
+
+def test_the_line_has_every_bus() -> None:
+    line = line_view(live_with()).line(time.time())
+    assert (line["site"], line["history"]) == ("Mill 7", None)
+    assert [bus["name"] for bus in line["buses"]] == ["dry-end"]
+
+
+def test_a_parameter_as_read_unread_and_not_there() -> None:
+    live = live_with()
+    live.buses["dry-end"].apply([parameter(6, 50), parameter(40, None, available=False)])
+    unit = live.buses["dry-end"].units[1]
+    ramp = parameter_json(unit, 6)
+    wanted = {"number": 6, "raw": 50, "value": "5.0", "unit": "s", "min": 0, "max": 9999, "available": True}
+    assert ramp.items() >= wanted.items()
+    unread = parameter_json(unit, 7)
+    assert [unread[name] for name in ("raw", "value", "read_at", "available")] == [None] * 4
+    absent = parameter_json(unit, 40)
+    assert (absent["raw"], absent["available"]) == (None, False)
+    assert absent["read_at"] is not None
+    assert parameter_json(unit, 2)["value"] == f"{PARAMETERS[2] / 10}"
+
+
+def test_the_password_is_masked() -> None:
+    live = live_with()
+    live.buses["dry-end"].apply([parameter(21, 4242)])
+    row = parameter_json(live.buses["dry-end"].units[1], 21)
+    assert row["raw"] is None
+    assert row["masked"] is True
+    assert "4242" not in str(row)

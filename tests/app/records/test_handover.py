@@ -1,0 +1,375 @@
+"""The sheet of a shift and its notes, as page and API, in one process. About 0.3 s for each test."""
+
+from __future__ import annotations
+
+import html
+import re
+import time
+from collections.abc import AsyncIterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from app.core.database import Database
+from app.core.web.admission.access import Person, Role
+from app.errors import Problem
+from app.line.alarms.monitor.bus_alarms import BusAlarms
+from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.commands.safeguards.limits import Limits
+from app.line.commands.safeguards.service import Safeguards
+from app.line.live.state.bus_live import LiveState
+from app.people.audit.log import EventLog
+from app.records.handover.service import Handover, NewNote
+from bus.contract import BusLink, Reading
+from bus.messages import Message
+from tests.app.complete_app import House, complete_app
+from tests.app.intents import intend
+from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
+
+API = "/api/v1/shifts"
+SET_SPEED = Message("event_set_speed")
+ANN = Person("ann", Role.ENGINEER, "demo")
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with complete_app(tmp_path, time_zone="Europe/Berlin") as house:
+        await played_line(house.services)
+        house.services.buses[BUS][BusAlarms].tick()
+        yield house
+
+
+async def present(client: httpx.AsyncClient) -> str:
+    """The start of the shift under way."""
+    start: str = (await client.get(API)).json()["shifts"][0]["start"]
+    return start
+
+
+async def sheet(client: httpx.AsyncClient) -> dict[str, Any]:
+    response = await client.get(f"{API}/{await present(client)}")
+    assert response.status_code == 200, response.text
+    found: dict[str, Any] = response.json()
+    return found
+
+
+async def write(client: httpx.AsyncClient, text: str, key: str = "", **more: Any) -> httpx.Response:
+    headers = {"Idempotency-Key": key} if key else {}
+    body = {"text": text, **more}
+    return await client.post(f"{API}/{await present(client)}/notes", json=body, headers=headers)
+
+
+async def test_the_sheet_is_made_from_the_store(house: House) -> None:
+    viewer, guards = await house.program(Role.VIEWER), house.services.buses[BUS][Safeguards]
+    house.services[LiveState].buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
+    await house.services[LineAlarms].write()
+    await guards.block(ANN, 1, "bearing")
+    await guards.block(ANN, 2, "rebuilt")
+    await guards.lift(ANN, 2)
+    await guards.set_limits(ANN, 2, Limits(highest=500))
+    await guards.take(ANN)
+    await house.services[EventLog].record(
+        kind="recipe", what=Message.of("event_recipe_loaded", name="Kraft", version=3), who="ann", bus=BUS
+    )
+    for outcome in ("verified", "verified", "unverified"):
+        number = await intend(
+            house.services[EventLog],
+            who="ann",
+            origin="page",
+            bus=BUS,
+            unit=1,
+            what=Message("event_set_speed"),
+            old="1",
+            new="2",
+        )
+        await house.services[EventLog].conclude(number, outcome)  # type: ignore[arg-type]
+    found = await sheet(viewer)
+    assert [(each["code"], each["after"]) for each in found["standing"] if each["unit"] == 1] == [
+        ("estop_active", "unack_active")
+    ]
+    assert [(each["unit"], each["new"], each["who"]) for each in found["blocked"]] == [(1, "bearing", "ann")]
+    assert [(each["unit"], each["new"]) for each in found["limits"]["events"]] == [(2, "highest 500")]
+    assert found["recipes"]["events"][0]["what"] == "recipe Kraft version 3 loaded and verified"
+    assert [each["what"] for each in found["control"]["events"]] == ["control taken"]
+    assert found["done"]["outcomes"] == {"": 3, "unverified": 1, "verified": 2}
+    assert [each["old"] for each in found["done"]["events"] if each["kind"] == "command"] == ["1"] * 3
+    assert {each["code"] for each in found["omissions"]} >= {"shift_omits_drift", "shift_omits_control"}
+
+
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
+    shifts, person = house.services[Handover], Person("vic", role, "session")
+    for new in (NewNote("Felt changed"), NewNote("Felt changed", corrects=1)):
+        with pytest.raises(Problem, match="role operator") as refused:
+            await shifts.write(person, shifts.present(), new)
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert (await sheet(await house.program(Role.VIEWER)))["notes"] == []
+    assert await house.events("shift") == []
+
+
+async def test_alarms_that_another_one_hides_are_in_a_section_and_a_note_may_name_them(house: House) -> None:
+    operator, live = await house.signed_in(Role.OPERATOR), house.services[LiveState].buses[BUS]
+    live.apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
+    live.apply([BusLink(at=time.time(), link="closed")])
+    await house.services[LineAlarms].write()
+    found = await sheet(operator)
+    assert [(each["unit"], each["code"]) for each in found["suppressed"]] == [(1, "estop_active")]
+    assert {each["code"] for each in found["standing"]} == {"port_lost"}
+    page = (await operator.get(f"/shifts/{await present(operator)}")).text
+    section = page.partition('<h2 id="suppressed">')[2].partition("</section>")[0]
+    assert "Emergency stop" in section
+    form = (await operator.get(f"/shifts/{await present(operator)}/note")).text
+    assert f'<option value="{BUS}.1.estop_active.1"' in form
+    operator.headers["Accept-Language"] = "de"
+    assert (
+        "Automatisch unterdrückte Alarme" in (await operator.get(f"/shifts/{await present(operator)}")).text
+    )
+
+
+async def test_the_page_shows_it_in_both_languages(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    await house.services.buses[BUS][Safeguards].block(ANN, 1, "bearing")
+    await write(operator, "Felt changed\nat the <b>dryer</b>", bus=BUS, unit=1)
+    path = f"/shifts/{await present(operator)}"
+    text = (await operator.get(path)).text
+    for expected in (
+        "Felt changed\nat the &lt;b&gt;dryer",
+        "Write note",
+        "commands blocked",
+        "bearing",
+        "Unwind",
+    ):
+        assert expected in text
+    operator.headers["Accept-Language"] = "de"
+    text = (await operator.get(path)).text
+    for expected in ("Notiz schreiben", "Regler mit gesperrten Befehlen", "Befehle gesperrt"):
+        assert expected in text
+    shifts = (await operator.get("/shifts")).text
+    assert "Schichten" in shifts
+    assert "läuft" in shifts
+
+
+async def test_a_viewer_reads_and_an_operator_writes(house: House) -> None:
+    viewer, operator = await house.signed_in(Role.VIEWER), await house.signed_in(Role.OPERATOR)
+    assert (await write(viewer, "x")).status_code == 403
+    page = (await viewer.get(f"/shifts/{await present(viewer)}")).text
+    assert "Write note" not in page
+    written = await write(operator, "Felt changed", unit=1, bus=BUS)
+    assert (written.status_code, written.json()["who"], written.json()["unit"]) == (201, "the-operator", 1)
+    assert [note["text"] for note in (await sheet(viewer))["notes"]] == ["Felt changed"]
+    (event,) = await house.events("shift")
+    assert (event["who"], event["message"], event["unit"]) == ("the-operator", "Felt changed", 1)
+
+
+async def test_the_form_stores_a_note_once_however_often_it_is_sent(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    path = f"/shifts/{await present(operator)}"
+    form = {"text": "Felt\r\nchanged", "clock": "", "place": f"{BUS}/2", "alarm": "", "key": "k1"}
+    for _ in range(2):
+        sent = await operator.post(f"{path}/notes", data=form)
+        assert (sent.status_code, sent.headers["location"].partition("#")[2]) == (303, "note-1")
+    (note,) = (await sheet(operator))["notes"]
+    assert (note["text"], note["bus"], note["unit"]) == ("Felt\nchanged", BUS, 2)
+    assert len(await house.events("shift")) == 1
+
+
+async def test_a_correction_is_a_new_note_and_a_note_has_one(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    first = (await write(operator, "Felt changed")).json()
+    second = (await write(operator, "Wire changed", corrects=first["id"])).json()
+    assert (second["corrects"], second["time"]) == (first["id"], first["time"])
+    again = await write(operator, "Roll changed", corrects=first["id"])
+    assert (again.status_code, again.json()["code"], again.json()["id"]) == (409, "superseded", second["id"])
+    found = (await sheet(operator))["notes"]
+    assert [(note["text"], note["corrected_by"]) for note in found] == [
+        ("Felt changed", second["id"]),
+        ("Wire changed", None),
+    ]
+    path = f"/shifts/{await present(operator)}"
+    assert "Corrected by note 2." in (await operator.get(path)).text
+    form = (await operator.get(f"{path}/note?correct={second['id']}")).text
+    assert ">Wire changed</textarea>" in form
+    assert (await write(operator, "x", corrects=99)).json()["code"] == "unknown_note"
+
+
+async def test_a_note_is_about_an_occurrence_that_was(house: House) -> None:
+    operator = await house.program(Role.OPERATOR)
+    house.services[LiveState].buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
+    await house.services[LineAlarms].write()
+    assert (await write(operator, "x", alarm=f"{BUS}.1.estop_active.1")).status_code == 201
+    assert (await write(operator, "x", alarm=f"{BUS}.1.estop_active.2")).json()["code"] == "unknown_alarm"
+    assert (await write(operator, "x", bus=BUS, unit=9)).json()["code"] == "unknown_unit"
+    assert (await write(operator, "x", bus="wet-end")).json()["code"] == "unknown_bus"
+    assert (await write(operator, "x", unit=1)).status_code == 422
+
+
+def link_to_note(page: str) -> str:
+    """The address of the link that leads to the form of a note."""
+    (found,) = re.findall(r'href="(/shifts/present[^"]*)"', page)
+    return html.unescape(found)
+
+
+def chosen(page: str) -> dict[str, str]:
+    """The choices of the form, by the names of its lists."""
+    form = page.partition('id="write"')[2]
+    lists = re.findall(r'name="(place|alarm)".*?</select>', form, re.DOTALL)
+    values = re.findall(r'<option value="([^"]*)" selected>', form)
+    return dict(zip(lists, values, strict=True))
+
+
+async def test_the_page_of_an_alarm_and_of_a_unit_open_the_form_with_what_they_are_about(
+    house: House,
+) -> None:
+    operator, viewer = await house.signed_in(Role.OPERATOR), await house.signed_in(Role.VIEWER)
+    estop = f"{BUS}.1.estop_active.1"
+    for status in (0, HEALTHY):
+        house.services[LiveState].buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, status)])
+    await operator.post("/alarms/acknowledge", data={"id": estop})
+    await house.services[LineAlarms].write()
+    assert estop not in {each["alarm"] for each in (await sheet(operator))["standing"]}
+    for path, expected in (
+        (f"/alarms/{estop}", {"place": f"{BUS}/1", "alarm": estop}),
+        (f"/units/{BUS}/2", {"place": f"{BUS}/2", "alarm": ""}),
+    ):
+        shown = await operator.get(link_to_note((await operator.get(path)).text))
+        assert "/note?" in shown.headers["location"]
+        assert chosen((await operator.get(shown.headers["location"])).text) == expected
+        assert "/shifts/present?" not in (await viewer.get(path)).text
+    assert "/shifts/present?" not in (await operator.get(f"/alarms/{BUS}.2.estop_active.0")).text
+
+
+async def test_a_link_to_the_form_names_what_there_is(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    path = f"/shifts/{await present(operator)}/note"
+    for wrong, status in (
+        ({"alarm": f"{BUS}.1.estop_active.7"}, 404),
+        ({"alarm": "no such"}, 404),
+        ({"place": "wet-end"}, 404),
+        ({"place": f"{BUS}/9"}, 404),
+        ({"place": "x" * 101}, 422),
+        ({"alarm": "x" * 301}, 422),
+        ({"alarm": "left to \u202eright"}, 422),
+    ):
+        assert (await operator.get(path, params=wrong)).status_code == status, wrong
+
+
+async def test_a_key_stores_one_note_and_serves_one(house: House) -> None:
+    operator = await house.program(Role.OPERATOR)
+    first, second = await write(operator, "Felt", key="a"), await write(operator, "Felt", key="a")
+    assert first.json() == second.json()
+    assert (await write(operator, "Wire", key="a")).status_code == 422
+    assert len(await house.events("shift")) == 1
+
+
+async def test_the_time_of_a_note_is_in_its_shift_and_not_to_come(house: House) -> None:
+    operator = await house.program(Role.OPERATOR)
+    start = datetime.fromisoformat(await present(operator))
+    now = datetime.now(UTC)
+    for wrong in (start - timedelta(seconds=1), now + timedelta(minutes=1), start + timedelta(hours=10)):
+        refused = await write(operator, "x", time=wrong.isoformat())
+        assert (refused.status_code, refused.json()["reason"]) == (422, "shift_note_outside")
+    right = await write(operator, "x", time=start.isoformat())
+    assert datetime.fromisoformat(right.json()["time"]) == start
+    assert datetime.fromisoformat(right.json()["written_at"]) >= now - timedelta(seconds=1)
+    assert (await write(operator, "x", time="2026-11-23T06:00:00")).status_code == 422
+    assert (await write(operator, "x", written_at=start.isoformat())).status_code == 422
+
+
+async def test_a_note_of_a_shift_that_is_over_states_its_time(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    earlier = (await operator.get(API)).json()["shifts"][1]
+    refused = await operator.post(f"{API}/{earlier['start']}/notes", json={"text": "x"})
+    assert refused.json()["reason"] == "shift_note_needs_time"
+    stored = await operator.post(
+        f"{API}/{earlier['start']}/notes", json={"text": "x", "time": earlier["start"]}
+    )
+    assert stored.status_code == 201
+    clock = datetime.fromisoformat(earlier["start"]).astimezone(house.services[Handover].zone)
+    form = {"text": "y", "clock": f"{clock:%H:%M}"}
+    assert (await operator.post(f"/shifts/{earlier['start']}/notes", data=form)).status_code == 303
+    counts = [each["notes"] for each in (await operator.get(API)).json()["shifts"][:2]]
+    assert counts == [0, 2]
+
+
+@pytest.mark.parametrize(
+    ("start", "status", "code"),
+    [
+        ("yesterday", 422, "invalid"),
+        ("2026-11-22T06:00:00", 422, "invalid"),
+        ("2026-11-22T05:00:01Z", 404, "unknown_shift"),
+        ("2199-11-22T05:00:00Z", 404, "unknown_shift"),
+        ("0001-01-01T00:00:00Z", 404, "unknown_shift"),
+        ("9999-12-31T23:59:59-12:00", 404, "unknown_shift"),
+        ("1e300", 422, "invalid"),
+    ],
+)
+async def test_a_start_that_is_none_is_refused(house: House, start: str, status: int, code: str) -> None:
+    viewer = await house.program(Role.VIEWER)
+    for path in (f"{API}/{start}", f"/shifts/{start}"):
+        refused = await viewer.get(path)
+        assert refused.status_code == status, refused.text
+    assert (await viewer.get(f"{API}/{start}")).json()["code"] == code
+
+
+async def test_what_happened_before_and_after_a_shift_is_not_on_its_sheet(house: House) -> None:
+    viewer = await house.program(Role.VIEWER)
+    earlier = (await viewer.get(API)).json()["shifts"][1]["start"]
+    await house.services.buses[BUS][Safeguards].block(ANN, 1, "bearing")
+    found = (await viewer.get(f"{API}/{earlier}")).json()
+    assert (found["standing"], found["blocked"], found["done"]["total"]) == ([], [], 0)
+    assert found["until"] == found["end"]
+    assert "shift_omits_before_record" in {each["code"] for each in found["omissions"]}
+
+
+async def test_a_time_without_the_server_is_on_the_sheet(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        yesterday = time.time() - 86_400
+        await house.services[EventLog].record(kind="server", what=Message("event_server_ended"), at=yesterday)  # type: ignore[arg-type]
+    async with complete_app(tmp_path) as house:
+        viewer = await house.program(Role.VIEWER)
+        start = (await viewer.get(API)).json()["shifts"][2]["start"]
+        found = (await viewer.get(f"{API}/{start}")).json()
+        assert "shift_omits_downtime" in {each["code"] for each in found["omissions"]}
+
+
+async def test_a_long_shift_has_the_newest_of_its_commands_and_counts_all(house: House) -> None:
+    viewer, events = await house.program(Role.VIEWER), house.services[EventLog]
+    intents = [
+        {
+            "who": "ann",
+            "origin": "api",
+            "bus": BUS,
+            "unit": 1,
+            "what": Message("event_set_speed"),
+            "new": str(n),
+        }
+        for n in range(250)
+    ]
+    numbers = await events.intend_together(intents)
+    await events.conclude_together(dict.fromkeys(numbers, ("verified", "")))
+    done = (await sheet(viewer))["done"]
+    assert (done["total"], done["outcomes"]["verified"], len(done["events"])) == (250, 250, 200)
+    assert [done["events"][0]["new"], done["events"][-1]["new"]] == ["50", "249"]
+    page = (await viewer.get(f"/shifts/{await present(viewer)}")).text
+    assert "The newest 200 of 250." in page
+
+
+async def test_a_long_note_and_one_too_many_are_refused(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    assert (await write(operator, "x" * 2001)).status_code == 422
+    assert (await write(operator, "x" * 3 * 1024**2)).status_code == 413
+    assert (await write(operator, "left to \u202eright")).status_code == 422
+    path = f"/shifts/{await present(operator)}/notes"
+    assert (await operator.post(path, data={"text": "x" * 2001})).status_code == 422
+    first = (await write(operator, "Felt")).json()
+    columns = "at, written_at, who, text, sender"
+    copies = f"INSERT INTO shift_note ({columns}) SELECT {columns} FROM shift_note, generate LIMIT 499"
+    numbers = "WITH RECURSIVE generate(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM generate WHERE n < 499)"
+    await house.services[Database].write(lambda store: store.execute(f"{numbers} {copies}"))
+    full = await write(operator, "one more")
+    assert (full.status_code, full.json()["reason"]) == (409, "shift_notes_full")
+    assert len((await sheet(operator))["notes"]) == 500
+    assert (await operator.get(f"/shifts/{await present(operator)}")).status_code == 200
+    assert first["id"] == 1

@@ -1,0 +1,313 @@
+"""``lineside report``: what each unit did in a shift, and what people have to know of it, from the stores
+alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.cli import cli
+from app.core.database import Database
+from app.line.alarms.journal.store import JournalEntry, alarm_writer
+from app.line.history.series.figures import (
+    RunFigures,
+    SpeedStretch,
+    draw_figures,
+    run_figures,
+    runs_of_minutes,
+    stretches,
+)
+from app.line.history.series.rollup import rollup
+from app.line.history.series.runs import MINUTE, SECOND, Run
+from app.line.history.series.values import Marks
+from app.records.handover.notes.notes import Note
+from app.records.handover.notes.notes import add as add_note
+from app.records.handover.rules.shift_times import Shift
+from bus.contract import Reading
+from bus.instants import UnixTime
+from tests.app.history_line import NOON, Shelf
+from tests.e2e.site import add_people
+
+SHIFT = "2026-11-21T06:00"
+"""It has NOON in it."""
+RUN, ESTOP_HEALTHY = 1, 2
+ON = RUN | ESTOP_HEALTHY
+AT_SPEED = 0x8000
+
+
+def run(at: float, until: float, actual: int, *, commanded: int = 100, inputs: int = ON) -> Run:
+    readings = max(1, round((until - at) * 4))
+    return Run(round(at * SECOND), round(until * SECOND), readings, commanded, actual, 0, inputs)
+
+
+def figures(
+    runs: Sequence[Run], start: float = 0, end: float = 100, marks: Marks | None = None
+) -> RunFigures:
+    counted = stretches(runs, round(start * SECOND), round(end * SECOND), marks or Marks())
+    return run_figures(counted, 1, lambda _, raw: raw / 10)
+
+
+def test_it_runs_while_its_speed_is_not_zero_and_each_stop_has_its_cause() -> None:
+    found = figures(
+        [
+            run(0, 10, 50),
+            run(10.2, 20, 0, inputs=ESTOP_HEALTHY),
+            run(20.2, 30, 50),
+            run(30.2, 40, 0, inputs=RUN),
+            run(40.2, 50, 50),
+            run(50.2, 60, 0, commanded=0),
+            run(60.2, 70, 50),
+            run(70.2, 80, 0),
+            run(80.2, 100, 100),
+        ]
+    )
+    assert [stop.cause for stop in found.stops] == ["run_off", "estop", "speed_zero", "unknown"]
+    assert [(stop.at / SECOND, stop.until / SECOND) for stop in found.stops] == [
+        *((10.2, 20.2), (30.2, 40.2), (50.2, 60.2), (70.2, 80.2))
+    ]
+    assert found.known == 100 * SECOND
+    assert found.running == 60 * SECOND
+    assert found.travel == pytest.approx((5 * 40.2 + 10 * 19.8) * SECOND, rel=0.01)
+
+
+def test_a_hole_is_neither_running_nor_a_stop_and_a_stop_over_it_is_one() -> None:
+    found = figures([run(0, 10, 0), run(60, 70, 0), run(70.2, 80, 50)])
+    assert (found.known, found.running) == (30 * SECOND, round(9.8 * SECOND))
+    assert [(stop.at, stop.until) for stop in found.stops] == [(0, round(70.2 * SECOND))]
+
+
+def test_readings_outside_of_the_span_do_not_count() -> None:
+    found = figures([run(0, 30, 50), run(30.2, 60, 0), run(60.2, 90, 50)], start=10, end=40)
+    assert (found.known, found.running) == (30 * SECOND, round(20.2 * SECOND))
+    assert [stop.until for stop in found.stops] == [40 * SECOND]
+
+
+def test_at_speed_is_what_the_unit_reports_while_it_runs_with_a_setpoint() -> None:
+    found = figures(
+        [
+            run(0, 10, 50),
+            run(10, 20, 100, inputs=ON | AT_SPEED),
+            run(20, 30, 0, commanded=0, inputs=ON | AT_SPEED),
+            run(30, 40, 1, commanded=0, inputs=ON | AT_SPEED),
+            run(40, 50, 100, inputs=ON | AT_SPEED),
+        ]
+    )
+    assert (found.running, found.at_speed) == (40 * SECOND, 20 * SECOND)
+    assert found.fastest == 10.0
+
+
+def test_a_short_hole_that_the_worker_reported_counts_as_nothing() -> None:
+    runs = [run(0, 10, 100, inputs=ON | AT_SPEED), run(15, 20, 100, inputs=ON | AT_SPEED)]
+    assert figures(runs).known == 20 * SECOND
+    found = figures(runs, marks=Marks(lost=[11 * SECOND], found=[15 * SECOND]))
+    assert (found.known, found.running, found.at_speed) == (15 * SECOND,) * 3
+
+
+def test_nothing_known_is_nothing() -> None:
+    assert figures([]) == RunFigures()
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 200), st.integers(0, 3), st.booleans()), max_size=40),
+    st.lists(st.integers(0, 8000), max_size=5),
+)
+def test_running_and_stops_fill_the_known_time(parts: list[tuple[int, int, bool]], cuts: list[int]) -> None:
+    runs, at = [], 0
+    for lasting, actual, is_at_speed in parts:
+        runs.append(run(at, at + lasting, actual, inputs=ON | (AT_SPEED if is_at_speed else 0)))
+        at += lasting
+    found = figures(runs, end=10_000)
+    assert found.running + sum(stop.until - stop.at for stop in found.stops) == found.known == at * SECOND
+    assert 0 <= found.at_speed <= found.running
+    edges = [0, *sorted(cuts), 10_000]
+    pieces = [figures(runs, start, end) for start, end in pairwise(edges)]
+    for name in ("known", "running", "at_speed"):
+        assert sum(getattr(piece, name) for piece in pieces) == getattr(found, name), "spans add up"
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 100), st.integers(1, 50)), min_size=1, max_size=20),
+    st.floats(0.5, 2.0),
+)
+def test_a_draw_is_of_the_web_that_passed_whatever_the_pieces(
+    parts: list[tuple[int, int]], ratio: float
+) -> None:
+    before, at = [], 0
+    for lasting, speed in parts:
+        before.append(SpeedStretch(at * SECOND, (at + lasting) * SECOND, speed))
+        at += lasting
+    section = [each._replace(speed=each.speed * ratio) for each in before]
+    found = draw_figures(before, section)
+    assert found is not None
+    assert found == pytest.approx([100 * (ratio - 1)] * 3, abs=0.011)
+    assert found.least <= found.average <= found.greatest
+    later = [each._replace(at=each.at + at * SECOND, until=each.until + at * SECOND) for each in section]
+    assert draw_figures(before, later) is None, "at no time both have a speed"
+
+
+def test_minutes_whose_readings_are_given_up_count_as_minutes() -> None:
+    moved, stood = run(0, 59, 50), run(60, 119, 0, inputs=ESTOP_HEALTHY)
+    runs = runs_of_minutes([rollup([moved], 0), rollup([stood], MINUTE)])
+    found = figures(runs, end=120)
+    assert (found.known, found.running) == (120 * SECOND, 60 * SECOND)
+    assert [stop.cause for stop in found.stops] == ["run_off"]
+
+
+CONFIGURATION = """\
+[site]
+name = "Mill"
+time_zone = "UTC"
+[server]
+data = "data"
+[[bus]]
+name = "dry-end"
+port = "/dev/ttyUSB0"
+[[bus.unit]]
+id = 1
+name = "Unwind"
+[bus.unit.labels]
+unit = "m/min"
+[[bus.unit]]
+id = 2
+name = "Rewind"
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "lineside.toml"
+    path.write_text(CONFIGURATION)
+    add_people(path)
+    return path
+
+
+def unit_reading(at: float, actual: int) -> Reading:
+    return Reading(unit=1, at=UnixTime(at), commanded=actual, actual=actual, analog=0, outputs=0, inputs=ON)
+
+
+def called(config: Path, *more: str) -> Result:
+    return CliRunner().invoke(cli, ["report", "--config", str(config), *more])
+
+
+def report_of(config: Path, *more: str) -> dict[str, Any]:
+    done = called(config, "--json", *more)
+    assert done.exit_code == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_a_shift_has_the_run_time_stops_and_length_of_each_unit(config: Path) -> None:
+    shelf = Shelf(config.parent / "data" / "history.db")
+    shelf.keep([unit_reading(NOON + second / 4, 60 if second < 1200 else 0) for second in range(2400)])
+    shelf.close()
+    before = {path: path.read_bytes() for path in sorted(config.parent.rglob("*")) if path.is_file()}
+    found = report_of(config, "--shift", SHIFT)
+    assert {path: path.read_bytes() for path in sorted(config.parent.rglob("*")) if path.is_file()} == before
+    unwind, rewind = found["units"]
+    assert (unwind["name"], unwind["known_s"], unwind["running_s"]) == ("Unwind", 599.75, 300.0)
+    [stop] = unwind["stops"]
+    assert (stop["seconds"], stop["cause"]) == (299.75, "speed_zero")
+    assert (unwind["length"], unwind["length_unit"]) == (300.0, "m")
+    assert (rewind["known_s"], rewind["length"]) == (0, None)
+    shown = called(config, "--shift", SHIFT)
+    assert shown.exit_code == 0
+    assert "dry-end/1 Unwind: ran 0:05:00 of 0:10:00, 1 stop, 300.0 m" in shown.stdout
+    assert "0:05:00: commanded speed 0" in shown.stdout
+
+
+def test_any_span_has_the_same_report_and_its_units_as_csv(config: Path) -> None:
+    shelf = Shelf(config.parent / "data" / "history.db")
+    shelf.keep([unit_reading(NOON + second / 4, 60 if second < 1200 else 0) for second in range(2400)])
+    shelf.close()
+    span = ("--since", "2026-11-20T06:00", "--until", "2026-11-22T06:00")
+    found = report_of(config, *span)
+    assert (found["start"][:16], found["end"][:16]) == ("2026-11-20T06:00", "2026-11-22T06:00")
+    assert (found["units"][0]["running_s"], found["signed"]) == (300.0, None)
+    assert "Mill: 2026-11-20 06:00 to 2026-11-22 06:00 (UTC)" in called(config, *span).stdout
+    head, unwind, rewind = called(config, "--csv", *span).stdout.splitlines()
+    assert head.startswith("bus,unit,name,start,end,known_s,running_s,length,length_unit,stops,stopped_s,")
+    assert unwind.startswith("dry-end,1,Unwind,2026-11-20T06:00")
+    assert ",599.75,300.0,300.0,m,1,299.75,0.0,172200.25,60.0,60.0,m/min," in unwind
+    assert ",0.0,0.0,,,0,0," in rewind
+    head, stop = called(config, "--stops", *span).stdout.splitlines()
+    assert head == "bus,unit,name,began,ended,seconds,reason"
+    assert stop.startswith(
+        "dry-end,1,Unwind,2026-11-21T12:05:00.000+00:00,2026-11-21T12:09:59.750+00:00,299.75"
+    )
+    assert stop.endswith(",speed_zero")
+
+
+@pytest.mark.parametrize(
+    ("span", "reason"),
+    [
+        (("--until", "2026-11-22T06:00"), "a span begins before now"),
+        (("--since", "2999-01-01T06:00"), "a span begins before now"),
+        (("--since", "2026-11-22T06:00", "--until", "2026-11-22T06:00"), "a span begins before now"),
+        (("--since", "monday"), "'monday' is no"),
+        (("--since", "2016-11-22T06:00"), "92 days at most"),
+    ],
+)
+def test_a_span_that_is_none_is_wrong_use(config: Path, span: tuple[str, ...], reason: str) -> None:
+    done = called(config, *span)
+    assert (done.exit_code, reason in done.stderr) == (2, True), done.stderr
+
+
+def test_without_history_there_are_the_events(config: Path) -> None:
+    found = report_of(config, "--shift", "now")
+    assert (found["site"], found["units"], found["alarms"], found["notes"]) == ("Mill", [], [], [])
+    assert found["omissions"]
+    assert "0 alarms came" in called(config, "--shift", "now").stdout
+    assert report_of(config)["end"] == found["start"], "without a name it is the last that ended"
+
+
+@pytest.mark.parametrize(
+    ("shift", "reason"),
+    [
+        ("yesterday", "is no time"),
+        ("2026-01-01T06:30", "No shift starts at 2026-01-01 06:30"),
+        ("2999-01-01T06:00", "has not begun"),
+    ],
+)
+def test_a_shift_that_is_none_is_wrong_use(config: Path, shift: str, reason: str) -> None:
+    done = called(config, "--shift", shift)
+    assert (done.exit_code, reason in done.stderr) == (2, True), done.stderr
+
+
+def test_it_has_the_alarms_that_came_changes_and_notes(config: Path) -> None:
+    came = JournalEntry(
+        alarm="dry-end.1.unit_offline",
+        code="unit_offline",
+        name="Unit is offline",
+        bus="dry-end",
+        unit=1,
+        occurrence=1,
+        priority="high",
+        at=UnixTime(NOON),
+        trigger="rise",
+        before="normal",
+        after="unack_active",
+    )
+    later = replace(came, at=UnixTime(NOON + 9000), occurrence=2)
+    shift = Shift(UnixTime(NOON - 21_600), UnixTime(NOON + 7200))
+    note = Note(UnixTime(NOON), UnixTime(NOON), "anna", "Belt is new", "dry-end", 1, None, None, "anna", None)
+    with closing(Database(config.parent / "data" / "lineside.db")) as database:
+        database.write_now(alarm_writer([came, later], []))
+        database.write_now(lambda store: add_note(store, note, shift))
+    found = report_of(config, "--shift", SHIFT)
+    assert [(each["code"], each["unit"]) for each in found["alarms"]] == [("unit_offline", 1)]
+    assert [each["text"] for each in found["notes"]] == ["Belt is new"]
+    shown = called(config, "--shift", SHIFT).stdout
+    assert "  12:00 dry-end/1 Unit is offline (high)" in shown
+    assert "  12:00 anna: Belt is new" in shown
+    changes = [line for line in called(config, "--shift", "now").stdout.splitlines() if "change" in line]
+    assert changes == ["0 changes"], "users and tokens are in the audit log"

@@ -1,0 +1,147 @@
+"""Which span a report is of, and when one is due; with the days on which the clocks change."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from zoneinfo import ZoneInfo
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.records.handover.rules.scope import EVERYTHING, Scope
+from app.records.handover.rules.shift_times import Shift
+from app.records.reports.rules.spans import (
+    LATE_S,
+    MAX_DAYS,
+    SETTLE_S,
+    ReportEvery,
+    SpanName,
+    last_due,
+    named_span,
+    span_fault,
+)
+from bus.instants import UnixTime
+
+BERLIN = ZoneInfo("Europe/Berlin")
+STARTS = (6 * 60, 14 * 60, 22 * 60)
+DAY_S = 86_400.0
+
+
+def at(text: str) -> UnixTime:
+    return UnixTime(datetime.fromisoformat(text).replace(tzinfo=BERLIN).timestamp())
+
+
+def written(span: Shift | None) -> str:
+    assert span is not None
+    return " ".join(
+        datetime.fromtimestamp(float(each), BERLIN).strftime("%m-%d %H:%M") for each in (span.start, span.end)
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("shift", "11-27 14:00 11-27 22:00"),
+        ("last_shift", "11-27 06:00 11-27 14:00"),
+        ("today", "11-27 00:00 11-28 00:00"),
+        ("yesterday", "11-26 00:00 11-27 00:00"),
+        ("week", "11-21 00:00 11-28 00:00"),
+    ],
+)
+def test_the_spans_that_people_name(name: SpanName, expected: str) -> None:
+    assert written(named_span(name, at("2026-11-27T15:00"), STARTS, BERLIN)) == expected
+
+
+def test_a_day_on_which_the_clocks_change_is_a_day() -> None:
+    day = named_span("today", at("2026-10-25T12:00"), STARTS, BERLIN)
+    assert (written(day), day.end - day.start) == ("10-25 00:00 10-26 00:00", 25 * 3600)
+
+
+@pytest.mark.parametrize(
+    ("every", "now", "expected"),
+    [
+        ("shift", "2026-11-27T14:05", "11-27 06:00 11-27 14:00"),
+        ("shift", "2026-11-27T14:04", "11-26 22:00 11-27 06:00"),
+        ("day", "2026-11-27T07:00", "11-26 00:00 11-27 00:00"),
+        ("day", "2026-10-26T07:00", "10-25 00:00 10-26 00:00"),
+        ("week", "2026-11-23T07:00", "11-16 00:00 11-23 00:00"),
+        ("week", "2026-03-30T07:00", "03-23 00:00 03-30 00:00"),
+    ],
+)
+def test_the_report_that_is_due(every: ReportEvery, now: str, expected: str) -> None:
+    assert written(last_due(every, 7 * 60, at(now), STARTS, BERLIN)) == expected
+
+
+@pytest.mark.parametrize(
+    ("every", "now"),
+    [("day", "2026-11-27T06:59"), ("week", "2026-11-23T06:59"), ("week", "2026-11-27T07:00")],
+)
+def test_a_report_is_not_sent_before_its_time_or_long_after(every: ReportEvery, now: str) -> None:
+    assert last_due(every, 7 * 60, at(now), STARTS, BERLIN) is None
+
+
+@given(st.floats(1.7e9, 1.9e9), st.sampled_from(["shift", "day", "week"]), st.integers(0, 1439))
+def test_a_span_that_is_due_is_over(now: float, every: ReportEvery, minute: int) -> None:
+    span = last_due(every, minute, UnixTime(now), STARTS, BERLIN)
+    if every == "shift":
+        assert span is not None
+        assert now - span.end >= SETTLE_S
+    if span is not None:
+        assert span.start < span.end <= now <= span.end + DAY_S + 3600 + LATE_S
+        again = last_due(every, minute, UnixTime(now), STARTS, BERLIN)
+        assert again == span
+
+
+@pytest.mark.parametrize(
+    ("days", "units", "code"),
+    [
+        (0, 1, "report_span_malformed"),
+        (-1, 1, "report_span_malformed"),
+        (MAX_DAYS + 1, 1, "report_span_too_long"),
+        (3650, 1, "report_span_too_long"),
+        (8, 255, "report_too_many_units"),
+        (7, 255, ""),
+        (MAX_DAYS, 8, ""),
+    ],
+)
+def test_a_span_that_there_is_no_report_of(days: int, units: int, code: str) -> None:
+    now = at("2026-11-27T12:00")
+    fault = span_fault(Shift(UnixTime(now - days * DAY_S), now), now, units)
+    assert (fault.code if fault else "") == code
+
+
+def test_a_span_of_the_future_and_one_before_the_epoch_have_no_report() -> None:
+    now = at("2026-11-27T12:00")
+    later = Shift(now + 60.0, now + 120.0)
+    for span in (later, Shift(UnixTime(-5.0), UnixTime(5.0))):
+        fault = span_fault(span, now, 1)
+        assert fault is not None
+        assert fault.code == "report_span_malformed"
+    assert timedelta(days=MAX_DAYS) > timedelta(days=31), "any month has a report"
+
+
+@pytest.mark.parametrize(
+    ("scope", "held", "concerned"),
+    [
+        (EVERYTHING, "site wet dry dry/1 dry/2", "site wet dry dry/1 dry/2"),
+        (Scope("dry"), "dry dry/1 dry/2", "site dry dry/1 dry/2"),
+        (Scope("dry", 1), "dry/1", "site dry dry/1"),
+    ],
+)
+def test_what_a_line_and_a_unit_hold_and_have_to_know(scope: Scope, held: str, concerned: str) -> None:
+    places: dict[str, tuple[str | None, int | None]] = {
+        "site": (None, None),
+        "wet": ("wet", None),
+        "dry": ("dry", None),
+        "dry/1": ("dry", 1),
+        "dry/2": ("dry", 2),
+    }
+    assert " ".join(name for name, place in places.items() if scope.holds(*place)) == held
+    assert " ".join(name for name, place in places.items() if scope.concerns(*place)) == concerned
+
+
+def test_a_scope_is_a_condition_of_sql() -> None:
+    assert EVERYTHING.conditions() == ("", [])
+    assert Scope("dry").conditions() == (" AND bus = ?", ["dry"])
+    assert Scope("dry", 1).conditions("e.") == (" AND e.bus = ? AND e.unit = ?", ["dry", 1])
