@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PURE = (
     *("bus/wire/*.py", "bus/catalogue/*.py"),
-    *("app/*/rules.py", "app/**/rules/*.py", "app/line/commands/catalogue.py", "app/line/conditions/*.py"),
+    *("app/*/*/rules.py", "app/**/rules/*.py", "app/line/commands/catalogue.py", "app/line/conditions/*.py"),
 )
 TESTS = {
     "bus/catalogue/parameters.py": "tests/bus/test_catalogue_parameters.py",

@@ -100,7 +100,7 @@ async def test_hello_snapshot_then_batches_that_are_forgotten_once_delivered() -
         await app.until(app.snapshots)
         outbox.put([Reading(1, time.time(), 2, 3, 4, 5, 6)])
         await app.until(app.readings)
-        assert [type(message).__name__ for message in app.core.messages] == ["Hello", "Snapshot", "Batch"]
+        assert [type(message).__name__ for message in app.messages] == ["Hello", "Snapshot", "Batch"]
         assert app.batches()[0].live
         for _ in range(1000):
             if not len(outbox):

@@ -95,9 +95,9 @@ async def running(line: LineServer, folder: Path, units: int = UNITS) -> AsyncIt
 
 async def test_it_sends_hello_then_a_snapshot_then_changes(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
-        assert isinstance(app.core.messages[0], Hello)
-        assert app.core.messages[0].bus == "b"
-        assert app.core.messages[1] in app.snapshots()
+        assert isinstance(app.messages[0], Hello)
+        assert app.messages[0].bus == "b"
+        assert app.messages[1] in app.snapshots()
         await app.until(lambda: any(isinstance(update, BusFigures) for update in app.updates()))
         sequence = [batch.seq for batch in app.batches()]
         first = app.snapshots()[0].seq + 1
@@ -217,12 +217,12 @@ async def test_readings_are_kept_while_the_app_is_away(line: LineServer, tmp_pat
     async with running(line, tmp_path) as app:
         await app.stop()
         last = app.readings()[-1].at
-        received = len(app.core.messages)
+        received = len(app.messages)
         await many_polls(line)
         until = time.time()
         await app.start()
         await app.until(
-            lambda: any(isinstance(each, Batch) and each.live for each in app.core.messages[received:])
+            lambda: any(isinstance(each, Batch) and each.live for each in app.messages[received:])
         )
         kept = [batch for batch in app.batches() if not batch.live]
         assert kept
