@@ -17,7 +17,7 @@ from app.engineering.sets.saving.reading import ParameterReader
 from app.engineering.sets.store import SetStore
 from app.errors import Problem
 from app.line.commands import catalogue
-from app.line.commands.rules.objection import RuleContext
+from app.line.commands.rules import RuleContext
 from app.line.commands.safeguards.limits import NO_LIMITS
 from app.line.commands.service.command_service import WriteSubscriber
 from app.line.live.state.bus_live import LiveState

@@ -22,7 +22,7 @@ from app.errors import Problem, or_404
 from app.line.commands.api.commands import RESULT_RESPONSES
 from app.line.commands.api.responses import FramesWanted, command_response
 from app.line.commands.catalogue import SET_LINE
-from app.line.commands.rules.setpoint import setpoint_text
+from app.line.commands.rules import setpoint_text
 from app.line.commands.service.writer import permitted_writer
 from app.line.live.api.routes import Live
 from app.line.live.api.schemas import Time

@@ -17,7 +17,7 @@ from app.line.commands.catalogue import SET_LINE, longest_change_s
 from app.line.commands.forms.line_change import followers_of, left_out_of, proven, reviewed
 from app.line.commands.forms.page_context import Confirmed, Page
 from app.line.commands.review import by_remark, present_setpoint
-from app.line.commands.rules.setpoint import setpoint_text
+from app.line.commands.rules import setpoint_text
 from app.line.commands.service.writer import permitted
 from app.line.live.api.routes import Live
 from app.line.live.lookup import bus_or_404

@@ -10,10 +10,15 @@ from pydantic import Field, InstanceOf, PlainSerializer
 
 from app.core.web.api.shape import MessageObject
 from app.line.commands.review import obstacle_of, ramp_of, risks_of
-from app.line.commands.rules.setpoint import setpoint_text
-from app.line.commands.rules.setpoint_range import SetpointKind, kind_of
-from app.line.commands.scale import differs, parse_scale, scale_text, setpoint_scale
-from app.line.commands.values import in_measure, measure_of_setpoint
+from app.line.commands.rules import SetpointKind, kind_of, setpoint_text
+from app.line.commands.values import (
+    differs,
+    in_measure,
+    measure_of_setpoint,
+    parse_scale,
+    scale_text,
+    setpoint_scale,
+)
 from app.line.live.api.schemas import UnitAddress
 from app.line.live.state.bus_live import BusLive, UnitLive, follower
 from bus.catalogue.numbers import RATIO_SETPOINT

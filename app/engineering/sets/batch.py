@@ -13,8 +13,8 @@ from app.engineering.sets.model import UnitRows
 from app.engineering.sets.restore.effects import warning_of
 from app.engineering.sets.saving.reading import known_rows, status_of
 from app.errors import Problem
-from app.line.commands.scale import parameter_scale
 from app.line.commands.service.command_service import CommandService
+from app.line.commands.values import parameter_scale
 from app.line.live.state.bus_live import BusLive, UnitLive
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.parameter import Parameter, Scale, check_writable_value

@@ -24,9 +24,9 @@ from app.line.commands.pages.outputs import OutputPath, typed_analog
 from app.line.commands.pages.parameters import ParameterPath
 from app.line.commands.pages.setpoints import typed_setpoints
 from app.line.commands.pages.speed import explain_setpoint
-from app.line.commands.scale import Scales, parse_scale
 from app.line.commands.service.writer import ParameterWriter, permitted
 from app.line.commands.undo.changes import ValuePlace, Values
+from app.line.commands.values import Scales, parse_scale
 from bus.errors import CallerError
 from bus.messages import Message
 

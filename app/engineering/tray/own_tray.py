@@ -12,9 +12,9 @@ from app.engineering.tray.contents import PlaceScales, Trays
 from app.engineering.tray.rows import Judge, TrayRow
 from app.errors import Problem
 from app.line.commands.forms.page_context import BusPage
-from app.line.commands.rules.objection import reason_of
-from app.line.commands.scale import Scales, differs, scales_of
+from app.line.commands.rules import reason_of
 from app.line.commands.undo.changes import ValuePlace, Values, action_for
+from app.line.commands.values import Scales, differs, scales_of
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Action
 from bus.instants import monotonic_now

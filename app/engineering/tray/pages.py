@@ -17,11 +17,10 @@ from app.engineering.tray.sending import TrayResult, first_id, send_changes
 from app.errors import Problem
 from app.line.commands.catalogue import SET_LINE, longest_change_s, timeout_s_for
 from app.line.commands.forms.line_change import followers_of, left_out_of
-from app.line.commands.forms.outcome import OutcomeText, Tone, outcome_text
 from app.line.commands.forms.page_context import BusPage, Confirmed, OfBus, Page
 from app.line.commands.forms.undo_shown import UndoShown
 from app.line.commands.pages.parameters import CONFIRMING_WORD
-from app.line.commands.review import by_remark
+from app.line.commands.review import OutcomeText, Tone, by_remark, outcome_text
 from app.line.commands.safeguards.control import controlled
 from app.line.commands.service.writer import permitted, permitted_writer
 from app.line.commands.undo.changes import ValuePlace, Values

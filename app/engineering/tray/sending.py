@@ -11,9 +11,9 @@ from app.core.web.admission.arrival import Deadline
 from app.engineering.tray.contents import PlaceScales, steps_of
 from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command
-from app.line.commands.scale import Scales
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.undo.changes import ValuePlace, Values, action_for
+from app.line.commands.values import Scales
 from app.line.live.state.bus_live import BusLive
 from bus.contract import Result, UnitOutcome
 from bus.instants import Monotonic

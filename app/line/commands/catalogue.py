@@ -14,18 +14,29 @@ from typing import Any, Generic, TypeVar
 
 from app.core.web.admission.access import Role
 from app.core.web.admission.arrival import DEFAULT_TIMEOUT_S
-from app.line.commands import wording
-from app.line.commands.rules import action_checks
-from app.line.commands.rules.objection import RuleContext, objection
-from app.line.commands.rules.setpoint import (
+from app.line.commands.rules import (
     NewSetpoint,
-    by_unit,
+    RuleContext,
+    check_analog_output,
+    check_baud,
+    check_line,
+    check_output,
+    check_parameter,
     check_setpoint,
-    of_write_parameter,
+    new_setpoints,
+    objection,
+    setpoint_written,
+    slows_all,
     staged_setpoints,
 )
-from app.line.commands.rules.slowing import slows_all
-from app.line.commands.wording import Wording
+from app.line.commands.values import (
+    Wording,
+    line_wording,
+    output_wording,
+    parameter_wording,
+    setpoint_wording,
+    wordings_by_unit,
+)
 from app.line.live.state.bus_live import BusLive
 from bus.catalogue.parameter import danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
@@ -104,7 +115,7 @@ class CommandKind(Generic[A]):
 SET_SPEED = CommandKind(
     SetSpeed,
     Role.OPERATOR,
-    wording=lambda action, bus: wording.of_setpoint(
+    wording=lambda action, bus: setpoint_wording(
         Message("event_set_speed" if action.execute else "event_stage_speed"), bus, action.unit, action.raw
     ),
     setpoints=lambda action, _: [NewSetpoint(action.unit, action.raw, is_staged=not action.execute)],
@@ -113,35 +124,35 @@ SET_SPEED = CommandKind(
 EXECUTE_SPEED = CommandKind(
     ExecuteSpeed,
     Role.OPERATOR,
-    wording=lambda action, bus: wording.of_setpoint(
+    wording=lambda action, bus: setpoint_wording(
         Message("event_execute_speed"), bus, action.unit, bus.units[action.unit].staged
     ),
     setpoints=lambda action, bus: [
-        each for each in by_unit(staged_setpoints(bus)) if each.unit == action.unit
+        each for each in new_setpoints(staged_setpoints(bus)) if each.unit == action.unit
     ],
 )
 EXECUTE_ALL = CommandKind(
     ExecuteAll,
     Role.OPERATOR,
-    wording=lambda _, bus: wording.of_several(Message("event_execute_all"), bus, staged_setpoints(bus)),
-    part_wordings=lambda _, bus: wording.of_each(
+    wording=lambda _, bus: line_wording(Message("event_execute_all"), bus, staged_setpoints(bus)),
+    part_wordings=lambda _, bus: wordings_by_unit(
         Message("event_execute_with_all"), bus, staged_setpoints(bus)
     ),
     units_written=lambda _, bus: list(staged_setpoints(bus)),
-    setpoints=lambda _, bus: by_unit(staged_setpoints(bus)),
+    setpoints=lambda _, bus: new_setpoints(staged_setpoints(bus)),
 )
 SET_LINE = CommandKind(
     SetLine,
     Role.OPERATOR,
-    wording=lambda action, bus: wording.of_several(
+    wording=lambda action, bus: line_wording(
         Message.of("event_set_line", n=len(action.setpoints)), bus, action.setpoints
     ),
-    part_wordings=lambda action, bus: wording.of_each(
+    part_wordings=lambda action, bus: wordings_by_unit(
         Message.of("event_set_speed_of_several", n=len(action.setpoints)), bus, action.setpoints
     ),
     units_written=lambda action, bus: sorted({*action.setpoints, *staged_setpoints(bus)}),
-    setpoints=lambda action, _: by_unit(action.setpoints),
-    check=action_checks.check_line,
+    setpoints=lambda action, _: new_setpoints(action.setpoints),
+    check=check_line,
     # Its broadcast executes what other units hold staged, too.
     only_slows=lambda action, bus: slows_all({**staged_setpoints(bus), **action.setpoints}, bus),
     timeout_s=lambda action, bus: timeout_s_for(bus, len(action.setpoints), typed=True),
@@ -149,8 +160,8 @@ SET_LINE = CommandKind(
 WRITE_OUTPUT = CommandKind(
     WriteOutput,
     Role.OPERATOR,
-    wording=wording.of_write_output,
-    check=action_checks.check_output,
+    wording=output_wording,
+    check=check_output,
 )
 WRITE_ANALOG_OUTPUT = CommandKind(
     WriteAnalogOutput,
@@ -158,14 +169,14 @@ WRITE_ANALOG_OUTPUT = CommandKind(
     wording=lambda action, _: Wording(
         Message("event_set_analog_output"), new=str(action.raw), new_raw=action.raw
     ),
-    check=action_checks.check_analog_output,
+    check=check_analog_output,
 )
 WRITE_PARAMETER = CommandKind(
     WriteParameter,
     Role.ENGINEER,
-    wording=wording.of_write_parameter,
-    setpoints=of_write_parameter,
-    check=action_checks.check_parameter,
+    wording=parameter_wording,
+    setpoints=setpoint_written,
+    check=check_parameter,
     danger=lambda action: danger_of_writing(PARAMETERS[action.number], action.raw),
     writes_parameters=True,
     is_secret=lambda action: PARAMETERS[action.number].secret,
@@ -176,7 +187,7 @@ CHANGE_BAUD = CommandKind(
     Role.ENGINEER,
     wording=lambda action, bus: Wording(Message("event_change_baud"), str(bus.baud), str(action.baud)),
     units_written=lambda _, bus: list(bus.units),
-    check=action_checks.check_baud,
+    check=check_baud,
     danger=lambda _: BAUD_DANGER,
     writes_parameters=True,
 )

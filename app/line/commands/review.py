@@ -1,38 +1,49 @@
-"""What a review shows of a command before it is confirmed. Pure.
+"""What a page shows of a command before it is confirmed, and once its result is known. Pure.
 
-Of a setpoint: from where to where, within which range, for how long, why the unit cannot take it now, and
-risks. Of setting a line to zero: which units take part, and which cannot.
+The review of a setpoint shows from where to where it goes, within which range, for how long, why the unit
+cannot take it now, its risks, and what it does to the draw between neighboring sections. The review of
+setting a line to zero shows which units take part, and which cannot.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from decimal import Decimal
+from typing import Literal, NamedTuple
 
-from app.line.commands.rules.setpoint import commanded_setpoint
-from app.line.commands.rules.setpoint_range import KIND_OF_PARAMETER, is_above_display, setpoint_range
-from app.line.commands.safeguards.limits import Limits
-from app.line.commands.scale import scale_text, setpoint_scale
-from app.line.commands.values import measure_of_setpoint, setpoint_message
+from app.line.commands.rules import KIND_OF_PARAMETER, commanded_setpoint, kind_of, setpoint_range
+from app.line.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
+from app.line.commands.values import (
+    in_measure,
+    measure_of_setpoint,
+    scale_text,
+    setpoint_message,
+    setpoint_scale,
+)
+from app.line.conditions.draw import Draw, SectionSpeed, draw_between, percent_of
 from app.line.live.state.age import unit_link_now
 from app.line.live.state.bus_live import BusLive, UnitLive, follower
 from app.line.live.state.conditions import bits_of
+from app.line.live.state.draw import quantity_of
 from app.line.live.state.ramp_time import ramp_parameter, ramp_seconds
-from bus.catalogue.numbers import ACCELERATION, DECELERATION, MAX_DISPLAY, RATIO_SETPOINT
-from bus.contract import UnitScale
+from bus.catalogue.numbers import ACCELERATION, DECELERATION, DECIMALS, MAX_DISPLAY, RATIO_SETPOINT
+from bus.contract import Outcome, Result, UnitOutcome, UnitScale
+from bus.errors import unit_error
 from bus.instants import UnixTime
-from bus.messages import Message
+from bus.messages import Message, number
+from bus.settings import Seam
 
 REVIEW_LASTS_S = 45.0
-"""Thirty seconds on the screen, and something for the way."""
+"""Thirty seconds on the screen, and some time for the way to the server."""
 COARSE_STEPS, FINE_STEPS = 100, 1000
 """A nudge is about a hundredth or a thousandth of the full span."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ramp:
-    """``number``: the parameter that sets it, #6 or #7. ``tenths``: its raw value, for the full span (#2);
-    ``seconds``: for this change. None where it is not known."""
+    """The ramp of a change. ``number``: the parameter that sets it, #6 or #7. ``tenths``: its raw value, for
+    the full span (#2); ``seconds``: for this change. None if not known."""
 
     number: int
     tenths: int | None
@@ -40,7 +51,7 @@ class Ramp:
 
 
 def ramp_of(unit: UnitLive, old: int | None, new: int) -> Ramp | None:
-    """The ramp between two raw setpoints; None where nothing changes or the unit follows its master."""
+    """Return the ramp between two raw setpoints; None if nothing changes or the unit follows its master."""
     if old == new or follower(unit):
         return None
     number = ramp_parameter(old, new)
@@ -49,24 +60,24 @@ def ramp_of(unit: UnitLive, old: int | None, new: int) -> Ramp | None:
 
 
 def present_setpoint(bus: BusLive, unit: UnitLive) -> int | None:
-    """The commanded setpoint; of a follower that shows its speed, the command ratio as last read."""
+    """Return the commanded setpoint; for a follower that shows its speed, the ratio as last read."""
     known = commanded_setpoint(unit, bus)
     return unit.parameter_raw(RATIO_SETPOINT) if known is None and follower(unit) else known
 
 
 def ramp_parameters_missing(unit: UnitLive) -> list[int]:
-    """Parameters to read before the time of a ramp can be given."""
+    """Return the parameters to read before the time of a ramp is known."""
     return [number for number in (MAX_DISPLAY, ACCELERATION, DECELERATION) if number not in unit.parameters]
 
 
 def nudges(unit: UnitLive) -> tuple[int, int]:
-    """(fine, coarse) raw steps that suit the unit's span."""
+    """Return the fine and the coarse raw step that suit the unit's span."""
     span = 10_000 if follower(unit) else unit.parameter_raw(MAX_DISPLAY) or 10_000
     return _round_number(span / FINE_STEPS), _round_number(span / COARSE_STEPS)
 
 
 def _round_number(size: float) -> int:
-    """The largest of 1, 2, 5, 10, 20, … that is not above ``size``."""
+    """Return the largest of 1, 2, 5, 10, 20, … that is not above ``size``."""
     step = 1
     for candidate in (digit * 10**power for power in range(5) for digit in (1, 2, 5)):
         if candidate <= size:
@@ -77,8 +88,8 @@ def _round_number(size: float) -> int:
 def obstacle_of(
     bus: BusLive, unit: UnitLive, now: UnixTime, *, block: Message | None = None
 ) -> Message | None:
-    """The first reason why the unit cannot take a command now, as the next may disappear with it; None where
-    nothing is known against it. ``block``: why commands to it are blocked."""
+    """Return the first reason why the unit cannot take a command now, since the next may disappear with it;
+    None if there is none. ``block``: why commands to it are blocked."""
     if block:
         return Message.of("obstacle_blocked", block=block)
     if bus.link.link != "open":
@@ -93,10 +104,10 @@ def obstacle_of(
 def risks_of(
     bus: BusLive, unit: UnitLive, now: UnixTime, ramp: Ramp | None, setpoint: int | None = None
 ) -> tuple[Message, ...]:
-    """What of the unit's state may be unexpected, in order of display. ``ramp`` None: the command starts
-    none. ``setpoint``: the new one, raw, where an engineer's limit may allow it and #2 does not."""
+    """Return what may be unexpected about the unit's state, in order of display. ``ramp`` None: the command
+    starts none. ``setpoint``: the new one, raw, which an engineer's limit may allow although #2 does not."""
     found: list[Message] = []
-    if setpoint is not None and is_above_display(unit, setpoint):
+    if setpoint is not None and _is_above_display(unit, setpoint):
         found.append(Message("risk_above_display"))
     if unit.reading is not None:
         if unit_link_now(bus, unit, now) == "stale":
@@ -113,7 +124,13 @@ def risks_of(
     return tuple(found)
 
 
+def _is_above_display(unit: UnitLive, raw: int) -> bool:
+    """Whether a speed is above #2, which only an engineer's limit allows."""
+    return kind_of(unit) == "speed" and raw > (unit.parameter_raw(MAX_DISPLAY) or HIGHEST_SETPOINT)
+
+
 def risks_of_writing(number: int, raw: int) -> tuple[Message, ...]:
+    """Return the risks of writing a value of a parameter."""
     if number in (ACCELERATION, DECELERATION) and raw == 0:
         return (Message("risk_no_ramp"),)
     if number in KIND_OF_PARAMETER:
@@ -122,7 +139,7 @@ def risks_of_writing(number: int, raw: int) -> tuple[Message, ...]:
 
 
 def by_remark(remarks: Iterable[tuple[str, Message]]) -> list[tuple[Message, list[str]]]:
-    """Each remark once, with the names of the units that it is about, in order."""
+    """Group units by remark: each remark once, with the names of its units, in order."""
     found: dict[Message, list[str]] = {}
     for name, remark in remarks:
         found.setdefault(remark, []).append(name)
@@ -131,7 +148,7 @@ def by_remark(remarks: Iterable[tuple[str, Message]]) -> list[tuple[Message, lis
 
 @dataclass(frozen=True, slots=True)
 class SetpointChange:
-    """Texts are as the unit shows them, in ``measure``. ``ramp`` None: it has none."""
+    """A new setpoint of a unit in a review. Texts are as the unit shows them, in ``measure``."""
 
     unit: int
     name: str
@@ -143,7 +160,7 @@ class SetpointChange:
     lowest: str | Message
     highest: str | Message
     scale: str
-    """What it was converted with, as the form of the review holds it."""
+    """The scale that it was converted with, as the form of the review holds it."""
     ramp: Ramp | None
     obstacle: Message | None
     risks: tuple[Message, ...]
@@ -159,8 +176,8 @@ def change_of(
     block: Message | None = None,
     typed_with: UnitScale | None = None,
 ) -> SetpointChange:
-    """What setting ``new_raw`` means for a unit. ``block``: why commands to it are blocked, if they are;
-    ``typed_with``: what it was converted with, which the unit may not have any more."""
+    """Describe setting ``new_raw``. ``block``: why commands to the unit are blocked, if they are;
+    ``typed_with``: the scale that it was converted with, which the unit may not have any more."""
     old_raw, allowed = present_setpoint(bus, unit), setpoint_range(unit, limits)
     ramp = ramp_of(unit, old_raw, new_raw)
     return SetpointChange(
@@ -182,8 +199,8 @@ def change_of(
 
 @dataclass(slots=True)
 class ZeroPlan:
-    """Setting a bus to zero: every unit ramps to speed 0 by its own #7; followers keep their ratio and come
-    down with their master. It is no emergency stop: nothing on this link can run or stop a drive.
+    """How a bus is set to zero: every unit ramps to speed 0 by its own #7; followers keep their ratio and
+    come down with their master. It is not an emergency stop: nothing on this link can run or stop a drive.
 
     ``units``: address → name. ``left_out`` and ``risks``: name, with its reason or risk."""
 
@@ -197,17 +214,127 @@ class ZeroPlan:
 
 
 def plan_zero(bus: BusLive, block: Callable[[int], Message | None], now: UnixTime) -> ZeroPlan:
-    """Every master that can take it; the others each with a reason. ``block``: why commands to a unit are
-    blocked, None where they are not."""
+    """Plan to set every master to 0 that can take it, the others each with a reason. ``block``: gives why
+    commands to a unit are blocked, None if they are not."""
     plan = ZeroPlan(bus.settings.name)
-    for number, unit in bus.units.items():
+    for address, unit in bus.units.items():
         name, ramp = unit.settings.name, ramp_of(unit, present_setpoint(bus, unit), 0)
         if follower(unit):
             plan.followers += 1
-        elif obstacle := obstacle_of(bus, unit, now, block=block(number)):
+        elif obstacle := obstacle_of(bus, unit, now, block=block(address)):
             plan.left_out.append((name, obstacle))
         else:
-            plan.units[number] = name
+            plan.units[address] = name
             plan.risks += [(name, risk) for risk in risks_of(bus, unit, now, ramp)]
             plan.seconds = max(plan.seconds, (ramp.seconds if ramp else None) or 0.0)
     return plan
+
+
+class DrawChange(NamedTuple):
+    """A draw that changes. ``is_out``: out of the band that the site sets for it."""
+
+    text: Message
+    is_out: bool
+
+
+def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]:
+    """Return each draw that these setpoints, raw by unit, change to one outside its band, or without a band,
+    in floor order. A unit without a new setpoint stays at its commanded speed. A follower has a ratio:
+    nothing is known of its draw."""
+    changes = []
+    for unit, seam in bus.seams.items():
+        pair = bus.units[seam.before], bus.units[unit]
+        if setpoints.keys().isdisjoint((unit, seam.before)) or any(map(follower, pair)):
+            continue
+        now, then = _draw(bus, pair, seam, {}), _draw(bus, pair, seam, setpoints)
+        if then.tenths is None or then.tenths == now.tenths or then.state == "in_band":
+            continue
+        is_out = then.state == "out_of_band"
+        text = _draw_text(*pair, setpoints, _percent(percent_of(then.tenths), "+"))
+        if is_out:
+            low, high = map(_percent, seam.band)
+            text = Message.of("draw_and_band", text=text, low=low, high=high)
+        changes.append(DrawChange(text, is_out))
+    return changes
+
+
+def _draw(bus: BusLive, pair: tuple[UnitLive, UnitLive], seam: Seam, setpoints: Mapping[int, int]) -> Draw:
+    before, unit = pair
+    return draw_between(_speed(bus, before, setpoints), _speed(bus, unit, setpoints), seam.band)
+
+
+def _speed(bus: BusLive, unit: UnitLive, setpoints: Mapping[int, int]) -> SectionSpeed:
+    """Return the speed of a section. One that stands stays so, whatever is commanded."""
+    raw = setpoints.get(unit.settings.id)
+    if raw is None and unit.reading is not None:
+        raw = 0 if unit.reading.actual == 0 else unit.reading.commanded
+    return SectionSpeed(raw, unit.parameter_raw(DECIMALS), quantity_of(bus, unit))
+
+
+def _draw_text(before: UnitLive, unit: UnitLive, setpoints: Mapping[int, int], draw: Message) -> Message:
+    names = {"name": unit.settings.name, "before": before.settings.name}
+    if unit.settings.id not in setpoints:
+        return Message.of("draw_after_stays", **names, speed=_stays_at(unit), draw=draw)
+    if before.settings.id not in setpoints:
+        return Message.of("draw_before_stays", **names, speed=_stays_at(before), draw=draw)
+    return Message.of("draw_of_both", **names, draw=draw)
+
+
+def _stays_at(unit: UnitLive) -> Message:
+    commanded = None if unit.reading is None else unit.reading.commanded
+    return in_measure(setpoint_message(commanded, unit), measure_of_setpoint(unit))
+
+
+def _percent(percent: Decimal, sign: str = "") -> Message:
+    return number(f"{percent:{sign}}".replace("-", "\N{MINUS SIGN}"))
+
+
+Tone = Literal["good", "bad", "unknown"]
+
+
+@dataclass(frozen=True, slots=True)
+class OutcomeText:
+    """The result of a command in words. ``good``: as requested; ``bad``: not so, and nothing is half done;
+    ``unknown``: not known."""
+
+    tone: Tone
+    text: Message
+
+
+ResultRow = tuple[str, str | Message, OutcomeText]
+"""A unit's name, the requested value and the result."""
+_OUTCOMES: dict[Outcome, tuple[Tone, str]] = {
+    "verified": ("good", "result_verified"),
+    "acknowledged": ("good", "result_acknowledged"),
+    "unverified": ("unknown", "result_no_response"),
+    "refused": ("bad", "result_refused"),
+    "not_sent": ("bad", "result_not_sent"),
+    "bus_closed": ("bad", "result_bus_closed"),
+    "invalid": ("bad", "outcome_invalid"),
+}
+_READ_BACK = {"verified": "result_reads", "unverified": "result_reads_other"}
+
+
+def outcome_text(result: Result | UnitOutcome, shown: Callable[[int], str | Message] = str) -> OutcomeText:
+    """Word the result of a command, or of one unit's part in it. ``shown``: words a value that was read
+    back."""
+    tone, code = _OUTCOMES[result.outcome]
+    if result.message and result.message.code == "scale_changed_since":
+        return OutcomeText("unknown", result.message)
+    if result.message and _explains(result):
+        return OutcomeText(tone, result.message)
+    if result.outcome == "refused":
+        reason = "" if result.unit_error is None else unit_error(result.unit_error)
+        return OutcomeText(tone, Message.of(code, reason=reason))
+    if result.read_back is not None and result.outcome in _READ_BACK:
+        return OutcomeText(tone, Message.of(_READ_BACK[result.outcome], value=shown(result.read_back)))
+    return OutcomeText(tone, Message(code))
+
+
+def _explains(result: Result | UnitOutcome) -> bool:
+    """Whether the message of a result replaces its usual text: where no unit has rejected it, and where it
+    says that one unit's part of a change was reverted or is still staged."""
+    if result.outcome == "refused":
+        return result.unit_error is None
+    in_part = isinstance(result, UnitOutcome) and result.read_back is None
+    return result.outcome == "invalid" or (in_part and result.outcome in ("not_sent", "unverified"))

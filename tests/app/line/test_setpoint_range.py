@@ -1,4 +1,4 @@
-"""The range of a setpoint, and that every path to a setpoint and every label uses the same."""
+"""Every path to a setpoint and every label uses one range, which is read first where it is not known."""
 
 from __future__ import annotations
 
@@ -11,92 +11,15 @@ import pytest
 
 from app.core.web.admission.access import Role
 from app.engineering.recipes.book import RecipeBook
-from app.line.commands.rules.setpoint_range import (
-    SetpointRange,
-    parameter_bounds,
-    setpoint_range,
-    unread_for_range,
-)
 from app.line.commands.safeguards.limits import NO_LIMITS, Limits
 from app.line.commands.safeguards.service import Safeguards
-from app.line.live.state.bus_live import LiveState, UnitLive
+from app.line.live.state.bus_live import LiveState
 from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSpeed, Update
 from tests.app.complete_app import House, complete_app
-from tests.app.played_commands import ANNA, a_bus, responding
+from tests.app.played_commands import ANNA, responding
 from tests.app.stage import PlayedWorker, Stage, result_of, snapshot, unit_state
 
 TO = "\N{EN DASH}"
-FOLLOWER = {8: 1, 31: 15000, 38: 5000}
-
-
-def unit(parameters: dict[int, int | None]) -> UnitLive:
-    """A unit of which this was read; None: it does not have it (NAK 82h)."""
-    live = a_bus()
-    live.buses["dry-end"].apply(
-        [
-            ParameterValue(unit=1, number=number, at=1.0, raw=raw, available=raw is not None)
-            for number, raw in parameters.items()
-        ],
-    )
-    return live.buses["dry-end"].units[1]
-
-
-@pytest.mark.parametrize(
-    ("parameters", "limits", "expected"),
-    [
-        ({8: 0, 2: 2000}, NO_LIMITS, SetpointRange("speed", 0, 2000, "display")),
-        ({8: 0, 2: 2000}, Limits(highest=2500), SetpointRange("speed", 0, 2500, "limits")),
-        ({8: 0, 2: 2000}, Limits(lowest=100, highest=1500), SetpointRange("speed", 100, 1500, "limits")),
-        ({8: 0, 2: 2000}, Limits(lowest=2500), SetpointRange("speed", 2000, 2000, "limits")),
-        ({8: 0, 2: 0}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
-        ({8: 0, 2: None}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
-        ({8: 0, 2: 4_000_000}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
-        ({8: None, 2: 2000}, NO_LIMITS, SetpointRange("speed", 0, 2000, "display")),
-        ({**FOLLOWER, 2: 2000}, NO_LIMITS, SetpointRange("ratio", 5000, 15000, "ratio")),
-        ({**FOLLOWER, 8: 2}, NO_LIMITS, SetpointRange("ratio", 5000, 15000, "ratio")),
-        (FOLLOWER, Limits(highest=20000), SetpointRange("ratio", 5000, 15000, "ratio")),
-        (FOLLOWER, Limits(lowest=8000, highest=9000), SetpointRange("ratio", 8000, 9000, "limits")),
-        (FOLLOWER, Limits(lowest=20000), SetpointRange("ratio", 15000, 15000, "limits")),
-        (FOLLOWER, Limits(highest=3000), SetpointRange("ratio", 5000, 5000, "limits")),
-        ({8: 1, 31: 79999, 38: 99999}, NO_LIMITS, SetpointRange("ratio", 99999, 99999, "ratio")),
-        ({8: 1, 31: None, 38: None}, NO_LIMITS, SetpointRange("ratio", 0, 99999, "protocol")),
-        ({8: 1, 31: 0, 38: 0}, NO_LIMITS, SetpointRange("ratio", 0, 99999, "protocol")),
-    ],
-)
-def test_the_range(parameters: dict[int, int | None], limits: Limits, expected: SetpointRange) -> None:
-    assert setpoint_range(unit(parameters), limits) == expected
-
-
-def test_the_setpoint_that_is_not_the_unit_s_own_is_bounded_by_the_unit_alone() -> None:
-    """#37 of a master, #20 of a follower."""
-    limits = Limits(lowest=8000, highest=9000)
-    master = unit({**FOLLOWER, 8: 0, 2: 2000})
-    follower = unit({**FOLLOWER, 2: 2000})
-    assert parameter_bounds(master, 37, limits) == (5000, 15000)
-    assert parameter_bounds(master, 20, limits) == (8000, 9000)
-    assert parameter_bounds(follower, 20, limits) == (0, 2000)
-    assert parameter_bounds(follower, 37, limits) == (8000, 9000)
-    assert parameter_bounds(master, 6, limits) == (0, 9999)
-
-
-@pytest.mark.parametrize(
-    ("known", "limits", "raw", "unread"),
-    [
-        ({}, NO_LIMITS, 5, (8, 2)),
-        ({8: 0}, NO_LIMITS, 5, (2,)),
-        ({8: 0, 2: None}, NO_LIMITS, 5, ()),
-        ({8: 0}, Limits(highest=5), 5, ()),
-        ({8: 0}, Limits(lowest=5), 5, (2,)),
-        ({8: 1}, Limits(highest=5), 5, (31, 38)),
-        ({8: 1, 31: 5}, NO_LIMITS, 0, (38,)),
-        ({}, NO_LIMITS, 0, ()),
-    ],
-)
-def test_what_has_to_be_read_first(
-    known: dict[int, int | None], limits: Limits, raw: int, unread: tuple[int, ...]
-) -> None:
-    assert unread_for_range(unit(known), limits, raw) == unread
-
 
 # --- every path ---------------------------------------------------------------------------------
 

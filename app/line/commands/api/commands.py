@@ -41,11 +41,11 @@ from app.line.commands.catalogue import (
     CommandKind,
     timeout_s_for,
 )
-from app.line.commands.scale import Scales, parameter_scale, setpoint_scale
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.service.prior_read import check_all_read
 from app.line.commands.service.value_converter import ValueConverter
 from app.line.commands.service.writer import Commands, permitted, permitted_writer
+from app.line.commands.values import Scales, parameter_scale, setpoint_scale
 from app.line.live.api.schemas import ParameterShown
 from app.line.live.api.view import parameter_json
 from app.line.live.lookup import unit_of_bus_or_404

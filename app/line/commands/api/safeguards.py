@@ -29,7 +29,7 @@ from app.line.commands.acts import (
 )
 from app.line.commands.api.commands import UnitInPath
 from app.line.commands.api.responses import Moment
-from app.line.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
+from app.line.commands.rules import Basis, SetpointKind, setpoint_range
 from app.line.commands.safeguards.control import LAPSES_AFTER_S, REQUEST_LAPSES_AFTER_S
 from app.line.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.line.commands.safeguards.read_only import MAX_READ_ONLY_MINUTES

@@ -14,11 +14,9 @@ from starlette.responses import Response
 
 from app.core.web.api.shape import parse_integer
 from app.errors import Problem
-from app.line.commands.forms.outcome import OutcomeText, outcome_text
 from app.line.commands.forms.page_context import BusPage
-from app.line.commands.review import present_setpoint
-from app.line.commands.scale import Scales, parse_scale
-from app.line.commands.values import setpoint_message
+from app.line.commands.review import OutcomeText, outcome_text, present_setpoint
+from app.line.commands.values import Scales, parse_scale, setpoint_message
 from app.line.live.state.bus_live import BusLive, follower
 from bus.contract import Result
 from bus.messages import Message, joined

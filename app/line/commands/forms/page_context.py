@@ -19,24 +19,25 @@ from app.core.web.rendering.templating import render, templates_of
 from app.core.web.services import bus_service_of, service_of
 from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command, timeout_s_for
-from app.line.commands.forms.outcome import OutcomeText, outcome_text
 from app.line.commands.forms.undo_shown import UndoShown, undo_shown
 from app.line.commands.review import (
     REVIEW_LASTS_S,
+    DrawChange,
+    OutcomeText,
     SetpointChange,
     change_of,
+    draw_changes,
     obstacle_of,
+    outcome_text,
     present_setpoint,
     ramp_parameters_missing,
 )
-from app.line.commands.rules.draw_changes import DrawChange, draw_changes
-from app.line.commands.rules.slowing import slows_all
+from app.line.commands.rules import slows_all
 from app.line.commands.safeguards.limits import Limits
 from app.line.commands.safeguards.service import Safeguards
-from app.line.commands.scale import Scales, parse_scale
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.service.value_converter import ValueConverter
-from app.line.commands.values import setpoint_message
+from app.line.commands.values import Scales, parse_scale, setpoint_message
 from app.line.live.browsers.hub import Hub
 from app.line.live.lookup import unit_of_bus_or_404
 from app.line.live.pages import UnitOnLine, unit_on_line

@@ -12,9 +12,9 @@ from app.core.web.admission.arrival import Deadline
 from app.errors import Problem
 from app.line.commands.acts import END_READ_ONLY, SET_READ_ONLY
 from app.line.commands.catalogue import CHANGE_BAUD, SCAN_BUS
-from app.line.commands.forms.outcome import outcome_text
 from app.line.commands.forms.page_context import BusPage, OfBus, Page, new_id
 from app.line.commands.pages.control import others
+from app.line.commands.review import outcome_text
 from app.line.commands.safeguards.read_only import MAX_READ_ONLY_MINUTES
 from app.line.commands.service.writer import permitted
 from bus.contract import ChangeBaud, ScanBus

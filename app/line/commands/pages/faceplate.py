@@ -12,9 +12,8 @@ from app.core.web.services import service_of
 from app.line.alarms.monitor.line_alarms import LineAlarms
 from app.line.commands.forms.page_context import OfUnit, UnitPage
 from app.line.commands.review import nudges
-from app.line.commands.rules.setpoint_range import setpoint_range
-from app.line.commands.scale import scale_text, setpoint_scale
-from app.line.commands.values import measure_of_setpoint
+from app.line.commands.rules import setpoint_range
+from app.line.commands.values import measure_of_setpoint, scale_text, setpoint_scale
 from app.line.live.state.bus_live import follower
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)

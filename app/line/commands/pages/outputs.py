@@ -9,10 +9,10 @@ from starlette.responses import Response
 
 from app.errors import Problem
 from app.line.commands.catalogue import WRITE_ANALOG_OUTPUT, WRITE_OUTPUT
-from app.line.commands.forms.outcome import OutcomeText, outcome_text
 from app.line.commands.forms.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
-from app.line.commands.scale import analog_scale, scale_text
+from app.line.commands.review import OutcomeText, outcome_text
 from app.line.commands.service.writer import permitted, permitted_writer
+from app.line.commands.values import analog_scale, scale_text
 from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW
 from bus.catalogue.status import output_is_on
 from bus.catalogue.values import analog_output_volts

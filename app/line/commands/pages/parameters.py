@@ -12,13 +12,11 @@ from starlette.responses import Response
 from app.core.web.admission.access import Viewer
 from app.errors import Problem
 from app.line.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
-from app.line.commands.forms.outcome import OutcomeText, outcome_text
 from app.line.commands.forms.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
-from app.line.commands.review import risks_of_writing
-from app.line.commands.rules.setpoint_range import parameter_bounds
-from app.line.commands.scale import parameter_scale, scale_text
+from app.line.commands.review import OutcomeText, outcome_text, risks_of_writing
+from app.line.commands.rules import parameter_bounds
 from app.line.commands.service.writer import permitted, permitted_writer
-from app.line.commands.values import measure_of_value, parameter_message
+from app.line.commands.values import measure_of_value, parameter_message, parameter_scale, scale_text
 from app.line.live.api.view import parameter_json
 from bus.catalogue.parameter import Parameter, danger_of_writing
 from bus.catalogue.parameters import PARAMETERS

@@ -16,10 +16,9 @@ from app.line.commands.catalogue import SET_LINE, longest_change_s
 from app.line.commands.forms.line_change import followers_of, left_out_of, proven, reviewed
 from app.line.commands.forms.page_context import BusPage, Confirmed, Page
 from app.line.commands.review import by_remark
-from app.line.commands.rules.setpoint_range import setpoint_range
-from app.line.commands.scale import Scales, setpoint_scale
+from app.line.commands.rules import setpoint_range
 from app.line.commands.service.writer import permitted
-from app.line.commands.values import measure_of_setpoint, setpoint_message
+from app.line.commands.values import Scales, measure_of_setpoint, setpoint_message, setpoint_scale
 from app.line.live.state.bus_live import follower
 from bus.contract import SetLine, UnitScale
 from bus.errors import CallerError

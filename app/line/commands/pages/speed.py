@@ -14,8 +14,8 @@ from app.errors import Problem
 from app.line.commands.catalogue import EXECUTE_SPEED, SET_SPEED
 from app.line.commands.forms.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
 from app.line.commands.review import nudges
-from app.line.commands.scale import setpoint_scale
 from app.line.commands.service.writer import permitted, permitted_writer
+from app.line.commands.values import setpoint_scale
 from app.line.live.state.bus_live import follower
 from bus.contract import ExecuteSpeed, Result, SetSpeed, UnitScale
 from bus.errors import CallerError

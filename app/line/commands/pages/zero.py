@@ -12,9 +12,8 @@ from app.core.web.admission.access import Viewer
 from app.core.web.admission.arrival import Deadline
 from app.errors import Problem
 from app.line.commands.catalogue import SET_LINE, longest_change_s, timeout_s_for
-from app.line.commands.forms.outcome import OutcomeText, ResultRow
 from app.line.commands.forms.page_context import BusPage, Confirmed, Page
-from app.line.commands.review import ZeroPlan, by_remark, plan_zero
+from app.line.commands.review import OutcomeText, ResultRow, ZeroPlan, by_remark, plan_zero
 from app.line.commands.service.writer import permitted
 from app.line.commands.values import setpoint_message
 from app.line.live.screen.fields import name_on_site

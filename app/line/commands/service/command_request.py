@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from app.core.web.admission.access import Person
 from app.core.web.admission.arrival import Deadline
 from app.line.commands.catalogue import kind_of_command
-from app.line.commands.scale import Scales
+from app.line.commands.values import Scales
 from bus.contract import Action, Result, UnitOutcome
 from bus.messages import Message
 

@@ -16,17 +16,15 @@ from app.core.web.admission.access import Person, refuse_without
 from app.core.web.admission.arrival import Deadline
 from app.errors import Problem, StoreError
 from app.line.commands.catalogue import check, kind_of_command
-from app.line.commands.rules.objection import RuleContext, objection
-from app.line.commands.rules.setpoint import Moves, commanded_setpoint
-from app.line.commands.rules.setpoint_range import kind_of
+from app.line.commands.rules import Moves, RuleContext, commanded_setpoint, kind_of, objection
 from app.line.commands.safeguards.control import controlled
 from app.line.commands.safeguards.service import Safeguards
-from app.line.commands.scale import Scales, wording_scales
 from app.line.commands.service.command_request import CommandOrigin, CommandRequest, without_secret
 from app.line.commands.service.idempotency import IdempotencyCache, KeptCommand, refuse_other
 from app.line.commands.service.prior_read import UnreadError, read_values, unread, unread_by_unit
 from app.line.commands.service.record import CommandRecord
 from app.line.commands.service.undoing import Undoing
+from app.line.commands.values import Scales, wording_scales
 from app.line.feed.channel import Channel
 from app.line.live.command_ids import new_command_id
 from app.line.live.lookup import unit_of_bus_or_404

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from app.core.web.admission.access import Person
 from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command
-from app.line.commands.scale import Scales, scales_of
 from app.line.commands.service.command_request import CommandRequest
 from app.line.commands.undo.changes import ValuePlace, Values, action_for, is_undo, value_now, values_set
 from app.line.commands.undo.overlap import WritesUnderWay
 from app.line.commands.undo.stack import LASTS_S, SentCommand, UndoStack
+from app.line.commands.values import Scales, scales_of
 from app.line.live.state.bus_live import BusLive
 from bus.contract import Action, Result
 from bus.instants import MonotonicClock, UnixTime, unix_now

@@ -1,4 +1,4 @@
-"""Every check before a byte leaves: properties of what is refused, what is let through, what is offered."""
+"""The checks before a command is sent: ranges, limits, what is refused, and what counts as slower."""
 
 from __future__ import annotations
 
@@ -11,10 +11,18 @@ from hypothesis import strategies as st
 from app.core.web.admission.arrival import DEFAULT_TIMEOUT_S
 from app.errors import Problem
 from app.line.commands.catalogue import check, longest_change_s, timeout_s_for
-from app.line.commands.rules.objection import RuleContext
-from app.line.commands.rules.setpoint import Moves
+from app.line.commands.rules import (
+    Moves,
+    RuleContext,
+    SetpointRange,
+    parameter_bounds,
+    reason_of,
+    setpoint_range,
+    slows_all,
+    unread_for_range,
+)
 from app.line.commands.safeguards.limits import HIGHEST_SETPOINT, NO_LIMITS, CommandBlock, Limits
-from app.line.live.state.bus_live import BusLive, LiveState
+from app.line.live.state.bus_live import BusLive, LiveState, UnitLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Action,
@@ -26,12 +34,15 @@ from bus.contract import (
     SetLine,
     SetSpeed,
     Staged,
+    UnitLink,
     Update,
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
 )
 from bus.instants import Monotonic
+from bus.messages import Message
+from tests.app.played_commands import a_bus, responding
 from tests.app.stage import HEALTHY, bus_settings, reading
 
 RUNNING = HEALTHY | 1
@@ -191,6 +202,12 @@ def test_reading_a_blocked_unit_is_no_write() -> None:
     check(ReadParameters(unit=2), circumstances(blocked=2))
 
 
+def test_the_reason_of_a_refusal_stands_without_the_words_that_nothing_was_sent() -> None:
+    refused = objection(SetLine(setpoints={}), circumstances())
+    assert reason_of(refused) == Message("setpoints_missing")
+    assert reason_of(Problem(503, "not_sent", Message("deadline_passed"))) == Message("deadline_passed")
+
+
 def test_an_empty_change_is_refused() -> None:
     assert objection(SetLine(setpoints={}), circumstances()).code == "invalid"
 
@@ -318,3 +335,117 @@ def test_a_change_of_several_units_may_wait_for_its_stages_and_be_withdrawn_from
     assert timeout_s_for(bus) < timeout_s_for(bus, 3) < timeout_s_for(slow, 3)
     assert timeout_s_for(bus, 3) < timeout_s_for(bus, 3, typed=True)
     assert longest_change_s(bus, 3) == 2 * timeout_s_for(bus, 3, typed=True)
+
+
+@pytest.fixture
+def at_1000() -> BusLive:
+    """Two units at 1000."""
+    live = a_bus()
+    responding(live)
+    return live.buses["dry-end"]
+
+
+@pytest.mark.parametrize(
+    ("setpoints", "slower"),
+    [
+        ({1: 0}, True),
+        ({1: 999}, True),
+        ({1: 1000}, False),
+        ({1: 1001}, False),
+        ({1: 900, 2: 0}, True),
+        ({1: 900, 2: 1001}, False),
+    ],
+)
+def test_each_unit_has_to_become_slower(at_1000: BusLive, setpoints: dict[int, int], slower: bool) -> None:
+    assert slows_all(setpoints, at_1000) is slower
+
+
+def test_of_a_unit_that_is_not_known_now_only_zero_counts(at_1000: BusLive) -> None:
+    at_1000.apply([UnitLink(unit=1, at=2.0, link="stale")])
+    assert slows_all({1: 0}, at_1000)
+    assert not slows_all({1: 1}, at_1000)
+
+
+def test_of_a_unit_that_was_never_read_only_zero_counts() -> None:
+    never = a_bus().buses["dry-end"]
+    assert slows_all({1: 0}, never)
+    assert not slows_all({1: 1}, never)
+
+
+@pytest.mark.parametrize("raw", [0, 1, 999])
+def test_a_ratio_of_a_follower_never_counts(at_1000: BusLive, raw: int) -> None:
+    at_1000.apply([ParameterValue(unit=1, number=8, at=2.0, raw=1)])
+    assert not slows_all({1: raw}, at_1000)
+    assert not slows_all({1: raw, 2: 0}, at_1000)
+
+
+FOLLOWER = {8: 1, 31: 15000, 38: 5000}
+
+
+def unit(parameters: dict[int, int | None]) -> UnitLive:
+    """A unit of which this was read; None: it does not have it (NAK 82h)."""
+    live = a_bus()
+    live.buses["dry-end"].apply(
+        [
+            ParameterValue(unit=1, number=number, at=1.0, raw=raw, available=raw is not None)
+            for number, raw in parameters.items()
+        ],
+    )
+    return live.buses["dry-end"].units[1]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "limits", "expected"),
+    [
+        ({8: 0, 2: 2000}, NO_LIMITS, SetpointRange("speed", 0, 2000, "display")),
+        ({8: 0, 2: 2000}, Limits(highest=2500), SetpointRange("speed", 0, 2500, "limits")),
+        ({8: 0, 2: 2000}, Limits(lowest=100, highest=1500), SetpointRange("speed", 100, 1500, "limits")),
+        ({8: 0, 2: 2000}, Limits(lowest=2500), SetpointRange("speed", 2000, 2000, "limits")),
+        ({8: 0, 2: 0}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
+        ({8: 0, 2: None}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
+        ({8: 0, 2: 4_000_000}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
+        ({8: None, 2: 2000}, NO_LIMITS, SetpointRange("speed", 0, 2000, "display")),
+        ({**FOLLOWER, 2: 2000}, NO_LIMITS, SetpointRange("ratio", 5000, 15000, "ratio")),
+        ({**FOLLOWER, 8: 2}, NO_LIMITS, SetpointRange("ratio", 5000, 15000, "ratio")),
+        (FOLLOWER, Limits(highest=20000), SetpointRange("ratio", 5000, 15000, "ratio")),
+        (FOLLOWER, Limits(lowest=8000, highest=9000), SetpointRange("ratio", 8000, 9000, "limits")),
+        (FOLLOWER, Limits(lowest=20000), SetpointRange("ratio", 15000, 15000, "limits")),
+        (FOLLOWER, Limits(highest=3000), SetpointRange("ratio", 5000, 5000, "limits")),
+        ({8: 1, 31: 79999, 38: 99999}, NO_LIMITS, SetpointRange("ratio", 99999, 99999, "ratio")),
+        ({8: 1, 31: None, 38: None}, NO_LIMITS, SetpointRange("ratio", 0, 99999, "protocol")),
+        ({8: 1, 31: 0, 38: 0}, NO_LIMITS, SetpointRange("ratio", 0, 99999, "protocol")),
+    ],
+)
+def test_the_range(parameters: dict[int, int | None], limits: Limits, expected: SetpointRange) -> None:
+    assert setpoint_range(unit(parameters), limits) == expected
+
+
+def test_the_setpoint_that_is_not_the_unit_s_own_is_bounded_by_the_unit_alone() -> None:
+    """#37 of a master, #20 of a follower."""
+    limits = Limits(lowest=8000, highest=9000)
+    master = unit({**FOLLOWER, 8: 0, 2: 2000})
+    follower = unit({**FOLLOWER, 2: 2000})
+    assert parameter_bounds(master, 37, limits) == (5000, 15000)
+    assert parameter_bounds(master, 20, limits) == (8000, 9000)
+    assert parameter_bounds(follower, 20, limits) == (0, 2000)
+    assert parameter_bounds(follower, 37, limits) == (8000, 9000)
+    assert parameter_bounds(master, 6, limits) == (0, 9999)
+
+
+@pytest.mark.parametrize(
+    ("known", "limits", "raw", "unread"),
+    [
+        ({}, NO_LIMITS, 5, (8, 2)),
+        ({8: 0}, NO_LIMITS, 5, (2,)),
+        ({8: 0, 2: None}, NO_LIMITS, 5, ()),
+        ({8: 0}, Limits(highest=5), 5, ()),
+        ({8: 0}, Limits(lowest=5), 5, (2,)),
+        ({8: 1}, Limits(highest=5), 5, (31, 38)),
+        ({8: 1, 31: 5}, NO_LIMITS, 0, (38,)),
+        ({}, NO_LIMITS, 0, ()),
+    ],
+)
+def test_what_has_to_be_read_first(
+    known: dict[int, int | None], limits: Limits, raw: int, unread: tuple[int, ...]
+) -> None:
+    assert unread_for_range(unit(known), limits, raw) == unread

@@ -1,1 +1,0 @@
-"""What may be sent, and which setpoints a unit may get. Pure."""

@@ -1,0 +1,276 @@
+"""What pages show of commands: the remarks and draws of a review, the plan to zero, the words of a result."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.core.messages import Languages
+from app.core.web.admission.arrival import Deadline
+from app.errors import Problem
+from app.line.commands.review import (
+    Ramp,
+    by_remark,
+    draw_changes,
+    obstacle_of,
+    outcome_text,
+    plan_zero,
+    risks_of,
+    risks_of_writing,
+)
+from app.line.live.state.bus_live import BusLive, LiveState
+from bus.contract import BusLink, ParameterValue, Result, UnitLink, UnitOutcome, Update
+from bus.instants import monotonic_now
+from bus.messages import Message, term
+from bus.settings import BusSettings
+from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, translator
+
+NOW = 100.0
+KNOWN = Ramp(6, 100, 2.0)
+
+
+def after(*updates: Update) -> LiveState:
+    """The line, after these."""
+    live = line()
+    live.buses["dry"].apply(updates)
+    return live
+
+
+def remarks(live: LiveState, *, block: str = "", ramp: Ramp | None = KNOWN) -> tuple[str, list[str]]:
+    """Return the codes of the remarks about unit 1."""
+    bus = live.buses["dry"]
+    reason = Message.of("block_by", reason=block, who="anna") if block else None
+    obstacle = obstacle_of(bus, bus.units[1], NOW, block=reason)
+    risks = risks_of(bus, bus.units[1], NOW, ramp)
+    return "" if obstacle is None else obstacle.code, [risk.code for risk in risks]
+
+
+@pytest.mark.parametrize(
+    ("live", "block", "ramp", "expected"),
+    [
+        (after(), "", KNOWN, ("", [])),
+        (after(), "", None, ("", [])),
+        (after(), "belt off", KNOWN, ("obstacle_blocked", [])),
+        (after(BusLink(at=NOW, link="closed")), "", KNOWN, ("obstacle_no_link", ["risk_stale"])),
+        (after(reading(at=50.0)), "", KNOWN, ("obstacle_offline", [])),
+        (after(reading(at=96.0)), "", KNOWN, ("", ["risk_stale"])),
+        (after(reading(outputs=AT_SPEED)), "", KNOWN, ("obstacle_not_in_remote", [])),
+        (after(reading(inputs=RUN)), "", KNOWN, ("", ["risk_estop_active"])),
+        (after(reading(inputs=HEALTHY)), "", KNOWN, ("", ["risk_run_off"])),
+        (after(), "", Ramp(7, 0, 0.0), ("", ["risk_no_ramp"])),
+        (after(), "", Ramp(7, None, None), ("", ["risk_ramp_unknown"])),
+        (after(), "", Ramp(7, 50, None), ("", ["risk_ramp_unknown"])),
+        (
+            after(reading(at=96.0, inputs=0, outputs=0)),
+            "belt off",
+            Ramp(7, 0, 0.0),
+            ("obstacle_blocked", ["risk_stale", "risk_estop_active", "risk_run_off", "risk_no_ramp"]),
+        ),
+    ],
+)
+def test_each_fact_has_its_remark(
+    live: LiveState, block: str, ramp: Ramp | None, expected: tuple[str, list[str]]
+) -> None:
+    assert remarks(live, block=block, ramp=ramp) == expected
+
+
+def test_a_unit_that_never_responded_has_only_that_remark() -> None:
+    live = line()
+    live.buses["dry"].units[1].reading = None
+    assert remarks(live) == ("obstacle_offline", [])
+
+
+def test_the_dialect_decides_which_level_is_an_emergency_stop() -> None:
+    live = after(reading(inputs=RUN))
+    bus = live.buses["dry"]
+    object.__setattr__(bus.settings, "estop_healthy", 0)
+    assert remarks(live) == ("", [])
+
+
+def test_the_numbers_are_params() -> None:
+    bus = after(reading(at=96.4)).buses["dry"]
+    obstacle = obstacle_of(bus, bus.units[1], NOW, block="{age}")
+    assert obstacle == Message.of("obstacle_blocked", block="{age}")
+    assert [risk.params for risk in risks_of(bus, bus.units[1], NOW, Ramp(7, 0, 0.0))] == [
+        {"age": 4},
+        {},
+    ]
+
+
+def test_one_remark_names_all_its_units() -> None:
+    offline, local = Message("obstacle_offline"), Message("obstacle_not_in_remote")
+    found = by_remark([("A", local), ("B", offline), ("C", local)])
+    assert found == [(local, ["A", "C"]), (offline, ["B"])]
+
+
+@pytest.mark.parametrize(
+    ("number", "raw", "codes"),
+    [
+        (6, 0, ["risk_no_ramp"]),
+        (7, 0, ["risk_no_ramp"]),
+        (7, 1, []),
+        (5, 0, []),
+        (20, 5, ["risk_is_setpoint"]),
+        (37, 5, ["risk_is_setpoint"]),
+    ],
+)
+def test_what_a_write_to_a_parameter_may_surprise_with(number: int, raw: int, codes: list[str]) -> None:
+    assert [risk.code for risk in risks_of_writing(number, raw)] == codes
+
+
+def unblocked(_unit: int) -> str:
+    return ""
+
+
+def test_every_unit_that_can_take_it_does() -> None:
+    plan = plan_zero(line().buses["dry"], unblocked, 100.0)
+    assert plan.units == {1: "Unit 1", 2: "Unit 2"}
+    assert plan.left_out == plan.risks == []
+    assert plan.seconds == 12.0
+
+
+def test_followers_come_down_with_their_master() -> None:
+    live = line()
+    live.buses["dry"].apply([ParameterValue(unit=2, number=8, at=1, raw=1)])
+    plan = plan_zero(live.buses["dry"], unblocked, 100.0)
+    assert (list(plan.units), plan.followers, plan.left_out) == ([1], 1, [])
+
+
+def test_each_that_cannot_take_it_has_its_reason() -> None:
+    live = line(4)
+    live.buses["dry"].apply([reading(1, outputs=AT_SPEED), reading(2, at=50.0)])
+    plan = plan_zero(live.buses["dry"], lambda unit: "belt off" if unit == 3 else "", 100.0)
+    assert list(plan.units) == [4]
+    assert [(name, reason.code) for name, reason in plan.left_out] == [
+        ("Unit 1", "obstacle_not_in_remote"),
+        ("Unit 2", "obstacle_offline"),
+        ("Unit 3", "obstacle_blocked"),
+    ]
+
+
+def test_with_the_port_closed_all_are_left_out() -> None:
+    live = line()
+    live.buses["dry"].apply([BusLink(at=100.0, link="closed")])
+    assert plan_zero(live.buses["dry"], unblocked, 100.0).units == {}
+
+
+def test_a_unit_without_a_ramp_and_one_that_does_not_run_are_named() -> None:
+    live = line()
+    live.buses["dry"].apply([ParameterValue(unit=1, number=7, at=1, raw=0), reading(2, inputs=HEALTHY)])
+    plan = plan_zero(live.buses["dry"], unblocked, 100.0)
+    assert [(name, risk.code) for name, risk in plan.risks] == [
+        ("Unit 1", "risk_no_ramp"),
+        ("Unit 2", "risk_run_off"),
+    ]
+
+
+def at_120(units: int = 4, **keys: object) -> BusLive:
+    """Every unit at 120.0 m/min, one web."""
+    bus = line(units).buses["dry"]
+    settings = bus.settings.model_dump(exclude_unset=True) | keys
+    bus.seams = BusSettings.model_validate(settings).seams
+    return bus
+
+
+def texts(bus: BusLive, setpoints: dict[int, int], tag: str = "en") -> list[tuple[str, bool]]:
+    return [(Languages()[tag].t(each.text), each.is_out) for each in draw_changes(bus, setpoints)]
+
+
+BANDED = {"draw_percent": ["-0.5", "2.0"]}
+
+
+def test_a_neighbor_that_stays_is_named_with_its_speed_and_the_draw() -> None:
+    assert texts(at_120(**BANDED), {2: 1140}) == [
+        (
+            "Unit 1 stays at 120.0 m/min: draw of Unit 2 \N{MINUS SIGN}5.0 %,"
+            " outside its band of \N{MINUS SIGN}0.5 to 2.0 %",
+            True,
+        ),
+        ("Unit 3 stays at 120.0 m/min: draw +5.3 %, outside its band of \N{MINUS SIGN}0.5 to 2.0 %", True),
+    ]
+    assert texts(at_120(**BANDED), {3: 1300}, "de")[0] == (
+        "Unit 2 bleibt bei 120,0 m/min: Verzug von Unit 3 +8,3 %,"
+        " außerhalb seines Bandes von \N{MINUS SIGN}0,5 bis 2,0 %",
+        True,
+    )
+
+
+def test_within_the_band_there_is_nothing_to_state() -> None:
+    assert texts(at_120(**BANDED), {4: 1212}) == []
+
+
+def test_without_a_band_a_changed_draw_is_stated_quietly() -> None:
+    assert texts(at_120(), {4: 1212}) == [("Unit 3 stays at 120.0 m/min: draw of Unit 4 +1.0 %", False)]
+
+
+def test_two_neighbors_of_a_change_have_a_draw_to_each_other() -> None:
+    assert texts(at_120(3, **BANDED), {1: 1200, 2: 1300, 3: 1300}) == [
+        ("draw of Unit 2 to Unit 1: +8.3 %, outside its band of \N{MINUS SIGN}0.5 to 2.0 %", True)
+    ]
+
+
+@given(st.integers(1, 83))
+def test_a_line_that_changes_as_one_has_nothing_to_state(factor: int) -> None:
+    assert texts(at_120(**BANDED), dict.fromkeys(range(1, 5), 1200 * factor)) == []
+
+
+def test_of_followers_standing_units_and_unknown_speeds_nothing_is_stated() -> None:
+    bus = at_120(**BANDED)
+    bus.apply([ParameterValue(unit=2, number=8, at=100.0, raw=1), reading(4, 100.0, 0, 0)])
+    assert texts(bus, {3: 1300}) == []
+    bus.units[2].parameters.pop(8)
+    bus.units[2].reading = None
+    assert texts(bus, {3: 1300}) == []
+
+
+def test_an_offline_neighbor_keeps_its_speed() -> None:
+    bus = at_120(**BANDED)
+    bus.apply([UnitLink(unit=4, at=100.0, link="offline")])
+    assert len(texts(bus, {3: 1300})) == 2
+
+
+@pytest.mark.parametrize("setpoints", [{}, {2: 1200}, {2: 0}])
+def test_what_changes_no_draw_is_not_stated(setpoints: dict[int, int]) -> None:
+    assert texts(at_120(**BANDED), setpoints) == []
+
+
+@pytest.mark.parametrize(
+    ("result", "tone", "text"),
+    [
+        (Result(id="1", at=0, outcome="verified", read_back=1200), "good", "verified: reads 1200"),
+        (Result(id="1", at=0, outcome="verified"), "good", "verified"),
+        (Result(id="1", at=0, outcome="acknowledged"), "good", "acknowledged by the unit"),
+        (
+            Result(id="1", at=0, outcome="refused", unit_error=0x80),
+            "bad",
+            "rejected by the unit: unit is not in REMOTE mode",
+        ),
+        (Result(id="1", at=0, outcome="unverified", read_back=1198), "unknown", "reads 1198 instead"),
+        (
+            Result(id="1", at=0, outcome="unverified"),
+            "unknown",
+            "no response: the result is not known",
+        ),
+        (Result(id="1", at=0, outcome="not_sent"), "bad", ("not sent: the bus was busy until the deadline")),
+        (Result(id="1", at=0, outcome="bus_closed"), "bad", "not sent: there is no link to the bus"),
+        (Result(id="1", at=0, outcome="invalid", message=term("no")), "bad", "no"),
+    ],
+)
+def test_every_outcome_has_its_words(result: Result, tone: str, text: str) -> None:
+    outcome = outcome_text(result)
+    assert (outcome.tone, str(outcome.text)) == (tone, text)
+
+
+def test_a_withdrawn_part_of_a_change_is_shown_in_the_reader_s_language() -> None:
+    taken_back = Message.of("staged_withdrawn", present=1200)
+    part = UnitOutcome(unit=3, outcome="not_sent", message=taken_back)
+    assert outcome_text(part).text == taken_back
+    assert "vorbereitet; nicht ausgeführt" in translator("de").t(outcome_text(part).text)
+
+
+def test_a_refusal_before_sending_is_shown_in_the_reader_s_language() -> None:
+    with pytest.raises(Problem) as late:
+        Deadline(monotonic_now() - 4, 2.0).refuse_passed()
+    text = translator("de").t(late.value.message)
+    assert text.startswith("der Befehl kam zu spät: er ist 4,0 s alt, erlaubt waren 2 s")
