@@ -28,6 +28,7 @@ from bus.catalogue.numbers import (
 from bus.catalogue.values import is_follower, ratio_raw, speed_raw
 from bus.contract import (
     Action,
+    Command,
     ExecuteAll,
     ExecuteSpeed,
     ParameterValue,
@@ -351,6 +352,23 @@ def test_what_was_given_raw_is_sent_before_any_scale_is_read() -> None:
         keypads.units[0].values[DECIMALS] = 0
         result = await line.perform(SetSpeed(1, 900))
         assert (result.outcome, result.read_back) == ("verified", 900)
+
+    play(scene)
+
+
+@pytest.mark.parametrize("mode", [0, 1], ids=["master", "follower"])
+def test_the_scale_of_a_raw_speed_costs_one_read_unless_the_status_shows_another_mode(mode: int) -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        keypads.units[0].values |= {FOLLOWER_MODE: mode, DECIMALS: 2}
+        deadline = EPOCH + line.loop.time() + 2.0
+        line.worker.command(Command("raw", deadline, SetSpeed(1, 900), {1: {FOLLOWER_MODE: 0, DECIMALS: 1}}))
+        await line.until(lambda: line.result_of("raw"))
+        result = line.result_of("raw")
+        assert result is not None
+        assert result.outcome == "verified"
+        assert known(line, 1, (FOLLOWER_MODE, DECIMALS)) == {FOLLOWER_MODE: mode, DECIMALS: 2}
+        sent = [frame.data[3] for frame in result.frames if frame.direction == "out"]
+        assert sent == [0x84, 0x85, 0x81] or mode
 
     play(scene)
 

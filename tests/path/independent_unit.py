@@ -124,8 +124,9 @@ class Unit:
 
     def _status(self) -> bytes:
         st2 = self.outputs | self.remote << 6 | self.at_speed << 7
+        st1 = self.inputs | (self.values[8] != 0) << 6
         speeds = self.commanded.to_bytes(4, "big") + self.actual.to_bytes(4, "big")
-        return speeds + bytes([self.analog_in, st2, self.inputs])
+        return speeds + bytes([self.analog_in, st2, st1])
 
     def _read_parameter(self, number: int) -> bytes:
         if number not in LIST or number > self.highest_parameter:

@@ -61,8 +61,8 @@ class ScaleReading:
 
     def __init__(self, unit: int, scale: UnitScale) -> None:
         self.unit = unit
-        self.remaining = list(scale.items())
-        """Number and raw of the parameters that are still to be read."""
+        self.remaining = dict(scale)
+        """Expected raw value of the parameters that are still to be read, by number."""
         self._changes: list[str | Message] = []
         self._failure: tuple[Outcome, Message] | None = None
 
@@ -78,7 +78,8 @@ class ScaleReading:
         """Read the next parameter. One that cannot be read is the last."""
         if not self.remaining:
             return
-        number, expected = self.remaining.pop(0)
+        number = next(iter(self.remaining))
+        expected = self.remaining.pop(number)
         raw, sent = yield from read_parameter(self.unit, number)
         if sent.status is SendStatus.PORT_CLOSED:
             self._failure = "bus_closed", Message("bus_link_lost")

@@ -6,11 +6,15 @@ from typing import TypeAlias
 
 from msgspec.structs import replace
 
+from bus.catalogue.numbers import FOLLOWER_MODE
+from bus.catalogue.status import status_bits
+from bus.catalogue.values import is_follower
 from bus.contract import (
     ExecuteSpeed,
     Outcome,
     SetSpeed,
     UnitOutcome,
+    UnitScale,
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
@@ -54,8 +58,10 @@ UnitWrite: TypeAlias = SetSpeed | ExecuteSpeed | WriteOutput | WriteAnalogOutput
 def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext) -> Procedure:
     """Send ``action`` to its unit and prove it, where a later exchange can show it.
 
-    The scale of a typed value is read in between: before it is sent, and again after it was proved. That of
-    a raw one is read afterwards alone, for those who show it, so that the write itself waits for nothing.
+    The scale of a typed value is read before it is sent and again afterwards, and the value is not verified
+    in another one. That of a raw value is read afterwards alone, so that the record shows it as the unit
+    does. One parameter is read between the acknowledgement and an 81h that proves the write: there it needs
+    no fence, which the next one does (``bus.wire.fence``).
     """
     unit, scale, guarded = record.unit, context.scale(record.unit), context.typed
     if isinstance(action, ExecuteSpeed):
@@ -66,18 +72,28 @@ def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext
     yield from before.read_all()
     if before.difference is not None:
         return _result_of_one(outcome_before_write(unit, before.difference))
-    outcome = yield from _write_unscaled(record, action, context)
+    after = ScaleReading(unit, scale if guarded else dict(reversed(scale.items())))
+    outcome = yield from _write_unscaled(record, action, context, after)
     if isinstance(action, SetSpeed) and not action.execute and outcome.outcome == "acknowledged" and guarded:
         yield NoteStagedScale(unit, scale)
     if isinstance(action, SetSpeed | ExecuteSpeed) and outcome.outcome == "verified":
         yield Unstage(unit)  # also where its acknowledgement was lost
-    after = ScaleReading(unit, scale)
+    if not guarded and _shows_mode(record, scale, outcome):
+        after.remaining.pop(FOLLOWER_MODE, None)
     if outcome.outcome in SUCCEEDED:
         yield from after.read_all()
     return _result_of_one(outcome_in_scale(outcome, after, guarded=guarded))
 
 
 SUCCEEDED = ("verified", "acknowledged")
+
+
+def _shows_mode(record: UnitRecord, scale: UnitScale, outcome: UnitOutcome) -> bool:
+    """Return whether the 81h that proved a write also shows the mode (#8) of ``scale``, by its status bit."""
+    reading = record.reading
+    if reading is None or reading.at != outcome.proven_at:
+        return False
+    return status_bits(reading.outputs, reading.inputs).follower == is_follower(scale.get(FOLLOWER_MODE))
 
 
 def outcome_before_write(unit: int, difference: tuple[Outcome, Message]) -> UnitOutcome:
@@ -96,19 +112,19 @@ def outcome_in_scale(outcome: UnitOutcome, after: ScaleReading, *, guarded: bool
 
 
 def _write_unscaled(
-    record: UnitRecord, action: UnitWrite, context: CommandContext
+    record: UnitRecord, action: UnitWrite, context: CommandContext, scale: ScaleReading
 ) -> Subprocedure[UnitOutcome]:
     unit, before, dialect = record.unit, record.commanded, context.dialect
     match action:
         case SetSpeed(raw=raw, execute=True):
             readback = verify_speed(record, raw, dialect, before=before)
-            return _write(SetAndExecuteSpeedRequest(unit, raw), readback)
+            return _write(SetAndExecuteSpeedRequest(unit, raw), readback, scale)
         case SetSpeed(raw=raw):  # Not visible until it is executed.
             return _write(StageSpeedRequest(unit, raw), None)
         case ExecuteSpeed():
             staged = record.staged
             known = None if staged is None else verify_speed(record, staged, dialect, before=before)
-            return _write(ExecuteSpeedRequest(unit), known)
+            return _write(ExecuteSpeedRequest(unit), known, scale)
         case WriteParameter(number=number, raw=raw):
             readback = verify_parameter(unit, number, raw)
             return _write(WriteParameterRequest(unit, number, raw), readback)
@@ -118,8 +134,11 @@ def _write_unscaled(
             return _write(WriteAnalogOutputRequest(unit, raw), None)
 
 
-def _write(request: Request, verification: Verification | None) -> Subprocedure[UnitOutcome]:
-    """Send ``request`` and, unless refused, read it back. ``verification`` None: there is only the ACK."""
+def _write(
+    request: Request, verification: Verification | None, scale: ScaleReading | None = None
+) -> Subprocedure[UnitOutcome]:
+    """Send ``request`` and, unless refused, read it back. ``verification`` None: there is only the ACK.
+    ``scale``: one parameter of it is read before an 81h."""
     unit = request.unit
     sent = yield from send(Send(request, reports_sent=True))
     if not sent.may_have_acted:
@@ -129,6 +148,8 @@ def _write(request: Request, verification: Verification | None) -> Subprocedure[
     if verification is None:
         return outcome_without_readback(unit, sent)
     yield ReportProgress("proving", unit)
+    if sent.acknowledged and scale is not None:
+        yield from scale.read_next()
     readback = yield from verification
     return outcome_with_readback(unit, sent, readback)
 
