@@ -352,7 +352,7 @@ class _ByHeader:
         own = role == Role.WORKER and name == OWN_WORKER
         via: Via = "worker" if own else "token" if role == Role.WORKER else "session"
         bus = headers.get(b"x-bus", b"").decode()
-        scope["person"] = Person(name, Role(role), via, bus=bus) if role else None
+        scope["caller"] = Person(name, Role(role), via, bus=bus) if role else None
         await self._app(scope, receive, send)
 
 

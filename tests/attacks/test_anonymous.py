@@ -48,7 +48,7 @@ class Client:
             "path": path,
             "headers": [],
             "client": (address, 1),
-            "person": person,
+            "caller": person,
         }
         self.messages: asyncio.Queue[Message] = asyncio.Queue()
         self.status: int | None = None

@@ -165,7 +165,7 @@ async def test_a_response_that_is_being_sent_has_no_turn_any_more() -> None:
     async def receive() -> Message:
         return {"type": "http.disconnect"}
 
-    scope = {"type": "http", "person": Person("ann", Role.VIEWER, "session")}
+    scope = {"type": "http", "caller": Person("ann", Role.VIEWER, "session")}
     app = ReadLimiter(stream, turns)
     sent = [asyncio.create_task(app({**scope}, receive, ignore)) for _ in range(1)]
     await until(lambda: begun == 1)

@@ -19,7 +19,7 @@ from starlette.websockets import WebSocket
 
 from app.core.server.admission.fair_queue import TooManyWaitingError
 from app.core.server.security_headers import HEADERS
-from app.core.web.admission.access import person_of
+from app.core.web.admission.access import caller_of
 from app.core.web.api.shape import message_shown, reason_shown
 from app.core.web.rendering.templating import render, templates_of
 from app.errors import Problem, ProblemCode, StoreError, TooCostlyError
@@ -119,7 +119,7 @@ def _page_left(request: HTTPConnection) -> str:
 def _detail(request: HTTPConnection, problem: Problem) -> str:
     """A page that calls the API shows the text to a person, in that person's language; a program with a
     token gets it in English."""
-    person = person_of(request)
+    person = caller_of(request)
     if person is None or person.via != "session":
         return problem.detail
     return templates_of(request).language_of(request).t(problem.message)

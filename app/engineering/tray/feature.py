@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.core.find.finders import Finders, FixedPlace
-from app.core.web.admission.access import Person
+from app.core.web.admission.access import Caller
 from app.core.web.rendering.head_tray import HeadTray, TrayCount
 from app.engineering.tray import adding, pages
 from app.engineering.tray.contents import Trays
@@ -17,7 +17,7 @@ def make(services: Services) -> None:
         bus.add(Trays())
     trays_of = services.of_buses(Trays)
 
-    def counted(person: Person) -> list[TrayCount]:
+    def counted(person: Caller) -> list[TrayCount]:
         now = monotonic_now()
         held = {name: trays.of(person.sender, now) for name, trays in trays_of.items()}
         return [

@@ -47,8 +47,8 @@ class ActLimit:
 class _Performs(Requires):
     """A dependency that counts the requests it lets in as acts of the account, except those for pages."""
 
-    async def resolve(self, connection: HTTPConnection) -> Person:
-        person = await super().resolve(connection)
+    async def grant(self, connection: HTTPConnection) -> Person:
+        person = await super().grant(connection)
         if connection.scope["method"] not in READS:
             service_of(connection, ActLimit).count(person.account, monotonic_now())
         return person

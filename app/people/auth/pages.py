@@ -11,7 +11,7 @@ from starlette.background import BackgroundTask
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
-from app.core.web.admission.access import Person, Viewer, address_of, person_of, public
+from app.core.web.admission.access import Person, Viewer, address_of, caller_of, public
 from app.core.web.admission.cookies import (
     SESSION,
     cookie_of,
@@ -69,7 +69,7 @@ async def login_page(
 ) -> Response:
     """The form; a signed-in user is redirected. ``refused``: an action has led here; ``company_account``: why
     a company account was not admitted."""
-    if person_of(request):
+    if caller_of(request):
         return RedirectResponse(own_path(next), 303)
     return await _login_form(
         request, sign_in, next, panel, refused=refused, company_refusal=refusal_shown(company_account)
@@ -100,7 +100,7 @@ async def log_panel_in(
 async def begin_login(request: Request, single_sign_on: SingleSignOnService, next: str = "/") -> Response:
     """Redirect to the provider; a signed-in user to the page. After a log-out here the person signs in there
     again: a panel or a PC may be shared, and the provider may know the last one still."""
-    if person_of(request):
+    if caller_of(request):
         return RedirectResponse(own_path(next), 303)
     has_logged_out = bool(cookie_of(request, REAUTHENTICATE_COOKIE))
     try:
@@ -240,9 +240,9 @@ async def _sign_in(
 async def signed_in(request: Request, sign_in: SignIn, begun: SignedIn, next_page: str) -> Response:
     """Redirect to the page that was wanted, with the cookies of the session. The session that the browser had
     before ends: nothing else could end it any more."""
-    before = person_of(request)
+    before = caller_of(request)
     if before is not None and before.via == "session":
-        await sign_in.sign_out(request.cookies[session_name(request)], before)
+        await sign_in.sign_out(request.cookies[session_name(request)], before.granted(LOG_OUT.role))
     home = begun.user.home if next_page == "/" else next_page
     response = RedirectResponse(own_path(home), 303)
     set_cookie(request, response, SESSION, begun.session, sign_in.lifetime_of(begun.user).absolute_s)

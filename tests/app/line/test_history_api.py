@@ -52,7 +52,7 @@ class AsViewer:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if b"x-anonymous" not in dict(scope.get("headers", [])):
-            scope["person"] = Person("viewer", Role.VIEWER, "token")
+            scope["caller"] = Person("viewer", Role.VIEWER, "token")
         await self.app(scope, receive, send)
 
 

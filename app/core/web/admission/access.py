@@ -1,8 +1,9 @@
-"""The user of a request, and the role that a route requires.
+"""Who a request is from, and the grant that its route requires.
 
-Every route declares a role with one of the dependencies here or is declared public; the app does
-not start otherwise (`app.core.web.admission.routes`). The person is put into the ASGI scope by
-`app.people.auth.rights.access`.
+`app.people.auth.rights.access` finds the `Caller` of each request. Every route declares a role with one of
+the dependencies here, or is declared public; the app does not start otherwise
+(`app.core.web.admission.routes`). `Requires` grants that role once, before the body is read: the caller
+becomes a `Person`. Commands and acts are called by a `Person` only.
 """
 
 from __future__ import annotations
@@ -68,8 +69,8 @@ def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
 
 
 @dataclass(frozen=True)
-class Person:
-    """A signed-in user: a person, a panel or a program."""
+class Caller:
+    """Who a request is from: a person, a panel or a program that is signed in."""
 
     name: str
     role: Role
@@ -107,6 +108,15 @@ class Person:
         """Identifies the account, distinct from an earlier one of the same name."""
         return f"{self.account} {self.created_at!r}"
 
+    def granted(self, role: Role) -> Person:
+        """Return the person who may do what ``role`` may. Raises Problem 403 ``forbidden``."""
+        refuse_without(role, self)
+        return Person(**vars(self))
+
+
+class Person(Caller):
+    """A caller with the grant of the request: its route required a role, which the caller has."""
+
 
 def account_of(name: str, *, token: bool) -> str:
     """A user and a token may have the same name. No name has a space, so none can pass for another."""
@@ -129,47 +139,54 @@ def address_of(connection: HTTPConnection) -> str:
     return connection.client.host if connection.client else ""
 
 
-def person_of(connection: HTTPConnection) -> Person | None:
-    """The user of a request; None where no one is signed in."""
+def caller_of(connection: HTTPConnection) -> Caller | None:
+    """Return who a request is from; None where no one is signed in."""
+    caller: Caller | None = connection.scope.get("caller")
+    return caller
+
+
+def person_of(connection: HTTPConnection) -> Person:
+    """Return who has the grant of a request. Raises Problem 401 where its route requires none."""
     person: Person | None = connection.scope.get("person")
+    if person is None:
+        raise not_signed_in()
     return person
 
 
 @dataclass(frozen=True)
 class Requires:
-    """A dependency: refuses a user with less than ``role`` and a write that comes late; returns the user.
+    """A dependency that grants ``role`` to the caller of a request, and refuses a write that comes late.
     ``act`` is the name of the act or command that the route carries out.
 
-    It is resolved once in a request, before the body is read (`app.core.web.admission.routes`); the route
-    gets the result.
+    The grant is made once in a request, before the body is read (`app.core.web.admission.routes`).
     """
 
     role: Role
     act: str = ""
 
     async def __call__(self, connection: HTTPConnection) -> Person:
-        """Raises what :meth:`resolve` raises."""
-        resolved: dict[Requires, Person] = connection.scope.setdefault("requirements", {})
-        if self not in resolved:
-            resolved[self] = await self.resolve(connection)
-        return resolved[self]
+        """Return the person of the grant. Raises what `grant` raises."""
+        granted: set[Requires] = connection.scope.setdefault("granted", set())
+        if self not in granted:
+            connection.scope["person"] = await self.grant(connection)
+            granted.add(self)
+        return person_of(connection)
 
-    async def resolve(self, connection: HTTPConnection) -> Person:
+    async def grant(self, connection: HTTPConnection) -> Person:
         """Raises Problem 401, 403 or, for a write that was held up on its way, 503 ``not_sent``."""
         person = self.permitted(connection)
         refuse_late(connection)
         return person
 
     def permitted(self, connection: HTTPConnection) -> Person:
-        """The person alone. Raises Problem 401 or 403."""
-        person = person_of(connection)
-        if person is None:
+        """Check the role alone. Raises Problem 401 or 403."""
+        caller = caller_of(connection)
+        if caller is None:
             raise not_signed_in()
-        refuse_without(self.role, person)
-        return person
+        return caller.granted(self.role)
 
 
-def refuse_without(role: Role, person: Person) -> None:
+def refuse_without(role: Role, person: Caller) -> None:
     """Raises Problem 403 ``forbidden`` for a person whose role does not include ``role``."""
     if person.role.includes(role):
         return

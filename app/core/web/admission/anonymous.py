@@ -11,7 +11,7 @@ from starlette.types import Message as AsgiMessage
 from app.core.server.admission.addresses import source_of
 from app.core.server.admission.fair_queue import FairQueue, TooManyWaitingError
 from app.core.server.admission.turns import HEALTH
-from app.core.web.admission.access import address_of, person_of
+from app.core.web.admission.access import address_of, caller_of
 from app.core.web.admission.bounds import MAX_PLAIN_BODY_BYTES, BoundedBody
 from app.core.web.admission.security import refuse
 from app.core.web.problems import too_many_requests
@@ -42,7 +42,7 @@ class AnonymousLimiter:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         is_exempt = scope["type"] != "http" or scope["path"] in self._exempt
-        if is_exempt or person_of(HTTPConnection(scope)) is not None:
+        if is_exempt or caller_of(HTTPConnection(scope)) is not None:
             await self._app(scope, receive, send)
             return
         try:

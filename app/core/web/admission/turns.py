@@ -14,7 +14,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
 from app.core.server.admission.fair_queue import FairQueue
-from app.core.web.admission.access import Viewer, person_of
+from app.core.web.admission.access import Viewer, caller_of
 from app.core.web.services import service_of
 
 MAX_AT_ONCE = 2
@@ -65,7 +65,7 @@ class ReadLimiter:
         self._turns = turns
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        person = person_of(HTTPConnection(scope))
+        person = caller_of(HTTPConnection(scope))
         if person is None:
             await self._app(scope, receive, send)
             return

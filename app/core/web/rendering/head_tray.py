@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from app.core.web.admission.access import Person
+from app.core.web.admission.access import Caller
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,4 +21,4 @@ class TrayCount:
 class HeadTray:
     """Gives the trays of a person that are not empty, of each bus."""
 
-    of: Callable[[Person], Sequence[TrayCount]]
+    of: Callable[[Caller], Sequence[TrayCount]]

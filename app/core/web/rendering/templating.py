@@ -16,7 +16,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse
 
 from app.core.messages import Language, Languages
-from app.core.web.admission.access import Person, Role, person_of
+from app.core.web.admission.access import Caller, Role, caller_of
 from app.core.web.rendering.assets import Assets
 from app.core.web.rendering.formats import Formats
 from app.core.web.rendering.head_control import HeadControl
@@ -141,12 +141,12 @@ class Templates:
             raise RuntimeError(f"two commands or acts are named {', '.join(sorted(twice))}")
         self._roles |= roles
 
-    def may(self, person: Person | None, name: str) -> bool:
+    def may(self, person: Caller | None, name: str) -> bool:
         """Whether ``person`` may send a command or perform an act; each interface refuses the others."""
         return person is not None and person.role.includes(self._roles[name])
 
     def language_of(self, connection: HTTPConnection) -> Language:
-        person = person_of(connection)
+        person = caller_of(connection)
         preferred = person.language if person else ""
         accepted = connection.headers.get("accept-language", "")
         return self.languages.choose(preferred, accepted, self.site.language)
@@ -167,7 +167,7 @@ def render(
 ) -> HTMLResponse:
     """A page or fragment in the language of the request, never kept by a cache."""
     templates = templates_of(request)
-    person: Person | None = person_of(request)
+    person = caller_of(request)
     language = templates.language_of(request).on_screen
     head = partial(service_of, request, PageHead)
     # The context is given beside these and not merged, so that it cannot replace one of them. The services

@@ -28,7 +28,7 @@ class _Writes(Requires):
     and one that was carried out before gives its result however late it is repeated.
     """
 
-    async def resolve(self, connection: HTTPConnection) -> Person:
+    async def grant(self, connection: HTTPConnection) -> Person:
         person = self.permitted(connection)
         if "bus" in connection.path_params:
             await bus_service_of(connection, connection.path_params["bus"], CommandService).reserve()

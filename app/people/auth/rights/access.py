@@ -20,7 +20,7 @@ from starlette.websockets import WebSocketDisconnect
 from app.core.server.admission.handshakes import Handshakes
 from app.core.server.admission.refusal_log import REFUSED, RefusalLog
 from app.core.server.connection.client_connection import client_connection
-from app.core.web.admission.access import Person, Role, account_shown, address_of, not_signed_in
+from app.core.web.admission.access import Caller, Role, account_shown, address_of, not_signed_in
 from app.core.web.admission.cookies import session_name
 from app.core.web.admission.security import LOOPBACK, refuse
 from app.core.web.problems import is_below_a_path, is_fragment, problem_json, respond, wants_json
@@ -54,7 +54,7 @@ Withdrawal = Callable[[], Coroutine[Any, Any, None]]
 
 
 class Identify:
-    """Puts ``person`` into the scope. Only public paths are open without one; a token or a cookie
+    """Puts the ``caller`` into the scope. Only public paths are open without one; a token or a cookie
     that is not valid is refused even where the demo needs none. A WebSocket or a
     response in pieces ends with the rights of its person."""
 
@@ -87,7 +87,7 @@ class Identify:
                 return
             await self._app(scope, receive, send)
             return
-        scope["person"] = replace(person, address=address_of(connection))
+        scope["caller"] = replace(person, address=address_of(connection))
         client_connection(scope).identify(person.account)
         is_still = partial(self._is_still, connection, person)
         withdrawal = partial(self._rights.until_withdrawn, is_still, seen)
@@ -97,7 +97,7 @@ class Identify:
         # Returning without the rest makes the server cut the connection, as an incomplete response.
         await run_while_allowed(partial(self._app, scope, receive), withdrawal, send, is_socket=is_socket)
 
-    async def _is_still(self, connection: HTTPConnection, person: Person) -> bool:
+    async def _is_still(self, connection: HTTPConnection, person: Caller) -> bool:
         """Whether who opened a connection may have it still; a store that fails ends nothing that runs."""
         try:
             return await self._person(connection, is_use=person.panel) == person
@@ -106,7 +106,7 @@ class Identify:
         except StoreError:
             return True
 
-    async def _person(self, connection: HTTPConnection, *, is_use: bool = True) -> Person | None:
+    async def _person(self, connection: HTTPConnection, *, is_use: bool = True) -> Caller | None:
         scheme, _, bearer = connection.headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer":
             program = await self._identity.by_token(bearer.strip())
@@ -116,7 +116,7 @@ class Identify:
         cookie = connection.cookies.get(session_name(connection))
         person = await self._identity.by_cookie(cookie, is_use=is_use) if cookie else None
         if person is None and self._demo and _is_loopback(connection):
-            return Person("demo", Role.ADMIN, "demo")
+            return Caller("demo", Role.ADMIN, "demo")
         return person
 
 
@@ -252,7 +252,7 @@ def _event_of(status: int, scope: Scope) -> tuple[Message, str | Message, str]:
         account: str | None = scope.get(REFUSED_ACCOUNT)
         who = account_shown(account) if account else Message("unknown_token")
         return Message("event_token_refused"), who, ""
-    person: Person | None = scope.get("person")
+    person: Caller | None = scope.get("caller")
     if person is None:
         return Message("event_foreign_page_refused"), "", ""
     path = getattr(scope.get("route"), "path_format", "")

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from app.core.database import Database, StoreConnection
-from app.core.web.admission.access import Person, Role, account_of
+from app.core.web.admission.access import Caller, Role, account_of
 from app.errors import Problem, StoreError
 from app.people.auth import rules, store
 from app.people.auth.sign_in.signin import SignIn
@@ -26,7 +26,7 @@ class Identity:
     _worker_tokens: Mapping[str, str]
     _clock: Clock = unix_now
 
-    async def by_cookie(self, cookie: str, *, is_use: bool = True) -> Person | None:
+    async def by_cookie(self, cookie: str, *, is_use: bool = True) -> Caller | None:
         """The account of a session cookie; None when it is over or was never valid.
 
         ``is_use`` False: the lookup prolongs nothing.
@@ -44,7 +44,7 @@ class Identity:
             ends = lifetime.ends_at(session.created_at, now)
             await self._note(lambda connection: store.prolong_session(connection, hash_, now, ends))
         user = session.user
-        return Person(
+        return Caller(
             user.name,
             user.role,
             "session",
@@ -56,11 +56,11 @@ class Identity:
             credential=user.credential,
         )
 
-    async def by_token(self, bearer: str) -> Person | None:
+    async def by_token(self, bearer: str) -> Caller | None:
         """The account of a bearer token. Raises ExpiredTokenError for one that has."""
         for bus, own in self._worker_tokens.items():
             if hmac.compare_digest(bearer.encode(), own.encode()):
-                return Person("worker", Role.WORKER, "worker", bus=bus)
+                return Caller("worker", Role.WORKER, "worker", bus=bus)
         hash_ = rules.secret_hash(bearer)
         token = await self._database.read(lambda connection: store.token(connection, hash_))
         if token is None:
@@ -71,7 +71,7 @@ class Identity:
         if token.used_at is None or now - token.used_at > rules.USE_NOTED_EVERY_S:
             number = token.id
             await self._note(lambda connection: store.note_token_used(connection, number, now))
-        return Person(
+        return Caller(
             token.name,
             token.role,
             "token",

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import structlog
 
 from app.core.database import Database, StoreConnection
-from app.core.web.admission.access import AccountSubscriber, Person, Role, account_of
+from app.core.web.admission.access import AccountSubscriber, Caller, Role, account_of
 from app.errors import Problem, StoreError
 from app.people.auth import store
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_now
@@ -45,7 +45,7 @@ class Standing:
     signed_in: bool = False
 
 
-def why_withdrawn(person: Person, standing: Standing | None) -> Message | None:
+def why_withdrawn(person: Caller, standing: Standing | None) -> Message | None:
     """Why what a person began must stop; None while it may go on. ``standing``: of the account now."""
     is_token = person.via == "token"
     if standing is None:
@@ -72,7 +72,7 @@ class Rights:
         """Call ``subscriber`` with each account that may do less than before, or is signed in no more."""
         self._withdrawn.append(subscriber)
 
-    async def check(self, person: Person) -> None:
+    async def check(self, person: Caller) -> None:
         """Raises Problem 403 ``rights_withdrawn`` when the account of a person may no longer do what it could
         when the person was authenticated; StoreError when that cannot be known."""
         if not person.has_account:
@@ -138,7 +138,7 @@ class Rights:
             if not await is_allowed():
                 return
 
-    def _why_withdrawn(self, person: Person) -> Message | None:
+    def _why_withdrawn(self, person: Caller) -> Message | None:
         return why_withdrawn(person, self._standings.get(person.account))
 
     def _read(self, connection: StoreConnection) -> dict[str, Standing]:
