@@ -234,7 +234,7 @@ async def test_a_write_requires_its_role_and_its_turn_once(tmp_path: Path) -> No
         await connected(house)
         await app_calls_of_a_click(house, calls)
     required_once = [
-        "app.line.commands.service.writer._Writes.resolve",
+        "app.line.commands.service.writer._Writes.grant",
         "app.line.commands.service.command_service.CommandService.reserve",
         "app.line.commands.safeguards.control.Control.use",
     ]
