@@ -18,7 +18,7 @@ from app.core.messages.languages import DEFAULT, catalogs
 from app.core.web.admission.access import Role, Via
 from app.core.web.rendering.assets import templates_dir
 from app.engineering.sets.model import SetOrigin
-from app.engineering.sets.restore.record import RestoreState
+from app.engineering.sets.restore_plan import RestoreState
 from app.line.commands.catalogue import BAUD_DANGER
 from app.line.commands.service.command_request import CommandOrigin
 from app.line.history.series.values import VALUES

@@ -117,3 +117,25 @@ async def _run_once(name: str, work: Step) -> None:
         await work()
     except Exception:
         log.exception("work failed", part=name)
+
+
+class Background:
+    """Tasks that outlive the request that began them, and end with the server."""
+
+    def __init__(self) -> None:
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def begin(self, work: Coroutine[Any, Any, None], name: str) -> None:
+        """Begin a task."""
+        task = asyncio.create_task(work, name=name)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def settled(self) -> None:
+        """Wait until no task runs."""
+        while self._tasks:
+            await asyncio.gather(*self._tasks)
+
+    async def close(self) -> None:
+        """Cancel the tasks that still run."""
+        await _cancel(list(self._tasks))

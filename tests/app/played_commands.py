@@ -11,9 +11,8 @@ from typing import Any
 
 from app.core.database import Database
 from app.core.web.admission.access import Person, Role
-from app.engineering.sets.comparison.drift import BusDrift
-from app.engineering.sets.saving.keeper import SetKeeper
-from app.engineering.sets.saving.reading import ParameterReader
+from app.engineering.sets.drift import BusDrift
+from app.engineering.sets.saving import ParameterReader, SetKeeper
 from app.engineering.sets.store import SetStore
 from app.errors import Problem
 from app.line.commands import catalogue

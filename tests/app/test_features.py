@@ -40,13 +40,12 @@ def test_no_route_is_hidden_by_one_of_an_earlier_feature(tmp_path: Path) -> None
 async def test_a_feature_that_cannot_start_is_named_and_the_stores_are_closed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def fail(_: RecipeBook, bus: str) -> None:
-        assert bus == "dry-end"
+    async def fail(_: RecipeBook) -> None:
         raise StoreError(Message("store_is_damaged"))
 
-    monkeypatch.setattr(RecipeBook, "load_mark", fail)
+    monkeypatch.setattr(RecipeBook, "load_marks", fail)
     services = create_app(settings_in(tmp_path)).state.services
-    with pytest.raises(StartError, match="could not start: recipes of dry-end: "):
+    with pytest.raises(StartError, match="could not start: recipes: "):
         async with services.lifespan.running():
             pytest.fail("it started")
     with pytest.raises(StoreError, match="closed"):

@@ -19,8 +19,8 @@ from app.core.database import Database
 from app.core.web.admission.access import PEOPLE_ROLES, Role
 from app.core.web.rendering.assets import templates_dir
 from app.core.web.rendering.templating import Templates, render
+from app.engineering.recipes.book import RecipeStore
 from app.engineering.recipes.rules import Recipe, RecipeSetpoint
-from app.engineering.recipes.store import RecipeStore
 from app.engineering.sets.model import ParameterSet, UnitRows
 from app.engineering.sets.store import SetStore
 from app.line.alarms.settings import BuiltInAlarmSettings

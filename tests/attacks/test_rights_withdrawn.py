@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from app.core.web.admission.access import Role
-from app.engineering.sets.restore.restores import RestoreService
+from app.engineering.sets.restore_service import RestoreService
 from app.engineering.sets.store import SetStore
 from app.engineering.swap.service import SwapService
 from app.people.auth.accounts import Accounts

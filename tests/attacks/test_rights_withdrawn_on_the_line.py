@@ -10,8 +10,7 @@ import pytest
 
 from app.core.web.admission.access import Role
 from app.engineering.recipes.book import RecipeBook
-from app.engineering.sets.saving.schedule import SERVER, SetSchedule
-from app.engineering.sets.saving.taking import Takings
+from app.engineering.sets.saving import SERVER, SetSchedule, Takings
 from app.engineering.sets.store import SetStore
 from app.line.commands.safeguards.service import Safeguards
 from app.people.audit.entry import Event

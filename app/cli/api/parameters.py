@@ -27,9 +27,8 @@ from app.cli.options import (
 )
 from app.core.database.private import write_file
 from app.core.web.api.shape import maybe_shown, message_shown
-from app.engineering.sets.comparison.compare import ParameterDifference, differences
 from app.engineering.sets.document import MAX_DOCUMENT, read_document, write_document
-from app.engineering.sets.model import ParameterSet, UnitRows
+from app.engineering.sets.model import ParameterDifference, ParameterSet, UnitRows, differences
 from app.errors import system_error
 from bus.errors import CallerError
 from bus.instants import unix_now

@@ -14,10 +14,10 @@ from zoneinfo import ZoneInfo
 
 from app.core.database import Database, StoreConnection
 from app.core.web.admission.access import Person, Role
-from app.engineering.recipes import acts as recipe_acts
+from app.engineering.recipes import book
+from app.engineering.recipes.book import RecipeStore
 from app.engineering.recipes.rules import Recipe, RecipeSetpoint
-from app.engineering.recipes.store import RecipeStore
-from app.engineering.sets import acts as set_acts
+from app.engineering.sets import saving
 from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows
 from app.engineering.sets.store import SetStore
 from app.line.alarms.acts import ACKNOWLEDGE
@@ -328,10 +328,10 @@ class _Records:
         else:
             recipe = Recipe(self._bus, name, "simulated", ENGINEER.name, self._now, setpoints)
             recipe = await self._recipes.save(recipe)
-            await self._record_recipe(recipe_acts.SAVE, ENGINEER, recipe)
+            await self._record_recipe(book.SAVE, ENGINEER, recipe)
         if loaded:
             await self._recipes.mark_loaded(self._bus, recipe.id, OPERATOR.name, self._now)
-            await self._record_recipe(recipe_acts.LOAD, OPERATOR, recipe)
+            await self._record_recipe(book.LOAD, OPERATOR, recipe)
 
     async def _record_recipe(self, act: Act, person: Person, recipe: Recipe) -> None:
         performed = act.by(person, name=recipe.name, version=recipe.version)
@@ -346,13 +346,13 @@ class _Records:
             ParameterSet(self._bus, self._now, ENGINEER.name, "by hand", rows, "Commissioned", "simulated")
         )
         units = [each.unit for each in rows]
-        saved = set_acts.SAVE.by(ENGINEER, set=kept.id, units=[*units], origin=term(kept.origin))
+        saved = saving.SAVE.by(ENGINEER, set=kept.id, units=[*units], origin=term(kept.origin))
         await self._events.record(**saved, bus=self._bus)
         golden = units[:MAX_GOLDEN]
         await self._sets.mark_golden(self._bus, golden, kept.id, ENGINEER.name, self._now)
         for unit in golden:
             await self._events.record(
-                **set_acts.MARK_GOLDEN.by(ENGINEER, set=kept.id, unit=unit), bus=self._bus, unit=unit
+                **saving.MARK_GOLDEN.by(ENGINEER, set=kept.id, unit=unit), bus=self._bus, unit=unit
             )
 
     def _parameters(self, address: int) -> dict[int, ParameterRow]:

@@ -1,7 +1,12 @@
-"""Recipes over HTTP: listed, saved as versions, tried out, loaded; with the schemas of them."""
+"""Recipes over HTTP: listed, saved as versions, tried out, loaded; with the schemas of them.
+
+When a recipe ran: from when it was loaded until the next one was, as the event log has it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import groupby
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Request, Response
@@ -12,12 +17,18 @@ from app.core.web.admission.access import Person, Viewer
 from app.core.web.admission.arrival import made_at
 from app.core.web.admission.turns import SEARCH
 from app.core.web.api.route import ApiRoute
-from app.core.web.api.shape import StrictBody, UnitAddresses, ZonedTime, iso, parse_integer
+from app.core.web.api.shape import (
+    Instant,
+    MaybeInstant,
+    StrictBody,
+    UnitAddresses,
+    ZonedTime,
+    iso,
+    parse_integer,
+)
 from app.core.web.services import service
-from app.engineering.recipes.acts import DELETE, LOAD, SAVE
-from app.engineering.recipes.book import RecipeBook
+from app.engineering.recipes.book import DELETE, LOAD, SAVE, RecipeBook
 from app.engineering.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, setpoints_now
-from app.engineering.recipes.runs import MAX_LOADS, RecipeRuns, runs_of
 from app.errors import Problem, or_404
 from app.line.commands.api.commands import RESULT_RESPONSES
 from app.line.commands.api.responses import FramesWanted, command_response
@@ -29,6 +40,7 @@ from app.line.live.api.schemas import Time
 from app.line.live.lookup import bus_or_404
 from app.line.live.state.bus_live import BusLive
 from app.people.audit.api import Events
+from app.people.audit.entry import Event
 from app.people.audit.queries import Filter
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -216,3 +228,29 @@ def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
     if wrong is not None:
         raise Problem(422, "invalid", Message.of("not_a_unit_address", text=wrong))
     return {int(key): raw for key, raw in given.items()}
+
+
+MAX_LOADS = 1000
+"""Loads of recipes that are searched for an earlier run."""
+
+
+class RecipeRuns(TypedDict):
+    """The run of a recipe at a time, and the one of the same recipe before it."""
+
+    name: str
+    loaded: Annotated[Instant, Field(description="When it was loaded, ISO 8601.")]
+    before: Annotated[MaybeInstant, Field(description="When its run before began; null: it had none.")]
+
+
+def runs_of(loads: Sequence[Event]) -> RecipeRuns | None:
+    """The run that the newest of these loads is in, and the one of the same recipe before it. ``loads``:
+    newest first; a recipe that was loaded again while it ran is one run. None where none was loaded."""
+    runs = [
+        (name, min(load["time"] for load in run))
+        for name, run in groupby(loads, lambda load: str(load["messages"]["what"].params["name"]))
+    ]
+    if not runs:
+        return None
+    name, loaded = runs[0]
+    before = next((start for earlier, start in runs[1:] if earlier == name), None)
+    return {"name": name, "loaded": iso(loaded), "before": None if before is None else iso(before)}

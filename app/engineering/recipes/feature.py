@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 
 from app.core.database import Database
-from app.core.find.finders import Finders
+from app.core.find.finders import Finders, FoundPlace, Search, matched
 from app.engineering.recipes import api, pages
-from app.engineering.recipes.acts import ACTS
-from app.engineering.recipes.book import RecipeBook
-from app.engineering.recipes.finding import RecipeFinder
-from app.engineering.recipes.store import RecipeStore
+from app.engineering.recipes.book import ACTS, RecipeBook, RecipeStore
 from app.feature import Feature, Services
 from app.line.commands.service.command_service import CommandService
 from app.line.live.state.bus_live import LiveState
@@ -20,9 +18,22 @@ from app.people.audit.log import EventLog
 def make(services: Services) -> None:
     commands, store = services.of_buses(CommandService), RecipeStore(services[Database])
     recipes = services.add(RecipeBook(services[LiveState], commands, store, services[EventLog]))
-    services[Finders].add("find_recipes", RecipeFinder(store))
-    for name in services.buses:
-        services.lifespan.add(f"recipes of {name}", start=partial(recipes.load_mark, name))
+    services[Finders].add("find_recipes", partial(find_recipes, store))
+    services.lifespan.add("recipes", start=recipes.load_marks)
+
+
+async def find_recipes(store: RecipeStore, search: Search) -> Iterable[FoundPlace]:
+    """Find recipes in use by name or comment."""
+    return [
+        place
+        for recipe in await store.newest()
+        for place in matched(
+            search,
+            FoundPlace(recipe.name, f"/recipes/{recipe.id}", recipe.bus, is_name=True),
+            recipe.name,
+            recipe.comment,
+        )
+    ]
 
 
 FEATURE = Feature(make, (api.router, pages.router), ACTS)

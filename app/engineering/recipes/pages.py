@@ -9,8 +9,8 @@ from starlette.responses import RedirectResponse
 
 from app.core.web.admission.access import Person, Viewer
 from app.core.web.rendering.templating import render
-from app.engineering.recipes.acts import DELETE, SAVE
 from app.engineering.recipes.api import Book, KnownRecipe
+from app.engineering.recipes.book import DELETE, SAVE
 from app.engineering.recipes.rules import setpoint_kind, setpoints_now
 from app.errors import Problem
 from app.line.commands.catalogue import SET_LINE, longest_change_s

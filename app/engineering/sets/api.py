@@ -15,14 +15,21 @@ from app.core.web.api.route import ApiRoute
 from app.core.web.api.schema import problems
 from app.core.web.api.shape import MessageObject, StrictBody, UnitAddresses, iso
 from app.core.web.services import bus_service, bus_service_of
-from app.engineering.sets.acts import EXPORT_SECRET, MARK_GOLDEN, SAVE, SCHEDULE
-from app.engineering.sets.comparison.compare import ParameterDifference, compare, with_unit
-from app.engineering.sets.comparison.drift import BusDrift, DriftedParameter
 from app.engineering.sets.document import write_document
+from app.engineering.sets.drift import BusDrift, DriftedParameter
 from app.engineering.sets.lookup import Sets, StoredSet, set_or_404, unit_rows_or_404
-from app.engineering.sets.model import Number, ParameterSet, ParameterSetSummary, SetHead, StoredRaw, UnitRows
-from app.engineering.sets.saving.keeper import SetKeeper
-from app.engineering.sets.saving.schedule import SetSchedule
+from app.engineering.sets.model import (
+    Number,
+    ParameterDifference,
+    ParameterSet,
+    ParameterSetSummary,
+    SetHead,
+    StoredRaw,
+    UnitRows,
+    compare,
+    with_unit,
+)
+from app.engineering.sets.saving import EXPORT_SECRET, MARK_GOLDEN, SAVE, SCHEDULE, SetKeeper, SetSchedule
 from app.errors import Problem
 from app.line.live.api.routes import Live
 from app.line.live.api.schemas import MaybeTime, UnitAddress

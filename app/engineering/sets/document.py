@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from app.core.web.api.shape import StrictBody
-from app.engineering.sets.comparison.compare import with_unit
-from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows
+from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows, with_unit
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
 from bus.instants import UnixTime

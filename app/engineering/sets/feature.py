@@ -6,18 +6,22 @@ from functools import partial
 
 from app.core.database import Database
 from app.core.web.services import Registry
-from app.engineering.sets import api, batch_pages, pages
-from app.engineering.sets.acts import ACTS
-from app.engineering.sets.comparison.drift import BusDrift
-from app.engineering.sets.restore import api as restore_api
-from app.engineering.sets.restore import pages as restore_pages
-from app.engineering.sets.restore.restores import RestoreService
-from app.engineering.sets.restore.store import RestoreStore
-from app.engineering.sets.saving.first_write import FirstWrites
-from app.engineering.sets.saving.keeper import SetKeeper
-from app.engineering.sets.saving.reading import ParameterReader
-from app.engineering.sets.saving.schedule import SERVER, SetSchedule
-from app.engineering.sets.saving.taking import Takings
+from app.engineering.sets import api, batch, pages, restore_api, restore_pages
+from app.engineering.sets.drift import BusDrift
+from app.engineering.sets.restore_service import CANCEL, PLAN, START, RestoreService, RestoreStore
+from app.engineering.sets.saving import (
+    END_SCHEDULE,
+    EXPORT_SECRET,
+    MARK_GOLDEN,
+    SAVE,
+    SCHEDULE,
+    SERVER,
+    FirstWrites,
+    ParameterReader,
+    SetKeeper,
+    SetSchedule,
+    Takings,
+)
 from app.engineering.sets.store import SetStore
 from app.feature import Feature, Services
 from app.line.commands.service.command_service import CommandService
@@ -35,9 +39,7 @@ def make(services: Services) -> None:
     readers, commands = services.of_buses(ParameterReader), services.of_buses(CommandService)
     store = RestoreStore(services[Database])
     restores = services.add(RestoreService(readers, commands, services[EventLog], store))
-    for name in services.buses:
-        load, end = partial(restores.load, name), partial(restores.background.close, name)
-        services.lifespan.add(f"restores of {name}", start=load, end=end)
+    services.lifespan.add("restores", start=restores.load, end=restores.background.close)
 
 
 def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
@@ -53,5 +55,7 @@ def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
 
 
 FEATURE = Feature(
-    make, (api.router, restore_api.router, pages.router, restore_pages.router, batch_pages.router), ACTS
+    make,
+    (api.router, restore_api.router, pages.router, restore_pages.router, batch.router),
+    (SAVE, MARK_GOLDEN, EXPORT_SECRET, SCHEDULE, END_SCHEDULE, PLAN, START, CANCEL),
 )

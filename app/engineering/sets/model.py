@@ -1,16 +1,28 @@
-"""What a parameter set is: the parameters of one or several units, as they were read."""
+"""What a parameter set is: the parameters of one or several units, as they were read.
+
+Set with set, set with live unit, unit with unit: row by row, with what a difference means.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import Field, PlainSerializer
 
-from app.core.web.api.shape import iso
+from app.core.web.api.shape import MessageObject, iso
+from app.line.commands.values import in_measure
 from app.line.live.api.schemas import Time
+from app.line.live.state.bus_live import BusLive, UnitLive
+from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
+from bus.catalogue.parameter import Parameter
+from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.status import StatusBits, status_bits
+from bus.catalogue.values import is_follower, parameter_message, parameter_unit
+from bus.contract import ParameterValue
 from bus.instants import UnixTime
+from bus.messages import Message, term
 
 Number = Annotated[int, Field(description="Number of the parameter, 1 to 40.")]
 StoredRaw = Annotated[
@@ -96,3 +108,120 @@ class ParameterSet:
     def unit(self, unit: int) -> UnitRows | None:
         """The rows of one unit of the set."""
         return next((rows for rows in self.units if rows.unit == unit), None)
+
+
+Comparison = Literal["equal", "differs", "unavailable", "unknown"]
+
+_DIFFERENCES: dict[int, str] = {
+    1: "differs_max_rpm",
+    2: "differs_max_display",
+    3: "differs_decimals",
+    4: "differs_base_ratio",
+    5: "differs_encoder",
+    6: "differs_acceleration",
+    7: "differs_deceleration",
+    8: "differs_mode",
+    12: "differs_window",
+    17: "differs_address",
+    18: "differs_baud",
+    31: "differs_max_ratio",
+    38: "differs_min_ratio",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterDifference:
+    """One row of a comparison, as shown to people and raw."""
+
+    number: Number
+    name: str
+    kind: Comparison
+    left: Annotated[MessageObject, Field(description="Value of the first set.")]
+    right: Annotated[MessageObject, Field(description="Value of the second.")]
+    left_raw: StoredRaw
+    right_raw: StoredRaw
+    meaning: Annotated[
+        MessageObject | None, Field(description="What the difference means; null: the row does not differ.")
+    ]
+
+
+def rows_of(values: Iterable[ParameterValue]) -> dict[int, ParameterRow]:
+    """Values of responses, by parameter number."""
+    return {
+        value.number: ParameterRow(value.number, value.raw, value.available, value.at, value.frame)
+        for value in values
+    }
+
+
+def known_rows(unit: UnitLive) -> UnitRows:
+    """The known values of a live unit without a request, each row with the time it was read."""
+    return UnitRows(unit.settings.id, unit.settings.name, rows_of(unit.parameters.values()))
+
+
+def status_of(bus: BusLive, unit: UnitLive) -> StatusBits | None:
+    """The inputs and the mode of a unit as last read; None for one that does not respond."""
+    if unit.reading is None or unit.link.link in ("unknown", "offline"):
+        return None
+    return status_bits(unit.reading.outputs, unit.reading.inputs, bus.settings.estop_healthy)
+
+
+def compare(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[ParameterDifference]:
+    """All 40 rows; ``left`` is the reference. ``tolerance``: raw counts that still pass as equal."""
+    return [_compare_row(parameter, left, right, tolerance) for parameter in PARAMETERS.values()]
+
+
+def differences(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[ParameterDifference]:
+    """Only the rows known to differ; one that only one of the two has is a difference too."""
+    return [row for row in compare(left, right, tolerance) if row.kind in ("differs", "unavailable")]
+
+
+def _compare_row(
+    parameter: Parameter, left: UnitRows, right: UnitRows, tolerance: int
+) -> ParameterDifference:
+    number = parameter.number
+    before, after = left.rows.get(number), right.rows.get(number)
+    kind = _kind(before, after, tolerance)
+    old, new = row_message(parameter, left), row_message(parameter, right)
+    means = None
+    if kind in ("differs", "unavailable"):
+        means = meaning(number, old, new) if kind == "differs" else Message.of("differs", old=old, new=new)
+    raws = (None, None) if parameter.secret else (left.raw(number), right.raw(number))
+    return ParameterDifference(number, parameter.name, kind, old, new, *raws, means)
+
+
+def meaning(number: int, old: Message, new: Message) -> Message:
+    """What it means that a parameter is ``new`` instead of ``old``."""
+    if PARAMETERS[number].secret:
+        return Message("differs_secret")
+    return Message(_DIFFERENCES.get(number, "differs"), {"old": old, "new": new})
+
+
+def _kind(left: ParameterRow | None, right: ParameterRow | None, tolerance: int) -> Comparison:
+    if left is None or right is None:
+        return "unknown"
+    if not left.available and not right.available:
+        return "equal"
+    if left.raw is not None and right.raw is not None:
+        return "equal" if abs(left.raw - right.raw) <= tolerance else "differs"
+    return "unknown" if left.available and right.available else "unavailable"
+
+
+def row_message(parameter: Parameter, rows: UnitRows) -> Message:
+    """A row as shown to people: in its unit, a secret masked, a missing one marked."""
+    row = rows.rows.get(parameter.number)
+    if row is not None and not row.available:
+        return Message("value_not_in_unit")
+    if parameter.secret:
+        return Message("value_secret")
+    if row is None or row.raw is None:
+        return Message("value_not_known")
+    return with_unit(parameter, row.raw, rows)
+
+
+def with_unit(parameter: Parameter, raw: int, rows: UnitRows) -> Message:
+    """``50`` of #6 → ``5.0 s``, by the decimals (#3) and the mode (#8) that ``rows`` hold."""
+    if raw in parameter.choices:
+        return term(parameter.choices[raw])
+    follower, unit = is_follower(rows.raw(FOLLOWER_MODE)), parameter_unit(parameter)
+    value = parameter_message(parameter, raw, rows.raw(DECIMALS), follower=follower)
+    return in_measure(value, term(unit) if unit else "")

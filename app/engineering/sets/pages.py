@@ -1,8 +1,11 @@
-"""The pages of parameter sets: list, one set, comparison."""
+"""The pages of parameter sets: list, one set, comparison.
+
+Units in as few words as possible: of 40 neighbors the first and the last one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from typing import Annotated
 
@@ -13,15 +16,10 @@ from app.core.web.admission.access import Person, Viewer
 from app.core.web.api.shape import UnitAddresses
 from app.core.web.rendering.templating import render
 from app.core.web.services import bus_service_of, service
-from app.engineering.sets.acts import MARK_GOLDEN, SAVE, SCHEDULE
 from app.engineering.sets.api import Drift
-from app.engineering.sets.comparison.compare import compare, row_message
-from app.engineering.sets.comparison.sides import choices, side
-from app.engineering.sets.lookup import Sets, StoredSet
-from app.engineering.sets.saving.keeper import SetKeeper
-from app.engineering.sets.saving.schedule import SetSchedule
-from app.engineering.sets.saving.taking import Takings
-from app.engineering.sets.unit_ranges import unit_ranges
+from app.engineering.sets.lookup import Sets, StoredSet, choices, side
+from app.engineering.sets.model import compare, row_message
+from app.engineering.sets.saving import MARK_GOLDEN, SAVE, SCHEDULE, SetKeeper, SetSchedule, Takings
 from app.errors import or_404
 from app.line.live.api.routes import Live
 from app.line.live.lookup import bus_or_404, unit_or_404
@@ -196,3 +194,34 @@ async def drift_fragment(
         unread=drift.unread(unit),
         PARAMETERS=PARAMETERS,
     )
+
+
+TO = "\N{EN DASH}"
+
+
+def unit_ranges(units: Iterable[int], names: Mapping[int, str]) -> list[str]:
+    """``["1 Unwind", "4-11 Dryer 1-8"]``, with longer dashes; of a removed unit the address."""
+    return [_range_text(first, last, names) for first, last in _runs(sorted(units))]
+
+
+def _runs(units: list[int]) -> Iterator[tuple[int, int]]:
+    """First and last of each run of addresses."""
+    starts = [unit for at, unit in enumerate(units) if at == 0 or units[at - 1] != unit - 1]
+    ends = [unit for at, unit in enumerate(units) if at == len(units) - 1 or units[at + 1] != unit + 1]
+    return zip(starts, ends, strict=True)
+
+
+def _range_text(first: int, last: int, names: Mapping[int, str]) -> str:
+    begin, end = names.get(first, ""), names.get(last, "")
+    if first == last:
+        return f"{first} {begin}".strip()
+    return f"{first}{TO}{last} {_joined(begin, end, last - first)}".strip()
+
+
+def _joined(begin: str, end: str, apart: int) -> str:
+    """Of two names whose numbers are as far apart as their addresses, the words once."""
+    if not begin or not end:
+        return ""
+    (word, _, low), (other, _, high) = begin.rpartition(" "), end.rpartition(" ")
+    numbered = word == other and low.isdecimal() and high.isdecimal() and int(high) - int(low) == apart
+    return f"{begin}{TO}{high}" if numbered else f"{begin} {TO} {end}"

@@ -13,14 +13,30 @@ from app.core.web.admission.access import Person
 from app.core.web.rendering.templating import render
 from app.core.web.services import bus_service_of, service
 from app.engineering.sets.api import ParameterSets
-from app.engineering.sets.comparison.sides import offers
-from app.engineering.sets.lookup import FILE_FORM, Chosen, Restores, Sets, set_or_404, unit_rows_or_404
-from app.engineering.sets.restore.view import RestoreOmission, rows_left_out
-from app.engineering.sets.saving.keeper import SetKeeper
-from app.engineering.swap.acts import BEGIN, CANCEL, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED
-from app.engineering.swap.record import Swap
+from app.engineering.sets.lookup import (
+    FILE_FORM,
+    Chosen,
+    Restores,
+    Sets,
+    offers,
+    set_or_404,
+    unit_rows_or_404,
+)
+from app.engineering.sets.restore_api import RestoreOmission, rows_left_out
+from app.engineering.sets.saving import SetKeeper
 from app.engineering.swap.rules import PROVEN, STEPS, Advice, advice, done_steps
-from app.engineering.swap.service import SwapService, look, source_of, step_text
+from app.engineering.swap.service import (
+    BEGIN,
+    CANCEL,
+    CONFIRM_SPARE,
+    RESTORE_SPARE,
+    SAVE_ENTERED,
+    Swap,
+    SwapService,
+    look,
+    source_of,
+    step_text,
+)
 from app.errors import Problem
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.service.writer import Commands

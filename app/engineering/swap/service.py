@@ -1,4 +1,10 @@
-"""Unit replacement: choosing what the spare becomes, probing the wire, restoring, and the event at the end.
+"""What people do to replace a unit. Its restore writes parameters, whose role each step needs.
+
+One swap: who began it, what the spare shall become, what was seen since, the restore it led to.
+
+Stores the swap of each section, so that it continues after a restart.
+
+Unit replacement: choosing what the spare becomes, probing the wire, restoring, and the event at the end.
 
 Swaps continue after a restart. Units are only read here; a restore writes.
 """
@@ -6,31 +12,175 @@ Swaps continue after a restart. Units are only read here; a restore writes.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
-from dataclasses import replace
+from collections.abc import Awaitable, Callable, Coroutine
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from app.core.database import StoreConnection
+from app.core.database.connection import upsert
+from app.core.database.database import Tables, writing
+from app.core.database.messages import messages_of, stored_messages
 from app.core.web.admission.access import Person, account_shown
-from app.engineering.sets.comparison.sides import side
-from app.engineering.sets.lookup import FormSource
-from app.engineering.sets.model import ParameterSet
-from app.engineering.sets.restore.record import Restore
-from app.engineering.sets.restore.restores import RestoreService
-from app.engineering.sets.saving.keeper import SetKeeper
-from app.engineering.sets.saving.reading import status_of
+from app.engineering.sets.lookup import FormSource, side
+from app.engineering.sets.model import ParameterSet, status_of
+from app.engineering.sets.restore_plan import Restore
+from app.engineering.sets.restore_service import RestoreService
+from app.engineering.sets.saving import SetKeeper
 from app.engineering.sets.store import SetStore
-from app.engineering.swap.acts import BEGIN, CANCEL, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED
-from app.engineering.swap.record import Swap, SwapSource
-from app.engineering.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, SwapState
-from app.engineering.swap.store import SwapStore
+from app.engineering.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, SwapState, finding
 from app.errors import Problem, StoreError
 from app.line.commands.api.responses import outcome_message
+from app.line.commands.catalogue import WRITE_PARAMETER
 from app.line.commands.service.command_service import CommandService
 from app.line.live.state.bus_live import LiveState
+from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from bus.contract import ScanBus
-from bus.instants import Clock
+from bus.instants import Clock, UnixTime
 from bus.messages import Message, joined, listed, parameter_name
+
+BEGIN = Act("begin_swap", WRITE_PARAMETER.role, "swap", "event_swap_begun")
+CONFIRM_SPARE = Act("confirm_spare", WRITE_PARAMETER.role, "swap", "swap_named_by_person")
+RESTORE_SPARE = Act("restore_spare", WRITE_PARAMETER.role, "swap", "event_swap_proven")
+"""Recorded when a full read of the spare was equal."""
+SAVE_ENTERED = Act("save_entered_spare", WRITE_PARAMETER.role, "swap", "event_swap_kept")
+CANCEL = Act("cancel_swap", WRITE_PARAMETER.role, "swap", "event_swap_given_up")
+ACTS = (BEGIN, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED, CANCEL)
+
+
+@dataclass(frozen=True, slots=True)
+class SwapSource:
+    """The unit of a stored set that the spare shall become: mostly the section's own, or a sister's."""
+
+    set: int
+    unit: int
+
+    def message(self, unit: int) -> Message:
+        """Which set, and of which unit where that is another than ``unit``."""
+        if self.unit == unit:
+            return Message.of("set_numbered", set=self.set)
+        return Message.of("set_of_unit", set=self.set, unit=self.unit)
+
+
+@dataclass(slots=True)
+class Swap:
+    """``source`` None: nothing is stored, the spare is entered from the sheet. ``is_new``: the unit at
+    the section's address is the spare, as the address was empty at the beginning or a person confirmed it.
+    ``seen``: findings on the wire, each once, in order."""
+
+    bus: str
+    unit: int
+    who: str
+    source: SwapSource | None
+    began_at: UnixTime
+    is_new: bool = False
+    seen: list[Message] = field(default_factory=list)
+    restore: Restore | None = None
+    proven: bool = False
+    state: SwapState | None = None
+    """What the last look showed."""
+    look: asyncio.Task[SwapState] | None = None
+
+    def saw(self, state: SwapState) -> bool:
+        """The wire was looked at; whether it showed anything new."""
+        self.state = state
+        before = self.is_new, len(self.seen)
+        if state.at_target == "silent":
+            self.is_new = True
+        found = finding(state)
+        if not self.seen or self.seen[-1] != found:
+            self.seen.append(found)
+        return before != (self.is_new, len(self.seen))
+
+    @property
+    def equal(self) -> bool | None:
+        """Whether the spare equals the set, by the full read after the last restore."""
+        if self.proven:
+            return True
+        if self.restore is None or self.restore.state == "planned":
+            return None
+        return self.restore.state == "equal"
+
+    @property
+    def not_restored(self) -> list[int]:
+        """The rows of the set that the spare was not given, as it lacks them or they were not chosen."""
+        restore = self.restore
+        if restore is None:
+            return []
+        return [
+            left.number
+            for left in restore.left_out
+            if left.reason != "address" and restore.wanted.raw(left.number) is not None
+        ]
+
+    @property
+    def source_message(self) -> Message:
+        """Where its parameters come from."""
+        return Message("swap_sheet") if self.source is None else self.source.message(self.unit)
+
+    @property
+    def story(self) -> Message:
+        """What was seen, in order."""
+        return Message.of("swap_seen", findings=listed(self.seen))
+
+
+_VALUES = ("who", "began_at", "set_id", "set_unit", "is_new", "proven", "restore_id", "seen")
+FindRestore = Callable[[str], Awaitable[Restore | None]]
+
+
+class SwapStore(Tables):
+    """All access to the table of swaps."""
+
+    @writing
+    def save(self, connection: StoreConnection, swap: Swap) -> None:
+        """Store the present state in place of the section's earlier one."""
+        row = (
+            swap.bus,
+            swap.unit,
+            swap.who,
+            swap.began_at,
+            swap.source.set if swap.source else None,
+            swap.source.unit if swap.source else None,
+            swap.is_new,
+            swap.proven,
+            swap.restore.id if swap.restore else None,
+            stored_messages(swap.seen),
+        )
+        connection.execute(upsert("swap", ("bus", "unit"), _VALUES), row)
+
+    @writing
+    def remove(self, connection: StoreConnection, swap: Swap) -> None:
+        connection.execute("DELETE FROM swap WHERE bus = ? AND unit = ?", (swap.bus, swap.unit))
+
+    async def load(self, find_restore: FindRestore) -> list[Swap]:
+        """Return every swap that was not closed, with the restore that it led to."""
+        rows = await self.database.read(_select)
+        for swap, restore_id in rows:
+            swap.restore = await find_restore(restore_id) if restore_id else None
+        return [swap for swap, _ in rows]
+
+
+def _select(connection: StoreConnection) -> list[tuple[Swap, str | None]]:
+    found = connection.execute(
+        "SELECT bus, unit, who, began_at, set_id, set_unit, is_new, proven, seen, restore_id FROM swap"
+    )
+    return [
+        (
+            Swap(
+                bus,
+                unit,
+                who,
+                None if set_id is None else SwapSource(set_id, set_unit),
+                began_at,
+                is_new=bool(is_new),
+                proven=bool(proven),
+                seen=messages_of(seen),
+            ),
+            restore_id,
+        )
+        for bus, unit, who, began_at, set_id, set_unit, is_new, proven, seen, restore_id in found
+    ]
+
 
 LOOK_WAIT_S = 2.0
 """How long a page waits for a probe before it shows the previous finding."""
@@ -47,11 +197,9 @@ class SwapService:
         self._restores = restores
         restores.on_end(self.on_restore_end)
 
-    async def load(self, bus: str) -> None:
-        """Take up, after the restores, what was under way when the last run ended."""
-        self._swaps = {place: swap for place, swap in self._swaps.items() if swap.bus != bus}
-        for swap in await self._store.load(bus, self._restores.find):
-            self._swaps[swap.bus, swap.unit] = swap
+    async def load(self) -> None:
+        """Take up, after the restores, the swaps that were under way when the server ended."""
+        self._swaps = {(swap.bus, swap.unit): swap for swap in await self._store.load(self._restores.find)}
 
     def of(self, bus: str, unit: int) -> Swap | None:
         """The swap of a section, under way or just ended."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from app.core.find.finders import Finders, FixedPlace
 from app.core.web.admission.access import Caller
 from app.core.web.rendering.head_tray import HeadTray, TrayCount
-from app.engineering.tray import adding, pages
+from app.engineering.tray import pages
 from app.engineering.tray.contents import Trays
 from app.feature import Feature, Services
 from bus.instants import monotonic_now
@@ -30,4 +30,4 @@ def make(services: Services) -> None:
     services[Finders].add_links("find_actions", [FixedPlace(Message("find_tray"), "/tray", "SetLine")])
 
 
-FEATURE = Feature(make, (pages.router, adding.router))
+FEATURE = Feature(make, (pages.router,))

@@ -10,7 +10,7 @@ from app.core.find.finders import Finders, FoundPlace, Search, matched
 from app.core.messages import Language
 from app.core.web.rendering.templating import PageHead, Templates
 from app.core.web.services import Registry
-from app.engineering.sets.comparison.drift import BusDrift
+from app.engineering.sets.drift import BusDrift
 from app.feature import Feature, Services
 from app.line.alarms import api, pages
 from app.line.alarms.acts import ACTS

@@ -8,7 +8,7 @@ from app.core.messages import DEFAULT
 from app.core.web.rendering.navigation import PageLines
 from app.core.web.rendering.templating import Templates
 from app.engineering.recipes.book import RecipeBook
-from app.engineering.sets.comparison.drift import BusDrift
+from app.engineering.sets.drift import BusDrift
 from app.feature import Feature, Services
 from app.line.alarms.monitor.line_alarms import LineAlarms
 from app.line.commands.safeguards.service import Safeguards

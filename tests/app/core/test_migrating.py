@@ -13,10 +13,8 @@ from app.core.database import Database
 from app.core.database.messages import UNREADABLE, messages_of, stored_messages
 from app.core.database.migration import MIGRATIONS, migrations_in
 from app.engineering.sets.model import ParameterRow, UnitRows
-from app.engineering.sets.restore.order import Write
-from app.engineering.sets.restore.plan import LeftOut, RestorePlan
-from app.engineering.sets.restore.record import RowResult
-from app.engineering.sets.restore.store import RestoreStore
+from app.engineering.sets.restore_plan import LeftOut, RestorePlan, RowResult, Write
+from app.engineering.sets.restore_service import RestoreStore
 from app.errors import StoreError
 from app.line.commands.service import idempotency
 from bus.messages import Message

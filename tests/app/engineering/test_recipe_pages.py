@@ -79,7 +79,7 @@ async def test_programs_see_what_a_load_would_do_and_what_departed(house: House)
     assert step["effect"]["detail"].startswith("becomes 70.0")
     assert not {"measure", "risks"} & step.keys()
     await house.services[RecipeBook].store.mark_loaded("dry-end", recipe.id, "anna", time.time())
-    await house.services[RecipeBook].load_mark("dry-end")
+    await house.services[RecipeBook].load_marks()
     del bus.units[1]
     [departed] = (await viewer.get("/api/v1/buses/dry-end/recipe")).json()["departed"]
     assert (departed["id"], departed["name"], departed["recipe"]) == (1, "unit 1", "700")

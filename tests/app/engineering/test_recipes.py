@@ -8,7 +8,7 @@ import pytest
 
 from app.core.database import Database
 from app.core.web.admission.access import Person, Role
-from app.engineering.recipes.book import RecipeBook
+from app.engineering.recipes.book import RecipeBook, RecipeStore
 from app.engineering.recipes.rules import (
     NOT_CONFIGURED,
     Recipe,
@@ -17,7 +17,6 @@ from app.engineering.recipes.rules import (
     dry_run,
     setpoints_now,
 )
-from app.engineering.recipes.store import RecipeStore
 from app.errors import Problem
 from app.line.live.state.bus_live import LiveState
 from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
@@ -176,7 +175,7 @@ async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_de
     await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id="one")
     live = a_bus()
     again = RecipeBook(live, {"dry-end": scene.commands}, scene.book.store, scene.events)  # type: ignore[arg-type]
-    await again.load_mark("dry-end")
+    await again.load_marks()
     assert again.loaded_words("dry-end") == ("Kraft 80", [])
     responding(live, commanded=1200)
     assert again.loaded_words("dry-end") == ("Kraft 80", ["Nip"])

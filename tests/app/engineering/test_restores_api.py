@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from app.core.web.admission.access import Role
-from app.engineering.sets.restore.restores import RestoreService
+from app.engineering.sets.restore_service import RestoreService
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, PlayedLine, played_line
 from tests.app.stage import until

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.engineering.sets.batch import BatchRow, refuse_moved, rows_of_batch, write_batch
-from app.engineering.sets.restore.effects import NO_RAMP
+from app.engineering.sets.restore_plan import NO_RAMP
 from app.errors import Problem
 from app.line.live.state.bus_live import LiveState
 from bus.contract import ParameterValue

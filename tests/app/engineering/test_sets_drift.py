@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from app.core.database import Database
-from app.engineering.sets.comparison.drift import BusDrift
+from app.engineering.sets.drift import BusDrift
 from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows
 from app.engineering.sets.store import SetStore
 from app.line.live.screen.sources import Drifted

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from app.core.web.admission.access import Person, Role
-from app.engineering.sets.saving.taking import Takings
+from app.engineering.sets.saving import Takings
 from app.errors import Problem, StoreError
 from bus.messages import Message
 from tests.app.played_commands import ANNA, SetScene

@@ -7,7 +7,7 @@ from itertools import accumulate
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.engineering.sets.restore.order import INVERSE_FOLLOWER, Write, in_order
+from app.engineering.sets.restore_plan import INVERSE_FOLLOWER, Write, in_order
 
 MASTER, FOLLOWER = 0, 1
 Values = dict[int, int]

@@ -9,9 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.engineering.sets.model import ParameterRow, UnitRows
-from app.engineering.sets.restore.effects import NO_RAMP, OPERATING_VALUES, warning_of
-from app.engineering.sets.restore.plan import Selection, plan_restore, refuse_unwritable
-from app.engineering.sets.restore.record import MAY_RUN, RUNS, remarks
+from app.engineering.sets.restore_plan import (
+    MAY_RUN,
+    NO_RAMP,
+    OPERATING_VALUES,
+    RUNS,
+    Selection,
+    plan_restore,
+    refuse_unwritable,
+    remarks,
+    warning_of,
+)
 from app.errors import Problem
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message

@@ -13,12 +13,9 @@ import pytest
 from app.core.database import Database
 from app.core.web.admission.access import Person, Role
 from app.engineering.sets.model import ParameterRow, UnitRows
-from app.engineering.sets.restore.order import Write
-from app.engineering.sets.restore.plan import Selection
-from app.engineering.sets.restore.record import Restore
-from app.engineering.sets.restore.restores import RestoreService
-from app.engineering.sets.restore.store import RestoreStore
-from app.engineering.sets.saving.reading import ParameterReader
+from app.engineering.sets.restore_plan import Restore, Selection, Write
+from app.engineering.sets.restore_service import RestoreService, RestoreStore
+from app.engineering.sets.saving import ParameterReader
 from app.errors import Problem
 from bus.contract import Result, WriteParameter
 from bus.instants import UnixTime
@@ -195,7 +192,7 @@ async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: Set
     await asyncio.wait_for(scene.commands.hanging.wait(), 10)
 
     after = scene.server()
-    await after.load("dry-end")
+    await after.load()
     found = await after.find(killed.id)
     assert found is not None
     assert (found.state, found.who) == ("stopped", "anna")

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from app.core.web.admission.access import Person, Role
-from app.engineering.sets.saving.first_write import FirstWrites
-from app.engineering.sets.saving.schedule import REPORT_AFTER, SetSchedule, due_between
+from app.engineering.sets.saving import REPORT_AFTER, FirstWrites, SetSchedule, due_between
 from app.errors import ConstraintError, Problem
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import UnitLink, UnitLinkState
@@ -37,7 +36,7 @@ class Scene(SetScene):
 @pytest.fixture
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     made = Scene(tmp_path)
-    monkeypatch.setattr("app.engineering.sets.saving.keeper.unix_now", lambda: made.now.timestamp())
+    monkeypatch.setattr("app.engineering.sets.saving.unix_now", lambda: made.now.timestamp())
     yield made
     made.database.close()
 

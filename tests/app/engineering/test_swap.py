@@ -12,17 +12,13 @@ import pytest
 
 from app.core.database import Database
 from app.core.web.admission.access import Person, Role
-from app.engineering.sets.comparison.sides import offers
+from app.engineering.sets.lookup import offers
 from app.engineering.sets.model import ParameterRow, ParameterSet, ParameterSetSummary, UnitRows
-from app.engineering.sets.restore.order import Write
-from app.engineering.sets.restore.plan import LeftOut, RestorePlan
-from app.engineering.sets.restore.record import Restore, RestoreState, RowResult
-from app.engineering.sets.restore.restores import EndSubscriber
+from app.engineering.sets.restore_plan import LeftOut, Restore, RestorePlan, RestoreState, RowResult, Write
+from app.engineering.sets.restore_service import EndSubscriber
 from app.engineering.sets.store import SetStore
-from app.engineering.swap.record import Swap, SwapSource
 from app.engineering.swap.rules import PROVEN, STEPS, ProbeFinding, SwapState, advice, done_steps
-from app.engineering.swap.service import MAX_PROBES, SwapService, look, step_text
-from app.engineering.swap.store import SwapStore
+from app.engineering.swap.service import MAX_PROBES, Swap, SwapService, SwapSource, SwapStore, look, step_text
 from app.errors import Problem
 from app.line.live.state.bus_live import LiveState
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
@@ -209,7 +205,7 @@ async def test_a_closed_swap_stays_closed_while_its_unit_is_read(scene: Scene) -
             await step
         assert refused.value.status == 404
     later = scene.another()
-    await later.load("dry-end")
+    await later.load()
     assert (later.of("dry-end", 2), swap.proven) == (None, False)
     assert [event["what"] for event in scene.events.events][-1] == "unit replacement canceled"
 
@@ -222,7 +218,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
 
     scene.restores[restore.id] = restore
     again = scene.another()
-    await again.load("dry-end")
+    await again.load()
     known = again.of_or_404("dry-end", 2)
     assert (known.who, known.began_at, known.source) == ("anna", 100.0, SwapSource(1, 2))
     assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
@@ -230,7 +226,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
         await again.begin(ANNA, "dry-end", 2, None)
     await again.cancel(ANNA, known)
     later = scene.another()
-    await later.load("dry-end")
+    await later.load()
     assert later.of("dry-end", 2) is None
 
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from app.engineering.tray.rows import Judge, TrayRow, Unable, unable_units
+from app.engineering.tray.contents import Judge, TrayRow, Unable, unable_units
 from app.line.commands.review import change_of
 from app.line.commands.safeguards.limits import NO_LIMITS
 from app.line.commands.undo.changes import ValuePlace, value_now

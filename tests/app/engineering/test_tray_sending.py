@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import pytest
 
 from app.core.web.admission.access import Person, Role
-from app.engineering.tray.sending import TrayResult, send_changes
+from app.engineering.tray.own_tray import TrayResult, send_changes
 from app.line.commands.undo.changes import ValuePlace, Values, values_set
 from app.people.audit.queries import Filter
 from bus.contract import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.engineering.sets.unit_ranges import TO, unit_ranges
+from app.engineering.sets.pages import TO, unit_ranges
 
 NAMES = {1: "Unwind", 2: "Infeed nip", 4: "Dryer 1", 5: "Dryer 2", 6: "Dryer 3", 7: "Dryer 9", 9: "Rewind"}
 

@@ -10,7 +10,7 @@ from app.core.web.admission.access import Person, Role
 from app.core.web.rendering.assets import Assets, static_dir, templates_dir
 from app.core.web.rendering.templating import Templates
 from app.engineering.sets.batch import rows_of_batch, write_batch
-from app.engineering.sets.saving.schedule import SERVER
+from app.engineering.sets.saving import SERVER
 from app.errors import Problem
 from app.line.commands.catalogue import (
     COMMANDS,

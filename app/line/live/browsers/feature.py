@@ -8,7 +8,7 @@ from app.core.database.reserve import Reserve
 from app.core.messages import DEFAULT
 from app.core.web.rendering.templating import Templates
 from app.engineering.recipes.book import RecipeBook
-from app.engineering.sets.comparison.drift import BusDrift
+from app.engineering.sets.drift import BusDrift
 from app.feature import Feature, Services
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.api import AlarmShown, alarm_json

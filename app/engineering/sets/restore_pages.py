@@ -9,16 +9,11 @@ from starlette.responses import RedirectResponse
 
 from app.core.web.admission.access import Person
 from app.core.web.rendering.templating import render
-from app.engineering.sets.acts import CANCEL, START
-from app.engineering.sets.comparison.compare import compare
-from app.engineering.sets.comparison.sides import offers, side
-from app.engineering.sets.lookup import FILE_FORM, Chosen, KnownRestore, Restores, Sets
-from app.engineering.sets.restore.api import Planner
-from app.engineering.sets.restore.effects import OPERATING_VALUES
-from app.engineering.sets.restore.plan import Selection
-from app.engineering.sets.restore.record import Restore
-from app.engineering.sets.restore.restores import RestoreService
-from app.engineering.sets.restore.view import rows_left_out, rows_to_write
+from app.engineering.sets.lookup import FILE_FORM, Chosen, KnownRestore, Restores, Sets, offers, side
+from app.engineering.sets.model import compare
+from app.engineering.sets.restore_api import Planner, rows_left_out, rows_to_write
+from app.engineering.sets.restore_plan import OPERATING_VALUES, Restore, Selection
+from app.engineering.sets.restore_service import CANCEL, START, RestoreService
 from app.errors import Problem
 from app.line.live.api.routes import Live
 from app.line.live.lookup import unit_or_404

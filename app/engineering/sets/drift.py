@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from app.core.lifespan import Background
 from app.core.web.rendering.formats import Formats
-from app.engineering.sets.comparison.compare import ParameterDifference, drift
-from app.engineering.sets.model import ParameterRow, UnitRows
-from app.engineering.sets.saving.background import Background
-from app.engineering.sets.saving.reading import known_rows
+from app.engineering.sets.model import ParameterDifference, ParameterRow, UnitRows, differences, known_rows
+from app.engineering.sets.restore_plan import OPERATING_VALUES
 from app.engineering.sets.store import SetStore
 from app.line.live.screen.fields import Translator
 from app.line.live.screen.sources import Drifted, UnitSubscriber
@@ -118,7 +117,7 @@ class BusDrift:
             known_rows(self._live.units[unit]),
         )
         found: dict[int, DriftedParameter] = {}
-        for row in drift(golden, present):
+        for row in departures_of(golden, present):
             one = DriftedParameter(row, golden.rows[row.number], present.rows[row.number])
             earlier = known.get(row.number)
             if earlier is not None and earlier.is_of_same_value(one):
@@ -141,6 +140,11 @@ class BusDrift:
         if self.of(unit) != before:
             for subscriber in self._subscribers:
                 subscriber(unit)
+
+
+def departures_of(golden: UnitRows, live: UnitRows) -> list[ParameterDifference]:
+    """Rows in which a live unit departs from its golden set; setpoints do not count."""
+    return [row for row in differences(golden, live) if row.number not in OPERATING_VALUES]
 
 
 def _summary(found: list[DriftedParameter], formats: Formats, now: UnixTime) -> Message:

@@ -1,1 +1,0 @@
-"""Differences of sets and units, and the drift of units from their golden sets."""

@@ -1,0 +1,447 @@
+"""What writing a parameter does to a machine that runs. Pure.
+
+Orders the rows of a restore so that no intermediate state is worse than its start or end. Pure.
+
+Each row takes effect at once, so a unit runs for a moment on a mixture of old and new values. Bounds are
+widened before the values that they bound and narrowed after them. What slows a running unit comes before
+what makes it faster: on the way it is never faster than before or afterwards.
+
+Plans a restore: which rows it writes, in which order, and what it leaves out. Pure.
+
+One restore of one unit: its risks, what each row became, and what a full read found. Pure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Literal
+
+from app.engineering.sets.model import ParameterDifference, UnitRows, differences
+from app.errors import Problem
+from bus.catalogue import numbers
+from bus.catalogue.numbers import CONTROL_MODE, FOLLOWER_MODE
+from bus.catalogue.parameter import check_writable_value, danger_of_writing
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import Outcome
+from bus.errors import CallerError
+from bus.instants import UnixTime
+from bus.messages import Message, joined, listed, parameter_name, term
+
+Effect = Literal[
+    "setpoint", "speed_scale", "ramp", "contact", "ratio_limit", "meaning", "analog_output", "unknown"
+]
+
+OPERATING_VALUES = frozenset({numbers.SPEED_SETPOINT, numbers.RATIO_SETPOINT})
+"""The setpoints. Operators change them every shift: they are no drift, and a restore writes one only when
+it was selected by name."""
+
+_PARAMETERS: Mapping[Effect, Collection[int]] = {
+    "setpoint": OPERATING_VALUES,
+    # The motor speed is the setpoint * #1 / #2, by the pulses of #5, and #4 in a follower (protocol.md, 3).
+    "speed_scale": (numbers.MAX_RPM, numbers.MAX_DISPLAY, numbers.BASE_RATIO, numbers.ENCODER_PPR),
+    "ramp": (numbers.ACCELERATION, numbers.DECELERATION),
+    "contact": (numbers.PRESET_SPEED, numbers.JUMP_UP, numbers.JUMP_DOWN, numbers.JUMP_MODE),
+    "ratio_limit": (numbers.MAX_RATIO, numbers.MIN_RATIO),
+    "meaning": (numbers.DECIMALS, numbers.FOLLOWER_MODE),
+    "analog_output": (numbers.ANALOG_OUT_SOURCE, numbers.ANALOG_OUT_LOW, numbers.ANALOG_OUT_HIGH),
+    # The manual names these and does not explain them (4.0); inputs and trim may act on the speed.
+    "unknown": (
+        *(numbers.FREEZE_MODE, numbers.ANALOG_IN_TRIM, numbers.INSTALLED_OPTION),
+        *(numbers.PRESET_INPUT_MODE, numbers.REVERSE_INPUT_MODE),
+        *(numbers.UP_INPUT_MODE, numbers.DOWN_INPUT_MODE),
+    ),
+}
+EFFECTS: Mapping[int, Effect] = {
+    number: effect for effect, affecting in _PARAMETERS.items() for number in affecting
+}
+"""By number the effect on a running unit; a parameter that is not listed changes nothing at the machine."""
+
+NO_RAMP = Message("effect_no_ramp")
+
+
+def effect_message(effect: Effect) -> Message:
+    return Message(f"effect_{effect}")
+
+
+def warning_of(number: int, raw: int, *, running: bool | None) -> Message | None:
+    """What a person must know before ``raw`` is written; None where there is nothing to fear at the machine.
+
+    ``running``: the Run input of the unit (None: not known, taken as running).
+    """
+    effect = EFFECTS.get(number)
+    if effect == "ramp" and raw == 0:
+        return NO_RAMP
+    if effect is None or (running is False and effect != "setpoint"):
+        return None
+    return effect_message(effect)
+
+
+INVERSE_FOLLOWER = 2
+"""#8 of a unit that slows down as its ratio goes up (manual, 4.0)."""
+_MEANING = (numbers.DECIMALS, numbers.FOLLOWER_MODE)
+_MAXIMA, _MINIMA = frozenset({numbers.MAX_DISPLAY, numbers.MAX_RATIO}), frozenset({numbers.MIN_RATIO})
+_FASTER_UPWARD = frozenset(
+    {
+        numbers.MAX_RPM,
+        numbers.BASE_RATIO,
+        numbers.ENCODER_PPR,
+        numbers.PRESET_SPEED,
+        numbers.JUMP_UP,
+        numbers.SPEED_SETPOINT,
+        numbers.RATIO_SETPOINT,
+    }
+)
+_SLOWER_UPWARD = frozenset({numbers.JUMP_DOWN})
+"""The motor speed is the setpoint * #1 / #2 by the pulses of #5; in a follower that of the master * #4 * #37.
+#2 is among the bounds. #9 to #11 take the place of the setpoint, or move it, while their inputs are on."""
+_ENDS_TALK = (numbers.PASSWORD, numbers.PROTOCOL, numbers.BAUD_RATE, numbers.CONTROL_MODE)
+"""What may end the conversation comes when everything else is done."""
+_BOUNDS = ((numbers.ANALOG_IN_LOW, numbers.ANALOG_IN_HIGH), (numbers.ANALOG_OUT_LOW, numbers.ANALOG_OUT_HIGH))
+"""(low, high) pairs whose ends bound each other and nothing else."""
+
+
+@dataclass(frozen=True, slots=True)
+class Write:
+    """One row to write."""
+
+    number: int
+    present: int
+    wanted: int
+
+    @property
+    def up(self) -> bool:
+        """Whether the value grows."""
+        return self.wanted > self.present
+
+
+class _Step(IntEnum):
+    ALLOW_SETUP = 0
+    MEANING = 1
+    WIDEN = 2
+    SLOWER = 3
+    OTHERS = 4
+    FASTER = 5
+    NARROW = 6
+    FORBID_SETUP = 7
+    ENDS_TALK = 8
+
+
+def in_order(writes: Iterable[Write], *, mode: int | None) -> tuple[Write, ...]:
+    """``mode``: #8 of the unit as it is now, None where not known."""
+    ordered = sorted(writes, key=lambda write: _rank(write, mode))
+    for low, high in _BOUNDS:
+        _widen_first(ordered, low, high)
+    return tuple(ordered)
+
+
+def _rank(write: Write, mode: int | None) -> tuple[_Step, int]:
+    number = write.number
+    if number in _MEANING:
+        return _Step.MEANING, _MEANING.index(number)
+    if number in _ENDS_TALK:
+        return _Step.ENDS_TALK, _ENDS_TALK.index(number)
+    return _step(write, mode), number
+
+
+def _step(write: Write, mode: int | None) -> _Step:
+    number = write.number
+    if number == numbers.SETUP_DURING_RUN:
+        return _Step.ALLOW_SETUP if write.wanted else _Step.FORBID_SETUP
+    if number in _MAXIMA:
+        return _Step.WIDEN if write.up else _Step.NARROW
+    if number in _MINIMA:
+        return _Step.NARROW if write.up else _Step.WIDEN
+    if number in _FASTER_UPWARD | _SLOWER_UPWARD:
+        inverse = number in _SLOWER_UPWARD or (number == numbers.RATIO_SETPOINT and mode == INVERSE_FOLLOWER)
+        return _Step.FASTER if write.up != inverse else _Step.SLOWER
+    return _Step.OTHERS
+
+
+def _widen_first(ordered: list[Write], low: int, high: int) -> None:
+    """Exchange the two where the present order would lead to low > high on the way."""
+    at = {write.number: index for index, write in enumerate(ordered) if write.number in (low, high)}
+    if len(at) < 2:
+        return
+    lower, upper = ordered[at[low]], ordered[at[high]]
+    wanted_first = upper if lower.wanted > upper.present else lower
+    first, second = sorted(at.values())
+    ordered[first] = wanted_first
+    ordered[second] = lower if wanted_first is upper else upper
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """The selected rows, by number. ``include``: rows that are left out unless named; ``exclude``:
+    rows not to write; ``confirmed``: dangerous rows to write, each confirmed separately.
+
+    Raises Problem 422 for a row that is both named and excluded.
+    """
+
+    include: frozenset[int] = frozenset()
+    exclude: frozenset[int] = frozenset()
+    confirmed: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        both = sorted(self.exclude & (self.include | self.confirmed))
+        if both:
+            raise Problem(422, "invalid", Message.of("row_included_and_excluded", number=both[0]))
+
+    def choosing(self, include: frozenset[int], exclude: frozenset[int]) -> Selection:
+        """Another choice of rows; what was confirmed stays so unless it is excluded now."""
+        return replace(self, include=include, exclude=exclude, confirmed=self.confirmed - exclude)
+
+
+EVERYTHING_HARMLESS = Selection()
+"""The rows written without a selection: all but setpoints and dangerous ones."""
+
+
+_REMOTE = 1
+"""#19 of a unit that takes writes (manual, 4.0)."""
+
+Reason = Literal[
+    "address",
+    "secret",
+    "not_in_set",
+    "not_in_unit",
+    "not_read",
+    "running",
+    "illegal_value",
+    "dangerous",
+    "not_in_remote",
+    "operating_value",
+    "deselected",
+]
+"""Why a row is left out, for programs."""
+CHOSEN: frozenset[Reason] = frozenset({"operating_value", "deselected"})
+"""Rows that would be written had a person chosen so."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """One row that differs or may differ and is not written; ``text`` is the reason. ``reason`` None: it was
+    left out by a version that did not store the reason."""
+
+    number: int
+    reason: Reason | None
+    text: Message
+
+    @property
+    def later(self) -> bool:
+        """Whether the same restore writes it once a person has set the unit to REMOTE at its panel."""
+        return self.reason == "not_in_remote"
+
+
+@dataclass(frozen=True, slots=True)
+class RestorePlan:
+    """``writes`` in order, ``left_out`` with reasons, ``equal`` rows that need nothing."""
+
+    writes: tuple[Write, ...]
+    left_out: tuple[LeftOut, ...]
+    equal: int
+
+
+def plan_restore(
+    wanted: UnitRows,
+    present: UnitRows,
+    *,
+    running: bool | None,
+    remote: bool | None = None,
+    selection: Selection = EVERYTHING_HARMLESS,
+) -> RestorePlan:
+    """``running``: the Run input of the unit (None: not known, taken as running).
+
+    ``remote``: whether its status is REMOTE (None: not known; then its #19 alone decides).
+    """
+    writes: list[Write] = []
+    left_out: list[LeftOut] = []
+    equal = 0
+    refuses = remote is False or (remote is None and present.raw(CONTROL_MODE) not in (None, _REMOTE))
+    for number in PARAMETERS:
+        new, old = wanted.raw(number), present.raw(number)
+        if new is not None and new == old:
+            equal += 1
+            continue
+        why = _why_not(number, wanted, present, running=running is not False)
+        why = why or _why_not_chosen(number, new or 0, selection)
+        if why is None and refuses:
+            why = LeftOut(number, "not_in_remote", Message("row_not_in_remote"))
+        if why is not None:
+            left_out.append(why)
+        elif new is not None and old is not None:
+            writes.append(Write(number, old, new))
+    return RestorePlan(in_order(writes, mode=present.raw(FOLLOWER_MODE)), tuple(left_out), equal)
+
+
+def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
+    """Raises Problem 409 ``dangerous`` or 422 ``invalid`` for a row that was selected and cannot be
+    written. A unit that is not in REMOTE refuses every row, and the plan states it."""
+    for left in plan.left_out:
+        if left.number not in selection.include or left.later:
+            continue
+        if left.reason == "dangerous":
+            message = Message.of("row_needs_confirmation", number=left.number, why=left.text)
+            raise Problem(409, "dangerous", message)
+        raise Problem(422, "invalid", Message.of("row_not_writable", number=left.number, why=left.text))
+
+
+def _why_not(number: int, wanted: UnitRows, present: UnitRows, *, running: bool) -> LeftOut | None:
+    """Why a row that differs cannot be written, even if selected."""
+    parameter = PARAMETERS[number]
+    there, target = present.rows.get(number), wanted.rows.get(number)
+    if parameter.never_writable:
+        return LeftOut(number, "address", Message("row_address"))
+    if target is None or target.raw is None:
+        return _not_held(number, wanted)
+    if there is not None and not there.available:
+        return LeftOut(number, "not_in_unit", Message("row_not_in_unit"))
+    if there is None or there.raw is None:
+        return LeftOut(number, "not_read", Message("row_not_read"))
+    if number == FOLLOWER_MODE and running:
+        return LeftOut(number, "running", Message("row_running"))
+    try:
+        check_writable_value(parameter, target.raw)
+    except CallerError as error:
+        return LeftOut(number, "illegal_value", error.message)
+    return None
+
+
+def _why_not_chosen(number: int, raw: int, selection: Selection) -> LeftOut | None:
+    danger = danger_of_writing(PARAMETERS[number], raw)
+    if number in selection.exclude:
+        return LeftOut(number, "deselected", Message("row_deselected"))
+    if danger and number not in selection.confirmed:
+        return LeftOut(number, "dangerous", term(danger))
+    if number in OPERATING_VALUES - selection.include:
+        return LeftOut(number, "operating_value", effect_message("setpoint"))
+    return None
+
+
+def _not_held(number: int, wanted: UnitRows) -> LeftOut:
+    row = wanted.rows.get(number)
+    if row is not None and not row.available:
+        return LeftOut(number, "not_in_set", Message("row_lacked_by_source"))
+    if PARAMETERS[number].secret:
+        return LeftOut(number, "secret", Message("row_secret"))
+    return LeftOut(number, "not_in_set", Message("row_not_in_set"))
+
+
+RestoreState = Literal["planned", "running", "proving", "equal", "different", "stopped"]
+UNDER_WAY: frozenset[RestoreState] = frozenset({"running", "proving"})
+_ACCOUNT: dict[str, tuple[Outcome | None, ...]] = {
+    "rows_done": ("verified",),
+    "rows_in_doubt": ("unverified", "acknowledged"),
+    "rows_refused": ("refused", "invalid"),
+    "rows_not_written": (None, "not_sent", "bus_closed"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RowResult:
+    """One row of the plan and, once tried or given up, its outcome."""
+
+    write: Write
+    outcome: Outcome | None = None
+    message: Message | None = None
+    read_back: int | None = None
+
+
+@dataclass(slots=True)
+class Restore:
+    """``wanted``: the requested rows; ``before``: the unit's values; ``proven``: those of a full read
+    afterwards (None until that read). ``running``, ``remote``: the Run input and REMOTE when it was planned,
+    None where not known. ``cause``, ``cause_code``: why it stopped, for people and programs.
+    """
+
+    id: str
+    bus: str
+    unit: int
+    who: str
+    wanted: UnitRows
+    before: UnitRows
+    plan: RestorePlan
+    rows: list[RowResult]
+    planned_at: UnixTime
+    state: RestoreState = "planned"
+    cause: Message | None = None
+    cause_code: str | None = None
+    proven: UnitRows | None = None
+    selection: Selection = EVERYTHING_HARMLESS
+    running: bool | None = None
+    remote: bool | None = None
+    cancelled_by: str = ""
+    """The user who stopped it after the current row."""
+    for_swap: bool = False
+    """Whether it makes a spare of the unit."""
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Rows named beforehand as not written."""
+        return self.plan.left_out
+
+    @property
+    def offered(self) -> list[tuple[Write, LeftOut]]:
+        """Rows that a person may still choose to write, with the reason why they are left out."""
+        return [
+            (Write(left.number, present, wanted), left)
+            for left in self.left_out
+            if left.reason in CHOSEN
+            and (present := self.before.raw(left.number)) is not None
+            and (wanted := self.wanted.raw(left.number)) is not None
+        ]
+
+    @property
+    def remarks(self) -> list[Message]:
+        """Remarks on the set and the unit, shown before anything is written."""
+        return remarks(self.wanted, self.before, running=self.running, writes=self.plan.writes)
+
+    @property
+    def done(self) -> int:
+        return sum(row.outcome is not None for row in self.rows)
+
+    @property
+    def remaining(self) -> list[ParameterDifference] | None:
+        """What the full read still finds different, without what can never be written here."""
+        if self.proven is None:
+            return None
+        never = {left.number for left in self.left_out if not left.later}
+        return [row for row in differences(self.wanted, self.proven) if row.number not in never]
+
+    def stop(self, code: str, cause: Message) -> None:
+        """End it before its time: every row without an outcome was not sent."""
+        self.state, self.cause_code, self.cause = "stopped", code, cause
+        self.rows = [row if row.outcome else replace(row, outcome="not_sent") for row in self.rows]
+
+    def account(self) -> Message | None:
+        """Which rows were written and verified, which are unverified or refused, which were not tried."""
+        return joined(
+            Message(code, {"rows": listed([parameter_name(number) for number in numbers])})
+            for code, outcomes in _ACCOUNT.items()
+            if (numbers := [row.write.number for row in self.rows if row.outcome in outcomes])
+        )
+
+
+RUNS = Message("restore_runs")
+MAY_RUN = Message("restore_may_run")
+
+
+def remarks(
+    wanted: UnitRows, present: UnitRows, *, running: bool | None, writes: Iterable[Write]
+) -> list[Message]:
+    """Whether the machine runs, whose set it is, and of what kind. ``running``: the Run input of the unit,
+    None where not known."""
+    found: list[Message] = []
+    warnings = (warning_of(write.number, write.wanted, running=running) for write in writes)
+    if running is not False and any(warnings):
+        found.append(MAY_RUN if running is None else RUNS)
+    if wanted.unit != present.unit:
+        found.append(Message.of("restore_of_other_unit", unit=wanted.unit, present=present.unit))
+    kinds = [rows.raw(FOLLOWER_MODE) for rows in (wanted, present)]
+    if None not in kinds and (kinds[0] == 0) != (kinds[1] == 0):
+        found.append(Message("restore_of_master" if kinds[0] == 0 else "restore_of_follower"))
+    for rows, code in ((wanted, "restore_source_lacks"), (present, "restore_unit_lacks")):
+        lacks = sum(not row.available for row in rows.rows.values())
+        if lacks:
+            found.append(Message(code, {"count": len(rows.rows) - lacks, "all": len(PARAMETERS)}))
+    return found
