@@ -170,7 +170,7 @@ async def test_a_restore_of_an_earlier_version_stays_as_it_was(tmp_path: Path) -
             old.write_now(lambda c, insert=insert, row=row: c.execute(insert, row))  # type: ignore[misc]
     with closing(Database(path)) as new:
         later, restore = await RestoreStore(new).of_unit("b", 2)
-        assert [one.id for one in await RestoreStore(new).under_way("b")] == ["s"]
+        assert [one.id for one in await RestoreStore(new).under_way()] == ["s"]
     address, remote = LeftOut(17, "address", Message("row_address")), LeftOut(12, "not_in_remote", UNREADABLE)
     assert (later.state, later.rows, later.plan, later.proven) == (
         "running",
