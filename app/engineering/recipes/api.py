@@ -101,6 +101,18 @@ class LoadedRecipe(TypedDict):
     departed: list[RecipeDeparture]
 
 
+MAX_LOADS = 1000
+"""Loads of recipes that are searched for an earlier run."""
+
+
+class RecipeRuns(TypedDict):
+    """The run of a recipe at a time, and the one of the same recipe before it."""
+
+    name: str
+    loaded: Annotated[Instant, Field(description="When it was loaded, ISO 8601.")]
+    before: Annotated[MaybeInstant, Field(description="When its run before began; null: it had none.")]
+
+
 Book = Annotated[RecipeBook, service(RecipeBook)]
 
 
@@ -228,18 +240,6 @@ def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
     if wrong is not None:
         raise Problem(422, "invalid", Message.of("not_a_unit_address", text=wrong))
     return {int(key): raw for key, raw in given.items()}
-
-
-MAX_LOADS = 1000
-"""Loads of recipes that are searched for an earlier run."""
-
-
-class RecipeRuns(TypedDict):
-    """The run of a recipe at a time, and the one of the same recipe before it."""
-
-    name: str
-    loaded: Annotated[Instant, Field(description="When it was loaded, ISO 8601.")]
-    before: Annotated[MaybeInstant, Field(description="When its run before began; null: it had none.")]
 
 
 def runs_of(loads: Sequence[Event]) -> RecipeRuns | None:
