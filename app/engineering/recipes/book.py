@@ -249,8 +249,8 @@ class RecipeBook:
         return result
 
     async def _is_repeated(self, person: Person, bus: str, command_id: str) -> bool:
-        is_known = await self._commands[bus].has_taken(person, command_id)
-        return is_known or (person.sender, command_id) in self._under_way
+        key = await self._commands[bus].look_up(person, command_id)
+        return key.is_used or (person.sender, command_id) in self._under_way
 
     async def _send(
         self,

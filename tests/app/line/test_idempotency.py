@@ -76,10 +76,10 @@ async def test_a_command_refused_before_sending_may_be_repeated(stage: Stage, wo
 async def test_a_form_is_known_as_sent_after_a_restart_too(stage: Stage, worker: PlayedWorker) -> None:
     """A page judges a form by the line as it is only where its command was not sent."""
     worker.play = responding("verified")
-    assert not await stage.commands.has_taken(ANNA, "mine")
+    assert not (await stage.commands.look_up(ANNA, "mine")).is_used
     await stage.commands.send(ANNA, COMMAND, id="mine")
     again = restarted(stage)
-    assert [await again.has_taken(person, "mine") for person in (ANNA, BEN)] == [True, False]
+    assert [(await again.look_up(person, "mine")).is_used for person in (ANNA, BEN)] == [True, False]
 
 
 BEN = Person("ben", Role.ENGINEER, "session")

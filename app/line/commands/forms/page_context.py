@@ -36,6 +36,7 @@ from app.line.commands.rules import slows_all
 from app.line.commands.safeguards.limits import Limits
 from app.line.commands.safeguards.service import Safeguards
 from app.line.commands.service.command_service import CommandService
+from app.line.commands.service.idempotency import CommandKey
 from app.line.commands.service.value_converter import ValueConverter
 from app.line.commands.values import Scales, parse_scale, setpoint_message
 from app.line.live.browsers.hub import Hub
@@ -151,6 +152,7 @@ class BusPage(PageContext):
         self.bus = bus_service_of(request, bus, BusLive)
         self.commands = bus_service_of(request, bus, CommandService)
         self.guards = bus_service_of(request, bus, Safeguards)
+        self._key = CommandKey("")
 
     def shown(self, unit: int) -> UnitOnLine:
         """A unit as the templates want it."""
@@ -217,7 +219,7 @@ class BusPage(PageContext):
             action,
             deadline=deadline,
             confirm=True,
-            id=id,
+            id=await self._look_up(id),
             origin="page",
             undoes=undoes,
             scales=scales,
@@ -225,7 +227,14 @@ class BusPage(PageContext):
 
     async def has_sent(self, id: str) -> bool:
         """Whether the form was sent before: its command is not judged again, its result is shown."""
-        return await self.commands.has_taken(self.person, id)
+        return (await self._look_up(id)).is_used
+
+    async def _look_up(self, id: str) -> CommandKey:
+        """Look up an id, once in a request."""
+        key = self._key
+        if key.id != id:
+            key = self._key = await self.commands.look_up(self.person, id)
+        return key
 
     async def carry_out(
         self, action: Action, confirmation: Confirmation, scales: Scales | None = None

@@ -20,7 +20,7 @@ from app.line.commands.rules import Moves, RuleContext, commanded_setpoint, kind
 from app.line.commands.safeguards.control import controlled
 from app.line.commands.safeguards.service import Safeguards
 from app.line.commands.service.command_request import CommandOrigin, CommandRequest, without_secret
-from app.line.commands.service.idempotency import IdempotencyCache, KeptCommand, refuse_other
+from app.line.commands.service.idempotency import CommandKey, IdempotencyCache, KeptCommand, refuse_other
 from app.line.commands.service.prior_read import UnreadError, read_values, unread, unread_by_unit
 from app.line.commands.service.record import CommandRecord
 from app.line.commands.service.undoing import Undoing
@@ -91,13 +91,14 @@ class CommandService:
         deadline: Deadline | None = None,
         timeout_s: float | None = None,
         confirm: bool = False,
-        id: str | None = None,
+        id: str | CommandKey | None = None,
         origin: CommandOrigin | Message = "api",
         undoes: str = "",
         scales: Scales | None = None,
     ) -> Result:
         """Send ``action`` and return its one result; the same ``id`` returns the same result again. An id
-        belongs to its sender: the same id of another sender is another command.
+        belongs to its sender: the same id of another sender is another command. It is looked up here, unless
+        that was done with `look_up`.
 
         ``scales``: what its values were shown and typed with, where they were not given raw; a unit that has
         another scale by now is not written, and the result is *refused*.
@@ -113,13 +114,11 @@ class CommandService:
         """
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
-        id = id or None
-        kept = self._cache.find(person, id)
-        if kept is None and id is not None:
-            earlier = await self._record.earlier(person, id, self._bus, action)
-            kept = self._cache.find(person, id)
-            if kept is None and earlier is not None:
-                return msgspec.structs.replace(earlier, id=id)
+        key = id if isinstance(id, CommandKey) else await self.look_up(person, id or "")
+        id, kept = key.id or None, key.kept
+        if key.stored is not None:
+            earlier = self._record.result_of(key.stored, key.id, self._bus, action)
+            return msgspec.structs.replace(earlier, id=id)
         if kept is None:
             timeout_s = timeout_s or kind_of_command(action).timeout_s(action, self._live)
             deadline = deadline or Deadline.within(timeout_s)
@@ -134,10 +133,15 @@ class CommandService:
         result = await asyncio.shield(kept.result)
         return result if id is None else msgspec.structs.replace(result, id=id)
 
-    async def has_taken(self, person: Person, id: str) -> bool:
-        """Whether this person has sent a command with this id, also before a restart: :meth:`send` gives its
-        result again."""
-        return self._cache.find(person, id) is not None or await self._record.has(person, id)
+    async def look_up(self, person: Person, id: str) -> CommandKey:
+        """Look up the command that this person has sent with an id, also before a restart; an empty id names
+        none. Pass the key to :meth:`send`, which gives the result of that command again."""
+        kept = self._cache.find(person, id)
+        if kept is not None or not id:
+            return CommandKey(id, kept)
+        stored = await self._record.earlier(person, id)
+        kept = self._cache.find(person, id)
+        return CommandKey(id, kept, None if kept is not None else stored)
 
     async def reserve(self) -> None:
         """A user may be about to write: reserve the next turn of the wire."""

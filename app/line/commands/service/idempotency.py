@@ -127,6 +127,21 @@ class KeptCommand:
     result: asyncio.Task[Result]
 
 
+@dataclass(frozen=True, slots=True)
+class CommandKey:
+    """The id that a sender has given a command, looked up. At most one is there: ``kept``, the command with
+    this id that this server has taken, or ``stored``, one from before its start."""
+
+    id: str
+    kept: KeptCommand | None = None
+    stored: Earlier | None = None
+
+    @property
+    def is_used(self) -> bool:
+        """Whether the sender has sent a command with this id before."""
+        return self.kept is not None or self.stored is not None
+
+
 class IdempotencyCache:
     """One for the site: a key belongs to its sender, whichever bus the command is for."""
 
@@ -134,8 +149,8 @@ class IdempotencyCache:
         self._kept: OrderedDict[tuple[str, str], KeptCommand] = OrderedDict()
 
     def find(self, person: Person, key: str | None) -> KeptCommand | None:
-        """The command that this sender gave this key; None without one."""
-        return None if key is None else self._kept.get((person.sender, key))
+        """Return the command that this sender gave this key; None without one."""
+        return self._kept.get((person.sender, key)) if key else None
 
     def keep(self, person: Person, key: str, command: KeptCommand) -> None:
         place = (person.sender, key)

@@ -46,22 +46,16 @@ class CommandRecord:
         self._database = database
         self._now = now
 
-    async def earlier(self, person: Person, key: str, bus: str, action: Action) -> Result | None:
-        """The result of this sender's earlier command with this key, also from before a restart. Raises
-        Problem 422 where it was another command."""
-        found = await self._find(person.sender, key)
-        if found is None:
-            return None
+    async def earlier(self, person: Person, key: str) -> idempotency.Earlier | None:
+        """Return this sender's earlier command with this key, also from before a restart."""
+        return await self._database.read(lambda store: idempotency.find(store, person.sender, key))
+
+    def result_of(self, earlier: idempotency.Earlier, key: str, bus: str, action: Action) -> Result:
+        """Return the result of an earlier command with this key. Raises Problem 422 where it was not this
+        action."""
         ring = self._events.keys.ring
-        idempotency.refuse_other(key, same=idempotency.is_digest_of(found.command, ring, bus, action))
-        return found.result
-
-    async def has(self, person: Person, key: str) -> bool:
-        """Whether this sender has used the key, also before a restart."""
-        return await self._find(person.sender, key) is not None
-
-    async def _find(self, sender: str, key: str) -> idempotency.Earlier | None:
-        return await self._database.read(lambda store: idempotency.find(store, sender, key))
+        idempotency.refuse_other(key, same=idempotency.is_digest_of(earlier.command, ring, bus, action))
+        return earlier.result
 
     async def intend(self, request: CommandRequest, live: BusLive) -> Intent:
         """On disk when this returns. Raises StoreError, and then nothing may be sent."""
