@@ -1,7 +1,8 @@
-"""``python -m docs.generated``: write the chapters on the command line and the metrics, from the code."""
+"""``python -m docs.generated``: write the chapters on command line and metrics, and the table of roles."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +12,10 @@ from typing import Any, cast
 import click
 
 from app.cli import cli
+from app.core.web.admission.access import PEOPLE_ROLES, Role
+from app.line.commands.catalogue import COMMANDS
 from app.line.history.status import HistoryStatus
+from app.main import FEATURES
 from app.people.audit.anchor import AnchorStatus
 from app.system.metrics.families import LineCollector
 from app.system.metrics.sources import OUTCOMES, MetricSources
@@ -19,6 +23,8 @@ from app.system.postgresql.status import PublisherStatus
 from bus.instants import UnixTime
 
 GUIDE = Path(__file__).parent / "guide"
+SECURITY = Path(__file__).parent / "security.md"
+ROLES_HEAD = "| role | may |\n|---|---|\n"
 SUFFIX = {"counter": "_total", "info": "_info"}
 """What Prometheus adds to the name of a metric of a type."""
 COMMAND_LINE = """# The command line
@@ -116,7 +122,30 @@ def _nothing() -> MetricSources:
     return MetricSources(**cast(dict[str, Any], sources))
 
 
-CHAPTERS = {GUIDE / "command-line.md": command_line, GUIDE / "metrics.md": metrics}
+def security() -> str:
+    """The chapter on security, its table of roles from the acts and commands that there are."""
+    before, head, rest = SECURITY.read_text(encoding="utf-8").partition(ROLES_HEAD)
+    after = rest.partition("\n\n")[2]
+    rows = "\n".join(f"| {role} | {_operations(role)} |" for role in PEOPLE_ROLES)
+    return f"{before}{head}{rows}\n\n{after}"
+
+
+def _operations(role: Role) -> str:
+    names = [act.name for feature in FEATURES for act in feature.acts if act.role == role]
+    names += [_snake(request.__name__) for request, kind in COMMANDS.items() if kind.role == role]
+    reads = ["read everything but secrets, accounts and the configuration"] if role == Role.VIEWER else []
+    return ", ".join([*reads, *(f"`{name}`" for name in sorted(names))])
+
+
+def _snake(name: str) -> str:
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
+
+
+CHAPTERS = {
+    GUIDE / "command-line.md": command_line,
+    GUIDE / "metrics.md": metrics,
+    SECURITY: security,
+}
 
 if __name__ == "__main__":
     for path, written in CHAPTERS.items():

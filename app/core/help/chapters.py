@@ -72,6 +72,7 @@ CHAPTERS = (
     Chapter("guide/protocol.md", LOOK_UP),
     Chapter("glossary.md", LOOK_UP),
     Chapter("safety.md", UNDERSTAND),
+    Chapter("security.md", UNDERSTAND),
     Chapter("audit.md", UNDERSTAND),
     Chapter("architecture.md", UNDERSTAND),
 )
