@@ -244,7 +244,7 @@ async def test_a_write_requires_its_role_its_key_and_its_turn_once(tmp_path: Pat
         "app.line.commands.service.record.CommandRecord.earlier",
         "app.line.commands.service.writer._Writes.grant",
         "app.line.commands.service.command_service.CommandService.reserve",
-        "app.line.commands.safeguards.control.Control.use",
+        "app.line.commands.control.Control.use",
     ]
     assert [calls.counts[name] for name in required_once] == [1] * len(required_once)
 

@@ -16,8 +16,8 @@ from app.engineering.sets.saving import ParameterReader, SetKeeper
 from app.engineering.sets.store import SetStore
 from app.errors import Problem
 from app.line.commands import catalogue
+from app.line.commands.limits import NO_LIMITS
 from app.line.commands.rules import RuleContext
-from app.line.commands.safeguards.limits import NO_LIMITS
 from app.line.commands.service.command_service import WriteSubscriber
 from app.line.commands.service.idempotency import CommandKey
 from app.line.live.state.bus_live import LiveState

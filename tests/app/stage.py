@@ -30,7 +30,7 @@ from app.core.web.services import Registry
 from app.line.commands.api.commands import router as commands_router
 from app.line.commands.api.safeguards import router as safeguards_router
 from app.line.commands.api.trace import router as trace_router
-from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.safeguards import Safeguards
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.service.idempotency import IdempotencyCache
 from app.line.commands.service.record import CommandRecord

@@ -8,10 +8,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-import app.line.commands.safeguards.service as service_module
+import app.line.commands.safeguards as service_module
 from app.core.web.admission.access import Role
-from app.line.commands.safeguards.control import REQUEST_LAPSES_AFTER_S
-from app.line.commands.safeguards.service import MAX_REQUESTS
+from app.line.commands.control import REQUEST_LAPSES_AFTER_S
+from app.line.commands.safeguards import MAX_REQUESTS
 from app.people.auth.accounts import Accounts
 from bus.instants import monotonic_now
 from tests.administrator import BY

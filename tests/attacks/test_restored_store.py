@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from app.cli import cli
 from app.core.database import Database
 from app.core.web.admission.access import Role
-from app.line.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
+from app.line.commands.limits import CommandBlock, Limits, Restrictions
 from app.people.audit.keys import open_keys
 from app.people.audit.log import EventLog
 from app.people.audit.proof import heads_of
@@ -197,8 +197,8 @@ def test_without_an_admin_it_prints_how_to_make_one(plant: Plant) -> None:
 
 def test_blocks_and_limits_of_now_stay_in_force(plant: Plant) -> None:
     async def protect(_: Accounts, database: Database) -> None:
-        await BlockStore(database, "dry-end").put(2, CommandBlock("belt off", "ann", 1.0))
-        await LimitsStore(database, "dry-end").put(2, Limits(highest=500), "ann", 1.0)
+        await Restrictions(database, "dry-end").put_block(2, CommandBlock("belt off", "ann", 1.0))
+        await Restrictions(database, "dry-end").put_limits(2, Limits(highest=500), "ann", 1.0)
 
     plant.change(protect)
     plant.restore()

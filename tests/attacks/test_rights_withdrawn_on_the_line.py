@@ -12,7 +12,7 @@ from app.core.web.admission.access import Role
 from app.engineering.recipes.book import RecipeBook
 from app.engineering.sets.saving import SERVER, SetSchedule, Takings
 from app.engineering.sets.store import SetStore
-from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.safeguards import Safeguards
 from app.people.audit.entry import Event
 from app.people.audit.log import EventLog
 from tests.app.complete_app import House, complete_app

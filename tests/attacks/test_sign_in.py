@@ -16,7 +16,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from app.core.database import Database
 from app.core.web.admission.access import Role
-from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.safeguards import Safeguards
 from app.main import create_app
 from app.people.audit.log import CHUNK, EventLog
 from app.people.auth.accounts import Accounts

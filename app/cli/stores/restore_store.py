@@ -25,7 +25,7 @@ from app.core.database.migration import COMPANIONS, is_store
 from app.core.database.private import make_private, refuse_link
 from app.core.database.words import in_words
 from app.errors import StoreError
-from app.line.commands.safeguards.limits import Protection, keep_in_force, read_protection
+from app.line.commands.limits import Protection, keep_in_force, read_protection
 from app.people.audit.anchor import anchor_file, put_aside
 from app.people.audit.chain import Head, newest_of
 from app.people.audit.proof import heads_of

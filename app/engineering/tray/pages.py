@@ -30,6 +30,7 @@ from app.line.commands.catalogue import (
     longest_change_s,
     timeout_s_for,
 )
+from app.line.commands.control import controlled
 from app.line.commands.forms.line_change import followers_of, left_out_of
 from app.line.commands.forms.page_context import BusPage, Confirmed, OfBus, OfUnit, Page, ReviewedScale
 from app.line.commands.forms.undo_shown import UndoShown
@@ -38,7 +39,6 @@ from app.line.commands.pages.parameters import CONFIRMING_WORD, ParameterPath
 from app.line.commands.pages.setpoints import typed_setpoints
 from app.line.commands.pages.speed import explain_setpoint
 from app.line.commands.review import OutcomeText, Tone, by_remark, outcome_text
-from app.line.commands.safeguards.control import controlled
 from app.line.commands.service.writer import ParameterWriter, permitted, permitted_writer
 from app.line.commands.undo.changes import ValuePlace, Values
 from app.line.commands.values import Scales, parameter_message, parse_scale

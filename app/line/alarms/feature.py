@@ -25,7 +25,7 @@ from app.line.alarms.own import api as own_api
 from app.line.alarms.own import pages as own_pages
 from app.line.alarms.own.book import OwnAlarmBook
 from app.line.alarms.simulation.simulator import Simulator
-from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.safeguards import Safeguards
 from app.line.history.service import History
 from app.line.live.browsers.hub import Hub
 from app.line.live.screen.fields import Fields, Translator

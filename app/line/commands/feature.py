@@ -7,7 +7,6 @@ from app.core.find.finders import Finders
 from app.core.web.rendering.head_control import HeadControl
 from app.core.web.rendering.templating import Templates
 from app.feature import Feature, Services
-from app.line.commands.acts import ACTS
 from app.line.commands.api import commands, safeguards, trace
 from app.line.commands.catalogue import ROLES_BY_COMMAND
 from app.line.commands.finding import ParameterFinder
@@ -23,7 +22,7 @@ from app.line.commands.pages import (
     unit,
     zero,
 )
-from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.safeguards import ACTS, Safeguards
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.service.idempotency import IdempotencyCache
 from app.line.commands.service.record import CommandRecord

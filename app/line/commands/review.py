@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Literal, NamedTuple
 
+from app.line.commands.limits import HIGHEST_SETPOINT, Limits
 from app.line.commands.rules import KIND_OF_PARAMETER, commanded_setpoint, kind_of, setpoint_range
-from app.line.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.line.commands.values import (
     in_measure,
     measure_of_setpoint,

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from app.errors import Problem
-from app.line.commands.safeguards.limits import HIGHEST_SETPOINT, CommandBlock, Limits
+from app.line.commands.limits import HIGHEST_SETPOINT, CommandBlock, Limits
 from app.line.live.state.bus_live import BusLive, UnitLive, follower, setpoint_decimals
 from bus.catalogue.numbers import (
     ANALOG_OUT_HIGH,

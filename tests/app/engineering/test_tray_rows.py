@@ -7,8 +7,8 @@ import time
 import pytest
 
 from app.engineering.tray.contents import Judge, TrayRow, Unable, unable_units
+from app.line.commands.limits import NO_LIMITS
 from app.line.commands.review import change_of
-from app.line.commands.safeguards.limits import NO_LIMITS
 from app.line.commands.undo.changes import ValuePlace, value_now
 from app.line.live.state.bus_live import BusLive
 from bus.contract import Action, ParameterValue, WriteParameter

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from app.core.web.admission.arrival import DEFAULT_TIMEOUT_S
 from app.errors import Problem
 from app.line.commands.catalogue import check, longest_change_s, timeout_s_for
+from app.line.commands.limits import HIGHEST_SETPOINT, NO_LIMITS, CommandBlock, Limits
 from app.line.commands.rules import (
     Moves,
     RuleContext,
@@ -21,7 +22,6 @@ from app.line.commands.rules import (
     slows_all,
     unread_for_range,
 )
-from app.line.commands.safeguards.limits import HIGHEST_SETPOINT, NO_LIMITS, CommandBlock, Limits
 from app.line.live.state.bus_live import BusLive, LiveState, UnitLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from app.line.commands.limits import Limits
 from app.line.commands.review import (
     Ramp,
     change_of,
@@ -8,7 +9,6 @@ from app.line.commands.review import (
     ramp_of,
     ramp_parameters_missing,
 )
-from app.line.commands.safeguards.limits import Limits
 from bus.contract import ParameterValue
 from tests.app.screens import line, reading
 

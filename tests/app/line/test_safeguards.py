@@ -14,22 +14,21 @@ import pytest
 from app.core.database import Database, StoreConnection
 from app.core.web.admission.access import Person, Role
 from app.errors import Problem
-from app.line.commands.safeguards import service
-from app.line.commands.safeguards.control import LAPSES_AFTER_S
-from app.line.commands.safeguards.limits import (
+from app.line.commands import safeguards as service
+from app.line.commands.control import LAPSES_AFTER_S
+from app.line.commands.limits import (
     NO_LIMITS,
-    BlockStore,
     CommandBlock,
     Limits,
-    LimitsStore,
     Protection,
+    ReadOnly,
+    Restrictions,
     read_protection,
 )
-from app.line.commands.safeguards.read_only import ReadOnly, ReadOnlyStore
 from app.line.commands.service import command_service
 from app.people.audit.queries import Filter
 from bus.contract import Command, Update
-from bus.instants import Monotonic, UnixTime, unix_now
+from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged, until
 
 
@@ -98,7 +97,8 @@ async def test_a_clock_that_is_set_neither_forgives_movement_nor_ends_control(
     await obeying(stage)
     stage.guards.control.required = True
     anna, ben = (Person(name, Role.OPERATOR, "session") for name in ("anna", "ben"))
-    since = (await stage.guards.take(anna)).since
+    await stage.guards.take(anna)
+    since = stage.guards.holding().since
     await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
     assert await speed(stage, 1100, name="anna") == (200, "verified")
     for module in (command_service, service):
@@ -107,7 +107,7 @@ async def test_a_clock_that_is_set_neither_forgives_movement_nor_ends_control(
     assert (stage.guards.holder(), stage.guards.holding().since) == ("anna", since)
     with pytest.raises(Problem, match="anna"):
         await stage.guards.take(ben)
-    left = stage.guards.lapses_at(stage.guards.holding()) - (time.time() + step_s)
+    left = stage.guards.bus_control().lapses_at - (time.time() + step_s)
     assert LAPSES_AFTER_S - 60 < left <= LAPSES_AFTER_S
 
 
@@ -138,17 +138,17 @@ async def test_what_did_not_move_does_not_count(stage: Stage) -> None:
 
 async def test_limits_keep_the_decimals_they_were_typed_for(stage: Stage) -> None:
     limits = Limits(highest=1500, decimals=1)
-    await stage.guards.limits.put(1, limits, "anna", unix_now())
-    again = LimitsStore(stage.database, "dry-end")
-    await again.load()
-    assert again.of(1) == limits
+    await stage.guards.restrictions.put_limits(1, limits, "anna", unix_now())
+    again = Restrictions(stage.database, "dry-end")
+    await again.load(unix_now(), monotonic_now())
+    assert again.limits(1) == limits
     await stage.request("PUT", "/units/1/limits", {"highest": 1500})
-    await again.load()
-    assert again.of(1) == Limits(highest=1500), "given raw, they hold for every display"
+    await again.load(unix_now(), monotonic_now())
+    assert again.limits(1) == Limits(highest=1500), "given raw, they hold for every display"
 
 
 async def test_what_guards_a_store_of_an_earlier_version_is_read(stage: Stage) -> None:
-    await stage.guards.limits.put(1, Limits(highest=1500), "anna", unix_now())
+    await stage.guards.restrictions.put_limits(1, Limits(highest=1500), "anna", unix_now())
 
     def former(store: StoreConnection) -> Protection:
         store.execute("DROP TABLE limits_scale")
@@ -165,7 +165,7 @@ async def test_what_guards_a_store_of_an_earlier_version_is_read(stage: Stage) -
 )
 async def test_limits_that_make_no_sense_are_refused(stage: Stage, body: dict[str, object]) -> None:
     assert (await stage.request("PUT", "/units/1/limits", body)).status_code == 422
-    assert stage.guards.limits.of(1) == NO_LIMITS
+    assert stage.guards.limits(1) == NO_LIMITS
 
 
 async def test_a_block_is_refused_shown_recorded_and_lifted(stage: Stage) -> None:
@@ -296,18 +296,18 @@ async def test_read_only_survives_a_restart_and_not_its_end(tmp_path: Path) -> N
     database = Database(tmp_path / "lineside.db")
     now, monotonic = UnixTime(1000.0), Monotonic(10.0)
     mode = ReadOnly("why", "anna", now, UnixTime(1060.0))
-    await ReadOnlyStore(database, "b").put(mode, monotonic)
-    stored, other = ReadOnlyStore(database, "b"), ReadOnlyStore(database, "c")
+    await Restrictions(database, "b").put_read_only(mode, monotonic)
+    stored, other = Restrictions(database, "b"), Restrictions(database, "c")
     await stored.load(UnixTime(1020.0), Monotonic(0.0))
     await other.load(now, monotonic)
-    assert stored.of(Monotonic(39.0)) == mode
-    assert stored.of(Monotonic(40.0)) is None
-    assert other.of(monotonic) is None
-    await stored.put(ReadOnly("why", "anna", now), monotonic)
-    assert stored.left_s(monotonic) == math.inf
-    await stored.end()
+    assert stored.read_only(Monotonic(39.0)) == mode
+    assert stored.read_only(Monotonic(40.0)) is None
+    assert other.read_only(monotonic) is None
+    await stored.put_read_only(ReadOnly("why", "anna", now), monotonic)
+    assert stored.read_only_left_s(monotonic) == math.inf
+    await stored.end_read_only()
     await stored.load(now, monotonic)
-    assert stored.of(monotonic) is None
+    assert stored.read_only(monotonic) is None
     database.close()
 
 
@@ -317,16 +317,15 @@ async def test_limits_and_blocks_survive_a_restart(tmp_path: Path) -> None:
         Limits(lowest=1, highest=2, largest_step=3, per_minute=4),
         CommandBlock("why", "anna", 5.0),
     )
-    await LimitsStore(database, "b").put(1, limits, "anna", 1.0)
-    await BlockStore(database, "b").put(1, block)
-    stored_limits, stored_blocks = LimitsStore(database, "b"), BlockStore(database, "b")
-    await stored_limits.load()
-    await stored_blocks.load()
-    assert stored_limits.of(1) == limits
-    assert stored_blocks.of(1) == block
-    await stored_blocks.lift(1)
-    await stored_blocks.load()
-    assert stored_blocks.of(1) is None
+    written = Restrictions(database, "b")
+    await written.put_limits(1, limits, "anna", 1.0)
+    await written.put_block(1, block)
+    stored = Restrictions(database, "b")
+    await stored.load(unix_now(), monotonic_now())
+    assert (stored.limits(1), stored.block(1)) == (limits, block)
+    await stored.lift_block(1)
+    await stored.load(unix_now(), monotonic_now())
+    assert stored.block(1) is None
     database.close()
 
 
@@ -465,6 +464,6 @@ async def test_a_caller_without_a_route_needs_the_role_too(controlled: Stage) ->
         with pytest.raises(Problem, match="needs the role") as problem:
             await attempt
         assert (problem.value.status, problem.value.code) == (403, "forbidden")
-    assert (guards.blocks.of(1) is None, guards.blocks.of(2)) == (False, None)
-    assert (guards.holder(), guards.limits.of(1)) == ("anna", NO_LIMITS)
+    assert (guards.block_of(1) is None, guards.block_of(2)) == (False, None)
+    assert (guards.holder(), guards.limits(1)) == ("anna", NO_LIMITS)
     assert len((await controlled.events.page(Filter(), 9))[0]) == 2

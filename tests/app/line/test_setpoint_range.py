@@ -11,8 +11,8 @@ import pytest
 
 from app.core.web.admission.access import Role
 from app.engineering.recipes.book import RecipeBook
-from app.line.commands.safeguards.limits import NO_LIMITS, Limits
-from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.limits import NO_LIMITS, Limits
+from app.line.commands.safeguards import Safeguards
 from app.line.live.state.bus_live import LiveState
 from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSpeed, Update
 from tests.app.complete_app import House, complete_app
@@ -113,7 +113,7 @@ async def test_an_engineer_s_limit_is_what_the_protocol_can_carry_at_most(house:
     browser = await house.signed_in(Role.ENGINEER)
     response = await browser.post("/units/dry-end/1/limits", data={"highest": "10000.0"})
     assert "9999.9" in response.text
-    assert house.services.buses["dry-end"][Safeguards].limits.of(1) == NO_LIMITS
+    assert house.services.buses["dry-end"][Safeguards].limits(1) == NO_LIMITS
 
 
 # --- what was never read is read first --------------------------------------------------------------

@@ -18,8 +18,8 @@ from app.core.web.admission.access import Person, Role
 from app.errors import Problem
 from app.line.alarms.monitor.bus_alarms import BusAlarms
 from app.line.alarms.monitor.line_alarms import LineAlarms
-from app.line.commands.safeguards.limits import Limits
-from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.limits import Limits
+from app.line.commands.safeguards import Safeguards
 from app.line.live.state.bus_live import LiveState
 from app.people.audit.log import EventLog
 from app.records.handover.service import Handover, NewNote

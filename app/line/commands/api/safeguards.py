@@ -15,7 +15,12 @@ from app.core.web.api.route import ApiRoute
 from app.core.web.api.schema import limited
 from app.core.web.api.shape import StrictBody, iso
 from app.core.web.services import bus_service
-from app.line.commands.acts import (
+from app.line.commands.api.commands import UnitInPath
+from app.line.commands.api.responses import Moment
+from app.line.commands.control import LAPSES_AFTER_S, REQUEST_LAPSES_AFTER_S
+from app.line.commands.limits import HIGHEST_SETPOINT, MAX_READ_ONLY_MINUTES, Limits
+from app.line.commands.rules import Basis, SetpointKind, setpoint_range
+from app.line.commands.safeguards import (
     BLOCK,
     END_CONTROL_REQUEST,
     GRANT_CONTROL,
@@ -26,14 +31,8 @@ from app.line.commands.acts import (
     SET_READ_ONLY,
     TAKE_CONTROL,
     UNBLOCK,
+    Safeguards,
 )
-from app.line.commands.api.commands import UnitInPath
-from app.line.commands.api.responses import Moment
-from app.line.commands.rules import Basis, SetpointKind, setpoint_range
-from app.line.commands.safeguards.control import LAPSES_AFTER_S, REQUEST_LAPSES_AFTER_S
-from app.line.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
-from app.line.commands.safeguards.read_only import MAX_READ_ONLY_MINUTES
-from app.line.commands.safeguards.service import Safeguards
 from app.line.live.api.schemas import DisplayedValue
 from app.line.live.api.view import setpoint_text
 from bus.messages import Message
@@ -149,7 +148,7 @@ Guards = Annotated[Safeguards, bus_service(Safeguards)]
 @router.get("/units/{unit:int}/limits")
 async def get_speed_limits(_: Viewer, guards: Guards, unit: UnitInPath) -> SpeedLimits:
     """Limits of the setpoint of this unit, set by an engineer."""
-    limits = guards.limits.of(unit.settings.id)
+    limits = guards.limits(unit.settings.id)
     return SpeedLimits(**{name: getattr(limits, name) for name in SpeedLimits.model_fields})
 
 
@@ -264,14 +263,14 @@ async def release_control(
 
 
 def _block_json(guards: Safeguards, unit: int) -> CommandBlockShown:
-    block = guards.blocks.of(unit)
+    block = guards.block_of(unit)
     if block is None:
         return {"blocked": False, "reason": None, "by": None, "since": None}
     return {"blocked": True, "reason": block.reason, "by": block.set_by, "since": iso(block.set_at)}
 
 
 def _read_only_json(guards: Safeguards) -> ReadOnlyShown:
-    mode = guards.read_only_now()
+    mode = guards.read_only()
     if mode is None:
         return {"on": False, "reason": None, "by": None, "since": None, "until": None}
     until = iso(mode.until) if mode.until is not None else None
@@ -311,7 +310,7 @@ class SetpointRangeShown(StrictBody):
 @router.get("/units/{unit:int}/setpoint-range")
 async def get_setpoint_range(_: Viewer, guards: Guards, unit: UnitInPath) -> SetpointRangeShown:
     """Range of the setpoints of this unit, as on every page and for every write."""
-    allowed = setpoint_range(unit, guards.limits.of(unit.settings.id))
+    allowed = setpoint_range(unit, guards.limits(unit.settings.id))
     return SetpointRangeShown(
         kind=allowed.kind,
         lowest_raw=allowed.lowest,

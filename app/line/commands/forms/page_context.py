@@ -20,6 +20,7 @@ from app.core.web.services import bus_service_of, service_of
 from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command, timeout_s_for
 from app.line.commands.forms.undo_shown import UndoShown, undo_shown
+from app.line.commands.limits import Limits
 from app.line.commands.review import (
     REVIEW_LASTS_S,
     DrawChange,
@@ -33,8 +34,7 @@ from app.line.commands.review import (
     ramp_parameters_missing,
 )
 from app.line.commands.rules import slows_all
-from app.line.commands.safeguards.limits import Limits
-from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.safeguards import Safeguards
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.service.idempotency import CommandKey
 from app.line.commands.service.value_converter import ValueConverter
@@ -159,7 +159,7 @@ class BusPage(PageContext):
         return unit_on_line(self.name, self.bus.units[unit])
 
     def limits(self, unit: int) -> Limits:
-        return self.guards.limits.of(unit)
+        return self.guards.limits(unit)
 
     def deadline(self, staged_units: int = 0, *, typed: bool = True) -> Deadline:
         """Deadline of the command that this request sends. ``staged_units``: number of units of a change."""

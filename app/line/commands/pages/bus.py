@@ -10,12 +10,12 @@ from starlette.responses import RedirectResponse, Response
 from app.core.web.admission.access import Person, Viewer
 from app.core.web.admission.arrival import Deadline
 from app.errors import Problem
-from app.line.commands.acts import END_READ_ONLY, SET_READ_ONLY
 from app.line.commands.catalogue import CHANGE_BAUD, SCAN_BUS
 from app.line.commands.forms.page_context import BusPage, OfBus, Page, new_id
+from app.line.commands.limits import MAX_READ_ONLY_MINUTES
 from app.line.commands.pages.control import others
 from app.line.commands.review import outcome_text
-from app.line.commands.safeguards.read_only import MAX_READ_ONLY_MINUTES
+from app.line.commands.safeguards import END_READ_ONLY, SET_READ_ONLY
 from app.line.commands.service.writer import permitted
 from bus.contract import ChangeBaud, ScanBus
 from bus.errors import unit_error
@@ -48,7 +48,7 @@ async def bus_page(_: Viewer, page: OfBus) -> Response:
         bus=page.bus,
         control=page.guards.bus_control(),
         others=others(page),
-        read_only=page.guards.read_only_now(),
+        read_only=page.guards.read_only(),
         fault="",
         **_units(page),
     )

@@ -11,8 +11,8 @@ from starlette.responses import Response
 from app.core.web.admission.access import Person, Role, Viewer
 from app.core.web.rendering.templating import render
 from app.errors import Problem
-from app.line.commands.acts import FORCE_CONTROL, TAKE_CONTROL
 from app.line.commands.forms.page_context import BusPage, OfBus
+from app.line.commands.safeguards import FORCE_CONTROL, TAKE_CONTROL
 from bus.messages import Message
 from bus.text import TypedText
 

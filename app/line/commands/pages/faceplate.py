@@ -46,5 +46,5 @@ def setting(page: UnitPage) -> dict[str, Any]:
         "follower": bool(follower(page.unit)),
         "scale": scale_text(setpoint_scale(page.unit, 1)),
         "nudges": [(sign * step, page.setpoint(step), sign) for sign, step in steps],
-        "block": page.guards.blocks.of(page.id),
+        "block": page.guards.block_of(page.id),
     }

@@ -10,10 +10,10 @@ from starlette.responses import RedirectResponse, Response
 
 from app.core.web.admission.access import Person, Viewer
 from app.errors import Problem
-from app.line.commands.acts import BLOCK, SET_LIMITS, UNBLOCK
 from app.line.commands.forms.page_context import OfUnit, UnitPage
+from app.line.commands.limits import HIGHEST_SETPOINT, Limits
 from app.line.commands.pages.faceplate import setting
-from app.line.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
+from app.line.commands.safeguards import BLOCK, SET_LIMITS, UNBLOCK
 from app.line.live.state.bus_live import UnitLive, setpoint_decimals
 from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE
 from bus.catalogue.values import speed_raw, speed_text

@@ -16,9 +16,9 @@ from app.core.web.admission.access import Person, refuse_without
 from app.core.web.admission.arrival import Deadline
 from app.errors import Problem, StoreError
 from app.line.commands.catalogue import check, kind_of_command
+from app.line.commands.control import controlled
 from app.line.commands.rules import Moves, RuleContext, commanded_setpoint, kind_of, objection
-from app.line.commands.safeguards.control import controlled
-from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.safeguards import Safeguards
 from app.line.commands.service.command_request import CommandOrigin, CommandRequest, without_secret
 from app.line.commands.service.idempotency import CommandKey, IdempotencyCache, KeptCommand, refuse_other
 from app.line.commands.service.prior_read import UnreadError, read_values, unread, unread_by_unit
@@ -153,12 +153,12 @@ class CommandService:
         Raises Problem 503 or 504 where it cannot be had in time.
         """
         for _ in range(RANGE_PASSES):
-            missing = unread_by_unit(self._live, action, self._guards.limits.of)
+            missing = unread_by_unit(self._live, action, self._guards.limits)
             if not missing:
                 return
             reads = (self.read(person, unit, numbers, deadline) for unit, numbers in missing.items())
             await asyncio.gather(*reads)
-        for unit, numbers in unread_by_unit(self._live, action, self._guards.limits.of).items():
+        for unit, numbers in unread_by_unit(self._live, action, self._guards.limits).items():
             raise unread(unit, numbers)
 
     async def read(
@@ -180,7 +180,7 @@ class CommandService:
         with suppress(Problem):
             await self.read_ranges(person, action, deadline)
         anytime = RuleContext(
-            self._live, self._guards.limits.of, block=lambda _: None, moved=lambda _: 0, confirm=True
+            self._live, self._guards.limits, block=lambda _: None, moved=lambda _: 0, confirm=True
         )
         check(action, anytime)
 
@@ -214,13 +214,13 @@ class CommandService:
     def _apply_rules(self, action: Action, confirm: bool) -> None:
         # A broadcast reaches units of which nothing is known to be staged, too.
         slows = kind_of_command(action).only_slows(action, self._live)
-        mode = self._guards.read_only_now() if action.writes and not slows else None
+        mode = self._guards.read_only() if action.writes and not slows else None
         if mode is not None:
             raise objection("blocked", mode.refusal())
         context = RuleContext(
             bus=self._live,
-            limits=self._guards.limits.of,
-            block=self._guards.blocks.of,
+            limits=self._guards.limits,
+            block=self._guards.block_of,
             moved=lambda unit: self._moves.within_a_minute(unit, self._monotonic()),
             confirm=confirm,
         )
@@ -327,10 +327,10 @@ class CommandService:
             return None
         if not request.action.writes:
             return None
-        if not slows and (mode := self._guards.read_only_now()) is not None:
+        if not slows and (mode := self._guards.read_only()) is not None:
             return mode.refusal()
         for unit in kind_of_command(request.action).units_written(request.action, self._live):
-            block = self._guards.blocks.of(unit)
+            block = self._guards.block_of(unit)
             if block is not None:
                 return block.refusal(unit)
         return self._guards.objection(request.person.account)

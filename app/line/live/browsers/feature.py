@@ -14,7 +14,7 @@ from app.line.alarms.alarm import Alarm
 from app.line.alarms.api import AlarmShown, alarm_json
 from app.line.alarms.banner import AlarmBanner
 from app.line.alarms.monitor.line_alarms import LineAlarms
-from app.line.commands.safeguards.service import Safeguards
+from app.line.commands.safeguards import Safeguards
 from app.line.feed.bus_feed import BusFeed
 from app.line.history.service import History, status_words
 from app.line.history.status import store_notice

@@ -1,4 +1,4 @@
-"""Limits, blocks and control of one bus: what keeps a command from being sent. Every change is an event."""
+"""Limits, blocks and control of one bus, which keep commands from being sent. Every change is an event."""
 
 from __future__ import annotations
 
@@ -6,38 +6,42 @@ import asyncio
 import math
 from collections import defaultdict
 from collections.abc import Awaitable, Callable, Iterable
-from dataclasses import InitVar, dataclass, field
 
 from app.core.database import Database
 from app.core.web.admission.access import Person, Role, name_of
 from app.core.web.admission.rate_limit import RateLimit
 from app.core.web.rendering.head_control import BusControl
 from app.errors import Problem
-from app.line.commands.acts import (
-    BLOCK,
-    END_CONTROL_REQUEST,
-    END_READ_ONLY,
-    FORCE_CONTROL,
-    GRANT_CONTROL,
-    HAND_OVER_CONTROL,
-    RELEASE_CONTROL,
-    REQUEST_CONTROL,
-    SET_LIMITS,
-    SET_READ_ONLY,
-    TAKE_CONTROL,
-    UNBLOCK,
-)
-from app.line.commands.safeguards.control import Control, Holding, RequestedControl, controlled
-from app.line.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
-from app.line.commands.safeguards.read_only import ReadOnly, ReadOnlyStore
+from app.line.commands.control import Control, Holding, controlled
+from app.line.commands.limits import CommandBlock, Limits, ReadOnly, Restrictions
 from app.line.live.screen.sources import UnitSubscriber
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from app.people.auth.rights.rights import Rights
 from bus.bucket import Bucket
-from bus.instants import UnixTime, monotonic_now, unix_now
+from bus.instants import monotonic_now, unix_now
 from bus.messages import Message, term
 
+SET_LIMITS = Act("set_speed_limits", Role.ENGINEER, "limits", "event_limits_changed")
+BLOCK = Act("block_commands", Role.OPERATOR, "block", "event_unit_blocked")
+UNBLOCK = Act("unblock_commands", Role.OPERATOR, "block", "event_block_lifted")
+SET_READ_ONLY = Act("set_read_only", Role.ADMIN, "block", "event_read_only_set")
+END_READ_ONLY = Act("end_read_only", Role.ADMIN, "block", "event_read_only_ended")
+TAKE_CONTROL = Act("take_control", Role.OPERATOR, "control", "event_control_taken")
+HAND_OVER_CONTROL = Act("hand_over_control", Role.OPERATOR, "control", "event_control_handed_over")
+FORCE_CONTROL = Act("force_control", Role.ADMIN, "control", "event_control_handed_over")
+"""Handing over what another user holds."""
+RELEASE_CONTROL = Act("release_control", Role.OPERATOR, "control", "event_control_given_back", counted=False)
+REQUEST_CONTROL = Act("request_control", Role.OPERATOR, "control", "event_control_requested")
+GRANT_CONTROL = Act("grant_control", Role.OPERATOR, "control", "event_control_handed_over")
+"""Handing over to the account that has requested control."""
+END_CONTROL_REQUEST = Act("end_control_request", Role.OPERATOR, "control", "event_control_request_ended")
+"""Declining a request, by the holder, or withdrawing it."""
+ACTS = (
+    *(SET_LIMITS, BLOCK, UNBLOCK, SET_READ_ONLY, END_READ_ONLY),
+    *(TAKE_CONTROL, HAND_OVER_CONTROL, FORCE_CONTROL, RELEASE_CONTROL),
+    *(REQUEST_CONTROL, GRANT_CONTROL, END_CONTROL_REQUEST),
+)
 SIGNED_OUT = Message("holder_signed_out")
 REQUEST_EVERY_S, MAX_REQUESTS = 10.0, 6
 """How often control of a bus is requested, and how often at once: each request disturbs a person."""
@@ -45,38 +49,39 @@ AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
 """The account with this name, and its role; None where there is none."""
 
 
-@dataclass(eq=False, repr=False)
 class Safeguards:
-    """The safeguards of one bus. Call :meth:`load` once before the first command."""
+    """The restrictions and the control of one bus. Call :meth:`load` once before the first command."""
 
-    _bus: str
-    _units: Iterable[int]
-    database: InitVar[Database]
-    _events: EventLog
-    control_required: InitVar[bool]
-    find: AccountLookup
-    rights: Rights
-    _block_subscribers: list[UnitSubscriber] = field(default_factory=list)
-    _control_subscribers: list[Callable[[], None]] = field(default_factory=list)
-    _read_only_ends: asyncio.TimerHandle | None = None
-    _requests: defaultdict[str, Bucket] = field(
-        default_factory=lambda: defaultdict(lambda: Bucket(1 / REQUEST_EVERY_S, MAX_REQUESTS))
-    )
-    """By account."""
-
-    def __post_init__(self, database: Database, control_required: bool) -> None:
-        self.limits = LimitsStore(database, self._bus)
-        self.blocks = BlockStore(database, self._bus)
-        self.read_only = ReadOnlyStore(database, self._bus)
+    def __init__(
+        self,
+        bus: str,
+        units: Iterable[int],
+        database: Database,
+        events: EventLog,
+        *,
+        control_required: bool,
+        find: AccountLookup,
+        rights: Rights,
+    ) -> None:
+        self._bus = bus
+        self._units = units
+        self._events = events
+        self._find = find
+        self._rights = rights
+        self.restrictions = Restrictions(database, bus)
         self.control = Control(required=control_required)
-        self.rights.on_withdrawn(self.revoke_control)
+        self._block_subscribers: list[UnitSubscriber] = []
+        self._control_subscribers: list[Callable[[], None]] = []
+        self._read_only_ends: asyncio.TimerHandle | None = None
+        self._requests: defaultdict[str, Bucket] = defaultdict(
+            lambda: Bucket(1 / REQUEST_EVERY_S, MAX_REQUESTS)
+        )
+        """By account."""
+        rights.on_withdrawn(self.revoke_control)
 
     async def load(self) -> None:
-        """Read limits and blocks, and free control."""
-        self.control = Control(required=self.control.required)
-        await self.limits.load()
-        await self.blocks.load()
-        await self.read_only.load(unix_now(), monotonic_now())
+        """Read the restrictions from the database."""
+        await self.restrictions.load(unix_now(), monotonic_now())
         self._publish_read_only()
 
     def on_block(self, subscriber: UnitSubscriber) -> None:
@@ -87,39 +92,46 @@ class Safeguards:
         """Call ``subscriber`` when control has another holder, or was requested."""
         self._control_subscribers.append(subscriber)
 
-    def read_only_now(self) -> ReadOnly | None:
-        """Why no command is sent to the bus, and by whom that was set; None where commands are sent."""
-        return self.read_only.of(monotonic_now())
+    def limits(self, unit: int) -> Limits:
+        """Return the limits of a unit."""
+        return self.restrictions.limits(unit)
+
+    def block_of(self, unit: int) -> CommandBlock | None:
+        """Return the block of a unit, or None."""
+        return self.restrictions.block(unit)
+
+    def read_only(self) -> ReadOnly | None:
+        """Return why commands to the bus are refused, and who set that; None if they are sent."""
+        return self.restrictions.read_only(monotonic_now())
 
     def block_reason(self, unit: int, *, slows: bool = False) -> Message | None:
-        """Why a unit or its bus takes no command, and by whom; None where it does. ``slows``: the command can
-        only make the unit slower, so that a read-only bus takes it."""
-        block = (None if slows else self.read_only_now()) or self.blocks.of(unit)
+        """Return why a unit or its bus takes no command, and who set that; None if it does. ``slows``: the
+        command can only make the unit slower, so that a read-only bus takes it."""
+        block = (None if slows else self.read_only()) or self.block_of(unit)
         return None if block is None else Message.of("block_by", reason=block.reason, who=block.set_by)
 
     async def set_limits(self, person: Person, unit: int, limits: Limits) -> None:
         """Replace the limits of a unit. Raises Problem 403."""
         SET_LIMITS.check(person)
-        before = self.limits.of(unit)
-        await self.limits.put(unit, limits, person.name, unix_now())
+        before = self.limits(unit)
+        await self.restrictions.put_limits(unit, limits, person.name, unix_now())
         await self._record(SET_LIMITS, person, before.message, limits.message, unit)
 
     async def block(self, person: Person, unit: int, reason: str) -> None:
         """Refuse every write to a unit from now on. Raises Problem 403."""
         BLOCK.check(person)
-        before = self.blocks.of(unit)
-        await self.blocks.put(unit, CommandBlock(reason, person.name, unix_now()))
+        before = self.block_of(unit)
+        await self.restrictions.put_block(unit, CommandBlock(reason, person.name, unix_now()))
         self._publish_block(unit)
-        old = before.reason if before is not None else None
-        await self._record(BLOCK, person, old, reason, unit)
+        await self._record(BLOCK, person, before.reason if before else None, reason, unit)
 
     async def lift(self, person: Person, unit: int) -> None:
         """Free a unit. Nothing happens to one that is free. Raises Problem 403."""
         UNBLOCK.check(person)
-        before = self.blocks.of(unit)
+        before = self.block_of(unit)
         if before is None:
             return
-        await self.blocks.lift(unit)
+        await self.restrictions.lift_block(unit)
         self._publish_block(unit)
         await self._record(UNBLOCK, person, before.reason, None, unit)
 
@@ -127,33 +139,29 @@ class Safeguards:
         """Refuse every write that could do more than slow a unit, for so many minutes, or until it is ended.
         Raises Problem 403."""
         SET_READ_ONLY.check(person)
-        before, now = self.read_only_now(), unix_now()
+        before, now = self.read_only(), unix_now()
         until = None if minutes is None else now + 60 * minutes
-        await self.read_only.put(ReadOnly(reason, person.name, now, until), monotonic_now())
+        await self.restrictions.put_read_only(ReadOnly(reason, person.name, now, until), monotonic_now())
         self._publish_read_only()
         new = Message.of("read_only_for", reason=reason, n=minutes) if minutes is not None else reason
-        await self._record(SET_READ_ONLY, person, before.reason if before is not None else None, new)
+        await self._record(SET_READ_ONLY, person, before.reason if before else None, new)
 
     async def end_read_only(self, person: Person) -> None:
         """Let commands through again. Nothing happens where they are not kept. Raises Problem 403."""
         END_READ_ONLY.check(person)
-        before = self.read_only_now()
+        before = self.read_only()
         if before is None:
             return
-        await self.read_only.end()
+        await self.restrictions.end_read_only()
         self._publish_read_only()
         await self._record(END_READ_ONLY, person, before.reason, None)
 
     def holding(self) -> Holding | None:
-        """The holder of control; None where it is free."""
+        """Return who holds control; None if it is free."""
         return self.control.holding(monotonic_now())
 
-    def lapses_at(self, holding: Holding) -> UnixTime:
-        """When control lapses by the wall clock, as that is now, unless its holder sends another command."""
-        return unix_now() + holding.left_s(monotonic_now())
-
     def objection(self, account: str) -> Message | None:
-        """Why ``account`` may not write now, as another has control; None where it may."""
+        """Return why ``account`` may not write now, as another has control; None if it may."""
         return self.control.objection(account, monotonic_now())
 
     def use_control(self, account: str) -> Message | None:
@@ -161,37 +169,36 @@ class Safeguards:
         return self.control.use(account, monotonic_now())
 
     def holder(self) -> str:
-        """The account of the holder; empty where control is free."""
+        """Return the account of the holder; empty if control is free."""
         holding = self.holding()
-        return holding.holder if holding is not None else ""
+        return "" if holding is None else holding.holder
 
     def bus_control(self) -> BusControl:
-        """Control of the bus as every page shows it."""
+        """Return control of the bus as every page shows it, with the wall clock as it is now."""
         now, holding = monotonic_now(), self.holding()
         if holding is None:
             return BusControl(self._bus)
         request = self.control.request_now(now)
-        shown = BusControl(self._bus, holding.holder, holding.since, self.lapses_at(holding))
+        shown = BusControl(self._bus, holding.holder, holding.since, unix_now() + holding.left_s(now))
         if request is None:
             return shown
         return shown.requested(request.by, request.state(now), unix_now() + request.left_s(now))
 
-    async def take(self, person: Person) -> Holding:
+    async def take(self, person: Person) -> None:
         """Take control, if it is free. Raises Problem 403 and 409."""
         TAKE_CONTROL.check(person)
-        await self.rights.check(person)
+        await self._rights.check(person)
         before = self.holding()
-        holding = self.control.take(person.account, monotonic_now(), unix_now())
+        self.control.take(person.account, monotonic_now(), unix_now())
         if before is None:
             self._publish_control()
             await self._record(TAKE_CONTROL, person, None, person.account)
-        return holding
 
-    async def request(self, person: Person) -> RequestedControl | None:
+    async def request(self, person: Person) -> None:
         """Request control from its holder, on every page that the holder has open. Raises Problem 403, 409,
         and 429 after too many requests of this account."""
         REQUEST_CONTROL.check(person)
-        await self.rights.check(person)
+        await self._rights.check(person)
         now, bucket = monotonic_now(), self._requests[person.account]
         if not bucket.has_room(now):
             seconds = math.ceil(bucket.wait_s(now))
@@ -202,34 +209,32 @@ class Safeguards:
             bucket.take(now)
             self._publish_control()
             await self._record(REQUEST_CONTROL, person, self.holder(), person.account)
-        return self.control.request_now(now)
 
     def request_limit(self, person: Person) -> RateLimit:
-        """How many more requests of control of this bus are taken of a person now."""
+        """Return how many more requests for control of this bus a person may make now."""
         return RateLimit.of(self._requests[person.account], monotonic_now())
 
-    async def grant(self, person: Person, shown: str | None = None) -> Holding:
+    async def grant(self, person: Person, shown: str | None = None) -> None:
         """Hand control over to the account that has requested it. ``shown``: whose request the person saw;
-        None: whichever is open. Raises Problem 403, 409, and 422 where that account may command the bus no
-        longer."""
+        None: whichever is open. Raises Problem 403, 409, and 422 if that account may no longer command the
+        bus."""
         GRANT_CONTROL.check(person)
-        await self.rights.check(person)
+        await self._rights.check(person)
         to = self.control.requester(person.account, monotonic_now())
         self._refuse_other_request(shown)
         if await self._who_may_hold(person, to) != to:
             raise Problem(422, "invalid", Message.of("holder_cannot_sign_in", name=to))
         if self.control.requester(person.account, monotonic_now()) != to:
             raise controlled(Message("control_not_requested"))
-        holding = self.control.hand_over(person.account, to, monotonic_now(), unix_now())
+        self.control.hand_over(person.account, to, monotonic_now(), unix_now())
         self._publish_control()
         await self._record(GRANT_CONTROL, person, person.account, to)
-        return holding
 
     async def end_request(self, person: Person, shown: str | None = None) -> None:
-        """Decline the open request as the holder, or withdraw it as its account; ``shown`` as of
+        """Decline the open request as the holder, or withdraw it as its account; ``shown`` as in
         :meth:`grant`. Raises Problem 403, 409."""
         END_CONTROL_REQUEST.check(person)
-        await self.rights.check(person)
+        await self._rights.check(person)
         self._refuse_other_request(shown)
         request = self.control.end_request(person.account, monotonic_now())
         self._publish_control()
@@ -242,21 +247,19 @@ class Safeguards:
         if shown is not None and request is not None and request.by != shown:
             raise controlled(Message("control_not_requested"))
 
-    async def hand_over(self, person: Person, to: str) -> Holding:
+    async def hand_over(self, person: Person, to: str) -> None:
         """Hand control over; an admin may do so without holding it. Raises Problem 403, 409, and 422 for a
-        name without an account that could use it, which would hold the line until it lapses."""
+        name without an account that could use it, since that would block the line until control lapses."""
         HAND_OVER_CONTROL.check(person)
         to = await self._who_may_hold(person, to)
         before = self.holding()
         by_force = person.role.includes(FORCE_CONTROL.role)
-        holding = self.control.hand_over(person.account, to, monotonic_now(), unix_now(), by_force=by_force)
+        self.control.hand_over(person.account, to, monotonic_now(), unix_now(), by_force=by_force)
         self._publish_control()
-        old = before.holder if before is not None else None
-        await self._record(HAND_OVER_CONTROL, person, old, to)
-        return holding
+        await self._record(HAND_OVER_CONTROL, person, before.holder if before else None, to)
 
     async def _who_may_hold(self, person: Person, to: str) -> str:
-        found = (to, person.role) if to == person.account else await self.find(to)
+        found = (to, person.role) if to == person.account else await self._find(to)
         if found is None:
             raise Problem(422, "invalid", Message.of("holder_cannot_sign_in", name=to))
         account, role = found
@@ -272,7 +275,7 @@ class Safeguards:
         await self._record(RELEASE_CONTROL, person, person.account, None)
 
     async def revoke_control(self, account: str) -> None:
-        """The account is signed in nowhere any more, or may do less: what it held is free."""
+        """Free control that the account holds: it is no longer signed in anywhere, or may do less."""
         held = self.control.revoke(account, monotonic_now())
         self._publish_control()
         if not held:
@@ -296,7 +299,7 @@ class Safeguards:
         """Show every unit as it is now, and again when the duration of the mode is over."""
         if self._read_only_ends is not None:
             self._read_only_ends.cancel()
-        left_s = self.read_only.left_s(monotonic_now())
+        left_s = self.restrictions.read_only_left_s(monotonic_now())
         if 0 < left_s < math.inf:
             loop = asyncio.get_running_loop()
             self._read_only_ends = loop.call_later(left_s, self._publish_read_only)

@@ -1,4 +1,4 @@
-"""Who holds control of a bus, where the site allows one user at a time, and who requests it. Pure: time is
+"""Who holds control of a bus, if the site allows one user at a time, and who requests it. Pure: time is
 passed in.
 
 Control is held in memory only: after a restart it is free. A request changes nothing until the holder grants
@@ -24,46 +24,42 @@ RequestState = Literal["pending", "declined", "lapsed"]
 
 @dataclass(frozen=True, slots=True)
 class Holding:
-    """Control of one bus. It lapses after :data:`LAPSES_AFTER_S` without a command of its holder, also where
-    the wall clock is set meanwhile; ``since`` is for people."""
+    """Control of one bus. It lapses after :data:`LAPSES_AFTER_S` without a command of its holder, also if the
+    wall clock is set meanwhile; ``since`` is for people."""
 
     holder: str
     since: UnixTime
     used_at: Monotonic
 
     def left_s(self, now: Monotonic) -> float:
-        """Until control lapses, unless its holder sends another command."""
+        """Return the seconds until control lapses, unless its holder sends another command."""
         return LAPSES_AFTER_S - (now - self.used_at)
 
 
 @dataclass(frozen=True, slots=True)
 class RequestedControl:
-    """An account requests control from the present holder."""
+    """A request of an account for control, to the present holder."""
 
     by: str
     made_at: Monotonic
     declined_at: Monotonic | None = None
 
     def state(self, now: Monotonic) -> RequestState:
-        """``lapsed`` after :data:`REQUEST_LAPSES_AFTER_S` without a response of the holder."""
+        """Return its state: it lapses after :data:`REQUEST_LAPSES_AFTER_S` without a response."""
         if self.declined_at is not None:
             return "declined"
         return "pending" if now - self.made_at < REQUEST_LAPSES_AFTER_S else "lapsed"
 
     def left_s(self, now: Monotonic) -> float:
-        """Until a pending request lapses, and until one that has ended is shown no longer."""
-        match self.state(now):
-            case "pending":
-                ends_at = self.made_at + REQUEST_LAPSES_AFTER_S
-            case "lapsed":
-                ends_at = self.made_at + REQUEST_LAPSES_AFTER_S + REQUEST_RESTS_S
-            case "declined":
-                ends_at = (self.declined_at or self.made_at) + REQUEST_RESTS_S
-        return ends_at - now
+        """Return the seconds until a pending request lapses, or an ended one is no longer shown."""
+        if self.declined_at is not None:
+            return self.declined_at + REQUEST_RESTS_S - now
+        left_s = self.made_at + REQUEST_LAPSES_AFTER_S - now
+        return left_s if self.state(now) == "pending" else left_s + REQUEST_RESTS_S
 
 
 class Control:
-    """One holder at most, by account, and one request to that holder."""
+    """Control of one bus: at most one holder, by account, and one request to that holder."""
 
     def __init__(self, *, required: bool) -> None:
         self.required = required
@@ -73,19 +69,19 @@ class Control:
         """By account, when the present holder declined its last request."""
 
     def holding(self, now: Monotonic) -> Holding | None:
-        """The holder of control; None where it is free."""
+        """Return who holds control; None if it is free."""
         holding = self._holding
         return holding if holding is not None and holding.left_s(now) > 0 else None
 
     def request_now(self, now: Monotonic) -> RequestedControl | None:
-        """The request to the present holder, also for a while after its end; None where there is none."""
+        """Return the request to the present holder, also for a while after its end; None if there is none."""
         request = self._request
         if request is None or self.holding(now) is None or request.left_s(now) <= 0:
             return None
         return request
 
     def take(self, who: str, now: Monotonic, at: UnixTime) -> Holding:
-        """Take control, if it is free; ``at`` is shown as the time of it. Raises Problem 409."""
+        """Take control if it is free; ``at`` is shown as the time of taking it. Raises Problem 409."""
         holding = self.holding(now)
         if holding is not None and holding.holder != who:
             raise controlled(Message.of("control_held_by", who=account_shown(holding.holder)))
@@ -97,20 +93,19 @@ class Control:
     def hand_over(
         self, who: str, to: str, now: Monotonic, at: UnixTime, *, by_force: bool = False
     ) -> Holding:
-        """Hand control over; ``at`` is shown as the time of it. Raises Problem 409 for a user who does not
+        """Hand control over; ``at`` is shown as the time of that. Raises Problem 409 for a user who does not
         hold it."""
         if not by_force:
             self._require(who, now)
         return self._give(to, now, at)
 
     def release(self, who: str, now: Monotonic) -> None:
-        """Release control. Raises Problem 409 for one who does not hold it."""
+        """Release control. Raises Problem 409 for an account that does not hold it."""
         self._require(who, now)
         self._free()
 
     def revoke(self, who: str, now: Monotonic) -> bool:
-        """Free what this account held, as it may hold nothing more, and end its request. Returns whether it
-        held control now."""
+        """Free control if this account holds it, and end its request. Returns whether it held control."""
         if self._request is not None and self._request.by == who:
             self._request = None
         if self._holding is None or self._holding.holder != who:
@@ -120,7 +115,7 @@ class Control:
         return held
 
     def request(self, who: str, now: Monotonic) -> bool:
-        """Request control from its holder. Returns whether that is a new request. Raises Problem 409 where
+        """Request control from its holder. Returns whether that is a new request. Raises Problem 409 if
         control is free or held by ``who``, while another request is open, and for a while after the holder
         has declined."""
         holding = self.holding(now)
@@ -141,13 +136,13 @@ class Control:
         return True
 
     def requester(self, who: str, now: Monotonic) -> str:
-        """The account whose pending request ``who``, the holder, may grant. Raises Problem 409."""
+        """Return the account whose pending request ``who``, the holder, may grant. Raises Problem 409."""
         self._require(who, now)
         return self._pending(now).by
 
     def end_request(self, who: str, now: Monotonic) -> RequestedControl:
         """End the pending request: its account withdraws it, the holder declines it. Returns it as it was.
-        Raises Problem 409 for anyone else, and where there is none."""
+        Raises Problem 409 for anyone else, and if there is none."""
         request, holding = self._pending(now), self.holding(now)
         if request.by == who:
             self._request = None
@@ -159,7 +154,7 @@ class Control:
         return request
 
     def objection(self, who: str, now: Monotonic) -> Message | None:
-        """Why this account may not write now; None where it may."""
+        """Return why this account may not write now; None if it may."""
         return self._held_by_other(who, now) if self.required else None
 
     def use(self, who: str, now: Monotonic) -> Message | None:
@@ -205,6 +200,6 @@ class Control:
 
 
 def controlled(reason: Message, bus: str = "") -> Problem:
-    """The refusal of what needs control. ``bus``: of a command, so that its page can offer control."""
+    """Make the refusal of what needs control. ``bus``: of a command, so that its page can offer control."""
     extra = {"bus": bus} if bus else {}
     return Problem(409, "controlled", reason, outcome="controlled", **extra)
