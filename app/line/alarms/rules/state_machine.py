@@ -1,13 +1,13 @@
-"""The state machine of an alarm (ISA-18.2-2016, clause 5.6): its states, and what leads from one to another.
+"""The state machine of an alarm (ISA-18.2-2016, clause 5.6). Pure: the time is passed in.
 
-Pure: the time is passed in.
+The base state follows from three facts: active, acknowledged and latched (OPC UA Part 9). An alarm that is
+shelved, suppressed or out of service is hidden: it is detected and recorded, and not annunciated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 from bus.instants import UnixTime
 
@@ -15,67 +15,20 @@ BaseState = Literal["normal", "unack_active", "ack_active", "rtn_unack", "latche
 AlarmState = Literal[BaseState, "shelved", "suppressed", "out_of_service"]
 PRESENT_STATES: tuple[AlarmState, ...] = get_args(AlarmState)[1:]
 """Every state but normal."""
-BaseTrigger = Literal["rise", "clear", "acknowledge", "reset", "realarm"]
 AlarmTrigger = Literal[
-    BaseTrigger, "shelve", "unshelve", "suppress", "unsuppress", "remove", "return", "silence"
+    "rise",
+    "clear",
+    "acknowledge",
+    "reset",
+    "realarm",
+    "shelve",
+    "unshelve",
+    "suppress",
+    "unsuppress",
+    "remove",
+    "return",
+    "silence",
 ]
-
-
-class BaseFacts(NamedTuple):
-    """The three facts that make a base state (OPC UA Part 9: ActiveState, AckedState, LatchedState)."""
-
-    active: bool
-    acknowledged: bool
-    latched: bool = False
-
-
-FACTS_OF: dict[BaseState, BaseFacts] = {
-    "normal": BaseFacts(active=False, acknowledged=True),
-    "unack_active": BaseFacts(active=True, acknowledged=False),
-    "ack_active": BaseFacts(active=True, acknowledged=True),
-    "rtn_unack": BaseFacts(active=False, acknowledged=False),
-    "latched_unack": BaseFacts(active=False, acknowledged=False, latched=True),
-    "latched_ack": BaseFacts(active=False, acknowledged=True, latched=True),
-}
-STATE_OF: dict[BaseFacts, BaseState] = {facts: state for state, facts in FACTS_OF.items()}
-
-
-class Target(NamedTuple):
-    """Where a trigger leads: an alarm that does not latch, and one that does."""
-
-    plain: BaseState
-    latching: BaseState
-
-
-def _both(state: BaseState) -> Target:
-    return Target(state, state)
-
-
-TRANSITIONS: dict[tuple[BaseState, BaseTrigger], Target] = {
-    ("normal", "rise"): _both("unack_active"),
-    ("unack_active", "acknowledge"): _both("ack_active"),
-    ("unack_active", "clear"): Target("rtn_unack", "latched_unack"),
-    ("ack_active", "clear"): Target("normal", "latched_ack"),
-    ("ack_active", "realarm"): _both("unack_active"),
-    ("rtn_unack", "acknowledge"): _both("normal"),
-    ("rtn_unack", "rise"): _both("unack_active"),
-    ("latched_unack", "acknowledge"): _both("latched_ack"),
-    ("latched_unack", "rise"): _both("unack_active"),
-    ("latched_ack", "reset"): _both("normal"),
-    ("latched_ack", "rise"): _both("unack_active"),
-}
-"""Every transition between base states; what is not here does not happen."""
-
-ON_RETURN: dict[BaseState, BaseState] = {
-    "normal": "normal",
-    "unack_active": "unack_active",
-    "ack_active": "unack_active",
-    "rtn_unack": "normal",
-    "latched_unack": "latched_unack",
-    "latched_ack": "latched_unack",
-}
-"""Out of a hidden state (shelved, suppressed, out of service) an alarm comes back as normal or, where its
-condition holds, unacknowledged: G, H, I → A or B. Only a reset ends a latch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,72 +38,71 @@ class AlarmAttributes:
     on_delay_s: float = 0.0
     off_delay_s: float = 0.0
     realarm_s: float | None = None
-    """After which an acknowledged alarm that still holds is unacknowledged again; None: never."""
+    """How long after its acknowledgement an active alarm is annunciated again; None: never."""
     latching: bool = False
-    """It stays after its condition has ended, until a person resets it."""
+    """The alarm stays after its condition has ended, until a person resets it."""
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmFacts:
-    """``occurrence`` counts how often it has risen; an acknowledgement names one of them."""
+    """What is known of an alarm. ``occurrence`` counts how often it has risen."""
 
     active: bool = False
     acknowledged: bool = True
     latched: bool = False
     silenced: bool = False
-    """Its sound was ended; it sounds again when it comes again."""
+    """A person ended the sound; the alarm sounds again when it comes again."""
     suppressed: bool = False
     out_of_service: bool = False
     shelved_until: UnixTime | None = None
     shelved_once: bool = False
-    """Shelved until its condition ends, at most until ``shelved_until``."""
+    """The shelving ends with the condition, at the latest at ``shelved_until``."""
     occurrence: int = 0
     since: UnixTime | None = None
-    """When it got into its state."""
+    """When the present state began."""
     came: UnixTime | None = None
-    """When its occurrence began; no act of a person changes it."""
+    """When the occurrence began; no act of a person changes it."""
     cleared: UnixTime | None = None
-    """When the condition of its occurrence ended; None: it holds."""
+    """When the condition of the occurrence ended; None: it holds."""
     acknowledged_at: UnixTime | None = None
-    """When a person acknowledged its occurrence; None: none has."""
+    """When a person acknowledged the occurrence; None: no one has."""
     changing_since: UnixTime | None = None
-    """Since when its condition is other than ``active``: a delay runs."""
+    """When the condition became other than ``active``: a delay runs."""
     unknown_since: UnixTime | None = None
-    """Since when nothing is known of its condition."""
+    """Since when the condition is not known."""
 
     @property
     def base(self) -> BaseState:
-        """The state that it would have if nothing hid it."""
-        return STATE_OF[BaseFacts(self.active, self.acknowledged, self.latched)]
+        """The state that the alarm would have if nothing hid it."""
+        if self.active:
+            return "ack_active" if self.acknowledged else "unack_active"
+        if self.latched:
+            return "latched_ack" if self.acknowledged else "latched_unack"
+        return "normal" if self.acknowledged else "rtn_unack"
 
     @property
     def is_hidden(self) -> bool:
-        """Whether it is detected and recorded, and not annunciated."""
+        """Whether the alarm is detected and recorded, and not annunciated."""
         return self.suppressed or self.is_hidden_by_person
 
     @property
     def is_hidden_by_person(self) -> bool:
-        """Whether a person hid it, and has to end that or wait."""
+        """Whether a person hid the alarm, and has to end that or wait."""
         return self.out_of_service or self.shelved_until is not None
 
     @property
     def sounds(self) -> bool:
-        """Whether it is audible (ISA-18.2-2016, 5.6): what has returned waits without a sound."""
+        """Whether the alarm is audible (ISA-18.2-2016, 5.6). One that has cleared waits without a sound."""
         return not (self.is_hidden or self.acknowledged or self.silenced) and (self.active or self.latched)
 
     @property
     def state(self) -> AlarmState:
-        """Its state. Of several that hide it, the one that a person has to end is named."""
+        """The present state. Where several things hide the alarm, the one that a person has to end counts."""
         if self.out_of_service:
             return "out_of_service"
         if self.shelved_until is not None:
             return "shelved"
         return "suppressed" if self.suppressed else self.base
-
-    def with_base(self, base: BaseState) -> AlarmFacts:
-        """Return these facts in another base state."""
-        facts = FACTS_OF[base]
-        return replace(self, active=facts.active, acknowledged=facts.acknowledged, latched=facts.latched)
 
 
 _TIMES = ("shelved_until", "since", "came", "cleared", "acknowledged_at", "changing_since", "unknown_since")
@@ -167,58 +119,42 @@ class Transition:
     after: AlarmState
 
 
-def due_at(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
-    """Return when the next transition comes by time alone; None: never."""
-    times = (detection_due(facts, attributes), facts.shelved_until, realarm_due(facts, attributes))
-    return min((time for time in times if time is not None), default=None)
-
-
-def detection_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
-    """Return when a running delay ends; None where none runs."""
-    if facts.changing_since is None:
-        return None
-    return facts.changing_since + (attributes.off_delay_s if facts.active else attributes.on_delay_s)
-
-
-def realarm_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
-    """Return when an acknowledged alarm is annunciated again; None: never."""
-    if attributes.realarm_s is None or facts.acknowledged_at is None or facts.is_hidden or not facts.active:
-        return None
-    return facts.acknowledged_at + attributes.realarm_s
-
-
-def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
-    """The facts of an alarm after the clock was set by ``step_s``: every time keeps its distance from now."""
-    times = {name: getattr(facts, name) for name in _TIMES}
-    moved: dict[str, Any] = {name: time + step_s for name, time in times.items() if time is not None}
-    return replace(facts, **moved)
-
-
 Changed = tuple[AlarmFacts, tuple[Transition, ...]]
-StateChange = Callable[[AlarmFacts, AlarmAttributes, UnixTime], Changed]
-Unhiding = Literal["unshelve", "unsuppress", "return"]
-
-_ENDED: dict[Unhiding, Callable[[AlarmFacts], AlarmFacts]] = {
-    "unshelve": lambda facts: replace(facts, shelved_until=None, shelved_once=False),
-    "unsuppress": lambda facts: replace(facts, suppressed=False),
-    "return": lambda facts: replace(facts, out_of_service=False),
-}
-_STAMPED: dict[BaseTrigger, Callable[[AlarmFacts, UnixTime], AlarmFacts]] = {
-    "rise": lambda facts, at: replace(
-        facts, occurrence=facts.occurrence + 1, came=at, cleared=None, acknowledged_at=None
-    ),
-    "clear": lambda facts, at: replace(facts, cleared=at),
-    "acknowledge": lambda facts, at: replace(facts, acknowledged_at=at),
-}
-"""The time of each of the three moments of an occurrence: it came, cleared, was acknowledged."""
+"""The facts after a change, and the transitions that led there."""
 
 
 class NoTransitionError(Exception):
     """The standard has no such transition from the present state."""
 
 
+def due_at(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
+    """Return when the next transition comes by time alone; None: never."""
+    times = (_detection_due(facts, attributes), facts.shelved_until, _realarm_due(facts, attributes))
+    return min((time for time in times if time is not None), default=None)
+
+
+def _detection_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
+    if facts.changing_since is None:
+        return None
+    return facts.changing_since + (attributes.off_delay_s if facts.active else attributes.on_delay_s)
+
+
+def _realarm_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
+    if attributes.realarm_s is None or facts.acknowledged_at is None or facts.is_hidden or not facts.active:
+        return None
+    return facts.acknowledged_at + attributes.realarm_s
+
+
+def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
+    """Return the facts after the clock was set by ``step_s``: every time keeps its distance from now."""
+    times = {name: getattr(facts, name) for name in _TIMES}
+    moved: dict[str, Any] = {name: time + step_s for name, time in times.items() if time is not None}
+    return replace(facts, **moved)
+
+
 def observe(facts: AlarmFacts, attributes: AlarmAttributes, holds: bool | None, at: UnixTime) -> Changed:
-    """Observe the condition of an alarm. While it is not known (None), the alarm neither rises nor clears."""
+    """Take in whether the condition holds. While that is not known (None), the alarm neither rises nor
+    clears."""
     facts, passed = advance(facts, attributes, at)
     if holds is None:
         unknown_since = at if facts.unknown_since is None else facts.unknown_since
@@ -242,39 +178,40 @@ def advance(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Cha
 
 
 def _come_due(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
-    if detection_due(facts, attributes) == at:
+    if _detection_due(facts, attributes) == at:
         return _detect(facts, attributes, at)
-    if realarm_due(facts, attributes) == at:
-        return _base(facts, attributes, "realarm", at)
-    return _unhide(facts, "unshelve", at)
+    if _realarm_due(facts, attributes) == at:
+        return _moved(facts, replace(facts, acknowledged=False, acknowledged_at=None), "realarm", at)
+    return _unshelved(facts, at)
 
 
 def _detect(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
-    cleared = facts.active
     facts = replace(facts, changing_since=None)
-    facts, done = _base(facts, attributes, "clear" if cleared else "rise", at)
-    if cleared and facts.shelved_once:
-        facts, ended = _unhide(facts, "unshelve", at)
+    if not facts.active:
+        return _risen(facts, at)
+    facts, done = _cleared(facts, attributes, at)
+    if facts.shelved_once:
+        facts, ended = _unshelved(facts, at)
         done += ended
     return facts, done
 
 
-def acknowledge(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
-    """Acknowledge an alarm. Raises NoTransitionError, also while it is hidden."""
-    if facts.is_hidden:
+def acknowledge(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
+    """Acknowledge an alarm. Raises NoTransitionError, also while the alarm is hidden."""
+    if facts.is_hidden or facts.acknowledged:
         raise NoTransitionError
-    return _base(facts, attributes, "acknowledge", at)
+    return _acknowledged(facts, at)
 
 
-def reset(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
-    """End a latch. Raises NoTransitionError, also while it is hidden."""
-    if facts.is_hidden:
+def reset(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
+    """End a latch. Raises NoTransitionError, also while the alarm is hidden."""
+    if facts.is_hidden or not (facts.latched and facts.acknowledged):
         raise NoTransitionError
-    return _base(facts, attributes, "reset", at)
+    return _reset(facts, at)
 
 
 def silence(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """End its sound, which leaves its state. Raises NoTransitionError where it does not sound."""
+    """End the sound of an alarm, whose state stays. Raises NoTransitionError where it does not sound."""
     if not facts.sounds:
         raise NoTransitionError
     return _moved(facts, replace(facts, silenced=True), "silence", at)
@@ -283,93 +220,108 @@ def silence(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
 def shelve(
     facts: AlarmFacts, _: AlarmAttributes, at: UnixTime, *, for_s: float, once: bool = False
 ) -> Changed:
-    """Hide it for a time; ``once``: or until its condition ends. Raises NoTransitionError."""
+    """Hide an alarm for a time; ``once``: or until its condition ends. Raises NoTransitionError."""
     if facts.shelved_until is not None or facts.out_of_service:
         raise NoTransitionError
     return _moved(facts, replace(facts, shelved_until=at + for_s, shelved_once=once), "shelve", at)
 
 
 def unshelve(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """End the shelving before its time. Raises NoTransitionError."""
+    """End a shelving before its time. Raises NoTransitionError."""
     if facts.shelved_until is None:
         raise NoTransitionError
-    return _unhide(facts, "unshelve", at)
+    return _unshelved(facts, at)
 
 
 def remove_from_service(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """Hide it until it is returned to service. Raises NoTransitionError."""
+    """Hide an alarm until it is returned to service. Raises NoTransitionError."""
     if facts.out_of_service:
         raise NoTransitionError
     return _moved(facts, replace(facts, out_of_service=True), "remove", at)
 
 
 def return_to_service(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """Annunciate it again. Raises NoTransitionError."""
+    """Annunciate an alarm again. Raises NoTransitionError."""
     if not facts.out_of_service:
         raise NoTransitionError
-    return _unhide(facts, "return", at)
-
-
-def withdraw(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
-    """Its definition ends, and with it the alarm: it goes out of service, ends there, and is normal on its
-    return. An active alarm clears; nothing is annunciated on the way. No transition where it is normal."""
-    facts = replace(facts, changing_since=None, unknown_since=None)
-    if facts.state == "normal":
-        return facts, ()
-    done: tuple[Transition, ...] = ()
-    while (step := _next_withdrawal(facts)) is not None:
-        facts, transitions = step(facts, attributes, at)
-        done += transitions
-    return facts, done
-
-
-def _next_withdrawal(facts: AlarmFacts) -> StateChange | None:
-    if facts.state == "normal":
-        return None
-    if not facts.out_of_service:
-        return remove_from_service
-    if facts.active:
-        return lambda facts, attributes, at: _base(facts, attributes, "clear", at)
-    if facts.latched:
-        trigger: BaseTrigger = "reset" if facts.acknowledged else "acknowledge"
-        return lambda facts, attributes, at: _base(facts, attributes, trigger, at)
-    if facts.shelved_until is not None:
-        return unshelve
-    if facts.suppressed:
-        return lambda facts, _, at: suppress(facts, False, at)
-    return return_to_service
+    return _shown(facts, replace(facts, out_of_service=False), "return", at)
 
 
 def suppress(facts: AlarmFacts, suppressed: bool, at: UnixTime) -> Changed:
-    """Suppression by design begins or ends; nothing where that is so already."""
+    """Begin or end the suppression by design; no transition where nothing changes."""
     if facts.suppressed == suppressed:
         return facts, ()
-    if suppressed:
-        return _moved(facts, replace(facts, suppressed=True), "suppress", at)
-    return _unhide(facts, "unsuppress", at)
+    after = replace(facts, suppressed=suppressed)
+    return _moved(facts, after, "suppress", at) if suppressed else _shown(facts, after, "unsuppress", at)
 
 
-def _base(facts: AlarmFacts, attributes: AlarmAttributes, trigger: BaseTrigger, at: UnixTime) -> Changed:
-    target = TRANSITIONS.get((facts.base, trigger))
-    if target is None:
-        raise NoTransitionError
-    base = target.latching if attributes.latching else target.plain
-    after = _in_base(facts, base)
-    if trigger in _STAMPED:
-        after = _STAMPED[trigger](after, at)
-    return _moved(facts, after, trigger, at)
+def withdraw(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
+    """Lead an alarm whose definition ends to normal: it ends out of service, and then returns. Nothing is
+    annunciated on the way. An alarm that is normal has no transition."""
+    facts = replace(facts, changing_since=None, unknown_since=None)
+    if facts.state == "normal":
+        return facts, ()
+    steps: list[Transition] = []
+
+    def follow(changed: Changed) -> AlarmFacts:
+        steps.extend(changed[1])
+        return changed[0]
+
+    if not facts.out_of_service:
+        facts = follow(remove_from_service(facts, attributes, at))
+    if facts.active:
+        facts = follow(_cleared(facts, attributes, at))
+    if facts.latched and not facts.acknowledged:
+        facts = follow(_acknowledged(facts, at))
+    if facts.latched:
+        facts = follow(_reset(facts, at))
+    if facts.shelved_until is not None:
+        facts = follow(_unshelved(facts, at))
+    facts = follow(suppress(facts, False, at))
+    facts = follow(return_to_service(facts, attributes, at))
+    return facts, tuple(steps)
 
 
-def _unhide(facts: AlarmFacts, trigger: Unhiding, at: UnixTime) -> Changed:
-    after = _ENDED[trigger](facts)
+def _risen(facts: AlarmFacts, at: UnixTime) -> Changed:
+    after = replace(
+        facts,
+        active=True,
+        acknowledged=False,
+        latched=False,
+        occurrence=facts.occurrence + 1,
+        came=at,
+        cleared=None,
+        acknowledged_at=None,
+    )
+    return _moved(facts, after, "rise", at)
+
+
+def _cleared(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
+    after = replace(facts, active=False, latched=attributes.latching, cleared=at)
+    return _moved(facts, after, "clear", at)
+
+
+def _acknowledged(facts: AlarmFacts, at: UnixTime) -> Changed:
+    return _moved(facts, replace(facts, acknowledged=True, acknowledged_at=at), "acknowledge", at)
+
+
+def _reset(facts: AlarmFacts, at: UnixTime) -> Changed:
+    return _moved(facts, replace(facts, latched=False), "reset", at)
+
+
+def _unshelved(facts: AlarmFacts, at: UnixTime) -> Changed:
+    return _shown(facts, replace(facts, shelved_until=None, shelved_once=False), "unshelve", at)
+
+
+def _shown(before: AlarmFacts, after: AlarmFacts, trigger: AlarmTrigger, at: UnixTime) -> Changed:
+    """End one thing that hides an alarm. An alarm that nothing hides any more comes back as normal or, while
+    it is active or latched, unacknowledged (G, H, I → A or B)."""
     if not after.is_hidden:
-        after = _in_base(after, ON_RETURN[after.base])
-    return _moved(facts, after, trigger, at)
-
-
-def _in_base(facts: AlarmFacts, base: BaseState) -> AlarmFacts:
-    after = facts.with_base(base)
-    return after if after.acknowledged else replace(after, acknowledged_at=None)
+        is_over = not (after.active or after.latched)
+        after = replace(
+            after, acknowledged=is_over, acknowledged_at=after.acknowledged_at if is_over else None
+        )
+    return _moved(before, after, trigger, at)
 
 
 def _moved(before: AlarmFacts, after: AlarmFacts, trigger: AlarmTrigger, at: UnixTime) -> Changed:
