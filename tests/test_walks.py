@@ -227,7 +227,7 @@ async def test_browsers_learn_of_a_reading_before_what_judges_and_stores_it(tmp_
         "app.line.live.browsers.browser.Browser.send_diff",
         "app.line.live.api.line_stream.LineStream._on_updates",
         "app.engineering.sets.drift.BusDrift._see",
-        "app.line.alarms.monitor.bus_alarms.BusAlarms._see",
+        "app.line.alarms.bus_alarms.BusAlarms._see",
         "app.line.history.service.History.append",
         "app.line.live.changes.Changes.see",
     ]

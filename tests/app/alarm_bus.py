@@ -7,8 +7,8 @@ from typing import Any
 
 from app.core.database import Database
 from app.line.alarms.alarm import Alarm
-from app.line.alarms.journal.store import AlarmStore
-from app.line.alarms.monitor.bus_alarms import BusAlarms
+from app.line.alarms.bus_alarms import BusAlarms
+from app.line.alarms.journal import AlarmStore
 from app.line.alarms.settings import AlarmSettings, BuiltInAlarmSettings
 from app.line.live.state.bus_live import LiveState
 from app.people.audit.log import EventLog

@@ -7,7 +7,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from app.core.database import Database
-from app.line.alarms.journal.store import AlarmStore
+from app.line.alarms.journal import AlarmStore
 from app.line.alarms.rules.performance import ObservedSpan
 from bus.instants import UnixTime
 
@@ -22,12 +22,6 @@ class Journal:
         self._database = database
         self.store = AlarmStore(database)
         self.spans = [ObservedSpan(UnixTime(T), UnixTime(T + 1800))]
-
-    def observed(self) -> list[ObservedSpan]:
-        return self.spans
-
-    def present_facts(self) -> list[object]:
-        return []
 
     def write(self, alarm: str, *rows: tuple[float, str, str, str], priority: str = "low") -> None:
         """Transitions of one alarm: seconds after T, trigger, state before, state after."""

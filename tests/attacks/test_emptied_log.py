@@ -14,7 +14,7 @@ from structlog.testing import capture_logs
 from app.cli import cli
 from app.core.database import Database
 from app.line.alarms.alarm import key_of
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.main import create_app
 from app.people.audit.anchor import Anchoring, AnchorStatus
 from app.people.audit.keys import open_keys

@@ -22,7 +22,7 @@ from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows
 from app.engineering.sets.store import SetStore
 from app.line.alarms.acts import ACKNOWLEDGE
 from app.line.alarms.alarm import Alarm, AlarmDefinition, built_in
-from app.line.alarms.journal.store import AlarmStore, entry_of
+from app.line.alarms.journal import AlarmStore, entry_of
 from app.line.alarms.rules.performance import ObservedSpan
 from app.line.alarms.rules.state_machine import AlarmAttributes, AlarmFacts, Changed, acknowledge, observe
 from app.line.conditions.catalogue import CONDITIONS

@@ -2,33 +2,45 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Query
+from fastapi import APIRouter, Body, Depends, Query
 from pydantic import Field
+from starlette.requests import Request
+from starlette.responses import Response
 from typing_extensions import TypeAliasType, TypedDict
 
 from app.core.web.admission.access import Person, Viewer
+from app.core.web.admission.bounds import refuse_year
+from app.core.web.admission.turns import SEARCH
 from app.core.web.api.route import ApiRoute
 from app.core.web.api.shape import (
     Instant,
     MaybeInstant,
     MaybeMessage,
     MessageShown,
+    ZonedTime,
     iso,
     maybe_shown,
     message_shown,
 )
+from app.core.web.rendering.csv_file import CSV, Column, WantedCsv
+from app.core.web.rendering.templating import templates_of
 from app.core.web.services import service
+from app.errors import Problem
 from app.line.alarms.acts import ALARM_ACTS, AlarmAct
 from app.line.alarms.alarm import Alarm, AlarmRationalization, BusName, UnitNumber
-from app.line.alarms.journal.store import JournalEntry
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.journal import MAX_OCCURRENCES, AlarmPerformance, JournalEntry, Occurrence, occurrences
+from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.rules.performance import DAY_S
 from app.line.alarms.rules.state_machine import AlarmState, AlarmTrigger
 from app.line.conditions.condition import AlarmGroup
 from app.line.conditions.priority import AlarmPriority
-from bus.instants import UnixTime
-from bus.messages import Message, in_english
+from app.line.history.service import seconds
+from app.line.history.spans import SpanOf
+from bus.instants import UnixTime, unix_now
+from bus.messages import Message, in_english, term
 
 AlarmGroupShown = TypeAliasType("AlarmGroupShown", AlarmGroup)
 AlarmStateShown = TypeAliasType("AlarmStateShown", AlarmState)
@@ -224,6 +236,138 @@ async def get_alarm_journal(
     entries = await alarms.store.journal(limit + 1, before)
     following = entries[limit - 1].id if len(entries) > limit else None
     return {"transitions": [transition_json(entry) for entry in entries[:limit]], "next": following}
+
+
+MAX_UNITS = 255
+
+
+class AlarmOccurrenceText(TypedDict):
+    """In the reader's language."""
+
+    name: str
+    place: str
+
+
+AlarmOccurrence = TypedDict(
+    "AlarmOccurrence",
+    {
+        "alarm": Annotated[str, Field(description="The id of the occurrence.")],
+        "name": str,
+        "code": str,
+        "bus": BusName,
+        "unit": UnitNumber,
+        "priority": AlarmPriorityShown,
+        "from": Annotated[Instant, Field(description="When it was annunciated, ISO 8601.")],
+        "to": Annotated[MaybeInstant, Field(description="Until when it was active; null: it still is.")],
+        "shown": AlarmOccurrenceText,
+    },
+)
+
+
+class AlarmOccurrences(TypedDict):
+    """Occurrences of a span, oldest first."""
+
+    occurrences: list[AlarmOccurrence]
+    more: Annotated[bool, Field(description="Whether there are more than the newest 500.")]
+
+
+@router.get("/occurrences", dependencies=[SEARCH])
+async def get_alarm_occurrences(
+    request: Request,
+    _: Viewer,
+    alarms: Alarms,
+    span: SpanOf,
+    unit: Annotated[list[str] | None, Query(max_length=MAX_UNITS)] = None,
+) -> AlarmOccurrences:
+    """When alarms were annunciated and active in a span: those of each ``bus/unit`` named and of its bus, or
+    all. At most the newest 500. What was hidden all the time is in the journal alone."""
+    keys = _keys(alarms, unit or [])
+    found = await occurrences(alarms.store, keys, seconds(span.start), seconds(span.end))
+    language = templates_of(request).language_of(request)
+
+    def shown(each: Occurrence) -> AlarmOccurrence:
+        return {
+            "alarm": f"{each.alarm}.{each.occurrence}",
+            "name": each.name,
+            "code": each.code,
+            "bus": each.bus,
+            "unit": each.unit,
+            "priority": each.priority,
+            "from": iso(each.start),
+            "to": None if each.end is None else iso(each.end),
+            "shown": {"name": language.t(each.shown_name), "place": alarms.place(each.bus, each.unit)},
+        }
+
+    newest = found[-MAX_OCCURRENCES:]
+    return {"occurrences": [shown(each) for each in newest], "more": len(found) > len(newest)}
+
+
+def _keys(alarms: LineAlarms, units: list[str]) -> list[str]:
+    buses = {unit.rpartition("/")[0] for unit in units}
+
+    def concerns(bus: str | None, unit: int | None) -> bool:
+        return not units or (bus in buses if unit is None else f"{bus}/{unit}" in units)
+
+    definitions = (alarm.definition for alarm in alarms.every())
+    return [each.key for each in definitions if concerns(each.bus, each.unit)]
+
+
+MAX_DAYS = 31
+USUAL_DAYS = 7
+COLUMNS = (
+    *(Column("code", term("Figure")), Column("value", term("Value")), Column("at_most", term("At most"))),
+    *(Column("at_least", term("At least")), Column("met", term("Target met"))),
+    *(Column("from", term("From"), is_time=True), Column("to", term("To"), is_time=True)),
+    Column("observed_s", term("Observed (s)")),
+)
+
+
+def month_at_most(since: datetime | None, until: datetime | None) -> tuple[UnixTime, UnixTime]:
+    """Return the span from ``since`` to ``until``, by default the last week. Raises Problem 422 for one that
+    is reversed or too long."""
+    for name, at in (("from", since), ("to", until)):
+        if at is not None:
+            refuse_year(at, name)
+    end = unix_now() if until is None else UnixTime(until.timestamp())
+    start = end - USUAL_DAYS * DAY_S if since is None else UnixTime(since.timestamp())
+    if start >= end:
+        raise Problem(422, "invalid", Message("span_reversed"))
+    if end - start > MAX_DAYS * DAY_S:
+        raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MAX_DAYS))
+    return start, end
+
+
+async def wanted_performance(
+    alarms: Alarms,
+    since: Annotated[ZonedTime | None, Query(alias="from")] = None,
+    until: Annotated[ZonedTime | None, Query(alias="to")] = None,
+) -> AlarmPerformance:
+    """The figures of a span."""
+    return await alarms.measure(*month_at_most(since, until))
+
+
+WantedPerformance = Annotated[AlarmPerformance, Depends(wanted_performance)]
+
+
+@router.get("/performance")
+async def get_alarm_performance(_: Viewer, performance: WantedPerformance) -> AlarmPerformance:
+    """The figures of ISA-18.2, clause 16, each against its target."""
+    return performance
+
+
+@router.get("/performance.csv", response_class=Response, responses=CSV)
+async def get_alarm_performance_csv(_: Viewer, performance: WantedPerformance, form: WantedCsv) -> Response:
+    """The same figures, a row for each."""
+    start, end = (datetime.fromtimestamp(float(at), UTC) for at in (performance.start, performance.end))
+    rows = (
+        (
+            *(figure.code if form.language is None else Message(f"alarm_figure_{figure.code}"), figure.value),
+            *(figure.at_most, figure.at_least, figure.met, start, end, performance.observed_s),
+        )
+        for figure in performance.figures
+    )
+    name = {"Content-Disposition": 'attachment; filename="alarm-performance.csv"'}
+    return Response(form.head(COLUMNS) + form.rows(COLUMNS, rows), media_type="text/csv", headers=name)
 
 
 @router.get("/{alarm_id}")

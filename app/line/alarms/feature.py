@@ -12,19 +12,19 @@ from app.core.web.rendering.templating import PageHead, Templates
 from app.core.web.services import Registry
 from app.engineering.sets.drift import BusDrift
 from app.feature import Feature, Services
-from app.line.alarms import api, pages
+from app.line.alarms import api, own_alarms, own_pages, pages
 from app.line.alarms.acts import ACTS
 from app.line.alarms.alarm import Alarm
-from app.line.alarms.banner import AlarmBanner
+from app.line.alarms.line_alarms import AlarmBanner
 from app.line.alarms.journal import occurrences, performance
-from app.line.alarms.journal.store import AlarmStore
-from app.line.alarms.monitor.bus_alarms import BusAlarms, control_left_by
-from app.line.alarms.monitor.line_alarms import LineAlarms
-from app.line.alarms.monitor.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
+from app.line.alarms.journal import AlarmStore
+from app.line.alarms.bus_alarms import BusAlarms, control_left_by
+from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
 from app.line.alarms.own import api as own_api
 from app.line.alarms.own import pages as own_pages
-from app.line.alarms.own.book import OwnAlarmBook
-from app.line.alarms.simulation.simulator import Simulator
+from app.line.alarms.own_alarms import OwnAlarmBook
+from app.line.alarms.simulation import Simulator
 from app.line.commands.safeguards import Safeguards
 from app.line.history.service import History
 from app.line.live.browsers.hub import Hub
@@ -64,8 +64,8 @@ def make(services: Services) -> None:
     of_buses = services.of_buses(BusAlarms)
     alarms = services.add(LineAlarms(of_buses, of_site, store, events))
     # The site's own alarms first: the state of each is loaded after its definition.
-    own_alarms = services.add(OwnAlarmBook(settings, alarms, database, events))
-    services.lifespan.add("own alarms", start=own_alarms.load)
+    book = services.add(OwnAlarmBook(settings.alarm, settings.bus, alarms, database, events))
+    services.lifespan.add("own alarms", start=book.load)
     follow = [of_site.follow, *(of.follow for of in of_buses.values())]
     services.lifespan.add("alarms", *follow, start=alarms.load, end=alarms.write)
     services[Finders].add("find_alarms", AlarmFinder(alarms))
@@ -125,13 +125,6 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
 
 FEATURE = Feature(
     make,
-    (
-        own_pages.router,
-        performance.router,
-        occurrences.router,
-        own_api.router,
-        api.router,
-        pages.router,
-    ),
+    (own_pages.router, own_alarms.router, api.router, pages.router),
     acts=ACTS,
 )

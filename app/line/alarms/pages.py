@@ -23,15 +23,13 @@ from app.errors import Problem
 from app.line.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
 from app.line.alarms.alarm import Alarm, state_text
 from app.line.alarms.api import Alarms, present_value
-from app.line.alarms.journal.performance import measure
-from app.line.alarms.journal.store import JournalFilter
-from app.line.alarms.monitor.line_alarms import LineAlarms, rank
+from app.line.alarms.journal import JournalFilter
+from app.line.alarms.line_alarms import LineAlarms, rank
 from app.line.alarms.rules.performance import DAY_S, AlarmFigure
 from app.line.alarms.rules.state_machine import PRESENT_STATES, AlarmState
 from app.line.conditions.condition import GROUPS
 from app.line.live.browsers.hub import Hub
 from app.line.live.screen.screen import ALARM_GROUP
-from app.settings import Settings
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 from bus.text import OneLine, TypedText
@@ -136,7 +134,7 @@ async def journal_page(
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> Response:
     """The transitions that a person chose, newest first; ``day``: of the site."""
-    zone = service_of(request, Settings).site.zone
+    zone = templates_of(request).site.zone
     bus, _slash, unit = place.partition("/")
     chosen = {"search": search.strip(), "place": place, "priority": priority, "state": state, "day": day}
     found = JournalFilter(
@@ -246,7 +244,7 @@ async def performance_page(
 ) -> Response:
     """The figures of the alarm system over the last days."""
     end, span_s = unix_now(), int(days) * DAY_S
-    found = await measure(alarms, end - span_s, end)
+    found = await alarms.measure(end - span_s, end)
     formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
     span = urlencode({"from": formats.iso(end - span_s), "to": formats.iso(end)})
     return render(

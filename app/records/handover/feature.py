@@ -9,7 +9,7 @@ from app.core.database import Database
 from app.core.web.rendering.assets import Assets
 from app.core.web.rendering.templating import Templates
 from app.feature import Feature, Services
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.people.audit.log import EventLog
 from app.people.auth.sign_in.signin import SignIn
 from app.records.handover import api, pages

@@ -19,7 +19,7 @@ from app.core.web.api.shape import ZonedTime
 from app.core.web.rendering.templating import render
 from app.core.web.services import service
 from app.line.alarms.api import Alarms, transition_json
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.records.handover.acts import SIGN, WRITE_NOTE
 from app.records.handover.api import MAX_NOTE_LENGTH, ShiftOfPath, Shifts, Sign
 from app.records.handover.notes.pictures import MAX_OF_NOTE, PictureStore

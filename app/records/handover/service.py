@@ -20,7 +20,7 @@ from app.core.web.admission.bounds import refuse_year
 from app.core.web.api.shape import InstantObject, iso
 from app.core.web.services import unknown_bus, unknown_unit
 from app.errors import Problem
-from app.line.alarms.journal.store import JournalEntry
+from app.line.alarms.journal import JournalEntry
 from app.people.audit.log import EventLog
 from app.records.handover.acts import CORRECT_NOTE, WRITE_NOTE
 from app.records.handover.notes import notes

@@ -5,8 +5,8 @@ from __future__ import annotations
 from app.core.database import Database
 from app.core.web.rendering.templating import Templates
 from app.feature import Feature, Services
-from app.line.alarms.monitor.bus_alarms import BusAlarms
-from app.line.alarms.monitor.site_alarms import FailingEndpoints, SiteAlarms
+from app.line.alarms.bus_alarms import BusAlarms
+from app.line.alarms.site_alarms import FailingEndpoints, SiteAlarms
 from app.people.audit.log import EventLog
 from app.records.notification import api, pages
 from app.records.notification.acts import ACTS

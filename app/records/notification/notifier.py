@@ -8,8 +8,8 @@ from dataclasses import replace
 from itertools import count
 
 from app.line.alarms.alarm import SITE
-from app.line.alarms.journal.store import JournalEntry
-from app.line.alarms.monitor.alarm_list import AlarmList
+from app.line.alarms.alarm_list import AlarmList
+from app.line.alarms.journal import JournalEntry
 from app.records.notification.notice import OutboxItem, notice_of
 from app.records.notification.outbox import STANDING
 from app.records.notification.rules.notices import Episode, Followed, PlannedNotice, due, follow

@@ -14,7 +14,7 @@ from pydantic import Field
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import upsert
 from app.core.web.api.shape import InstantObject
-from app.line.alarms.journal.store import JournalEntry
+from app.line.alarms.journal import JournalEntry
 from app.records.notification.notice import AlarmNotice, OutboxItem, ReportNotice
 from app.records.notification.rules.delivery import FLOOD_WINDOW_S, DeliveryState, EndpointLoad, Retry
 from app.records.notification.rules.notices import Episode, QuietSpan, opened_by

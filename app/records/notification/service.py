@@ -17,7 +17,7 @@ from app.core.web.admission.access import Person
 from app.core.web.api.shape import InstantObject, MessageObject
 from app.core.web.rendering.formats import Formats
 from app.errors import Problem
-from app.line.alarms.monitor.site_alarms import FailingEndpoints
+from app.line.alarms.site_alarms import FailingEndpoints
 from app.people.audit.log import EventLog
 from app.records.notification.acts import SEND_TEST
 from app.records.notification.compose import Composer, acknowledge_link, check_link

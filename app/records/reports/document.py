@@ -8,7 +8,7 @@ from typing import Any
 from app.core.web.rendering.assets import Assets
 from app.core.web.rendering.formats import lasting
 from app.core.web.rendering.templating import Templates
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.records.handover.rules.scope import Scope
 from app.records.handover.rules.shift_times import Shift
 from app.records.handover.sheet.document import readable

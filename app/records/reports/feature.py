@@ -7,7 +7,7 @@ from app.core.find.finders import Finders, FixedPlace
 from app.core.web.rendering.assets import Assets
 from app.core.web.rendering.templating import Templates
 from app.feature import Feature, Services
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.line.history.service import History
 from app.records.notification.notice import ReportAttachments
 from app.records.notification.service import Notification

@@ -13,7 +13,7 @@ from typing_extensions import TypedDict
 from app.core.database import StoreConnection
 from app.core.web.api.shape import Instant, iso
 from app.line.alarms.api import AlarmStateShown, AlarmTransition, transition_json
-from app.line.alarms.journal.store import JournalEntry
+from app.line.alarms.journal import JournalEntry
 from app.line.history.series.figures import DrawFigures, RunFigures, StopCause
 from app.line.history.series.runs import SECOND, micros
 from app.line.history.unit_report import MAX_READINGS, BusReport, UnitReport

@@ -12,7 +12,7 @@ from prometheus_client.registry import Collector
 
 from app.core.database.reserve import free_bytes
 from app.line.alarms.alarm import Alarm
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.rules.state_machine import PRESENT_STATES
 from app.line.conditions.draw import percent_of
 from app.line.conditions.priority import PRIORITIES

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.feature import Feature, Services
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.line.history.service import History
 from app.line.live.browsers.hub import Hub
 from app.line.live.state.bus_live import LiveState

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.line.history.status import HistoryStatus
 from app.line.live.state.bus_live import LiveState
 from app.people.audit.anchor import AnchorStatus

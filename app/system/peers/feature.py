@@ -10,7 +10,7 @@ from app.core.web.rendering.templating import Templates
 from app.engineering.recipes.book import RecipeBook
 from app.engineering.sets.drift import BusDrift
 from app.feature import Feature, Services
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.line.commands.safeguards import Safeguards
 from app.line.live.screen.fields import Translator
 from app.line.live.state.bus_live import LiveState

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from app.errors import StoreError
 from app.line.alarms.alarm import Alarm
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.line.live.screen.fields import Translator
 from app.line.live.screen.sources import GoldenDrift, LoadedRecipes, UnitGuards
 from app.line.live.state.bus_live import LiveState

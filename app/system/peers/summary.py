@@ -11,7 +11,7 @@ from itertools import islice
 import msgspec
 
 from app.line.alarms.alarm import Alarm
-from app.line.alarms.monitor.line_alarms import rank
+from app.line.alarms.line_alarms import rank
 from app.line.conditions.priority import PRIORITIES, AlarmPriority
 from app.line.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts
 from app.line.live.diagnosis.cause import Cause, Level, bus_cause, unit_cause

@@ -20,8 +20,8 @@ from app.line.alarms.acts import (
     AlarmAct,
     AlarmShelveRequest,
 )
-from app.line.alarms.monitor.line_alarms import LineAlarms
-from app.line.alarms.monitor.site_alarms import SiteAlarms
+from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.site_alarms import SiteAlarms
 from app.people.audit.queries import Filter
 from bus.instants import UnixTime
 from tests.app.alarm_bus import BUS, RUN, AlarmBus

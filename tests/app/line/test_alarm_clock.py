@@ -13,8 +13,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from app.core.database import Database
-from app.line.alarms.journal.occurrences import occurrences
-from app.line.alarms.journal.performance import measure
+from app.line.alarms.journal import measure, occurrences
 from app.line.alarms.rules.performance import CHATTERS_S, FLEETING_S, ObservedSpan
 from bus.instants import UnixTime
 from tests.app.alarm_bus import AlarmBus
@@ -80,7 +79,8 @@ async def test_figures_leave_out_what_the_clock_made_negative(journal: Journal, 
     _, begin = written(journal, several)
     start, end = UnixTime(T + begin - REACH_S), UnixTime(T + begin + REACH_S)
     journal.spans = [ObservedSpan(start, end)]
-    found = {figure.code: figure.value for figure in (await measure(journal, start, end)).figures}  # type: ignore[arg-type]
+    performance = await measure(journal.store, [], journal.spans, start, end)
+    found = {figure.code: figure.value for figure in performance.figures}
     assert [code for code, value in found.items() if value is not None and value < 0] == []
     delays = [seen - risen for risen, seen, _ in several if seen >= risen]
     median = pytest.approx(statistics.median(delays)) if delays else None
@@ -110,7 +110,7 @@ async def test_an_alarm_from_before_the_clock_was_set_back_is_not_fleeting(
         journal.write(
             "a", (0, "rise", "normal", "unack_active"), (cleared_at, "clear", "unack_active", "rtn_unack")
         )
-        performance = await measure(journal, UnixTime(T - 9000), UnixTime(T + 9000))  # type: ignore[arg-type]
+        performance = await measure(journal.store, [], journal.spans, UnixTime(T - 9000), UnixTime(T + 9000))
         assert {figure.code: figure.value for figure in performance.figures}["fleeting"] == fleeting
 
 

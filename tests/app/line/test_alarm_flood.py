@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from app.core.database import Database
-from app.line.alarms.journal.store import AlarmStore, JournalEntry
+from app.line.alarms.journal import AlarmStore, JournalEntry
 from tests.sizes import sizes
 
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.line.alarms.journal.occurrences import MAX_OCCURRENCES, occurrences
-from app.line.alarms.journal.store import AlarmStore
+from app.line.alarms.journal import MAX_OCCURRENCES, AlarmStore, occurrences
 from bus.instants import UnixTime
 from tests.app.alarm_journal import Journal, T, alarm_journal
 

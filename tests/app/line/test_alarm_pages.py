@@ -13,9 +13,8 @@ import pytest
 
 from app.core.web.admission.access import Role
 from app.core.web.rendering.templating import Templates
-from app.line.alarms.banner import AlarmBanner
-from app.line.alarms.monitor.bus_alarms import BusAlarms
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.bus_alarms import BusAlarms
+from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
 from app.line.alarms.rules.performance import ObservedSpan
 from app.line.alarms.rules.state_machine import AlarmFacts
 from app.line.live.browsers.hub import Hub

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.line.alarms.journal.performance import AlarmPerformance, measure
+from app.line.alarms.journal import AlarmPerformance, measure
 from app.line.alarms.rules.performance import (
     CHATTERS_S,
     FEW,
@@ -39,7 +39,7 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
 
 
 async def performance_of(journal: Journal, seconds: float) -> AlarmPerformance:
-    return await measure(journal, UnixTime(T), UnixTime(T + seconds))  # type: ignore[arg-type]
+    return await measure(journal.store, [], journal.spans, UnixTime(T), UnixTime(T + seconds))
 
 
 async def measured(journal: Journal, seconds: float) -> dict[str, float | None]:

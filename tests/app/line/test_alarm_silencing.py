@@ -9,8 +9,8 @@ import pytest
 from app.core.database import Database
 from app.core.web.admission.access import Person, Role
 from app.errors import StoreError
-from app.line.alarms.monitor.line_alarms import LineAlarms
-from app.line.alarms.monitor.site_alarms import SiteAlarms
+from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.site_alarms import SiteAlarms
 from bus.instants import UnixTime
 from tests.app.alarm_bus import BUS, RUN, AlarmBus
 

@@ -13,8 +13,7 @@ import pytest
 from app.core.database import Database
 from app.line.alarms.rules.state_machine import Transition
 from app.line.alarms.settings import AlarmSettings
-from app.line.alarms.simulation.replay import Annunciations, Replay, extremes
-from app.line.alarms.simulation.simulator import StoredHour
+from app.line.alarms.simulation import Annunciations, Replay, StoredHour, extremes
 from app.line.history import tables
 from app.line.history.series.rollup import rollup
 from app.line.history.series.runs import HOUR, MINUTE, micros, plain_run, runs_of

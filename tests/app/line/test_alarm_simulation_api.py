@@ -13,10 +13,10 @@ import pytest
 
 from app.core.web.admission.access import Role
 from app.errors import Problem
-from app.line.alarms.monitor.line_alarms import LineAlarms
-from app.line.alarms.own.definition import in_toml, proposed
+from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.own_condition import in_toml, proposed
 from app.line.alarms.settings import AlarmSettings
-from app.line.alarms.simulation.simulator import Simulator
+from app.line.alarms.simulation import Simulator
 from app.line.history import tables
 from app.line.history.series.runs import micros
 from app.line.history.service import History

@@ -10,9 +10,9 @@ import pytest
 
 from app.core.database import Database
 from app.core.web.admission.access import Role
-from app.line.alarms.journal.store import AlarmStore
-from app.line.alarms.monitor.bus_alarms import control_left_by
-from app.line.alarms.monitor.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
+from app.line.alarms.bus_alarms import control_left_by
+from app.line.alarms.journal import AlarmStore
+from app.line.alarms.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
 from app.line.conditions.catalogue import CONDITIONS
 from app.line.conditions.of_server import DAY_S, certificate_expires, token_expires
 from app.line.history.status import HistoryStatus

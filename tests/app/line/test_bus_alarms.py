@@ -10,7 +10,7 @@ import pytest
 
 from app.core.database import Database
 from app.line.alarms.alarm import Alarm
-from app.line.alarms.own.definition import own_definition
+from app.line.alarms.own_condition import own_definition
 from app.line.alarms.rules import state_machine
 from app.line.alarms.settings import AlarmSettings
 from app.line.feed.holders import Credential, refusal

@@ -17,8 +17,8 @@ from app.core.database import Database
 from app.core.web.admission.access import Person, Role
 from app.errors import Problem, StoreError
 from app.line.alarms.alarm import Alarm
-from app.line.alarms.monitor.line_alarms import LineAlarms
-from app.line.alarms.own.book import MAX_OWN, OwnAlarmBook
+from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.own_alarms import MAX_OWN, OwnAlarmBook
 from app.line.live.state.bus_live import LiveState
 from app.people.audit.log import EventLog
 from app.settings import Settings
@@ -193,7 +193,7 @@ async def test_only_an_engineer_changes_alarms(house: House, role: Role) -> None
 
 async def test_there_is_a_greatest_number_of_them(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     assert MAX_OWN == 500
-    monkeypatch.setattr("app.line.alarms.own.book.MAX_OWN", 1)
+    monkeypatch.setattr("app.line.alarms.own_alarms.MAX_OWN", 1)
     engineer = await house.program(Role.ENGINEER)
     await added(engineer)
     response = await engineer.post(PATH, json={**FAST, "name": "Second"})

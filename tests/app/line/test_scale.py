@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.errors import Problem
-from app.line.alarms.own.definition import known_decimals
+from app.line.alarms.own_condition import known_decimals
 from app.line.commands.limits import NO_LIMITS
 from app.line.commands.review import change_of
 from app.line.commands.values import parse_scale, raw_of_percent, scale_text, scales_of

@@ -19,7 +19,7 @@ from jsonschema_rs import Draft202012Validator
 from app.core.web.admission.access import Role
 from app.core.web.api.schema import openapi_document
 from app.line.alarms.api import AlarmShown, alarm_json
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.line.live.api.line_stream import LineStream
 from app.line.live.api.stream_document import AlarmType, stream_document
 from app.line.live.state.bus_live import LiveState

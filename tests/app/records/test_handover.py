@@ -16,8 +16,8 @@ import pytest
 from app.core.database import Database
 from app.core.web.admission.access import Person, Role
 from app.errors import Problem
-from app.line.alarms.monitor.bus_alarms import BusAlarms
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.bus_alarms import BusAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.line.commands.limits import Limits
 from app.line.commands.safeguards import Safeguards
 from app.line.live.state.bus_live import LiveState

@@ -12,7 +12,7 @@ import pytest
 
 from app.core.web.admission.access import Person, Role
 from app.errors import Problem
-from app.line.alarms.monitor.bus_alarms import BusAlarms
+from app.line.alarms.bus_alarms import BusAlarms
 from app.records.notification.service import Notification
 from app.records.notification.settings import NotifySettings
 from tests.app.complete_app import House, complete_app

@@ -8,7 +8,7 @@ from datetime import datetime
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.line.alarms.journal.store import JournalEntry
+from app.line.alarms.journal import JournalEntry
 from app.line.alarms.rules.state_machine import AlarmState, AlarmTrigger
 from app.records.notification.rules.notices import (
     LATE_S,

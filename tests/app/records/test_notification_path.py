@@ -15,10 +15,10 @@ import pytest
 from app.core.web.admission.access import Person, Role
 from app.errors import StoreError
 from app.line.alarms.acts import ACKNOWLEDGE
-from app.line.alarms.monitor.bus_alarms import BusAlarms
-from app.line.alarms.monitor.line_alarms import LineAlarms
-from app.line.alarms.monitor.site_alarms import FailingEndpoints
-from app.line.alarms.own.book import OwnAlarmBook
+from app.line.alarms.bus_alarms import BusAlarms
+from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.own_alarms import OwnAlarmBook
+from app.line.alarms.site_alarms import FailingEndpoints
 from app.line.live.state.bus_live import LiveState
 from app.people.audit.log import EventLog
 from app.records.notification.notice import OutboxItem

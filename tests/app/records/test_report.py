@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from app.cli import cli
 from app.core.database import Database
-from app.line.alarms.journal.store import JournalEntry, alarm_writer
+from app.line.alarms.journal import JournalEntry, alarm_writer
 from app.line.history.series.figures import (
     RunFigures,
     SpeedStretch,

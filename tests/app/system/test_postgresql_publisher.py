@@ -12,7 +12,7 @@ import pytest
 from app.core.database import Database
 from app.core.web.admission.access import Role
 from app.line.alarms.alarm import key_of
-from app.line.alarms.monitor.site_alarms import SiteAlarms
+from app.line.alarms.site_alarms import SiteAlarms
 from app.line.history import tables
 from app.line.history.recorder import compact
 from app.line.history.service import History

@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from app.core.web.admission.access import Viewer
 from app.core.web.services import service_of
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.line.commands.forms.page_context import OfUnit, UnitPage
 from app.line.commands.review import nudges
 from app.line.commands.rules import setpoint_range

@@ -6,7 +6,7 @@ from dataclasses import astuple, dataclass, fields, replace
 
 from app.core.database import StoreConnection
 from app.errors import Problem
-from app.line.alarms.journal.store import JournalEntry
+from app.line.alarms.journal import JournalEntry
 from app.records.handover.rules.shift_times import Shift
 from bus.instants import UnixTime
 from bus.messages import Message

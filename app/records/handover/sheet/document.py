@@ -12,7 +12,7 @@ import msgspec
 
 from app.core.web.rendering.assets import Assets
 from app.core.web.rendering.templating import Templates
-from app.line.alarms.monitor.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms
 from app.records.handover.notes.pictures import PictureStore
 from app.records.handover.rules.pictures import PlainPicture
 from app.records.handover.service import SheetOfShift

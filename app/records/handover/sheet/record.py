@@ -14,7 +14,7 @@ from app.core.database import StoreConnection
 from app.core.database.connection import json_member
 from app.core.web.api.shape import MaybeInstant, iso
 from app.line.alarms.api import AlarmTransition, transition_json
-from app.line.alarms.journal.store import JournalEntry
+from app.line.alarms.journal import JournalEntry
 from app.people.audit import queries
 from app.people.audit.api import EventShown, shown
 from app.people.audit.log import Event

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
-from app.line.alarms.journal.store import JournalEntry
+from app.line.alarms.journal import JournalEntry
 from app.line.alarms.rules.state_machine import AlarmState
 from app.line.conditions.priority import AlarmPriority
 from app.records.notification.rules.roster import DutyRoster

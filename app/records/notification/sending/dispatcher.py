@@ -12,7 +12,7 @@ from datetime import datetime
 import structlog
 
 from app.errors import StoreError
-from app.line.alarms.monitor.site_alarms import FailingEndpoints
+from app.line.alarms.site_alarms import FailingEndpoints
 from app.people.audit.log import EventLog
 from app.records.notification.notice import OutboxItem
 from app.records.notification.outbox import NotificationDelivery, NotificationOutbox

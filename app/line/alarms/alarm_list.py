@@ -15,7 +15,7 @@ from typing_extensions import Unpack
 from app.core.database import StoreConnection
 from app.errors import StoreError
 from app.line.alarms.alarm import SITE, Alarm, AlarmDefinition
-from app.line.alarms.journal.store import AlarmStore, JournalEntry, StoredAlarm, alarm_writer, entry_of
+from app.line.alarms.journal import AlarmStore, JournalEntry, StoredAlarm, alarm_writer, entry_of
 from app.line.alarms.rules import state_machine
 from app.line.alarms.rules.detection import FirstOut
 from app.line.alarms.rules.performance import ObservedSpan, observed_until

@@ -12,8 +12,8 @@ from typing import Literal
 
 from app.errors import StoreError
 from app.line.alarms.alarm import Alarm, built_in, key_of
-from app.line.alarms.journal.store import AlarmStore, StoredAlarm
-from app.line.alarms.monitor.alarm_list import AlarmList
+from app.line.alarms.alarm_list import AlarmList
+from app.line.alarms.journal import AlarmStore, StoredAlarm
 from app.line.alarms.settings import BuiltInAlarmSettings
 from app.line.conditions import of_server
 from app.line.conditions.catalogue import SERVER_ALARMS

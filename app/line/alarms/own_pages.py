@@ -13,21 +13,20 @@ from starlette.responses import RedirectResponse, Response
 from app.core.web.admission.access import Engineer, Person
 from app.core.web.api.shape import parse_integer
 from app.core.web.rendering.templating import render, templates_of
-from app.core.web.services import service, service_of
+from app.core.web.services import service_of
 from app.errors import Problem
 from app.line.alarms.acts import ADD_OWN, REMOVE_OWN
-from app.line.alarms.monitor.line_alarms import LineAlarms
-from app.line.alarms.own.api import OwnBook, SimulatorOf, WrittenText
-from app.line.alarms.own.book import OwnAlarmBook
-from app.line.alarms.own.definition import proposed
+from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.own_alarms import OwnAlarmBook, OwnBook, SimulatorOf, WrittenText
+from app.line.alarms.own_condition import proposed
 from app.line.alarms.pages import SEE_OTHER, TypedReason, given_reason, places_of
 from app.line.alarms.rules.performance import DAY_S
 from app.line.alarms.settings import OwnValue
-from app.line.alarms.simulation.replay import AlarmSimulation
+from app.line.alarms.simulation import AlarmSimulation
 from app.line.history.series import values
 from app.line.history.series.values import VALUES
+from app.line.history.service import History
 from app.line.history.spans import HistoryOf
-from app.settings import Settings
 from bus.instants import unix_now
 from bus.messages import term
 from bus.settings import UnitSettings
@@ -41,7 +40,6 @@ _TEXTS = ("cause", "consequence", "response")
 UNNAMED = term("New alarm")
 """The name of an alarm that is simulated before it has one."""
 _WITHOUT_FIELD = {"realarm_s", "latch"}
-SettingsOf = Annotated[Settings, service(Settings)]
 WrittenField = Annotated[str, Field(max_length=80)]
 
 
@@ -82,7 +80,6 @@ async def own_alarms_page(
     person: Engineer,
     simulator: SimulatorOf,
     history: HistoryOf,
-    configured: SettingsOf,
     query: Annotated[WrittenAlarm, Query()],
 ) -> Response:
     """The alarms of the site, the form, and what its alarm would have done."""
@@ -91,7 +88,9 @@ async def own_alarms_page(
         return _page(request, written)
     try:
         unnamed = templates_of(request).language_of(request).t(UNNAMED)
-        settings = proposed({**_keys(request, written), **_name(written, unnamed)}, configured.bus)
+        settings = proposed(
+            {**_keys(request, written), **_name(written, unnamed)}, list(history.buses.values())
+        )
     except Problem as problem:
         return _page(request, written, fault=problem)
     end, bus = unix_now(), history.buses[settings.bus]
@@ -179,14 +178,9 @@ def _places_of(own: OwnAlarmBook) -> set[str]:
 def _values(request: Request, place: str) -> dict[str, OwnValueWords]:
     """The name and the unit of measure of each value of a unit; without labels where it is not configured."""
     bus, _, number = place.partition("/")
-    units = (
-        unit
-        for each in service_of(request, Settings).bus
-        if each.name == bus
-        for unit in each.unit
-        if str(unit.id) == number
-    )
-    unit = next(units, None)
+    configured = service_of(request, History).buses.get(bus)
+    units = () if configured is None else configured.unit
+    unit = next((each for each in units if str(each.id) == number), None)
     translate = templates_of(request).language_of(request).t
     return {name: _words(unit, name, translate) for name in get_args(OwnValue)}
 

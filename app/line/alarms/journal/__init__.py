@@ -1,1 +1,0 @@
-"""Alarms at rest, the journal of their transitions, and its figures."""

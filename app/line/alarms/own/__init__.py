@@ -1,1 +1,0 @@
-"""The site's own alarms: defined, added, changed and removed."""

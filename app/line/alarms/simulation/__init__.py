@@ -1,1 +1,0 @@
-"""What an alarm would have done: its rules over stored history."""
