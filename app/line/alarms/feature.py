@@ -15,16 +15,12 @@ from app.feature import Feature, Services
 from app.line.alarms import api, own_alarms, own_pages, pages
 from app.line.alarms.acts import ACTS
 from app.line.alarms.alarm import Alarm
-from app.line.alarms.line_alarms import AlarmBanner
-from app.line.alarms.journal import occurrences, performance
-from app.line.alarms.journal import AlarmStore
 from app.line.alarms.bus_alarms import BusAlarms, control_left_by
-from app.line.alarms.line_alarms import LineAlarms
-from app.line.alarms.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
-from app.line.alarms.own import api as own_api
-from app.line.alarms.own import pages as own_pages
+from app.line.alarms.journal import AlarmStore
+from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
 from app.line.alarms.own_alarms import OwnAlarmBook
 from app.line.alarms.simulation import Simulator
+from app.line.alarms.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
 from app.line.commands.safeguards import Safeguards
 from app.line.history.service import History
 from app.line.live.browsers.hub import Hub

@@ -12,8 +12,7 @@ from app.engineering.sets.drift import BusDrift
 from app.feature import Feature, Services
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.api import AlarmShown, alarm_json
-from app.line.alarms.line_alarms import AlarmBanner
-from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
 from app.line.commands.safeguards import Safeguards
 from app.line.feed.bus_feed import BusFeed
 from app.line.history.service import History, status_words
