@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from app.core.database import Database
-from app.line.live.state.bus_live import BusLive, LiveState
+from app.line.live.bus_live import BusLive, LiveState
 from benchmarks import alarm_screen
 from benchmarks.tables import microseconds, show
 from bus.contract import ParameterValue, Reading

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from playwright.sync_api import Page
 
-from app.line.live.admission import MAX_OF_ACCOUNT
+from app.line.live.requests import MAX_OF_ACCOUNT
 from benchmarks.first_visit import show_first_visit
 from benchmarks.onlookers import onlookers
 from benchmarks.page import viewer_page

@@ -11,8 +11,7 @@ import sys
 from html import escape
 from pathlib import Path
 
-from app.core.help.chapters import CHAPTERS, Chapter
-from app.core.help.handbook import ENGLISH, Handbook, Rendered
+from app.core.help.handbook import CHAPTERS, ENGLISH, Chapter, Handbook, Rendered
 from app.core.web.rendering.assets import docs_dir, static_dir
 
 LINK = re.compile(r'(href|src)="/help/(pictures/)?([\w/-]+)(\.png)?')

@@ -22,7 +22,7 @@ from app.engineering.sets.restore_plan import RestoreState
 from app.line.commands.catalogue import BAUD_DANGER
 from app.line.commands.service.command_request import CommandOrigin
 from app.line.history.series.values import VALUES
-from app.line.live.screen.words import STAGE_WORDS, STATE_WORDS, STOPPED_WITH_RUN, TURNING
+from app.line.live.fields import STAGE_WORDS, STATE_WORDS, STOPPED_WITH_RUN, TURNING
 from app.people.audit.entry import EventKind
 from app.records.handover.signing.signatures import SignedPart
 from bus.catalogue.parameters import PARAMETERS

@@ -51,7 +51,7 @@ def test_used_members_of_fastapi_exist() -> None:
 
 
 def test_dropped_members_of_babel_exist() -> None:
-    """Dropped by app.core.messages.locales, and read again by who wants them."""
+    """Dropped by app.core.messages.languages, and read again by who wants them."""
     assert hasattr(core, "_global_data")
     assert isinstance(localedata._cache, dict)
 

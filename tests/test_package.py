@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.help.chapters import CHAPTERS, Chapter
+from app.core.help.handbook import CHAPTERS, Chapter
 from tests.test_architecture import ROOT, tracked
 
 

@@ -24,8 +24,8 @@ from app.line.feed.bus_feed import BusFeed
 from app.line.feed.channel import Channel
 from app.line.feed.ingest import Ingest, IngestPosition
 from app.line.feed.rates import FeedQuota
-from app.line.live.browsers.browser import Browser
-from app.line.live.browsers.hub import Hub
+from app.line.live.browser import Browser
+from app.line.live.hub import Hub
 from app.line.pipeline import Pipeline
 from bus.contract import AppMessage, Batch, Command, Result, SetSpeed, Update, encode
 from bus.worker.outbox import Outbox
@@ -223,13 +223,13 @@ async def test_browsers_learn_of_a_reading_before_what_judges_and_stores_it(tmp_
     async with complete_app(tmp_path) as house:
         await app_calls_of_a_reading(house, await connected(house), calls)
     learning = [
-        "app.line.live.browsers.hub.Hub._on_updates",
-        "app.line.live.browsers.browser.Browser.send_diff",
-        "app.line.live.api.line_stream.LineStream._on_updates",
+        "app.line.live.hub.Hub._on_updates",
+        "app.line.live.browser.Browser.send_diff",
+        "app.line.live.api.stream.LineStream._on_updates",
         "app.engineering.sets.drift.BusDrift._see",
         "app.line.alarms.bus_alarms.BusAlarms._see",
         "app.line.history.service.History.append",
-        "app.line.live.changes.Changes.see",
+        "app.line.live.change_recorder.Changes.see",
     ]
     assert calls.of(learning) == learning
 

@@ -1,5 +1,5 @@
 """Who learns of what the worker of a bus reports, in order: the live state, and with it browsers,
-``/stream``, drift and alarms (:class:`app.line.live.state.bus_live.Audience`); then history, then events.
+``/stream``, drift and alarms (:class:`app.line.live.bus_live.Audience`); then history, then events.
 
 Each is called in the same turn of the event loop, and none holds up or stops the one before it.
 """
@@ -12,9 +12,8 @@ from typing import Protocol
 from msgspec.structs import replace
 
 from app.core.web.api.shape import iso
-from app.line.live.change_recorder import ChangeRecorder
-from app.line.live.changes import Changes, LineEvent
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
+from app.line.live.change_recorder import ChangeRecorder, Changes, LineEvent
 from bus.catalogue.values import plausible_parameter
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
 from bus.instants import UnixTime

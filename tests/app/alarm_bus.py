@@ -10,7 +10,7 @@ from app.line.alarms.alarm import Alarm
 from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.journal import AlarmStore
 from app.line.alarms.settings import AlarmSettings, BuiltInAlarmSettings
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
 from bus.messages import Message

@@ -20,7 +20,7 @@ from app.line.commands.limits import NO_LIMITS
 from app.line.commands.rules import RuleContext
 from app.line.commands.service.command_service import WriteSubscriber
 from app.line.commands.service.idempotency import CommandKey
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Action,

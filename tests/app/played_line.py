@@ -11,7 +11,7 @@ import msgspec
 
 from app.feature import Services
 from app.line.feed.channel import Channel
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.contract import (
     AppMessage,
     BusLink,

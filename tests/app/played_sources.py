@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 
 from app.core.web.rendering.head_control import BusControl
-from app.line.live.screen.fields import Fields, Translator
-from app.line.live.screen.sources import AlarmChangeSubscriber, Drifted, Sources, UnitSubscriber
+from app.line.live.fields import Fields, Translator
+from app.line.live.sources import AlarmChangeSubscriber, Drifted, Sources, UnitSubscriber
 from bus.messages import Message
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from app.core.messages import Languages
 from app.core.web.rendering.formats import Formats
 from app.line.live.api.view import LineView
-from app.line.live.screen.fields import Translator
-from app.line.live.screen.screen import Screen
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
+from app.line.live.fields import Translator
+from app.line.live.screen import Screen
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.app.played_sources import played_sources

@@ -41,9 +41,9 @@ from app.line.feed.workers import Workers
 from app.line.history.status import HistoryStatus
 from app.line.live.api.routes import router as live_router
 from app.line.live.api.view import LineView
+from app.line.live.bus_live import LiveState
 from app.line.live.change_recorder import ChangeRecorder
-from app.line.live.screen.sources import Sources
-from app.line.live.state.bus_live import LiveState
+from app.line.live.sources import Sources
 from app.line.pipeline import Pipeline
 from app.people.audit.acts import ActLimit
 from app.people.audit.api import router as events_router

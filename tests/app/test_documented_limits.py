@@ -11,7 +11,7 @@ from app.core.server.admission import addresses
 from app.core.server.connection import connections, gate, pace
 from app.core.web.admission import bounds
 from app.core.web.api import route as api_route
-from app.line.live.api import line_stream
+from app.line.live.api import stream as line_stream
 from app.people.audit import acts
 from app.people.auth import pages, rules, store
 from app.people.auth.rights import rights

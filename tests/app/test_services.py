@@ -71,10 +71,3 @@ def test_nothing_is_patched_into_a_service_after_it_was_made() -> None:
         and ast.unparse(node.value) != "self"
     ]
     assert stored == []
-
-
-def test_rest_reads_from_the_owner_of_the_state_and_never_the_hub() -> None:
-    root = Path(app.__file__).parent
-    modules = [*root.rglob("*api.py"), *root.glob("*/api/*.py")]
-    assert len(modules) > 8
-    assert [path.name for path in modules if "app.line.live.browsers" in path.read_text()] == []

@@ -26,10 +26,10 @@ from app.line.feed.holders import Credential
 from app.line.feed.ingest import Ingest
 from app.line.feed.rates import FeedQuota
 from app.line.feed.workers import MAX_HELLOS_AT_ONCE, TOO_OFTEN, Workers
-from app.line.live.browsers.browser import Browser
-from app.line.live.browsers.hub import Hub
+from app.line.live.browser import Browser
+from app.line.live.bus_live import Audience, BusLive
 from app.line.live.change_recorder import ChangeRecorder
-from app.line.live.state.bus_live import Audience, BusLive
+from app.line.live.hub import Hub
 from app.people.audit.log import EventLog
 from app.people.audit.queries import Filter
 from bus.contract import (

@@ -14,7 +14,7 @@ from app.core.web.admission import arrival
 from app.core.web.admission.access import Role
 from app.core.web.admission.arrival import SAFE_METHODS
 from app.engineering.recipes.book import RecipeBook
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA
 from tests.app.played_commands import responding as responding_units

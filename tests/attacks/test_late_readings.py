@@ -19,8 +19,8 @@ from app.line.history import tables
 from app.line.history.series.runs import HOUR, Run, merge, micros
 from app.line.history.service import History
 from app.line.history.tail import Tail
+from app.line.live.bus_live import LiveState
 from app.line.live.change_recorder import ChangeRecorder
-from app.line.live.state.bus_live import LiveState
 from bus.contract import MAX_UPDATES, Batch, Reading, Snapshot, UnitState, encode
 from tests.app.complete_app import House, complete_app
 from tests.app.stage import hello, reading, snapshot, unit_state, until

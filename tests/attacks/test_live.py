@@ -13,11 +13,10 @@ from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketT
 from starlette.websockets import WebSocketDisconnect
 
 from app.core.web.admission.access import Role
-from app.line.live.admission import MAX_OF_ACCOUNT, Admission
-from app.line.live.browsers import socket
-from app.line.live.browsers.broadcast import Broadcast
-from app.line.live.browsers.browser import Browser, Diff
-from app.line.live.browsers.hub import MAX_WATCH_BURST, Hub
+from app.line.live import socket
+from app.line.live.browser import Browser, Diff
+from app.line.live.hub import MAX_WATCH_BURST, Broadcast, Hub
+from app.line.live.requests import MAX_OF_ACCOUNT, Admission
 from app.main import create_app
 from app.people.auth.accounts import Accounts
 from tests.administrator import BY

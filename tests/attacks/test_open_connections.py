@@ -16,7 +16,7 @@ import httpx
 import pytest
 
 from app.core.web.admission.access import Role
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from app.people.auth.accounts import Accounts
 from app.people.auth.rights import rights
 from app.people.auth.rights.access import NO_LONGER_SIGNED_IN

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from app.line.live.changes import Changes
+from app.line.live.change_recorder import Changes
 from bus.contract import BusFigures, BusLink
 from bus.line import opener
 from bus.line.port.device import open_device

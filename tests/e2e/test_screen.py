@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, WebSocketRoute, expect
 
-from app.core.help.chapters import WITH_A_PAGE
+from app.core.help.handbook import WITH_A_PAGE
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.limits import UNIT_MS
 from tests.e2e.site import Site, eventually

@@ -22,7 +22,7 @@ from app.core.database.connection import examining
 from app.core.database.migration import is_store, refuse_newer, refuse_unfinished
 from app.core.database.presence import presence_of, refusal_to_start
 from app.errors import StoreError, TooCostlyError
-from app.line.conditions.of_server import DAY_S, certificate_expires
+from app.line.conditions.catalogue import DAY_S, certificate_expires
 from app.line.history.status import DiskReserve, space
 from app.people.audit.anchor import anchor_file
 from app.people.audit.keys import KeyFileError, find_key_file, owners_of, read_key_file

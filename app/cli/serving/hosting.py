@@ -28,8 +28,7 @@ from app.cli.serving.listening import listen, url_of
 from app.cli.serving.workers import WorkerProcesses
 from app.cli.setup.rights import become_owner_of
 from app.core.database.private import make_folder
-from app.core.messages.languages import catalogs
-from app.core.messages.locales import locale_of
+from app.core.messages.languages import catalogs, locale_of
 from app.core.server.service_manager import ServiceManager
 from app.errors import system_error
 from app.settings import LOCK_FILE, Settings

@@ -27,7 +27,7 @@ from app.core.server.files import raise_file_limit
 from app.core.server.loop_watch import LoopWatch
 from app.feature import Services
 from app.line.feed.workers import Workers
-from app.line.live.api.line_stream import LineStream
+from app.line.live.api.stream import LineStream
 from app.main import create_app
 from app.people.auth.sign_in.first_admin import FirstAdmin
 from app.settings import Settings

@@ -1,13 +1,27 @@
-"""Find anything: pages and actions here, and what later features add."""
+"""Finds pages, actions and what other features add: a list below the field of each page, and a page."""
 
 from __future__ import annotations
 
-from app.core.find import pages
-from app.core.find.finders import Finders, FixedPlace
+from functools import partial
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.core.find.finders import Finders, FixedPlace, Search
+from app.core.web.admission.access import Viewer
+from app.core.web.admission.turns import SEARCH
 from app.core.web.rendering.navigation import PAGES
+from app.core.web.rendering.templating import render, templates_of
+from app.core.web.services import service_of
 from app.feature import Feature, Services
 from bus.messages import Message
+from bus.text import OneLine
 
+router = APIRouter(include_in_schema=False)
+Typed = Annotated[OneLine, Query(max_length=80)]
+Near = Annotated[str, Query(max_length=200)]
 ACTIONS = (
     FixedPlace(Message("find_set_units"), "/setpoints", "SetLine"),
     FixedPlace(Message("find_save_recipe"), "/recipes", "save_recipe"),
@@ -21,10 +35,24 @@ ACTIONS = (
 )
 
 
+@router.get("/find", dependencies=[SEARCH])
+async def find_page(
+    request: Request, person: Viewer, typed: Typed = "", near: Near = "", part: bool = False
+) -> Response:
+    """What the typed text finds. ``part``: the list alone."""
+    templates = templates_of(request)
+    language = templates.language_of(request)
+    may = partial(templates.may, person)
+    search = Search(typed, language, templates.formats(language.tag), may, near)
+    found = await service_of(request, Finders).find(search)
+    template = "find/_found.html" if part else "find/page.html"
+    return render(request, template, typed=typed, near=near, found=found)
+
+
 def make(services: Services) -> None:
     finders = services.add(Finders())
     finders.add_links("find_pages", [FixedPlace(page.label, page.href, page.act) for page in PAGES])
     finders.add_links("find_actions", ACTIONS)
 
 
-FEATURE = Feature(make, (pages.router,))
+FEATURE = Feature(make, (router,))

@@ -37,8 +37,8 @@ from app.line.commands.rules import setpoint_text
 from app.line.commands.service.writer import permitted_writer
 from app.line.live.api.routes import Live
 from app.line.live.api.schemas import Time
-from app.line.live.lookup import bus_or_404
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
+from app.line.live.requests import bus_or_404
 from app.people.audit.api import Events
 from app.people.audit.entry import Event
 from app.people.audit.queries import Filter

@@ -30,7 +30,7 @@ from app.line.commands.catalogue import SET_LINE
 from app.line.commands.rules import reason_of
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.values import Scales, parse_scale, scale_text, setpoint_scale
-from app.line.live.state.bus_live import BusLive, LiveState
+from app.line.live.bus_live import BusLive, LiveState
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from bus.contract import Result, SetLine, SetSpeed

@@ -11,7 +11,7 @@ from app.engineering.recipes import api, pages
 from app.engineering.recipes.book import ACTS, RecipeBook, RecipeStore
 from app.feature import Feature, Services
 from app.line.commands.service.command_service import CommandService
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 
 

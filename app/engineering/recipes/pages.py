@@ -20,8 +20,8 @@ from app.line.commands.review import by_remark, present_setpoint
 from app.line.commands.rules import setpoint_text
 from app.line.commands.service.writer import permitted
 from app.line.live.api.routes import Live
-from app.line.live.lookup import bus_or_404
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
+from app.line.live.requests import bus_or_404
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError

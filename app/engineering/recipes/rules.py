@@ -20,7 +20,7 @@ from app.line.commands.values import (
     setpoint_scale,
 )
 from app.line.live.api.schemas import UnitAddress
-from app.line.live.state.bus_live import BusLive, UnitLive, follower
+from app.line.live.bus_live import BusLive, UnitLive, follower
 from bus.catalogue.numbers import RATIO_SETPOINT
 from bus.contract.durations import change_s
 from bus.instants import UnixTime

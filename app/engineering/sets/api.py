@@ -33,7 +33,7 @@ from app.engineering.sets.saving import EXPORT_SECRET, MARK_GOLDEN, SAVE, SCHEDU
 from app.errors import Problem
 from app.line.live.api.routes import Live
 from app.line.live.api.schemas import MaybeTime, UnitAddress
-from app.line.live.lookup import bus_or_404, unit_or_404
+from app.line.live.requests import bus_or_404, unit_or_404
 from app.people.audit.api import Events
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message

@@ -23,8 +23,8 @@ from app.line.commands.service.command_service import CommandService
 from app.line.commands.service.writer import Commands, ParameterWriter
 from app.line.commands.values import parameter_scale
 from app.line.live.api.routes import Live
-from app.line.live.lookup import bus_or_404
-from app.line.live.state.bus_live import BusLive, UnitLive
+from app.line.live.bus_live import BusLive, UnitLive
+from app.line.live.requests import bus_or_404
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.parameter import Parameter, Scale, check_writable_value
 from bus.catalogue.parameters import PARAMETERS

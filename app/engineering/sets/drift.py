@@ -10,9 +10,9 @@ from app.core.web.rendering.formats import Formats
 from app.engineering.sets.model import ParameterDifference, ParameterRow, UnitRows, differences, known_rows
 from app.engineering.sets.restore_plan import OPERATING_VALUES
 from app.engineering.sets.store import SetStore
-from app.line.live.screen.fields import Translator
-from app.line.live.screen.sources import Drifted, UnitSubscriber
-from app.line.live.state.bus_live import Audience, BusLive
+from app.line.live.bus_live import Audience, BusLive
+from app.line.live.fields import Translator
+from app.line.live.sources import Drifted, UnitSubscriber
 from app.people.audit.log import Event, EventLog
 from app.people.audit.queries import Filter
 from bus.catalogue.parameters import PARAMETERS

@@ -25,7 +25,7 @@ from app.engineering.sets.saving import (
 from app.engineering.sets.store import SetStore
 from app.feature import Feature, Services
 from app.line.commands.service.command_service import CommandService
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from app.people.audit.log import EventLog
 from app.people.auth.rights.rights import Rights
 

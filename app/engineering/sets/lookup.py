@@ -23,8 +23,8 @@ from app.engineering.sets.restore_plan import Restore
 from app.engineering.sets.restore_service import RestoreService
 from app.engineering.sets.store import SetStore
 from app.errors import Problem, or_404
-from app.line.live.lookup import unit_or_404
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
+from app.line.live.requests import unit_or_404
 from bus.instants import UnixTime
 from bus.messages import Message, term
 

@@ -14,7 +14,7 @@ from pydantic import Field, PlainSerializer
 from app.core.web.api.shape import MessageObject, iso
 from app.line.commands.values import in_measure
 from app.line.live.api.schemas import Time
-from app.line.live.state.bus_live import BusLive, UnitLive
+from app.line.live.bus_live import BusLive, UnitLive
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.parameter import Parameter
 from bus.catalogue.parameters import PARAMETERS

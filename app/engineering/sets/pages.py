@@ -22,8 +22,8 @@ from app.engineering.sets.model import compare, row_message
 from app.engineering.sets.saving import MARK_GOLDEN, SAVE, SCHEDULE, SetKeeper, SetSchedule, Takings
 from app.errors import or_404
 from app.line.live.api.routes import Live
-from app.line.live.lookup import bus_or_404, unit_or_404
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
+from app.line.live.requests import bus_or_404, unit_or_404
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
 from bus.text import Lines, OneLine

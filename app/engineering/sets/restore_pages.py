@@ -16,8 +16,8 @@ from app.engineering.sets.restore_plan import OPERATING_VALUES, Restore, Selecti
 from app.engineering.sets.restore_service import CANCEL, START, RestoreService
 from app.errors import Problem
 from app.line.live.api.routes import Live
-from app.line.live.lookup import unit_or_404
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
+from app.line.live.requests import unit_or_404
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
 

@@ -36,7 +36,7 @@ from app.engineering.sets.store import SetStore
 from app.errors import Problem, StoreError
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.service.prior_read import check_all_read
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from app.people.auth.rights.rights import Rights

@@ -41,7 +41,7 @@ from app.errors import Problem
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.service.writer import Commands
 from app.line.live.api.routes import Live
-from app.line.live.lookup import unit_or_404
+from app.line.live.requests import unit_or_404
 from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)

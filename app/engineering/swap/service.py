@@ -32,7 +32,7 @@ from app.errors import Problem, StoreError
 from app.line.commands.api.responses import outcome_message
 from app.line.commands.catalogue import WRITE_PARAMETER
 from app.line.commands.service.command_service import CommandService
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from bus.contract import ScanBus

@@ -21,7 +21,7 @@ from app.errors import Problem
 from app.line.commands.review import SetpointChange
 from app.line.commands.undo.changes import PlaceKind, ValuePlace, Values, action_for
 from app.line.commands.values import measure_of_value, parameter_message
-from app.line.live.state.bus_live import BusLive, UnitLive, follower
+from app.line.live.bus_live import BusLive, UnitLive, follower
 from bus.catalogue.parameter import danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Action, UnitScale

@@ -22,7 +22,7 @@ from app.line.commands.rules import reason_of
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.undo.changes import ValuePlace, Values, action_for
 from app.line.commands.values import Scales, differs, scales_of
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Action, Result, UnitOutcome
 from bus.instants import Monotonic, monotonic_now

@@ -15,8 +15,14 @@ from app.core.web.api.shape import MessageObject
 from app.line.alarms.rules.state_machine import AlarmAttributes, AlarmFacts, AlarmState
 from app.line.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.line.conditions.catalogue import CONDITIONS
-from app.line.conditions.condition import AlarmGroup, SuppressionGroup, Tuning
-from app.line.conditions.priority import AlarmPriority, Consequence, TimeToRespond
+from app.line.conditions.condition import (
+    AlarmGroup,
+    AlarmPriority,
+    Consequence,
+    SuppressionGroup,
+    TimeToRespond,
+    Tuning,
+)
 from bus.messages import Message
 
 BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]

@@ -20,7 +20,7 @@ from app.line.alarms.rules import state_machine
 from app.line.alarms.rules.detection import FirstOut
 from app.line.alarms.rules.performance import ObservedSpan, observed_until
 from app.line.alarms.rules.state_machine import AlarmFacts, Changed, due_at, shifted
-from app.line.conditions.priority import AlarmPriority
+from app.line.conditions.condition import AlarmPriority
 from app.people.audit.entry import EventKind
 from app.people.audit.log import Also, EventFields, EventLog
 from bus.instants import Clock, UnixTime

@@ -35,8 +35,7 @@ from app.line.alarms.journal import MAX_OCCURRENCES, AlarmPerformance, JournalEn
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.rules.performance import DAY_S
 from app.line.alarms.rules.state_machine import AlarmState, AlarmTrigger
-from app.line.conditions.condition import AlarmGroup
-from app.line.conditions.priority import AlarmPriority
+from app.line.conditions.condition import AlarmGroup, AlarmPriority
 from app.line.history.service import seconds
 from app.line.history.spans import SpanOf
 from bus.instants import UnixTime, unix_now

@@ -15,16 +15,28 @@ from app.line.alarms.journal import AlarmStore, StoredAlarm
 from app.line.alarms.own_condition import OwnCondition, known_decimals, own_definition
 from app.line.alarms.rules.detection import CountWindow, LimitRule, Suppressors, is_at_rest, limits_of
 from app.line.alarms.settings import AlarmSettings, BuiltInAlarmSettings, tuning_of
-from app.line.conditions import of_unit
-from app.line.conditions.catalogue import BUS_ALARMS, CONDITIONS, UNIT_ALARMS
-from app.line.conditions.condition import Tuning
-from app.line.conditions.evidence import LimitCheck
-from app.line.conditions.of_bus import BY_BUS, CONTROL_LEFT, SECOND_MASTER
-from app.line.conditions.of_unit import ESTOP_ACTIVE
-from app.line.live.diagnosis.links import bus_facts, link_facts, unit_facts
-from app.line.live.state.bus_live import NO_WORKER, Audience, BusLive, UnitLive
-from app.line.live.state.draw import draw_of
-from app.line.live.state.scan_time import offline_after_s, scan_s_of, stale_after_s
+from app.line.conditions import unit as unit_conditions
+from app.line.conditions.catalogue import (
+    BUS_ALARMS,
+    BY_BUS,
+    CONDITIONS,
+    CONTROL_LEFT,
+    SECOND_MASTER,
+    UNIT_ALARMS,
+)
+from app.line.conditions.condition import LimitCheck, Tuning
+from app.line.conditions.unit import ESTOP_ACTIVE
+from app.line.live.bus_live import (
+    NO_WORKER,
+    Audience,
+    BusLive,
+    UnitLive,
+    draw_of,
+    offline_after_s,
+    scan_s_of,
+    stale_after_s,
+)
+from app.line.live.diagnosis import bus_facts, link_facts, unit_facts
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Staged, UnitFigures, UnitLink, Update
 from bus.instants import Clock, ClockWatch, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
@@ -55,17 +67,19 @@ class UnitMonitor:
         self._sort_own()
         self._observe = observe
         self._has_drift = has_drift
-        self._by_reading = [(self._alarms[row.code], row.holds) for row in of_unit.BY_READING if row.is_alarm]
+        self._by_reading = [
+            (self._alarms[row.code], row.holds) for row in unit_conditions.BY_READING if row.is_alarm
+        ]
         self._by_value = [
             (alarm, row.holds, _limit_check(alarm, tuning_of(tuned, row.code, *place)))
-            for row in of_unit.BY_VALUE
+            for row in unit_conditions.BY_VALUE
             for alarm in (self._alarms[row.code],)
         ]
-        self._draw = self._alarms[of_unit.DRAW_OUT_OF_BAND.code]
-        self._implausible = self._alarms[of_unit.VALUE_IMPLAUSIBLE.code]
-        self._offline = self._alarms[of_unit.UNIT_OFFLINE.code]
-        self._degraded = self._alarms[of_unit.LINK_DEGRADED.code]
-        self._drift = self._alarms[of_unit.PARAMETER_DRIFT.code]
+        self._draw = self._alarms[unit_conditions.DRAW_OUT_OF_BAND.code]
+        self._implausible = self._alarms[unit_conditions.VALUE_IMPLAUSIBLE.code]
+        self._offline = self._alarms[unit_conditions.UNIT_OFFLINE.code]
+        self._degraded = self._alarms[unit_conditions.LINK_DEGRADED.code]
+        self._drift = self._alarms[unit_conditions.PARAMETER_DRIFT.code]
         self._read_at = _NEVER
         self._status: tuple[int, int, str] | None = None
         """Status bytes and motion of the last reading; None while its values are not known."""
@@ -93,7 +107,7 @@ class UnitMonitor:
     def present(self, alarm: Alarm) -> Message | None:
         """The present value of what an alarm is about, where it is about one."""
         if alarm is self._implausible:
-            return of_unit.implausible_of(self._unit)
+            return unit_conditions.implausible_of(self._unit)
         own = self._own.get(alarm.definition.key)
         return None if own is None else own[1].present(self._bus, self._unit)
 
@@ -131,8 +145,8 @@ class UnitMonitor:
     def _see_values(self, reading: Reading, now: UnixTime) -> None:
         bus, unit = self._bus, self._unit
         found = [(alarm, holds(bus, unit, reading, passes)) for alarm, holds, passes in self._by_value]
-        found.append((self._implausible, of_unit.VALUE_IMPLAUSIBLE.holds(bus, unit)))
-        found.append((self._draw, of_unit.DRAW_OUT_OF_BAND.holds(draw_of(bus, unit, now))))
+        found.append((self._implausible, unit_conditions.VALUE_IMPLAUSIBLE.holds(bus, unit)))
+        found.append((self._draw, unit_conditions.DRAW_OUT_OF_BAND.holds(draw_of(bus, unit, now))))
         for alarm, is_held in found:
             if is_held is not alarm.holds:
                 self._observe(alarm, is_held, now)
@@ -150,7 +164,7 @@ class UnitMonitor:
         """Time has passed, or the state of the link has changed. Whether the unit is lost, and no other has
         responded since."""
         link = link_facts(self._bus, self._unit, now, bus_is_readable=bus_is_readable)
-        self._observe(self._offline, of_unit.UNIT_OFFLINE.holds(link), now)
+        self._observe(self._offline, unit_conditions.UNIT_OFFLINE.holds(link), now)
         if link.is_lost or not bus_is_readable:
             # That is an alarm itself; what was not responded to meanwhile is no poor connection as well.
             self._window.restart()
@@ -172,20 +186,20 @@ class UnitMonitor:
 
     def see_parameters(self, now: UnixTime) -> None:
         """Parameters were read, or a setpoint was staged or executed."""
-        for row in of_unit.BY_PARAMETER:
+        for row in unit_conditions.BY_PARAMETER:
             self._observe(self._alarms[row.code], row.holds(self._bus, self._unit), now)
         self.see_drift(now)
 
     def see_drift(self, now: UnixTime) -> None:
         """Observe drift: the golden set or the parameters that differ from it may have changed."""
         drifted = self._has_drift(self._unit.settings.id)
-        self._observe(self._drift, of_unit.PARAMETER_DRIFT.holds(drifted), now)
+        self._observe(self._drift, unit_conditions.PARAMETER_DRIFT.holds(drifted), now)
 
     def see_figures(self, figures: UnitFigures, now: UnixTime) -> None:
         """The counters of the unit."""
         self._window.see(figures.polls, figures.timeouts + figures.checksum_errors, now)
         if self.is_known:
-            self._observe(self._degraded, self._window.judged(of_unit.LINK_DEGRADED.holds), now)
+            self._observe(self._degraded, self._window.judged(unit_conditions.LINK_DEGRADED.holds), now)
 
 
 def _limit_check(alarm: Alarm, tuning: Tuning) -> LimitCheck:

@@ -23,9 +23,9 @@ from app.line.alarms.simulation import Simulator
 from app.line.alarms.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
 from app.line.commands.safeguards import Safeguards
 from app.line.history.service import History
-from app.line.live.browsers.hub import Hub
-from app.line.live.screen.fields import Fields, Translator
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
+from app.line.live.fields import Fields, Translator
+from app.line.live.hub import Hub
 from app.people.audit.anchor import Anchoring
 from app.people.audit.archive import EventArchive
 from app.people.audit.log import EventLog

@@ -29,7 +29,7 @@ from app.line.alarms.rules.performance import (
     observed_within,
 )
 from app.line.alarms.rules.state_machine import AlarmFacts, AlarmState, AlarmTrigger, Transition
-from app.line.conditions.priority import AlarmPriority
+from app.line.conditions.condition import AlarmPriority
 from bus.instants import UnixTime
 from bus.messages import Message
 

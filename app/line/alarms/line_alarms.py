@@ -21,9 +21,9 @@ from app.line.alarms.rules import state_machine
 from app.line.alarms.rules.performance import AlarmRates
 from app.line.alarms.rules.state_machine import NoTransitionError
 from app.line.alarms.site_alarms import SiteAlarms
-from app.line.conditions.priority import PRIORITIES
-from app.line.live.screen.fields import Fields, Translator, name_on_site
-from app.line.live.screen.sources import AlarmChangeSubscriber
+from app.line.conditions.condition import PRIORITIES
+from app.line.live.fields import Fields, Translator, name_on_site
+from app.line.live.sources import AlarmChangeSubscriber
 from app.people.audit.log import EventLog
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message

@@ -33,7 +33,7 @@ from app.line.alarms.own_condition import in_toml, own_definition, proposed
 from app.line.alarms.rules import state_machine
 from app.line.alarms.settings import AlarmSettings, OwnValue
 from app.line.alarms.simulation import AlarmSimulation, Simulator
-from app.line.conditions.priority import AlarmPriority
+from app.line.conditions.condition import AlarmPriority
 from app.line.history.spans import HistoryOf
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog

@@ -28,8 +28,8 @@ from app.line.alarms.line_alarms import LineAlarms, rank
 from app.line.alarms.rules.performance import DAY_S, AlarmFigure
 from app.line.alarms.rules.state_machine import PRESENT_STATES, AlarmState
 from app.line.conditions.condition import GROUPS
-from app.line.live.browsers.hub import Hub
-from app.line.live.screen.screen import ALARM_GROUP
+from app.line.live.hub import Hub
+from app.line.live.screen import ALARM_GROUP
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 from bus.text import OneLine, TypedText

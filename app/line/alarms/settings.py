@@ -13,8 +13,7 @@ from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from app.core.former_settings import FORMER_ALARMS
 from app.line.conditions.catalogue import BUS_ALARMS, CONDITIONS, SERVER_ALARMS, UNIT_ALARMS
-from app.line.conditions.condition import Tuning
-from app.line.conditions.priority import AlarmPriority
+from app.line.conditions.condition import AlarmPriority, Tuning
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 from bus.text import OneLine

@@ -23,7 +23,7 @@ from app.line.alarms.rules.detection import ChangeRate, Suppressors
 from app.line.alarms.rules.performance import CHATTERS_S
 from app.line.alarms.rules.state_machine import AlarmFacts, Changed, Transition
 from app.line.alarms.settings import AlarmSettings
-from app.line.conditions.of_unit import ESTOP_ACTIVE
+from app.line.conditions.unit import ESTOP_ACTIVE
 from app.line.history import tables, unit_history
 from app.line.history.series.rollup import Rollup
 from app.line.history.series.runs import HOUR, MINUTE, SECOND, Run, micros
@@ -31,9 +31,8 @@ from app.line.history.series.values import VALUES, ParameterStep
 from app.line.history.service import History
 from app.line.history.tail import Tail
 from app.line.history.unit_history import StoredUnit, minutes_of
-from app.line.live.diagnosis.links import unit_facts
-from app.line.live.state.bus_live import never_seen
-from app.line.live.state.scan_time import scan_s_of, stale_after_s
+from app.line.live.bus_live import never_seen, scan_s_of, stale_after_s
+from app.line.live.diagnosis import unit_facts
 from bus.contract import ParameterValue, Reading
 from bus.instants import UnixTime
 from bus.settings import BusSettings

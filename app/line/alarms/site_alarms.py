@@ -15,9 +15,8 @@ from app.line.alarms.alarm import Alarm, built_in, key_of
 from app.line.alarms.alarm_list import AlarmList
 from app.line.alarms.journal import AlarmStore, StoredAlarm
 from app.line.alarms.settings import BuiltInAlarmSettings
-from app.line.conditions import of_server
-from app.line.conditions.catalogue import SERVER_ALARMS
-from app.line.conditions.of_server import CERTIFICATE_EXPIRING, TOKEN_EXPIRING
+from app.line.conditions import catalogue as of_server
+from app.line.conditions.catalogue import CERTIFICATE_EXPIRING, SERVER_ALARMS, TOKEN_EXPIRING
 from app.line.history.status import HistoryStatus
 from app.people.audit.anchor import AnchorStatus
 from app.people.auth.store import Token

@@ -37,7 +37,7 @@ from app.line.commands.values import (
     setpoint_wording,
     wordings_by_unit,
 )
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from bus.catalogue.parameter import danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (

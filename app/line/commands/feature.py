@@ -27,7 +27,7 @@ from app.line.commands.service.command_service import CommandService
 from app.line.commands.service.idempotency import IdempotencyCache
 from app.line.commands.service.record import CommandRecord
 from app.line.feed.channel import Channel
-from app.line.live.state.bus_live import BusLive, LiveState
+from app.line.live.bus_live import BusLive, LiveState
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
 from app.people.auth.rights.rights import Rights

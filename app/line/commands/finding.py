@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from app.core.find.finders import MAX_OF_KIND, FoundPlace, Search
-from app.core.find.matching import missing, rank
-from app.line.live.finding import unit_names
-from app.line.live.screen.fields import unit_key
-from app.line.live.state.bus_live import LiveState, UnitLive
+from app.core.find.finders import MAX_OF_KIND, FoundPlace, Search, missing, rank
+from app.line.live.bus_live import LiveState, UnitLive
+from app.line.live.fields import unit_key
 from bus.catalogue.parameter import Parameter
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import parameter_name
@@ -48,7 +46,7 @@ def _of_parameter(
     if len(of_unit) == len(search.words):
         return
     how_well = rank([word for word in search.words if word not in of_unit], names) or 0
-    named = [page for page in pages if rank(of_unit, unit_names(page.unit)) is not None] if of_unit else near
+    named = [page for page in pages if rank(of_unit, page.unit.names) is not None] if of_unit else near
     title = search.language.t(parameter_name(parameter.number))
     for page in named[:MAX_OF_KIND]:
         href = f"/units/{page.key}/parameters#parameter-{parameter.number}"

@@ -22,11 +22,16 @@ from app.line.commands.values import (
     setpoint_scale,
 )
 from app.line.conditions.draw import Draw, SectionSpeed, draw_between, percent_of
-from app.line.live.state.age import unit_link_now
-from app.line.live.state.bus_live import BusLive, UnitLive, follower
-from app.line.live.state.conditions import bits_of
-from app.line.live.state.draw import quantity_of
-from app.line.live.state.ramp_time import ramp_parameter, ramp_seconds
+from app.line.live.bus_live import (
+    BusLive,
+    UnitLive,
+    follower,
+    quantity_of,
+    ramp_parameter,
+    ramp_seconds,
+    unit_link_now,
+)
+from app.line.live.unit_status import bits_of
 from bus.catalogue.numbers import ACCELERATION, DECELERATION, DECIMALS, MAX_DISPLAY, RATIO_SETPOINT
 from bus.contract import Outcome, Result, UnitOutcome, UnitScale
 from bus.errors import unit_error

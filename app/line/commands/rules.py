@@ -24,7 +24,7 @@ from typing import Literal
 
 from app.errors import Problem
 from app.line.commands.limits import HIGHEST_SETPOINT, CommandBlock, Limits
-from app.line.live.state.bus_live import BusLive, UnitLive, follower, setpoint_decimals
+from app.line.live.bus_live import BusLive, UnitLive, follower, setpoint_decimals
 from bus.catalogue.numbers import (
     ANALOG_OUT_HIGH,
     ANALOG_OUT_LOW,

@@ -14,7 +14,7 @@ from app.core.web.rendering.head_control import BusControl
 from app.errors import Problem
 from app.line.commands.control import Control, Holding, controlled
 from app.line.commands.limits import CommandBlock, Limits, ReadOnly, Restrictions
-from app.line.live.screen.sources import UnitSubscriber
+from app.line.live.sources import UnitSubscriber
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from app.people.auth.rights.rights import Rights

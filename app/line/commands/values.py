@@ -14,7 +14,7 @@ from decimal import ROUND_HALF_UP, Decimal
 
 from app.errors import Problem
 from app.line.commands.rules import KIND_OF_PARAMETER, SetpointKind, commanded_setpoint, kind_of
-from app.line.live.state.bus_live import BusLive, UnitLive, follower, setpoint_decimals
+from app.line.live.bus_live import BusLive, UnitLive, follower, setpoint_decimals
 from bus.catalogue import values as unit_values
 from bus.catalogue.numbers import (
     ANALOG_OUT_HIGH,

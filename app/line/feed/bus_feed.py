@@ -14,7 +14,7 @@ from app.line.feed.holders import Credential, Ending, Holder
 from app.line.feed.ingest import Ingest, IngestPosition
 from app.line.feed.late import Coverage
 from app.line.feed.rates import FeedQuota
-from app.line.live.state.bus_live import NO_WORKER
+from app.line.live.bus_live import NO_WORKER
 from app.line.pipeline import Pipeline
 from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome
 from bus.instants import MonotonicClock, UnixTime, monotonic_now, unix_now

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from app.line.feed.plausibility import result_for
-from app.line.live.state.bus_live import NO_WORKER
+from app.line.live.bus_live import NO_WORKER
 from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, ReserveTurn, Result, Watch
 from bus.instants import Monotonic, monotonic_now, unix_now
 from bus.messages import Message

@@ -9,8 +9,8 @@ from app.line.feed.bus_feed import BusFeed
 from app.line.feed.channel import Channel
 from app.line.feed.workers import Workers
 from app.line.history.service import History
+from app.line.live.bus_live import BusLive
 from app.line.live.change_recorder import ChangeRecorder
-from app.line.live.state.bus_live import BusLive
 from app.line.pipeline import Pipeline
 
 

@@ -1,4 +1,7 @@
-"""The pages that only show: the line. Texts and positions come from the hub's screen, as in the browser."""
+"""What to do next on a bus of which no unit has responded yet. Pure.
+
+The pages that only show: the line. Texts and positions come from the hub's screen, as in the browser.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +20,26 @@ from app.core.web.admission.cookies import cookie_of, set_cookie
 from app.core.web.rendering.navigation import LINES, PageLines
 from app.core.web.rendering.templating import render, templates_of
 from app.core.web.services import service_of
-from app.line.live.browsers.hub import Hub
-from app.line.live.first_steps import next_step
-from app.line.live.lookup import bus_or_404
-from app.line.live.screen.fields import unit_key
-from app.line.live.screen.totals import strip_of
-from app.line.live.state.bus_live import BusLive, UnitLive
+from app.line.live.bus_live import BusLive, UnitLive
+from app.line.live.fields import unit_key
+from app.line.live.hub import Hub
+from app.line.live.requests import bus_or_404
+from app.line.live.screen import strip_of
 from bus.catalogue.numbers import DECIMALS, MAX_DISPLAY
 from bus.settings import UnitLabels
+
+FirstStep = Literal["worker", "port", "scan"]
+"""The missing part: the bus worker, its port, or a unit that responds."""
+
+
+def next_step(bus: BusLive) -> FirstStep | None:
+    """Return the first missing part; None once a unit responds, or where one has responded before."""
+    if any(unit.reading or unit.last_response for unit in bus.units.values()):
+        return None
+    if not bus.worker_connected:
+        return "worker"
+    return "scan" if bus.link.link == "open" else "port"
+
 
 router = APIRouter(include_in_schema=False)
 

@@ -14,8 +14,7 @@ from fastapi import APIRouter, Query
 from starlette.requests import Request
 from starlette.responses import HTMLResponse
 
-from app.core.find.finders import FoundPlace, Search
-from app.core.find.matching import rank, words_of
+from app.core.find.finders import FoundPlace, Search, rank, words_of
 from app.core.messages import Language
 from app.core.time_zone import day_begins
 from app.core.web.admission.access import Viewer

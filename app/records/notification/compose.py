@@ -13,7 +13,7 @@ from app.core.messages.languages import Language
 from app.core.web.api.shape import iso, message_shown
 from app.core.web.rendering.formats import Formats
 from app.errors import Problem
-from app.line.conditions.priority import PRIORITIES
+from app.line.conditions.condition import PRIORITIES
 from app.records.notification.notice import Attachment, OutboxItem, ReportNotice
 from app.records.notification.outbox import NotificationDelivery
 from app.records.notification.rules.notices import UNACKNOWLEDGED

@@ -10,7 +10,7 @@ import msgspec
 
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.rules.state_machine import AlarmState
-from app.line.conditions.priority import AlarmPriority
+from app.line.conditions.condition import AlarmPriority
 from bus.instants import UnixTime
 from bus.messages import Message
 

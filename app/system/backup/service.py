@@ -16,7 +16,7 @@ from zoneinfo import ZoneInfo
 import structlog
 
 from app.errors import system_error
-from app.line.conditions.of_server import BACKUP_OVERDUE, BACKUP_S
+from app.line.conditions.catalogue import BACKUP_OVERDUE, BACKUP_S
 from app.people.audit.log import EventLog
 from app.system.backup.schedule import next_due, time_of
 from app.system.backup.settings import BackupSettings

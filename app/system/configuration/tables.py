@@ -12,7 +12,7 @@ from app.core.web.api.shape import parse_integer
 from app.errors import or_404
 from app.line.alarms.settings import OwnValue
 from app.line.conditions.catalogue import BUS_ALARMS, SERVER_ALARMS, UNIT_ALARMS
-from app.line.conditions.priority import AlarmPriority
+from app.line.conditions.condition import AlarmPriority
 from app.records.notification.settings import DAYS, MailSecurity, NotifiedPriority
 from app.system.configuration.document import TomlValue, at
 from bus.configuration import KeyPath

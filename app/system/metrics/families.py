@@ -14,12 +14,10 @@ from app.core.database.reserve import free_bytes
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.rules.state_machine import PRESENT_STATES
+from app.line.conditions.condition import PRIORITIES
 from app.line.conditions.draw import percent_of
-from app.line.conditions.priority import PRIORITIES
 from app.line.history.status import HistoryStatus
-from app.line.live.state.age import unit_link_now
-from app.line.live.state.bus_live import BusLive, speed_decimals
-from app.line.live.state.draw import draw_of
+from app.line.live.bus_live import BusLive, draw_of, speed_decimals, unit_link_now
 from app.system.metrics.sources import MetricSources
 from app.system.postgresql.status import PublisherStatus
 from app.version import VERSION

@@ -5,8 +5,8 @@ from __future__ import annotations
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.history.service import History
-from app.line.live.browsers.hub import Hub
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
+from app.line.live.hub import Hub
 from app.people.audit.anchor import Anchoring
 from app.people.audit.log import EventLog
 from app.system.backup.service import Backups

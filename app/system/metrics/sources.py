@@ -9,7 +9,7 @@ from pathlib import Path
 
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.history.status import HistoryStatus
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from app.people.audit.anchor import AnchorStatus
 from app.people.audit.log import Event, EventLog
 from app.system.postgresql.status import PublisherStatus

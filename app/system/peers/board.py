@@ -7,7 +7,7 @@ import secrets
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from app.line.conditions.priority import PRIORITIES
+from app.line.conditions.condition import PRIORITIES
 from app.system.peers.settings import PeerSettings
 from app.system.peers.summary import LineSummary
 from bus.instants import Monotonic, MonotonicClock, monotonic_now

@@ -12,8 +12,8 @@ from app.engineering.sets.drift import BusDrift
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.commands.safeguards import Safeguards
-from app.line.live.screen.fields import Translator
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
+from app.line.live.fields import Translator
 from app.people.audit.log import EventLog
 from app.system.peers import pages
 from app.system.peers.board import LineBoard, Peer

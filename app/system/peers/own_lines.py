@@ -12,9 +12,9 @@ from msgspec.structs import replace
 from app.errors import StoreError
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.line_alarms import LineAlarms
-from app.line.live.screen.fields import Translator
-from app.line.live.screen.sources import GoldenDrift, LoadedRecipes, UnitGuards
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
+from app.line.live.fields import Translator
+from app.line.live.sources import GoldenDrift, LoadedRecipes, UnitGuards
 from app.people.audit.entry import EventKind
 from app.people.audit.log import Event, EventLog
 from app.people.audit.queries import Filter

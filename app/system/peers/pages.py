@@ -15,9 +15,9 @@ from app.core.web.admission.access import Viewer
 from app.core.web.api.route import ApiRoute
 from app.core.web.rendering.templating import Templates, render, templates_of
 from app.core.web.services import service, service_of, unknown_bus
-from app.line.live.browsers.hub import Hub
+from app.line.live.fields import Translator
+from app.line.live.hub import Hub
 from app.line.live.pages import UnitOnLine, unit_on_line
-from app.line.live.screen.fields import Translator
 from app.system.peers.board import LineOnBoard
 from app.system.peers.report import LinesOfSites, board_json
 from app.system.peers.tile import LineTilesService

@@ -23,8 +23,7 @@ from app.core.web.api.shape import (
 )
 from app.line.alarms.api import AlarmPriorityShown
 from app.line.conditions.catalogue import tile_text
-from app.line.live.screen.fields import Translator
-from app.line.live.screen.words import STATE_WORDS, TURNING
+from app.line.live.fields import STATE_WORDS, TURNING, Translator
 from app.system.peers.board import LineBoard, LineOnBoard, Peer
 from app.system.peers.summary import MAX_POINTS, CauseSummary, EventSummary, LineSummary
 from app.system.peers.tile import no_report, shown_level, verdict_text

@@ -12,13 +12,20 @@ import msgspec
 
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.line_alarms import rank
-from app.line.conditions.priority import PRIORITIES, AlarmPriority
-from app.line.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts
-from app.line.live.diagnosis.cause import Cause, Level, bus_cause, unit_cause
-from app.line.live.screen.totals import LEVELS, all_well
-from app.line.live.state.age import figures_now, unit_link_now
-from app.line.live.state.bus_live import BusLive, speed_decimals
-from app.line.live.state.onset import Onset
+from app.line.conditions.condition import PRIORITIES, AlarmPriority
+from app.line.live.bus_live import BusLive, figures_now, speed_decimals, unit_link_now
+from app.line.live.diagnosis import (
+    Cause,
+    Level,
+    UnitView,
+    all_offline,
+    bus_cause,
+    shown_cause,
+    state_counts,
+    unit_cause,
+)
+from app.line.live.screen import LEVELS, all_well
+from app.line.live.unit_status import Onset
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -29,7 +36,7 @@ Counts = dict[AlarmPriority, int]
 
 
 class CauseSummary(msgspec.Struct, frozen=True):
-    """A cause that is put into words for each reader; see :class:`app.line.live.diagnosis.cause.Cause`."""
+    """A cause that is put into words for each reader; see :class:`app.line.live.diagnosis.Cause`."""
 
     code: str
     since: float | None = None

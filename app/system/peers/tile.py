@@ -8,11 +8,9 @@ from typing import Annotated
 
 from app.core.web.rendering.formats import UNKNOWN
 from app.core.web.services import service
-from app.line.conditions.priority import PRIORITIES
-from app.line.live.diagnosis.cause import Level
-from app.line.live.screen.cause_text import cause_texts
-from app.line.live.screen.diff import Groups, put_fields
-from app.line.live.screen.fields import Fields, Translator
+from app.line.conditions.condition import PRIORITIES
+from app.line.live.diagnosis import Level
+from app.line.live.fields import Fields, Groups, Translator, cause_texts, put_fields
 from app.system.peers.board import LineBoard, LineOnBoard
 from app.system.peers.summary import MAX_POINTS, Counts, LineSummary
 from bus.instants import Clock, UnixTime

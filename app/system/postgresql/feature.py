@@ -5,7 +5,7 @@ from __future__ import annotations
 from app.core.database import Database
 from app.feature import Feature, Services
 from app.line.alarms.site_alarms import SiteAlarms
-from app.line.conditions import of_server
+from app.line.conditions import catalogue
 from app.line.history.service import History
 from app.system.configuration.service import SystemsBeside
 from app.system.postgresql.publisher import Publisher
@@ -22,10 +22,10 @@ def make(services: Services) -> None:
 
     def behind() -> Message | bool:
         status = publisher.status
-        return of_server.PUBLISHER_BEHIND.holds(status.lag_s(unix_now())) and (status.notice or True)
+        return catalogue.PUBLISHER_BEHIND.holds(status.lag_s(unix_now())) and (status.notice or True)
 
     def day_behind() -> bool:
-        return of_server.PUBLISHER_DAY_BEHIND.holds(publisher.status.lag_s(unix_now()))
+        return catalogue.PUBLISHER_DAY_BEHIND.holds(publisher.status.lag_s(unix_now()))
 
     services[SystemsBeside].append(lambda: publisher.status.state(unix_now()))
     services[SiteAlarms].watch("publisher_behind", behind)

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from app.cli.findings import check
 from app.cli.findings import live as live_findings
 from app.core.database import Database
-from app.line.conditions import of_server
+from app.line.conditions import catalogue as of_server
 from app.people.audit.chain import KeyOrigin
 from app.people.audit.keys import make_key_file
 from tests.app.live_check import bus, check_live, everything_in, pseudo_terminal, run

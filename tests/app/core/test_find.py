@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.core.find.matching import missing, rank, words_of
+from app.core.find.finders import missing, rank, words_of
 from app.core.web.admission.access import Role
 from app.engineering.recipes.book import RecipeBook
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 from app.people.audit.queries import Filter
 from bus.contract import ParameterValue

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.help.chapters import BY_NAME, CHAPTERS, Chapter
-from app.core.help.handbook import MAX_FOUND, Handbook, render, slug
+from app.core.help.handbook import BY_NAME, CHAPTERS, MAX_FOUND, Chapter, Handbook, render, slug
 from app.core.help.reference import calls_of
 from app.core.web.rendering.navigation import HELP
 from docs import site

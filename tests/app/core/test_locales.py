@@ -1,4 +1,4 @@
-"""app.core.messages.locales."""
+"""app.core.messages.languages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from babel import UnknownLocaleError, core, localedata
 from babel.dates import format_date
 
-from app.core.messages.locales import locale_of
+from app.core.messages.languages import locale_of
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from app.core.messages import Languages
 from app.core.messages.languages import DEFAULT, catalogs
 from app.core.web.admission.access import Role
 from app.core.web.rendering.templating import Templates
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
 from tests.app.complete_app import House, complete_app

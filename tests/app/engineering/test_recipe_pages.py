@@ -11,7 +11,7 @@ import pytest
 
 from app.core.web.admission.access import Role
 from app.engineering.recipes.book import RecipeBook
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.contract import ParameterValue
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA

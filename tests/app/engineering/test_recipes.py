@@ -18,7 +18,7 @@ from app.engineering.recipes.rules import (
     setpoints_now,
 )
 from app.errors import Problem
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message, in_english

@@ -7,7 +7,7 @@ import pytest
 from app.engineering.sets.batch import BatchRow, refuse_moved, rows_of_batch, write_batch
 from app.engineering.sets.restore_plan import NO_RAMP
 from app.errors import Problem
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.contract import ParameterValue
 from bus.messages import Message
 from tests.app.played_commands import ANNA, PlayedCommands, a_bus, factory, responding

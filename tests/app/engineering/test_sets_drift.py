@@ -11,7 +11,7 @@ from app.core.database import Database
 from app.engineering.sets.drift import BusDrift
 from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows
 from app.engineering.sets.store import SetStore
-from app.line.live.screen.sources import Drifted
+from app.line.live.sources import Drifted
 from app.people.audit.log import EventLog
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue

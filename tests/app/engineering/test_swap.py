@@ -20,7 +20,7 @@ from app.engineering.sets.store import SetStore
 from app.engineering.swap.rules import PROVEN, STEPS, ProbeFinding, SwapState, advice, done_steps
 from app.engineering.swap.service import MAX_PROBES, Swap, SwapService, SwapSource, SwapStore, look, step_text
 from app.errors import Problem
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
 from bus.instants import UnixTime
 from bus.messages import Message, term

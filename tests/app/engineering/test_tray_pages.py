@@ -13,7 +13,7 @@ import pytest
 from app.core.web.admission.access import Role
 from app.engineering.recipes.book import RecipeBook
 from app.line.commands.safeguards import Safeguards
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.contract import ParameterValue, Reading
 from tests.app.complete_app import HOST, House, complete_app
 from tests.app.played_commands import ANNA, HEALTHY, fresh, responding

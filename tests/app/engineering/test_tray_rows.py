@@ -10,7 +10,7 @@ from app.engineering.tray.contents import Judge, TrayRow, Unable, unable_units
 from app.line.commands.limits import NO_LIMITS
 from app.line.commands.review import change_of
 from app.line.commands.undo.changes import ValuePlace, value_now
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from bus.contract import Action, ParameterValue, WriteParameter
 from bus.messages import Message, in_english
 from bus.settings import UnitLabels

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.conditions.of_unit import suspicion
-from app.line.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts
-from app.line.live.diagnosis.cause import Cause, bus_cause, unit_cause
-from app.line.live.state.onset import Onset
+from app.line.conditions.unit import suspicion
+from app.line.live.diagnosis import (
+    Cause,
+    UnitView,
+    all_offline,
+    bus_cause,
+    shown_cause,
+    state_counts,
+    unit_cause,
+)
+from app.line.live.unit_status import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
 from bus.messages import Message, term
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, line_view, reading

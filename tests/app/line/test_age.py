@@ -6,9 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.line.live.state.age import unit_link_now
-from app.line.live.state.bus_live import BusLive, LiveState
-from app.line.live.state.scan_time import offline_after_s, scan_s_at_best, scan_s_of, stale_after_s
+from app.line.live.bus_live import (
+    BusLive,
+    LiveState,
+    offline_after_s,
+    scan_s_at_best,
+    scan_s_of,
+    stale_after_s,
+    unit_link_now,
+)
 from bus.contract import BusFigures, BusLink, UnitLink, UnitLinkState
 from tests.app.stage import bus_settings, reading
 

@@ -17,9 +17,9 @@ from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
 from app.line.alarms.rules.performance import ObservedSpan
 from app.line.alarms.rules.state_machine import AlarmFacts
-from app.line.live.browsers.hub import Hub
-from app.line.live.screen.screen import ALARM_GROUP
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
+from app.line.live.hub import Hub
+from app.line.live.screen import ALARM_GROUP
 from bus.contract import Reading
 from bus.instants import UnixTime, unix_now
 from tests.app.complete_app import House, complete_app

@@ -18,8 +18,14 @@ from app.line.alarms.rules.detection import (
     limits_of,
 )
 from app.line.conditions.catalogue import CONDITIONS
-from app.line.conditions.condition import SuppressionGroup, Tuning
-from app.line.conditions.priority import MATRIX, PRIORITIES, Consequence, TimeToRespond
+from app.line.conditions.condition import (
+    MATRIX,
+    PRIORITIES,
+    Consequence,
+    SuppressionGroup,
+    TimeToRespond,
+    Tuning,
+)
 from bus.instants import UnixTime
 
 

@@ -15,7 +15,7 @@ from app.errors import StoreError
 from app.line.alarms.acts import ALARM_ACTS
 from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import LineAlarms
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 from bus.contract import Reading
 from bus.messages import Message

@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 
-from app.line.live.browsers.broadcast import Broadcast
-from app.line.live.browsers.browser import Browser, Diff
-from app.line.live.browsers.flow import FEW_PAGES
+from app.line.live.browser import Browser, Diff
+from app.line.live.hub import FEW_PAGES, Broadcast
 from tests.app.screens import line, screen
 
 GROUP = "dry/1"

@@ -4,7 +4,7 @@ import asyncio
 import json
 from typing import Any
 
-from app.line.live.browsers.browser import MAX_FRAMES, Browser, Diff
+from app.line.live.browser import MAX_FRAMES, Browser, Diff
 
 
 def diff(n: int, **fields: str) -> Diff:

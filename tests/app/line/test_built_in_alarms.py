@@ -13,10 +13,9 @@ from app.core.web.admission.access import Role
 from app.line.alarms.bus_alarms import control_left_by
 from app.line.alarms.journal import AlarmStore
 from app.line.alarms.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
-from app.line.conditions.catalogue import CONDITIONS
-from app.line.conditions.of_server import DAY_S, certificate_expires, token_expires
+from app.line.conditions.catalogue import CONDITIONS, DAY_S, certificate_expires, token_expires
 from app.line.history.status import HistoryStatus
-from app.line.live.diagnosis.links import bus_facts
+from app.line.live.diagnosis import bus_facts
 from app.people.audit.anchor import AnchorStatus
 from app.people.auth.store import Token
 from bus.contract import BusFigures, BusLink, ParameterValue

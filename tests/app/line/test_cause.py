@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from app.line.live.diagnosis.cause import Cause, broken_rung, unit_cause
-from app.line.live.screen.cause_text import cause_texts, check_text
-from app.line.live.state.bus_live import LiveState
-from app.line.live.state.onset import Onset
+from app.line.live.bus_live import LiveState
+from app.line.live.diagnosis import Cause, broken_rung, unit_cause
+from app.line.live.fields import cause_texts, check_text
+from app.line.live.unit_status import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
 from bus.messages import term
 from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, translator

@@ -9,8 +9,7 @@ import pytest
 
 from app.errors import StoreError
 from app.line.live import change_recorder
-from app.line.live.change_recorder import ChangeRecorder
-from app.line.live.changes import LineEvent
+from app.line.live.change_recorder import ChangeRecorder, LineEvent
 from bus.messages import Message
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.live.changes import Changes, LineEvent
+from app.line.live.change_recorder import Changes, LineEvent
 from bus.contract import BusFigures, BusLink, UnitLink, Update
 from bus.messages import Message, term
 from tests.app.stage import HEALTHY, REMOTE, bus_settings, reading

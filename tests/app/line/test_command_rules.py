@@ -22,7 +22,7 @@ from app.line.commands.rules import (
     slows_all,
     unread_for_range,
 )
-from app.line.live.state.bus_live import BusLive, LiveState, UnitLive
+from app.line.live.bus_live import BusLive, LiveState, UnitLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Action,

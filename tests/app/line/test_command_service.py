@@ -13,7 +13,7 @@ from app.core.web.admission.access import Person, Role
 from app.core.web.admission.arrival import DEFAULT_TIMEOUT_S
 from app.errors import Problem, StoreError
 from app.line.commands.catalogue import timeout_s_for
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from app.people.audit.queries import Filter
 from bus.contract import (
     Action,

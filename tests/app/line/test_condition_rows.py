@@ -17,12 +17,11 @@ from app.line.conditions.catalogue import (
     tile_check,
     tile_text,
 )
-from app.line.conditions.condition import Condition, Tuning
+from app.line.conditions.condition import BusFacts, Condition, LinkFacts, Tuning, UnitFacts
 from app.line.conditions.draw import NO_DRAW, UNKNOWN_DRAW, Draw
-from app.line.conditions.evidence import BusFacts, LinkFacts, UnitFacts
-from app.line.conditions.of_unit import suspicion
+from app.line.conditions.unit import suspicion
 from app.line.feed.plausibility import believed_reading
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from bus.catalogue.status import status_bits
 from bus.contract import BusFigures, ParameterValue, Staged
 from bus.instants import UnixTime

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.live.state.conditions import conditions_of
+from app.line.live.unit_status import conditions_of
 from bus.catalogue.status import status_bits
 from bus.contract import Reading
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.line.live.screen.diff import Groups, merge_groups, put_fields
+from app.line.live.fields import Groups, merge_groups, put_fields
 
 
 def test_only_fields_that_differ_go_on() -> None:

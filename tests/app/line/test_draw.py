@@ -12,8 +12,7 @@ from pydantic import ValidationError
 
 from app.core.web.rendering.formats import UNKNOWN
 from app.line.conditions.draw import MAX_TENTHS, NO_DRAW, UNKNOWN_DRAW, SectionSpeed, draw_between, percent_of
-from app.line.live.state.bus_live import BusLive, LiveState
-from app.line.live.state.draw import draw_of
+from app.line.live.bus_live import BusLive, LiveState, draw_of
 from bus.contract import ParameterValue, UnitLink
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.app.screens import RUN, line, line_view, reading, screen

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.live.screen.fields import bus_fields, health_fields, unit_fields
+from app.line.live.fields import bus_fields, health_fields, unit_fields
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitFigures
 from tests.app.screens import AT_SPEED, REMOTE, line, reading, translator
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from app.core.web.admission.access import Role
-from app.line.live.first_steps import next_step
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
+from app.line.live.pages import next_step
 from bus.contract import BusLink
 from bus.instants import UnixTime
 from tests.app.complete_app import complete_app

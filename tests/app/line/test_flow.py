@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.live.browsers.flow import FEW_PAGES, FLOOD, MAX_SENDS_S, WINDOW_S, Flow
+from app.line.live.hub import FEW_PAGES, FLOOD, MAX_SENDS_S, WINDOW_S, Flow
 
 
 def flow() -> tuple[Flow, list[float]]:

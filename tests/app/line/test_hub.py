@@ -9,12 +9,12 @@ import pytest
 
 from app.core.web.rendering.assets import Assets, static_dir, templates_dir
 from app.core.web.rendering.templating import Templates
-from app.line.live.browsers.browser import Browser
-from app.line.live.browsers.hub import Hub
-from app.line.live.command_ids import key_of, new_command_id
-from app.line.live.screen.fields import Translator
-from app.line.live.screen.screen import Screen
-from app.line.live.state.bus_live import LiveState
+from app.line.live.browser import Browser
+from app.line.live.bus_live import LiveState
+from app.line.live.fields import Translator
+from app.line.live.hub import Hub
+from app.line.live.requests import key_of, new_command_id
+from app.line.live.screen import Screen
 from app.settings import Site
 from bus.contract import BusFigures, Frame, Frames, Progress, UnitFigures
 from bus.messages import term

@@ -14,7 +14,7 @@ from app.errors import Problem, StoreError
 from app.line.commands.service import idempotency
 from app.line.commands.service.command_request import CommandRequest, without_secret
 from app.line.commands.service.command_service import CommandService
-from app.line.live.command_ids import key_of
+from app.line.live.requests import key_of
 from app.people.audit.chain import KeyRing
 from bus.contract import Action, Command, Result, SetLine, SetSpeed, UnitOutcome, WriteParameter
 from bus.messages import Message, term

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from app.core.database import Database
 from app.line.feed.plausibility import believed_reading, judge_snapshot
 from app.line.live.api.view import parameter_json
-from app.line.live.screen.fields import unit_fields
+from app.line.live.fields import unit_fields
 from bus.contract import ParameterValue, Reading
 from tests.app.alarm_bus import HEALTHY, REMOTE, RUN, AlarmBus
 from tests.app.screens import line as screen_line

@@ -11,7 +11,7 @@ import pytest
 
 from app.core.messages import Languages
 from app.core.web.admission.access import Role
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.messages import Message, listed, number, term
 from tests.app.complete_app import House, complete_app
 from tests.app.page_texts import PAGES, texts_without

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from app.line.live.admission import (
+from app.line.live.hub import Watched
+from app.line.live.requests import (
     MAX_OF_ACCOUNT,
     MAX_OF_ADDRESS,
     Admission,
 )
-from app.line.live.browsers.watched import Watched
 
 
 def test_an_account_has_so_many_pages_and_another_has_its_own() -> None:

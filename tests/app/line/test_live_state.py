@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from app.line.live.state.bus_live import NO_WORKER, Audience, LiveState, updates_of
+from app.line.live.bus_live import NO_WORKER, Audience, LiveState, updates_of
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink, Update
 from tests.app.stage import bus_settings, reading, snapshot
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.live.state.motion import Motion
+from app.line.live.unit_status import Motion
 from bus.catalogue.status import status_bits
 from bus.contract import Reading
 

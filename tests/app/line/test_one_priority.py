@@ -11,14 +11,11 @@ import pytest
 from app.core.web.rendering.assets import static_dir
 from app.line.alarms.alarm import built_in
 from app.line.conditions.catalogue import CONDITIONS, PLACES, STATUS, TILES
-from app.line.conditions.condition import Condition
-from app.line.conditions.of_unit import BY_READING
-from app.line.conditions.priority import MATRIX, PRIORITIES, AlarmPriority
-from app.line.live.diagnosis.abnormal import shown_cause
-from app.line.live.diagnosis.cause import Cause, abnormal, bus_cause, unit_cause
-from app.line.live.diagnosis.links import unit_facts
-from app.line.live.screen.cause_text import cause_texts, check_text
-from app.line.live.state.bus_live import LiveState
+from app.line.conditions.condition import MATRIX, PRIORITIES, AlarmPriority, Condition
+from app.line.conditions.unit import BY_READING
+from app.line.live.bus_live import LiveState
+from app.line.live.diagnosis import Cause, abnormal, bus_cause, shown_cause, unit_cause, unit_facts
+from app.line.live.fields import cause_texts, check_text
 from bus.contract import BusLink, ParameterValue, UnitLink
 from bus.instants import UnixTime
 from bus.messages import TEXTS, Message

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.live.state.onset import Onset, Onsets, WordSpan, later, onset_in
+from app.line.live.unit_status import Onset, Onsets, WordSpan, later, onset_in
 
 OFF, ON = 0, 1
 SEEN = 2.0

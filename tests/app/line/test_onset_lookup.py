@@ -10,9 +10,9 @@ from typing import Any
 
 from app.core.web.admission.access import Role
 from app.errors import StoreError
-from app.line.live.state.bus_live import LiveState
-from app.line.live.state.onset import Onset, WordSpan
-from app.line.live.state.onset_lookup import DAY_S, HOUR_S, OnsetLookup
+from app.line.live.bus_live import LiveState
+from app.line.live.onset_lookup import DAY_S, HOUR_S, OnsetLookup
+from app.line.live.unit_status import Onset, WordSpan
 from app.line.pipeline import Pipeline
 from bus.contract import BusLink, Reading, Snapshot, UnitLink, UnitState
 from bus.messages import Message

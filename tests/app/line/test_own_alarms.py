@@ -19,7 +19,7 @@ from app.errors import Problem, StoreError
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.own_alarms import MAX_OWN, OwnAlarmBook
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 from app.settings import Settings
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from app.core.web.admission.access import Role
+from app.line.live.bus_live import LiveState
 from app.line.live.pages import digits_of, view_for
-from app.line.live.state.bus_live import LiveState
 from bus.contract import ParameterValue
 from tests.app.complete_app import House, complete_app
 from tests.app.screens import line

@@ -19,7 +19,7 @@ from app.line.commands.review import (
     risks_of,
     risks_of_writing,
 )
-from app.line.live.state.bus_live import BusLive, LiveState
+from app.line.live.bus_live import BusLive, LiveState
 from bus.contract import BusLink, ParameterValue, Result, UnitLink, UnitOutcome, Update
 from bus.instants import monotonic_now
 from bus.messages import Message, term

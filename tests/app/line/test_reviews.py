@@ -16,7 +16,7 @@ from app.core.web.admission.access import Role
 from app.engineering.recipes.book import RecipeBook
 from app.line.commands.limits import Limits
 from app.line.commands.safeguards import Safeguards
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.contract import ParameterValue, Reading
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA, HEALTHY, REMOTE, RUN, fresh, responding

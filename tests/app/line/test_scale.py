@@ -11,8 +11,8 @@ from app.line.alarms.own_condition import known_decimals
 from app.line.commands.limits import NO_LIMITS
 from app.line.commands.review import change_of
 from app.line.commands.values import parse_scale, raw_of_percent, scale_text, scales_of
-from app.line.live.screen.fields import unit_fields
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
+from app.line.live.fields import unit_fields
 from bus.contract import (
     ParameterValue,
     SetLine,

@@ -13,7 +13,7 @@ from app.core.web.admission.access import Role
 from app.engineering.recipes.book import RecipeBook
 from app.line.commands.limits import NO_LIMITS, Limits
 from app.line.commands.safeguards import Safeguards
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSpeed, Update
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA, responding

@@ -10,7 +10,7 @@ from pydantic import ConfigDict, TypeAdapter
 from app.line.commands.api.responses import CommandResult, result_json
 from app.line.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
 from app.line.live.api.view import parameter_json
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Command, Frame, Result, UnitOutcome, Update
 from bus.messages import term

@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from app.core.web.admission.access import Role
-from app.line.live.admission import Admission
-from app.line.live.api.line_stream import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, LineStream
-from app.line.live.state.bus_live import LiveState
+from app.line.live.api.stream import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, LineStream
+from app.line.live.bus_live import LiveState
+from app.line.live.requests import Admission
 from app.people.auth.accounts import Accounts
 from tests.administrator import BY
 from tests.app.complete_app import HOST, House, complete_app

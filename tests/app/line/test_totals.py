@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.live.diagnosis.cause import abnormal
-from app.line.live.screen.fields import name_on_site
-from app.line.live.screen.totals import MAX_ENTRIES, NamedCause, entries_of, holders, line_fields
+from app.line.live.diagnosis import abnormal
+from app.line.live.fields import name_on_site
+from app.line.live.screen import MAX_ENTRIES, NamedCause, entries_of, holders, line_fields
 from bus.instants import UnixTime
 from tests.app.screens import translator
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.live.screen.fields import frame_fields
+from app.line.live.fields import frame_fields
 from bus.contract import MAX_MEANING, Frame
 from bus.messages import Message
 from bus.settings import Dialect

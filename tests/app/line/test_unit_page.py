@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from app.core.web.admission.access import Role
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.contract import Reading
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line

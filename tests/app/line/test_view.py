@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from app.line.live.api.view import parameter_json
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink
 from bus.messages import term
 from tests.app.screens import line_view

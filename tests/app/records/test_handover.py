@@ -20,7 +20,7 @@ from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.commands.limits import Limits
 from app.line.commands.safeguards import Safeguards
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 from app.records.handover.service import Handover, NewNote
 from bus.contract import BusLink, Reading

@@ -19,7 +19,7 @@ from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.own_alarms import OwnAlarmBook
 from app.line.alarms.site_alarms import FailingEndpoints
-from app.line.live.state.bus_live import LiveState
+from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 from app.records.notification.notice import OutboxItem
 from app.records.notification.notifier import AlarmNotifier

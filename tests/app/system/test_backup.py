@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from app.errors import StoreError
-from app.line.conditions.of_server import backup_is_overdue
+from app.line.conditions.catalogue import backup_is_overdue
 from app.people.audit.log import EventLog
 from app.settings import load
 from app.system.backup.folder import CONTENTS

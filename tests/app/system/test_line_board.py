@@ -8,8 +8,8 @@ import msgspec
 import pytest
 
 from app.core.web.rendering.formats import UNKNOWN
-from app.line.conditions.priority import PRIORITIES, AlarmPriority
-from app.line.live.diagnosis.cause import Level
+from app.line.conditions.condition import PRIORITIES, AlarmPriority
+from app.line.live.diagnosis import Level
 from app.system.peers.board import STALE_AFTER_S, LineBoard, LineOnBoard, Peer
 from app.system.peers.settings import PeerSettings
 from app.system.peers.summary import CauseSummary, LineSummary

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from app.system.peers.summary import (
     MAX_POINTS,
     POINT_S,

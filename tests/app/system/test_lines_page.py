@@ -8,10 +8,10 @@ import re
 from pathlib import Path
 
 from app.core.web.admission.access import Role
-from app.line.live.browsers.browser import Browser
-from app.line.live.browsers.hub import Hub
-from app.line.live.screen.diff import Groups, merge_groups
-from app.line.live.state.bus_live import LiveState
+from app.line.live.browser import Browser
+from app.line.live.bus_live import LiveState
+from app.line.live.fields import Groups, merge_groups
+from app.line.live.hub import Hub
 from app.system.peers.own_lines import FRESH_S
 from bus.instants import unix_now
 from tests.app.complete_app import EVERY_ROLE, complete_app

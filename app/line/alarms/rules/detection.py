@@ -9,8 +9,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from decimal import Decimal
 
-from app.line.conditions.condition import SuppressionGroup, Tuning
-from app.line.conditions.evidence import CountPredicate
+from app.line.conditions.condition import CountPredicate, SuppressionGroup, Tuning
 from bus.instants import UnixTime
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, Literal, NamedTuple
 from pydantic import Field
 from typing_extensions import TypeAliasType
 
-from app.line.conditions.priority import PRIORITIES, AlarmPriority
+from app.line.conditions.condition import PRIORITIES, AlarmPriority
 from bus.instants import UnixTime
 
 WINDOW_S = 600

@@ -48,8 +48,8 @@ from app.line.commands.service.writer import Commands, permitted, permitted_writ
 from app.line.commands.values import Scales, parameter_scale, setpoint_scale
 from app.line.live.api.schemas import ParameterShown
 from app.line.live.api.view import parameter_json
-from app.line.live.lookup import unit_of_bus_or_404
-from app.line.live.state.bus_live import BusLive, UnitLive
+from app.line.live.bus_live import BusLive, UnitLive
+from app.line.live.requests import unit_of_bus_or_404
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS
 from bus.contract import (

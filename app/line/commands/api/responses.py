@@ -21,7 +21,7 @@ from app.core.web.api.shape import (
 )
 from app.core.web.problems import respond
 from app.errors import Problem
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from bus.contract import Direction, Frame, Outcome, Result, UnitOutcome
 from bus.errors import unit_error, unit_error_name
 from bus.instants import UnixTime

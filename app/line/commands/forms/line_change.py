@@ -17,7 +17,7 @@ from app.errors import Problem
 from app.line.commands.forms.page_context import BusPage
 from app.line.commands.review import OutcomeText, outcome_text, present_setpoint
 from app.line.commands.values import Scales, parse_scale, setpoint_message
-from app.line.live.state.bus_live import BusLive, follower
+from app.line.live.bus_live import BusLive, follower
 from bus.contract import Result
 from bus.messages import Message, joined
 

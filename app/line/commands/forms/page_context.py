@@ -39,12 +39,11 @@ from app.line.commands.service.command_service import CommandService
 from app.line.commands.service.idempotency import CommandKey
 from app.line.commands.service.value_converter import ValueConverter
 from app.line.commands.values import Scales, parse_scale, setpoint_message
-from app.line.live.browsers.hub import Hub
-from app.line.live.lookup import unit_of_bus_or_404
+from app.line.live.bus_live import BusLive, LiveState, UnitLive
+from app.line.live.fields import FlatFields, Translator
+from app.line.live.hub import Hub
 from app.line.live.pages import UnitOnLine, unit_on_line
-from app.line.live.screen.diff import FlatFields
-from app.line.live.screen.fields import Translator
-from app.line.live.state.bus_live import BusLive, LiveState, UnitLive
+from app.line.live.requests import unit_of_bus_or_404
 from bus.contract import Action, Result, UnitOutcome, UnitScale
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from app.line.commands.service.undoing import UndoOffer
 from app.line.commands.values import parameter_message, setpoint_message
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Action, SetSpeed, WriteAnalogOutput, WriteOutput, WriteParameter
 from bus.instants import UnixTime

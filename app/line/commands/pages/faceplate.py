@@ -14,7 +14,7 @@ from app.line.commands.forms.page_context import OfUnit, UnitPage
 from app.line.commands.review import nudges
 from app.line.commands.rules import setpoint_range
 from app.line.commands.values import measure_of_setpoint, scale_text, setpoint_scale
-from app.line.live.state.bus_live import follower
+from app.line.live.bus_live import follower
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 

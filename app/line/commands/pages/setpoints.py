@@ -19,7 +19,7 @@ from app.line.commands.review import by_remark
 from app.line.commands.rules import setpoint_range
 from app.line.commands.service.writer import permitted
 from app.line.commands.values import Scales, measure_of_setpoint, setpoint_message, setpoint_scale
-from app.line.live.state.bus_live import follower
+from app.line.live.bus_live import follower
 from bus.contract import SetLine, UnitScale
 from bus.errors import CallerError
 from bus.messages import Message, term

@@ -16,7 +16,7 @@ from app.line.commands.forms.page_context import Confirmed, OfUnit, ReviewedScal
 from app.line.commands.review import nudges
 from app.line.commands.service.writer import permitted, permitted_writer
 from app.line.commands.values import setpoint_scale
-from app.line.live.state.bus_live import follower
+from app.line.live.bus_live import follower
 from bus.contract import ExecuteSpeed, Result, SetSpeed, UnitScale
 from bus.errors import CallerError
 from bus.messages import Message

@@ -14,7 +14,7 @@ from app.line.commands.forms.page_context import OfUnit, UnitPage
 from app.line.commands.limits import HIGHEST_SETPOINT, Limits
 from app.line.commands.pages.faceplate import setting
 from app.line.commands.safeguards import BLOCK, SET_LIMITS, UNBLOCK
-from app.line.live.state.bus_live import UnitLive, setpoint_decimals
+from app.line.live.bus_live import UnitLive, setpoint_decimals
 from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE
 from bus.catalogue.values import speed_raw, speed_text
 from bus.errors import CallerError

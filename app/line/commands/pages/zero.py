@@ -16,8 +16,8 @@ from app.line.commands.forms.page_context import BusPage, Confirmed, Page
 from app.line.commands.review import OutcomeText, ResultRow, ZeroPlan, by_remark, plan_zero
 from app.line.commands.service.writer import permitted
 from app.line.commands.values import setpoint_message
-from app.line.live.screen.fields import name_on_site
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
+from app.line.live.fields import name_on_site
 from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
 from bus.instants import unix_now
 from bus.messages import Message, term

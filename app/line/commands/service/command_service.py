@@ -26,9 +26,8 @@ from app.line.commands.service.record import CommandRecord
 from app.line.commands.service.undoing import Undoing
 from app.line.commands.values import Scales, wording_scales
 from app.line.feed.channel import Channel
-from app.line.live.command_ids import new_command_id
-from app.line.live.lookup import unit_of_bus_or_404
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
+from app.line.live.requests import new_command_id, unit_of_bus_or_404
 from app.people.auth.rights.rights import Rights
 from bus.contract import Action, Command, ReadParameters, Result
 from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now

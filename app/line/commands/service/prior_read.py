@@ -8,7 +8,7 @@ from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command
 from app.line.commands.limits import Limits
 from app.line.commands.rules import unread_for_range
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from bus.contract import Action, Outcome, Result, UnitOutcome
 from bus.instants import UnixTime
 from bus.messages import Message, listed, parameter_name

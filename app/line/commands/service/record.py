@@ -17,7 +17,7 @@ from app.line.commands.catalogue import kind_of_command
 from app.line.commands.service import idempotency
 from app.line.commands.service.command_request import CommandRequest
 from app.line.commands.values import Wording, reworded
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from app.people.audit.log import EventLog
 from app.people.audit.queries import link_parts
 from bus.contract import Action, Outcome, Result

@@ -14,7 +14,7 @@ from app.line.commands.undo.changes import ValuePlace, Values, action_for, is_un
 from app.line.commands.undo.overlap import WritesUnderWay
 from app.line.commands.undo.stack import LASTS_S, SentCommand, UndoStack
 from app.line.commands.values import Scales, scales_of
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from bus.contract import Action, Result
 from bus.instants import MonotonicClock, UnixTime, unix_now
 from bus.messages import Message

@@ -11,7 +11,7 @@ from app.errors import Problem
 from app.line.commands.review import present_setpoint
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.values import raw_of_percent
-from app.line.live.state.bus_live import BusLive, UnitLive
+from app.line.live.bus_live import BusLive, UnitLive
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.parameter import Scale
 from bus.catalogue.parameters import PARAMETERS

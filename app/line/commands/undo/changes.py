@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 from app.line.commands.review import present_setpoint
-from app.line.live.state.bus_live import BusLive
+from app.line.live.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import output_is_on
 from bus.contract import (

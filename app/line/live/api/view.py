@@ -10,25 +10,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from msgspec.structs import asdict
+
 from app.core.web.api.shape import iso, maybe_shown, message_shown
 from app.line.conditions.draw import DRAW_DECIMALS
-from app.line.conditions.of_unit import suspicion
-from app.line.live.diagnosis.cause import Cause, unit_cause
-from app.line.live.screen.cause_text import cause_texts
-from app.line.live.screen.fields import Translator
-from app.line.live.screen.sources import Sources
-from app.line.live.state.age import unit_link_now
-from app.line.live.state.bus_live import (
+from app.line.conditions.unit import suspicion
+from app.line.live.bus_live import (
     BusLive,
     LiveState,
     UnitLive,
+    draw_of,
     follower,
+    scan_s_of,
     setpoint_decimals,
     speed_decimals,
+    unit_link_now,
 )
-from app.line.live.state.conditions import bits_of, mode_of
-from app.line.live.state.draw import draw_of
-from app.line.live.state.scan_time import scan_s_of
+from app.line.live.diagnosis import Cause, unit_cause
+from app.line.live.fields import Translator, cause_texts
+from app.line.live.sources import Sources
+from app.line.live.unit_status import bits_of, mode_of
 from bus.catalogue.numbers import (
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,
@@ -46,7 +47,8 @@ from bus.catalogue.values import (
     rpm,
     speed_text,
 )
-from bus.contract import BusFigures, Reading
+from bus.contract import BusFigures, Reading, UnitFigures
+from bus.errors import unit_error_name
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -141,6 +143,25 @@ def wire_json(figures: BusFigures | None) -> Json:
         "wire_utilisation": figures.wire_utilisation,
         "diagnosis": [message_shown(each) for each in figures.diagnosis],
     }
+
+
+_COUNTS = ("noise_bytes", "echoes", "updates_lost", "responds_for_all")
+
+
+def figures_json(bus: str, figures: BusFigures | None) -> Json:
+    """The figures of a bus, None where no worker measures them."""
+    measured: Json = {name: getattr(figures, name, None) for name in _COUNTS} | wire_json(figures)
+    units = [_statistics_json(unit) for unit in figures.units] if figures else []
+    at = iso(figures.at) if figures else None
+    return measured | {"bus": bus, "measured": figures is not None, "at": at, "units": units}
+
+
+def _statistics_json(unit: UnitFigures) -> Json:
+    naks = [
+        {"unit_error": code, "unit_error_name": unit_error_name(code), "count": count}
+        for code, count in sorted(unit.naks.items())
+    ]
+    return asdict(unit) | {"naks": naks}
 
 
 def cause_json(cause: Cause | None, now: UnixTime, english: Translator) -> Json | None:

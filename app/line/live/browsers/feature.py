@@ -17,17 +17,16 @@ from app.line.commands.safeguards import Safeguards
 from app.line.feed.bus_feed import BusFeed
 from app.line.history.service import History, status_words
 from app.line.history.status import store_notice
-from app.line.live import pages
-from app.line.live.api import stream_document, stream_route
-from app.line.live.api.line_stream import LineStream
+from app.line.live import pages, socket
+from app.line.live.api import stream_document
+from app.line.live.api.stream import LineStream
 from app.line.live.api.stream_document import AlarmType
 from app.line.live.api.view import LineView
-from app.line.live.browsers import socket
-from app.line.live.browsers.hub import Hub
-from app.line.live.screen.fields import Translator
-from app.line.live.screen.sources import Sources
-from app.line.live.state.bus_live import LiveState
-from app.line.live.state.onset_lookup import OnsetLookup
+from app.line.live.bus_live import LiveState
+from app.line.live.fields import Translator
+from app.line.live.hub import Hub
+from app.line.live.onset_lookup import OnsetLookup
+from app.line.live.sources import Sources
 from app.people.audit.anchor import Anchoring, anchor_notice
 from app.system.peers.tile import LineTiles
 from bus.instants import UnixTime, unix_now
@@ -84,4 +83,4 @@ def _notices(
     return " ".join(translator.t(notice) for notice in found if notice is not None)
 
 
-FEATURE = Feature(make, (stream_route.router, stream_document.router, socket.router, pages.router))
+FEATURE = Feature(make, (stream_document.router, socket.router, pages.router))

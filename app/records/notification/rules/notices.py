@@ -8,7 +8,7 @@ from datetime import datetime
 
 from app.line.alarms.journal import JournalEntry
 from app.line.alarms.rules.state_machine import AlarmState
-from app.line.conditions.priority import AlarmPriority
+from app.line.conditions.condition import AlarmPriority
 from app.records.notification.rules.roster import DutyRoster
 from bus.instants import UnixTime
 

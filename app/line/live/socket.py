@@ -20,8 +20,8 @@ from app.core.web.problems import refuse_socket
 from app.core.web.rendering.templating import WEBSOCKET_LINES, templates_of
 from app.core.web.services import service_of
 from app.errors import Problem
-from app.line.live.browsers.browser import Browser
-from app.line.live.browsers.hub import Hub
+from app.line.live.browser import Browser
+from app.line.live.hub import Hub
 from bus.bucket import Bucket
 from bus.instants import monotonic_now
 from bus.messages import Message

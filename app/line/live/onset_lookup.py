@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 
 from app.errors import StoreError
 from app.line.conditions.catalogue import STATUS
-from app.line.live.state.bus_live import BusLive, LiveState
-from app.line.live.state.onset import Onset, WordSpan, onset_in
-from app.line.live.state.scan_time import offline_after_s, scan_s_of
+from app.line.live.bus_live import BusLive, LiveState, offline_after_s, scan_s_of
+from app.line.live.unit_status import Onset, WordSpan, onset_in
 from bus.catalogue.status import status_bits
 from bus.instants import Clock, UnixTime
 

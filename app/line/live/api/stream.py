@@ -1,4 +1,7 @@
-"""What ``GET /stream`` sends: changes of the line as they are reported, the same for every program.
+"""The newest Server-Sent Events (WHATWG HTML, 9.2) of ``GET /stream``, numbered without a gap: what a program
+missed a moment ago is still here. Pure.
+
+What ``GET /stream`` sends: changes of the line as they are reported, the same for every program.
 
 A change is found once, by comparing what the API shows of a unit with what it showed before; nothing is
 compared while no one reads. A program that reads too slowly, or was away for too long, gets a snapshot in
@@ -15,16 +18,85 @@ from functools import partial
 from itertools import cycle, islice
 from math import ceil
 from secrets import token_hex
-from typing import Any
+from typing import Any, NamedTuple
 
-from app.core.web.api.shape import iso
-from app.line.live.admission import Admission
-from app.line.live.api.recent_events import PIECE_BYTES, RecentEvents
+import msgspec
+
+from app.core.web.api.shape import iso, parse_integer
 from app.line.live.api.view import Json, LineView, bus_fields
-from app.line.live.screen.diff import put_fields
-from app.line.live.state.bus_live import Audience, changed_by
+from app.line.live.bus_live import Audience, changed_by
+from app.line.live.fields import put_fields
+from app.line.live.requests import Admission
 from bus.contract import Update
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
+
+PIECE_BYTES = 64 * 1024
+"""How much a program is given at a time."""
+
+_encode = msgspec.json.Encoder().encode
+
+
+class StreamEvent(NamedTuple):
+    """``bus``: None for the site."""
+
+    bus: str | None
+    text: bytes
+
+
+class RecentEvents:
+    """``run``: distinguishes the numbers of this server from those before it was started."""
+
+    def __init__(self, run: str, most_bytes: int) -> None:
+        self._run = run
+        self._most_bytes = most_bytes
+        self._events: dict[int, StreamEvent] = {}
+        self._size = 0
+        self.newest = 0
+
+    def add(self, kind: str, bus: str | None, data: dict[str, Any]) -> None:
+        """One more; the oldest go where it would be too many."""
+        self.newest += 1
+        event = StreamEvent(bus, self.text(kind, self.newest, data))
+        self._events[self.newest] = event
+        self._size += len(event.text)
+        while self._size > self._most_bytes:
+            oldest = self._events.pop(self.newest - len(self._events) + 1)
+            self._size -= len(oldest.text)
+
+    def interrupt(self) -> None:
+        """Events were not noted for a while: no client can resume before it."""
+        self._events.clear()
+        self._size = 0
+        self.newest += 1
+
+    def text(self, kind: str, number: int, data: dict[str, Any]) -> bytes:
+        """An event as it is sent. JSON has no line break, which would end it."""
+        id_ = f"{self._run}-{number}"
+        return f"id: {id_}\nevent: {kind}\ndata: ".encode() + _encode(data) + b"\n\n"
+
+    def number_of(self, last_event_id: str) -> int | None:
+        """The number in an id; None where it is none of this run."""
+        run, _, number = last_event_id.rpartition("-")
+        return parse_integer(number) if run == self._run else None
+
+    def has_all_after(self, number: int) -> bool:
+        """Whether every event after this number is still here."""
+        return self.newest - len(self._events) <= number <= self.newest
+
+    def after(self, number: int, bus: str | None) -> tuple[int, bytes]:
+        """Events after ``number``, which are all here, in one piece, and the number of the last of them.
+        ``bus``: only those of this bus and of the site; None: all.
+        """
+        texts: list[bytes] = []
+        size = 0
+        while number < self.newest and size < PIECE_BYTES:
+            number += 1
+            event = self._events[number]
+            if bus is None or event.bus in (None, bus):
+                texts.append(event.text)
+                size += len(event.text)
+        return number, b"".join(texts)
+
 
 TICK_S = 0.1
 TICKS_OF_ALL = 10

@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from app.line.live.screen.diff import Groups, merge_groups
+from app.line.live.fields import Groups, merge_groups
 from bus.instants import UnixTime
 
 MAX_FRAMES = 300

@@ -1,34 +1,201 @@
-"""Broadcasts changes to every connected browser, in the turn of the event loop in which they are reported.
+"""How often open pages are updated: on every response, except in a flood of them or with very many pages.
+Pure but for the clock, which is passed in.
+
+Which units and traces the open pages show. Pure.
+
+Counted as pages come, go and turn: what a page costs depends on what it shows, not on how many there are.
+
+The open pages of one language: they get the same bytes in the same turn of the loop.
+
+Changes are held back, in a flood or among very many pages, once for all pages, and go together. The number is
+that of the last message sent. A page that opens in between gets a snapshot of that number: it
+is newer than the number, and the next message repeats some fields.
+
+Broadcasts changes to every connected browser, in the turn of the event loop in which they are reported.
 
 Nothing here batches or waits for a timer. A change is rendered once for each language in use, and
-:mod:`app.line.live.browsers.broadcast` sends it to the pages. Only age, which no worker reports, is checked
+:mod:`app.line.live.hub` sends it to the pages. Only age, which no worker reports, is checked
 once a second; the same tick is the heartbeat that every page draws.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
 
 import structlog
 
 from app.core.web.rendering.templating import WEBSOCKET_LINES, Templates
-from app.line.live.admission import Admission
-from app.line.live.browsers.broadcast import Broadcast
-from app.line.live.browsers.browser import Browser, LinesUpdate
-from app.line.live.browsers.watched import Watched
-from app.line.live.command_ids import key_of
-from app.line.live.screen.diff import Groups, merge_groups
-from app.line.live.screen.fields import Translator, frame_fields, health_fields, unit_key
-from app.line.live.screen.screen import ALARM_GROUP, LINE_GROUP, Screen
-from app.line.live.screen.sources import Sources
-from app.line.live.screen.totals import holders
-from app.line.live.screen.words import STAGE_WORDS
-from app.line.live.state.bus_live import Audience, LiveState, changed_by
+from app.line.live.browser import Browser, Diff, LinesUpdate
+from app.line.live.bus_live import Audience, LiveState, changed_by
+from app.line.live.fields import (
+    STAGE_WORDS,
+    Groups,
+    Translator,
+    frame_fields,
+    health_fields,
+    merge_groups,
+    unit_key,
+)
+from app.line.live.requests import Admission, key_of
+from app.line.live.screen import ALARM_GROUP, LINE_GROUP, Screen, holders
+from app.line.live.sources import Sources
 from bus.bucket import Bucket
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
-from bus.instants import Clock, UnixTime, monotonic_now
+from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now
+
+FLOOD = 60
+WINDOW_S = 0.25
+"""More changed units than this within a window, which is more than six full wires bring: updates then go
+out once per window until it is quieter, as pages could not draw them all."""
+
+FEW_PAGES = 40
+MAX_SENDS_S = 2000
+"""With many pages each gets at most its share of so many messages a second, to bound the server's
+load. 200 pages get ten updates a second, 40 and fewer one for each response."""
+
+
+@dataclass(slots=True)
+class Flow:
+    """Counts recent changes, by a monotonic clock in seconds."""
+
+    clock: MonotonicClock = monotonic_now
+    _gap_s: float = 0.0
+    _began: Monotonic = Monotonic(0.0)
+    _count: int = 0
+    _flooded: bool = False
+    _sent_at: Monotonic = Monotonic(-math.inf)
+
+    def share(self, pages: int) -> None:
+        """Set the number of open pages."""
+        self._gap_s = pages / MAX_SENDS_S if pages > FEW_PAGES else 0.0
+
+    def came(self, units: int = 1) -> None:
+        """There is something new of so many units."""
+        now = self.clock()
+        if now - self._began >= WINDOW_S:
+            self._flooded = self._count > FLOOD and now - self._began < 2 * WINDOW_S
+            self._began, self._count = now, 0
+        self._count += units
+
+    def pause_s(self) -> float:
+        """Seconds to wait before the next update: 0 except in a flood, or with very many pages."""
+        flooded = self._flooded or self._count > FLOOD
+        gap_s = max(self._gap_s, WINDOW_S) if flooded else self._gap_s
+        return max(0.0, self._sent_at + gap_s - self.clock())
+
+    def sent(self) -> None:
+        self._sent_at = self.clock()
+
+
+MAX_VIEWS = 64
+"""Sets of units that pages show at a time."""
+ShownUnits = frozenset[tuple[str, int]]
+"""Units, each as bus and address."""
+
+
+class Watched:
+    """``units``: those that there are, by bus."""
+
+    def __init__(self, units: Mapping[str, Collection[int]]) -> None:
+        self._by_key = {unit_key(bus, unit): (bus, unit) for bus, of_bus in units.items() for unit in of_bus}
+        self._units: dict[str, Counter[int]] = {bus: Counter() for bus in units}
+        self._traces: Counter[str] = Counter()
+        self.known = lru_cache(MAX_VIEWS)(self._known)
+        """Returns the units of these keys that exist. One set for all pages that show the same: for a long
+        line it is fifty kilobytes."""
+
+    def _known(self, keys: tuple[str, ...]) -> ShownUnits:
+        return frozenset(self._by_key[key] for key in keys if key in self._by_key)
+
+    def turn(self, before: ShownUnits, after: ShownUnits, trace_before: str, trace_after: str) -> None:
+        """A page shows other units and follows another trace; all of them are known."""
+        for bus, unit in after - before:
+            self._units[bus][unit] += 1
+        for bus, unit in before - after:
+            self._units[bus][unit] -= 1
+        self._traces[trace_before] -= 1
+        self._traces[trace_after] += 1
+
+    def units(self, bus: str) -> list[int]:
+        """Those that some page shows."""
+        return sorted(unit for unit, pages in self._units[bus].items() if pages)
+
+    def is_traced(self, bus: str) -> bool:
+        """Whether some page follows the frames of this bus."""
+        return self._traces[bus] > 0
+
+
+@dataclass(eq=False, slots=True)
+class Broadcast:
+    """Sends what changes to every open page of one language. ``clock`` returns Unix time in seconds;
+    ``page_digest`` identifies what a page is rendered with now."""
+
+    screen: Screen
+    clock: Clock
+    page_digest: str = ""
+    flow: Flow = field(default_factory=Flow)
+    browsers: deque[Browser] = field(default_factory=deque)
+    """Each browser is the first in its turn: writing to all takes a while; none is always the last."""
+    number: int = 0
+    _held: Groups = field(default_factory=dict)
+    _due: asyncio.TimerHandle | None = None
+
+    def join(self, browser: Browser) -> None:
+        """Add a browser; send it a snapshot."""
+        self.browsers.append(browser)
+        self.send_snapshot(browser)
+
+    def leave(self, browser: Browser) -> None:
+        """Remove a browser; drop changes that no page waits for."""
+        self.browsers.remove(browser)
+        if not self.browsers:
+            self._held = {}
+            if self._due is not None:
+                self._due.cancel()
+                self._due = None
+
+    def send_snapshot(self, browser: Browser) -> None:
+        """The snapshot, to a page that opened or missed a number."""
+        browser.send(
+            {
+                "is": "snapshot",
+                "digest": self.page_digest,
+                "n": self.number,
+                "t": round(self.clock(), 3),
+                "f": self.screen.shown,
+            }
+        )
+
+    def publish(self, groups: Groups, *, always: bool = False) -> None:
+        """Send changed fields, at once or with the next message. ``always``: even when nothing changed."""
+        if not self.browsers or not (groups or always):
+            return
+        self.flow.came(len(groups) or 1)
+        if self._due is not None:
+            merge_groups(self._held, groups)
+        elif pause_s := self.flow.pause_s():
+            merge_groups(self._held, groups)
+            self._due = asyncio.get_running_loop().call_later(pause_s, self._release)
+        else:
+            self._publish(groups)
+
+    def _release(self) -> None:
+        groups, self._held, self._due = self._held, {}, None
+        self._publish(groups)
+
+    def _publish(self, groups: Groups) -> None:
+        self.flow.sent()
+        diff = Diff(self.number, self.number + 1, self.clock(), groups)
+        self.number = diff.after
+        self.browsers.rotate()
+        for browser in self.browsers:
+            browser.send_diff(diff)
+
 
 log = structlog.get_logger()
 

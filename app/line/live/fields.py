@@ -1,43 +1,113 @@
-"""One unit, one bus, one frame as the texts and positions that a browser puts on the page. Pure.
+"""Fixed words of live states, in English, of which each reading shows some: `Language.term` translates a word
+20 times as fast as a message.
+
+Fields in groups, of which only those that differ go on: to pages and to ``GET /stream`` alike. Pure.
+
+One unit, one bus, one frame as the texts and positions that a browser puts on the page. Pure.
 
 A group (``bus/unit``, ``bus``, ``line``) has fields; a field is a short text, rendered here once per language
 for all browsers, or a list of typed values. Positions are fractions as text; bits are strings of ``0`` and
 ``1``, of which a lamp shows one place. An empty text means: not known.
+
+A cause in the reader's language: the condition, since when, and what to check. Pure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 from app.core.messages import Language
 from app.core.web.rendering.formats import MINUS, UNKNOWN, Formats
+from app.line.conditions.catalogue import tile_check, tile_text
 from app.line.conditions.draw import DRAW_DECIMALS, Draw
-from app.line.live.screen.words import MODE_WORDS, STATE_WORDS
-from app.line.live.state.age import figures_now
-from app.line.live.state.bus_live import BusLive, UnitLive, follower, setpoint_decimals, speed_decimals
-from app.line.live.state.conditions import bits_of, mode_of
-from app.line.live.state.scan_time import offline_after_s, scan_s_of, stale_after_s
-from bus.catalogue.numbers import (
-    ANALOG_IN_HIGH,
-    ANALOG_IN_LOW,
-    AT_SPEED_WINDOW,
-    MAX_DISPLAY,
-    RATIO_SETPOINT,
+from app.line.live.bus_live import (
+    BusLive,
+    UnitLive,
+    figures_now,
+    follower,
+    offline_after_s,
+    scan_s_of,
+    setpoint_decimals,
+    speed_decimals,
+    stale_after_s,
 )
+from app.line.live.diagnosis import Cause
+from app.line.live.unit_status import MotionState, bits_of, mode_of
+from bus.catalogue.numbers import ANALOG_IN_HIGH, ANALOG_IN_LOW, AT_SPEED_WINDOW, MAX_DISPLAY, RATIO_SETPOINT
 from bus.catalogue.status import StatusBits
 from bus.catalogue.values import RATIO_DECIMALS, analog_input_value
-from bus.contract import MAX_MEANING, Frame, Reading, UnitFigures, UnitLinkState
+from bus.contract import MAX_MEANING, Frame, Reading, Stage, UnitFigures, UnitLinkState
 from bus.errors import unit_error
 from bus.instants import UnixTime
 from bus.messages import Message
 
-DEVIATION_WINDOWS = 3
-"""Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
+STATE_WORDS: dict[MotionState, str] = {
+    "": "not known",
+    "at_speed": "at speed",
+    "at_zero": "at zero",
+    "ramping_up": "ramping up",
+    "ramping_down": "ramping down",
+    "off_speed": "off speed",
+    "stopped": "stopped",
+    "stopping": "still turning",
+    "turning": "turning without run",
+}
+TURNING = "turning"
+"""Beside a cause that names the run input."""
+STOPPED_WITH_RUN = "stopped with run input on"
+MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEYLOCK"}
+STAGE_WORDS: dict[Stage, str] = {
+    "waiting": "waiting for the bus",
+    "sent": "sent",
+    "searching": "addresses scanned:",
+    "acknowledged": "acknowledged",
+    "proving": "reading back",
+}
+
 
 Fields = dict[str, Any]
 """Each a text, or a list that a script of the page reads: ``setpoint`` is [raw, decimals]."""
+Groups = dict[str, Fields]
+K = TypeVar("K")
+
+
+class FlatFields:
+    """The fields of groups by ``group.field``, as templates read them. Not a dictionary: for a long line it
+    would be a megabyte for each page that opens."""
+
+    def __init__(self, groups: Groups) -> None:
+        self._groups = groups
+
+    def __getitem__(self, key: str) -> Any:
+        group, _, name = key.rpartition(".")
+        return self._groups[group][name]
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """The field, or ``default`` where there is none."""
+        group, _, name = key.rpartition(".")
+        return self._groups.get(group, {}).get(name, default)
+
+
+def put_fields(shown: dict[K, Fields], group: K, fields: Fields) -> dict[K, Fields]:
+    """Show ``fields`` in ``group``; return those that differ from before, and no group where none does."""
+    before = shown.setdefault(group, {})
+    changed = {name: value for name, value in fields.items() if before.get(name) != value}
+    before.update(changed)
+    return {group: changed} if changed else {}
+
+
+def merge_groups(groups: Groups, *later: Groups) -> Groups:
+    """Return ``groups``, with the fields of each that is ``later`` in the place of earlier ones."""
+    for each in later:
+        for group, fields in each.items():
+            groups.setdefault(group, {}).update(fields)
+    return groups
+
+
+DEVIATION_WINDOWS = 3
+"""Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,3 +344,75 @@ def frame_fields(frame: Frame, translator: Translator) -> dict[str, Any]:
         "meaning": "; ".join(map(translator.t, frame.meanings))[:MAX_MEANING],
         "valid": frame.valid,
     }
+
+
+MINUTE_S, LONG_RAMP_S = 60, 120
+
+
+class CauseTexts(NamedTuple):
+    """``text``: the condition; ``since``: its time, empty where none is known; ``line``: both in one."""
+
+    text: str
+    since: str
+    line: str
+
+
+def cause_texts(cause: Cause, translator: Translator, now: UnixTime) -> CauseTexts:
+    """``Stopped: run input off``, ``since 02:22`` and ``Stopped: run input off since 02:22``."""
+    motion, what, why = _motion(cause, translator), _what(cause, translator), _why(cause, translator)
+    since = _since(cause, translator, now)
+    return CauseTexts(joined(motion, what, why), since, joined(motion, f"{what} {since}".rstrip(), why))
+
+
+def _since(cause: Cause, translator: Translator, now: UnixTime) -> str:
+    """A ramp shows the time left instead."""
+    onset = cause.onset
+    if onset is None or cause.code == "ramping":
+        return ""
+    code = "cause_since" if onset.exact else "cause_since_at_least"
+    return translator.t(Message.of(code, time=translator.formats.since(onset.at, now)))
+
+
+def check_text(cause: Cause | None, translator: Translator) -> str:
+    """What to check; empty where nothing is to be done."""
+    check = None if cause is None else tile_check(cause.code)
+    return "" if check is None else translator.t(check)
+
+
+def joined(*parts: str) -> str:
+    """Parts that explain each other as one text with a capital at its head; empty ones are left out."""
+    text = ": ".join(part for part in parts if part)
+    return text[:1].upper() + text[1:]
+
+
+def _motion(cause: Cause, translator: Translator) -> str:
+    motion = cause.params.get("motion", "")
+    if not motion or cause.code == "not_at_speed":
+        return ""
+    return translator.t(TURNING if motion == "turning" else STATE_WORDS[motion])
+
+
+def _what(cause: Cause, translator: Translator) -> str:
+    if cause.code == "not_at_speed":
+        stopped = cause.params.get("motion") == "stopped"
+        return translator.t(STOPPED_WITH_RUN if stopped else STATE_WORDS["off_speed"])
+    if cause.code == "ramping":
+        return translator.t(_ramp(cause.params, translator))
+    mode = cause.params.get("mode")
+    text = tile_text(cause.code, **{"mode": mode} if mode else {})
+    return "" if text is None else translator.t(text)
+
+
+def _why(cause: Cause, translator: Translator) -> str:
+    why = cause.params.get("why")
+    return translator.t(why) if isinstance(why, Message) else why or ""
+
+
+def _ramp(params: Mapping[str, Any], translator: Translator) -> Message:
+    target = translator.formats.fixed(params["target_raw"], params["decimals"])
+    left = params["seconds_left"]
+    if not left:
+        return Message.of("cause_ramping", target=target)
+    if left < LONG_RAMP_S:
+        return Message.of("cause_ramping_seconds", target=target, n=left)
+    return Message.of("cause_ramping_minutes", target=target, n=round(left / MINUTE_S))

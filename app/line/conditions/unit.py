@@ -6,9 +6,10 @@ from collections.abc import Callable
 from decimal import Decimal
 from typing import Any
 
-from app.line.conditions.condition import Condition, ConditionEvent, Tuning
-from app.line.conditions.evidence import (
+from app.line.conditions.condition import (
     BusValues,
+    Condition,
+    ConditionEvent,
     CountPredicate,
     DrawPredicate,
     LimitCheck,
@@ -16,6 +17,7 @@ from app.line.conditions.evidence import (
     LinkPredicate,
     ParameterPredicate,
     ReadingPredicate,
+    Tuning,
     UnitValues,
     ValuePredicate,
     follower,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from app.core.web.rendering.head_control import BusControl
-from app.line.live.screen.fields import Fields, Translator
+from app.line.live.fields import Fields, Translator
 from bus.instants import UnixTime
 from bus.messages import Message
 

@@ -1,8 +1,16 @@
 """The present state of every bus and its units: the newest values, and what follows from a reading.
 
 Times are Unix times in seconds on the app's own clock; the feed shifts a worker's times before they come
-here. Overdue values are not marked here but computed from the age (:mod:`app.line.live.state.age`), so that a
+here. Overdue values are not marked here but computed from the age (:mod:`app.line.live.bus_live`), so that a
 worker that hangs cannot keep anything looking fresh.
+
+How long a scan of a bus takes, and how old a reading may become by it. Pure.
+
+Whether values are live, stale or offline, from their age. Pure: the time is passed in.
+
+The draw of a unit now, from the actual speeds that it and the unit before it reported. Pure.
+
+How long a unit takes to ramp from one speed to another. Pure.
 """
 
 from __future__ import annotations
@@ -15,17 +23,16 @@ from typing import NamedTuple
 
 import structlog
 
-from app.line.conditions.evidence import follower as follower
-from app.line.conditions.evidence import reads_ratio
-from app.line.conditions.of_unit import DRAW_OUT_OF_BAND
-from app.line.live.state.conditions import bits_of, conditions_of
-from app.line.live.state.draw import draw_of
-from app.line.live.state.motion import Motion
-from app.line.live.state.onset import Onset, Onsets
-from app.line.live.state.scan_time import offline_after_s, scan_s_of, silence_after_s
+from app.line.conditions.condition import BusValues, reads_ratio
+from app.line.conditions.condition import follower as follower
+from app.line.conditions.draw import NO_DRAW, Draw, SectionSpeed, draw_between
+from app.line.conditions.unit import DRAW_OUT_OF_BAND, SETTLED
+from app.line.live.unit_status import Motion, Onset, Onsets, bits_of, conditions_of
 from bus.catalogue.numbers import (
+    ACCELERATION,
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,
+    DECELERATION,
     DECIMALS,
     FOLLOWER_MODE,
     MAX_DISPLAY,
@@ -40,11 +47,13 @@ from bus.contract import (
     Snapshot,
     Staged,
     UnitLink,
+    UnitLinkState,
     Update,
 )
+from bus.contract.durations import POLL_BYTES
 from bus.instants import UnixTime
 from bus.messages import Message
-from bus.settings import BusSettings, Seam, UnitSettings
+from bus.settings import BusSettings, Seam, UnitSettings, wire_seconds
 
 log = structlog.get_logger()
 
@@ -82,6 +91,13 @@ class UnitLive:
     onsets: Onsets = field(default_factory=Onsets)
     last_response: UnixTime | None = None
     """Unix time, before this server started; None while it is not known."""
+
+    @property
+    def names(self) -> list[str]:
+        """What people call the unit: its name, its address, its group and what is wired to it."""
+        settings = self.settings
+        wired = (*settings.labels.input.values(), *settings.labels.output.values(), settings.labels.analog)
+        return [settings.name, str(settings.id), settings.group, *wired]
 
     def parameter_raw(self, number: int) -> int | None:
         """The raw value of a parameter as last read; None when never read or not available, and outside of
@@ -277,3 +293,118 @@ class LiveState:
 
     def __init__(self, buses: Iterable[BusSettings], started_at: UnixTime) -> None:
         self.buses = {settings.name: never_seen(settings, started_at) for settings in buses}
+
+
+OFFLINE_SCANS = 5
+
+
+def stale_after_s(scan_s: float) -> float:
+    """A response older than this is overdue: two seconds, or two scans where those take longer."""
+    return max(2.0, 2 * scan_s)
+
+
+def offline_after_s(scan_s: float) -> float:
+    """No response for this long: the unit counts as lost."""
+    return max(10.0, OFFLINE_SCANS * scan_s)
+
+
+def silence_after_s(scan_s: float) -> float:
+    """No response of any unit for this long is a silence of the bus. It is shorter than the time of a unit by
+    more than a scan, so that a time which loses a unit is one."""
+    return offline_after_s(scan_s) / 2
+
+
+def scan_s_of(bus: BusValues) -> float:
+    """How long one scan of all units takes: as the worker measured it, else what the wire allows."""
+    if bus.figures is not None and bus.figures.scan_s > 0:
+        return bus.figures.scan_s
+    return scan_s_at_best(bus.settings)
+
+
+def scan_s_at_best(settings: BusSettings) -> float:
+    """The wire time of one poll of every configured unit, seconds."""
+    return wire_seconds(len(settings.unit) * POLL_BYTES, settings.baud)
+
+
+WORKER_TIMEOUT_S = 2.0
+"""A worker reports its figures every second, beside the readings of its units."""
+
+
+def unit_link_now(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnitLinkState:
+    """As the worker has it, made worse by the age of the reading and by a closed port."""
+    if unit.reading is None:
+        return "unknown"
+    scan_s = scan_s_of(bus)
+    if lost_at(bus, unit, now, offline_after_s(scan_s)) is not None:
+        return "offline"
+    age = now - unit.reading.at
+    if unit.link.link != "online" or bus.link.link == "closed" or age > stale_after_s(scan_s):
+        return "stale"
+    return "online"
+
+
+def lost_at(bus: BusLive, unit: UnitLive, now: UnixTime, patience_s: float) -> UnixTime | None:
+    """When a unit was found not to respond for ``patience_s``; None: it was not.
+
+    After a silence of the bus its units respond one after the other: each has its time again, but for one
+    that was lost before.
+    """
+    if unit.reading is not None and unit.link.link == "offline":
+        known_at = found_at = unit.link.at
+    else:
+        known_at = bus.link_onset.at if unit.reading is None else unit.reading.at
+        found_at = known_at + patience_s
+    if bus.silence is not None and known_at <= bus.silence.until and found_at > bus.silence.since:
+        found_at = bus.silence.until + patience_s
+    return found_at if now >= found_at else None
+
+
+def worker_timed_out(bus: BusLive, now: UnixTime) -> bool:
+    """Whether a connected worker has stopped sending: its process hangs, or its network is cut."""
+    if not bus.worker_connected or bus.figures is None:
+        return False
+    since = now - WORKER_TIMEOUT_S
+    return bus.figures.at < since and (bus.read_at is None or bus.read_at < since)
+
+
+def figures_now(bus: BusLive, now: UnixTime) -> BusFigures | None:
+    """The figures of a bus as far as they are of this moment."""
+    return None if bus.link.link == "closed" or worker_timed_out(bus, now) else bus.figures
+
+
+def draw_of(bus: BusLive, unit: UnitLive, now: UnixTime) -> Draw:
+    """Judged while both sections run and neither ramps."""
+    seam = bus.seams.get(unit.settings.id)
+    if seam is None:
+        return NO_DRAW
+    before = bus.units[seam.before]
+    judged = before.motion.state in SETTLED and unit.motion.state in SETTLED
+    speeds = _actual_speed(bus, before, now), _actual_speed(bus, unit, now)
+    return draw_between(*speeds, seam.band, judged=judged)
+
+
+def quantity_of(bus: BusLive, unit: UnitLive) -> str | None:
+    """What the speeds of a unit are measured in, by its label; None where they are ratios."""
+    return None if reads_ratio(bus, unit) else unit.settings.labels.unit
+
+
+def _actual_speed(bus: BusLive, unit: UnitLive, now: UnixTime) -> SectionSpeed:
+    reading = unit.reading if unit_link_now(bus, unit, now) == "online" else None
+    raw = None if reading is None else reading.actual
+    return SectionSpeed(raw, unit.parameter_raw(DECIMALS), quantity_of(bus, unit))
+
+
+def ramp_parameter(old: int | None, new: int) -> int:
+    """The parameter that sets the ramp from one speed to another, raw: #7 downwards, else #6."""
+    return DECELERATION if old is not None and new < old else ACCELERATION
+
+
+def ramp_seconds(unit: UnitLive, old: int | None, new: int) -> float | None:
+    """Seconds by #6 or #7, which are tenths for the full span #2. ``old``, ``new``: raw speeds. None for a
+    follower, which comes with its master, and while a parameter is not known; a ramp of 0 is none."""
+    span, tenths = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(ramp_parameter(old, new))
+    if old is None or tenths is None or follower(unit):
+        return None
+    if tenths == 0:
+        return 0.0
+    return abs(new - old) / span * tenths / 10 if span else None

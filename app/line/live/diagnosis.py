@@ -1,0 +1,316 @@
+"""The facts by which conditions are judged: of a bus, of the link of a unit, and of its reading. Pure.
+
+Why a unit is not at speed or cannot be commanded, as a code with parameters. Pure: the time is passed in.
+
+The cause is the first broken rung of e-stop → run → mode → link → ramp: conditions that a unit needs to be at
+speed, each of which needs the one before.
+
+The abnormal conditions of the line, the worst first. Pure.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil
+from typing import Any, Literal
+
+from app.line.conditions.catalogue import NO_UNIT_RESPONDS, NO_UNIT_YET, TILES
+from app.line.conditions.condition import PRIORITIES, AlarmPriority, BusFacts, LinkFacts, UnitFacts
+from app.line.conditions.unit import (
+    BLOCKED,
+    BY_READING,
+    DRAW_OUT_OF_BAND,
+    PARAMETER_DRIFT,
+    UNIT_UNKNOWN,
+    VALUE_IMPLAUSIBLE,
+    implausible_of,
+    suspicion,
+)
+from app.line.live.bus_live import (
+    BusLive,
+    UnitLive,
+    draw_of,
+    lost_at,
+    offline_after_s,
+    ramp_seconds,
+    scan_s_of,
+    speed_decimals,
+    stale_after_s,
+    unit_link_now,
+    worker_timed_out,
+)
+from app.line.live.unit_status import Onset, bits_of, is_driven, later, mode_of
+from bus.contract import Reading, UnitLinkState
+from bus.contract.durations import POLL_BYTES
+from bus.instants import UnixTime
+from bus.messages import Message
+from bus.settings import wire_seconds
+
+
+def bus_facts(bus: BusLive, now: UnixTime) -> BusFacts:
+    """Of a bus."""
+    patience_s = offline_after_s(scan_s_of(bus))
+    lost = unread = 0
+    for unit in bus.units.values():
+        if lost_at(bus, unit, now, patience_s) is not None:
+            lost += 1
+        elif unit.reading is None:
+            unread += 1
+    turnaround_s = wire_seconds(POLL_BYTES, bus.baud) + bus.settings.turnaround_s
+    return BusFacts(
+        worker_is_lost=bus.worker_lost is not None or worker_timed_out(bus, now),
+        port_is_closed=bus.link.link == "closed",
+        units=len(bus.units),
+        lost=lost,
+        unread=unread,
+        scan_s=None if bus.figures is None else bus.figures.scan_s,
+        longest_scan_s=len(bus.units) * turnaround_s,
+    )
+
+
+def any_responds(bus: BusLive, now: UnixTime) -> bool:
+    """Whether any unit of a bus responds; the first one that does is enough."""
+    patience_s = offline_after_s(scan_s_of(bus))
+    return any(
+        unit.reading is not None and lost_at(bus, unit, now, patience_s) is None
+        for unit in bus.units.values()
+    )
+
+
+def link_facts(bus: BusLive, unit: UnitLive, now: UnixTime, *, bus_is_readable: bool) -> LinkFacts:
+    """Of a unit."""
+    found_at = lost_at(bus, unit, now, offline_after_s(scan_s_of(bus)))
+    return LinkFacts(
+        bus_is_readable=bus_is_readable,
+        is_lost=found_at is not None,
+        is_online=unit_link_now(bus, unit, now) == "online",
+        is_alone=found_at is not None and len(bus.units) > 1 and not _has_reading_after(bus, found_at),
+    )
+
+
+def unit_facts(bus: BusLive, unit: UnitLive, reading: Reading, *, is_late: bool = False) -> UnitFacts:
+    """Of a unit by its newest reading."""
+    bits = bits_of(bus, reading)
+    return UnitFacts(bits, unit.motion.state, reading.commanded, reading.actual, is_late)
+
+
+def _has_reading_after(bus: BusLive, at: UnixTime) -> bool:
+    return bus.read_at is not None and bus.read_at > at
+
+
+Level = AlarmPriority | Literal[""]
+"""The priority of its conditions. Empty: not abnormal."""
+
+
+def _motion(bus: BusLive, unit: UnitLive, reading: Reading) -> dict[str, str]:
+    """How a unit moves that a broken rung holds back; nothing where that is not known or as commanded."""
+    state = unit.motion.state
+    if is_driven(bits_of(bus, reading)):
+        off_speed = "stopped" if reading.actual == 0 else "off_speed"
+        return {"motion": off_speed} if state == "off_speed" else {}
+    if state in ("stopped", "at_zero"):
+        return {"motion": "stopped"}
+    return {"motion": state} if state in ("stopping", "turning") else {}
+
+
+def _mode(bus: BusLive, unit: UnitLive, reading: Reading) -> dict[str, str]:
+    return {"mode": mode_of(unit, bits_of(bus, reading)).upper()}
+
+
+_NAMED = {"motion": _motion, "mode": _mode}
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """One cause. ``params``: of its text; ``why`` among them is itself a text."""
+
+    code: str
+    level: Level
+    onset: Onset | None = None
+    params: Mapping[str, Any] = field(default_factory=dict)
+
+
+def abnormal(code: str, onset: Onset | None = None, params: Mapping[str, Any] | None = None) -> Cause:
+    """A cause with the priority of its condition. Raises KeyError for a code without one."""
+    return Cause(code, TILES[code].priority, onset, params or {})
+
+
+def unit_cause(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
+    """The first broken rung of a unit; None: at speed or at a commanded zero, and open to commands.
+
+    Of a unit that does not respond nothing is known but that. Where its bus is the cause, that is named, and
+    is abnormal only once, at the bus.
+    """
+    link, reading = unit_link_now(bus, unit, now), unit.reading
+    if link != "online" and (found := bus_cause(bus, now)) is not None:
+        return Cause(found.code, "", found.onset, found.params)
+    if reading is None:
+        return _never_read(bus, unit, now)
+    if link == "offline":
+        return abnormal("unit_offline", Onset(reading.at))
+    # One poll missed is shown, and is no cause yet.
+    is_late = link == "stale" and now - reading.at > stale_after_s(scan_s_of(bus))
+    facts = unit_facts(bus, unit, reading, is_late=is_late)
+    for index, row in enumerate(BY_READING):
+        if (row.broken or row.holds)(facts):
+            return _broken(index, facts, bus, unit, reading)
+    return _ramp(bus, unit, reading) if unit.motion.state in ("ramping_up", "ramping_down") else None
+
+
+def _broken(index: int, facts: UnitFacts, bus: BusLive, unit: UnitLive, reading: Reading) -> Cause:
+    """The rung of a row of the ladder. It has the highest priority of what holds from there on."""
+    row = BY_READING[index]
+    held = [each.priority for each in BY_READING[index:] if each.holds(facts)] if row.holds(facts) else []
+    params = {key: text for name in row.names for key, text in _NAMED[name](bus, unit, reading).items()}
+    since = row.since or ((row.code,) if row.status else ())
+    onset = _since(unit, since) if since else Onset(reading.at)
+    return Cause(row.code, min(held, key=PRIORITIES.index, default=""), onset, params)
+
+
+def broken_rung(cause: Cause | None) -> str:
+    """The broken rung of a ``unit_cause`` with its priority, ``run high``; the rung alone where another
+    condition has the priority; empty where no rung is broken. What cannot be read breaks the rung link."""
+    if cause is None or cause.code == "ramping":
+        return ""
+    return f"{TILES[cause.code].rung or 'link'} {cause.level}".rstrip()
+
+
+def _since(unit: UnitLive, names: Sequence[str]) -> Onset | None:
+    return later(*(unit.onsets.of.get(name) for name in names))
+
+
+def _ramp(bus: BusLive, unit: UnitLive, reading: Reading) -> Cause:
+    target = reading.commanded
+    seconds = None if target is None else ramp_seconds(unit, reading.actual, target)
+    left = None if seconds is None else ceil(seconds)
+    params = {
+        "target_raw": target,
+        "decimals": speed_decimals(bus, unit),
+        "seconds_left": left,
+    }
+    return Cause("ramping", "", _since(unit, ("not_at_speed",)), params)
+
+
+def _never_read(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause:
+    """A unit without a response since the start has its time, then it is as lost as any other."""
+    is_overdue = now - bus.link_onset.at >= offline_after_s(scan_s_of(bus))
+    if UNIT_UNKNOWN.holds(is_overdue):
+        return abnormal("unit_unknown")
+    if unit.last_response is None:
+        return abnormal("unit_offline", Onset(bus.link_onset.at, exact=False))
+    return abnormal("unit_offline", Onset(unit.last_response))
+
+
+def bus_cause(bus: BusLive, now: UnixTime) -> Cause | None:
+    """Why no unit of a bus can be read."""
+    if bus.worker_lost is not None:
+        return abnormal("worker_lost", bus.worker_lost)
+    if bus.figures is not None and worker_timed_out(bus, now):
+        return abnormal("worker_silent", Onset(bus.figures.at))
+    if bus.link.link == "closed":
+        return abnormal("port_lost", bus.link_onset, {"why": bus.link.cause})
+    return None
+
+
+_BEFORE_ALL = frozenset(
+    ("worker_lost", "worker_silent", "port_lost", "unit_unknown", "unit_offline", "estop_active")
+)
+"""While one of these holds, nothing else about a unit matters."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnitView:
+    """The presentation of a unit. ``cause``: what its first line names; None where there is nothing."""
+
+    unit: UnitLive
+    link: UnitLinkState
+    cause: Cause | None
+    blocked: str = ""
+
+    @property
+    def level(self) -> Level:
+        return self.cause.level if self.cause is not None else ""
+
+
+_COUNTED_AS = {
+    **dict.fromkeys(("ramping_up", "ramping_down"), "ramping"),
+    **dict.fromkeys(("stopped", "stopping", "turning"), "off_speed"),
+}
+
+
+def state_counts(views: Iterable[UnitView]) -> Counter[str]:
+    """How many units are in which state, and ``online``. A unit that does not respond is in no state."""
+    states = Counter([view.unit.motion.state for view in views if view.link == "online"])
+    counts = Counter({"online": states.total()})
+    for state, count in states.items():
+        counts[_COUNTED_AS.get(state, state)] += count
+    return counts
+
+
+def shown_cause(
+    bus: BusLive,
+    unit: UnitLive,
+    cause: Cause | None,
+    now: UnixTime,
+    *,
+    blocked: Message | None,
+    drifted: str,
+) -> Cause | None:
+    """What the first line of a unit names: the first broken rung, else what else is abnormal about it.
+
+    ``cause``: its ``unit_cause``; ``blocked``: why commands are blocked, None where they are not;
+    ``drifted``: in what it departs from its golden set, empty where in nothing.
+    """
+    if cause is not None and cause.code in _BEFORE_ALL:
+        return cause
+    suspected = suspicion(bus, unit)
+    others = _others(cause, _draw(bus, unit, now), implausible_of(unit), suspected, blocked, drifted)
+    return next(others, cause)
+
+
+def _draw(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
+    """That the draw of a unit is out of its band, once it has been for as long as its alarm waits."""
+    onset = unit.onsets.of.get(DRAW_OUT_OF_BAND.code)
+    if onset is None or now - onset.at < DRAW_OUT_OF_BAND.tuning.on_delay_s:
+        return None
+    if not DRAW_OUT_OF_BAND.holds(draw_of(bus, unit, now)):
+        return None
+    return abnormal(DRAW_OUT_OF_BAND.code, onset)
+
+
+def _others(
+    cause: Cause | None,
+    draw: Cause | None,
+    implausible: Message | None,
+    suspected: Message | None,
+    blocked: Message | None,
+    drifted: str,
+) -> Iterator[Cause]:
+    if suspected is not None:
+        yield abnormal("address_suspect", params={"why": suspected})
+    if cause is not None and cause.level:
+        yield cause
+    if implausible is not None:
+        yield abnormal(VALUE_IMPLAUSIBLE.code)
+    if draw is not None:
+        yield draw
+    if BLOCKED.holds(blocked):
+        yield abnormal("blocked", params={"why": blocked})
+    if PARAMETER_DRIFT.holds(drifted):
+        yield abnormal("drift", params={"why": drifted})
+
+
+def all_offline(bus: BusLive, now: UnixTime) -> Cause | None:
+    """That no unit of a bus responds: one cause for all of them, since the last of them was lost."""
+    if any_responds(bus, now):
+        return None
+    facts = bus_facts(bus, now)
+    if NO_UNIT_YET.holds(facts):
+        return abnormal("no_unit_yet")
+    if not NO_UNIT_RESPONDS.holds(facts):
+        return None
+    causes = (unit_cause(bus, unit, now) for unit in bus.units.values())
+    lost = (cause.onset for cause in causes if cause is not None and cause.onset is not None)
+    return abnormal("no_unit_responds", max(lost, key=lambda onset: onset.at))

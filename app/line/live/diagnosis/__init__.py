@@ -1,1 +1,0 @@
-"""The abnormal conditions of a line and their causes. Pure."""

@@ -1,0 +1,88 @@
+"""What a request names, or the refusal in words.
+
+How many pages or streams one account, or one address, may have open at a time.
+
+Beyond the limit the newest is refused; to close an older page in its place would
+make two browsers that reconnect by themselves push each other out without end.
+
+Ids of commands between app and bus worker.
+
+The worker carries out an id once and repeats its result when it gets the id again. Therefore no id is used
+twice: the id given by a sender, which another sender or a later day may use as well, is only a part of it, by
+which a page finds the progress of its command.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections import Counter
+
+from app.core.web.services import unknown_bus, unknown_unit
+from app.line.live.bus_live import BusLive, LiveState, UnitLive
+
+
+def bus_or_404(live: LiveState, bus: str) -> BusLive:
+    """A configured bus. Raises Problem 404."""
+    found = live.buses.get(bus)
+    if found is None:
+        raise unknown_bus(bus, live.buses)
+    return found
+
+
+def unit_or_404(live: LiveState, bus: str, unit: int) -> UnitLive:
+    """A configured unit. Raises Problem 404."""
+    return unit_of_bus_or_404(bus_or_404(live, bus), unit)
+
+
+def unit_of_bus_or_404(bus: BusLive, unit: int) -> UnitLive:
+    """A configured unit of this bus. Raises Problem 404."""
+    found = bus.units.get(unit)
+    if found is None:
+        raise unknown_unit(bus.settings.name, unit)
+    return found
+
+
+MAX_OF_ACCOUNT = 256
+"""A browser opens no more WebSockets to one server than 255."""
+MAX_OF_ADDRESS = 512
+"""The browsers of a plant may share one address."""
+
+
+class Admission:
+    """Those that are open, counted."""
+
+    def __init__(self, of_account: int = MAX_OF_ACCOUNT, of_address: int = MAX_OF_ADDRESS) -> None:
+        self._of_account = of_account
+        self._of_address = of_address
+        self._by_account: Counter[str] = Counter()
+        self._by_address: Counter[str] = Counter()
+
+    def enter(self, account: str, address: str) -> bool:
+        """Count one more, unless it is one too many. ``address``: as `source_of` names it."""
+        if self._by_account[account] >= self._of_account or self._by_address[address] >= self._of_address:
+            return False
+        self._by_account[account] += 1
+        self._by_address[address] += 1
+        return True
+
+    def leave(self, account: str, address: str) -> None:
+        """One less of those that have entered."""
+        for counter, key in ((self._by_account, account), (self._by_address, address)):
+            counter[key] -= 1
+            if not counter[key]:
+                del counter[key]
+
+
+_MARK = "#"
+
+
+def new_command_id(key: str | None = None) -> str:
+    """An id that no other command has or will have; ``key``: what its sender calls it."""
+    unique = uuid.uuid4().hex
+    return unique if key is None else f"{key}{_MARK}{unique}"
+
+
+def key_of(command_id: str) -> str:
+    """What its sender calls a command; its id where the sender gave it no key."""
+    key, _, unique = command_id.rpartition(_MARK)
+    return key or unique

@@ -1,1 +1,0 @@
-"""The state as the texts that a page shows. Pure."""
