@@ -13,13 +13,12 @@ from app.core.database import feature as database
 from app.core.find import feature as find
 from app.core.help import feature as handbook
 from app.core.server import feature as server
-from app.core.server.admission.forwarded import Forwarded
-from app.core.server.admission.refusal_log import RefusalLog
-from app.core.server.admission.turns import HEALTH, RequestAdmission
-from app.core.server.security_headers import SecurityHeaders
+from app.core.server.addresses import Forwarded
+from app.core.server.refusal_log import RefusalLog
+from app.core.server.refusals import SecurityHeaders
 from app.core.web import feature as web
 from app.core.web import problems
-from app.core.web.admission.anonymous import AnonymousLimiter
+from app.core.web.admission.anonymous import HEALTH, AnonymousLimiter
 from app.core.web.admission.bounds import RequestRules
 from app.core.web.admission.routes import HeadAsGet, guard, refuse_undeclared
 from app.core.web.admission.turns import Turns
@@ -120,7 +119,6 @@ def create_app(
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
-    app.add_middleware(RequestAdmission)
     app.add_middleware(RecordRefusals, events=services[EventLog], log=services[RefusalLog])
     refuse_undeclared(app)
     guard(app, services[Turns])

@@ -30,8 +30,8 @@ import app.core.database.database
 import app.core.messages.languages
 import app.core.web.admission.routes
 import app.people.auth.sign_in.passwords
+from app.core.database.files import Reserve
 from app.core.database.migration import MIGRATIONS, Migration, bring_up_to_date
-from app.core.database.reserve import Reserve
 from app.core.web.rendering.assets import Assets
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=30)

@@ -29,7 +29,7 @@ def test_overridden_methods_of_uvicorn_exist() -> None:
 
 
 def test_a_protocol_of_uvicorn_is_made_by_name() -> None:
-    """Made and called by app.core.server.connection.gate, as by uvicorn itself."""
+    """Made and called by app.core.server.gate, as by uvicorn itself."""
     made_by = inspect.signature(HttpToolsProtocol).parameters
     assert [*made_by] == ["config", "server_state", "app_state", "_loop"], HOW
     assert issubclass(HttpToolsProtocol, asyncio.Protocol), HOW

@@ -14,12 +14,11 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.server import ServerState
 
 from app.cli.serving.server import MAX_MESSAGE_BYTES
-from app.core.server.admission.refusal_log import RefusalLog
-from app.core.server.connection.connections import Connections
-from app.core.server.connection.gate import Gate, Gates
-from app.core.server.connection.records import ChooseContext
-from app.core.server.connection.stages import Stages
+from app.core.server.connections import Connections
+from app.core.server.gate import Gate, Gates, Stages
 from app.core.server.loop_watch import LoopWatch
+from app.core.server.refusal_log import RefusalLog
+from app.core.server.tls import ChooseContext
 from bus.instants import monotonic_now
 
 PATIENCE_S = 30.0
@@ -99,7 +98,7 @@ async def gated(
             super().data_received(data)
 
     def make() -> Gate:
-        return Counted(port.gates, lambda more: HttpToolsProtocol(**{**options, "app_state": more}))  # type: ignore[arg-type]
+        return Counted(port.gates, HttpToolsProtocol, **options)  # type: ignore[arg-type]
 
     server = await asyncio.get_running_loop().create_server(make, "127.0.0.1", 0)
     port.number = server.sockets[0].getsockname()[1]

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.server.admission import addresses
-from app.core.server.connection import connections, gate, pace
+from app.core.server import addresses, connections, gate
 from app.core.web.admission import bounds
 from app.core.web.api import route as api_route
 from app.line.live.api import stream as line_stream
@@ -74,16 +73,16 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
         "Headers have {} s to arrive; a body may fall {} s behind {} kB/s and takes at most "
         "{} minutes (408).",
         (
-            pace.WITHIN_S[pace.Awaited.HEAD],
-            pace.WITHIN_S[pace.Awaited.BODY],
-            pace.MIN_RATE / 1000,
-            pace.MAX_BODY_S / 60,
+            connections.WITHIN_S[connections.Awaited.HEAD],
+            connections.WITHIN_S[connections.Awaited.BODY],
+            connections.MIN_RATE / 1000,
+            connections.MAX_BODY_S / 60,
         ),
     ),
     (
         "api.md",
         "An idle connection is closed after {} s ({} s before its first request).",
-        (pace.WITHIN_S[pace.Awaited.NEXT], pace.WITHIN_S[pace.Awaited.FIRST]),
+        (connections.WITHIN_S[connections.Awaited.NEXT], connections.WITHIN_S[connections.Awaited.FIRST]),
     ),
     (
         "api.md",

@@ -11,10 +11,9 @@ from typing import Any
 
 from starlette.types import Receive, Scope, Send
 
-from app.core.server.admission.turns import ARRIVED_AT
-from app.core.server.connection.client_connection import client_connection
+from app.core.server.connections import ARRIVED_AT, client_connection
 from app.core.server.settings import TlsSettings
-from app.core.server.tls.certificate import ServerCertificate
+from app.core.server.tls import ServerCertificate
 from bus.tls import HTTP_ALPN
 from tests.app.gated import Ends, Port, gated
 from tests.certificates import certificates

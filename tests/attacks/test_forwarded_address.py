@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from app.cli.serving.server import Server
-from app.core.server.admission.addresses import Network
+from app.core.server.addresses import Network
 from app.core.web.admission.access import Role
 from app.people.audit.log import EventLog
 from app.people.audit.queries import Filter

@@ -12,7 +12,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.database.reserve import SIZE, Reserve
+from app.core.database.files import SIZE, Reserve
 from app.core.web.admission.access import Role
 from tests.app.complete_app import PASSWORD as HOUSE_PASSWORD
 from tests.app.complete_app import complete_app

@@ -7,9 +7,11 @@ from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
+from starlette.types import Receive, Scope, Send
 
-from app.core.server.admission import turns as admission
+from app.core.server.connections import ARRIVED_AT, BEGUN_AT
 from app.core.web.admission import arrival
 from app.core.web.admission.access import Role
 from app.core.web.admission.arrival import SAFE_METHODS
@@ -182,8 +184,11 @@ async def test_a_long_body_makes_no_write_late(house: House, monkeypatch: pytest
     """A file of parameter sets on a slow network: what counts is when it began to come."""
     browser = await house.signed_in(Role.ENGINEER)
     now = 5000.0
-    for module in (admission, arrival):
-        monkeypatch.setattr(module, "monotonic_now", lambda: now)
+    monkeypatch.setattr(arrival, "monotonic_now", lambda: now)
+
+    async def stamped(scope: Scope, receive: Receive, send: Send) -> None:
+        scope["state"] = {ARRIVED_AT: now, BEGUN_AT: now}
+        await house.app(scope, receive, send)
 
     async def slowly() -> AsyncIterator[bytes]:
         nonlocal now
@@ -193,7 +198,11 @@ async def test_a_long_body_makes_no_write_late(house: House, monkeypatch: pytest
 
     headers = {"Content-Type": "application/json"}
     path = "/api/v1/buses/dry-end/units/1/limits"
-    assert (await browser.put(path, content=slowly(), headers=headers)).status_code == 200
+    gated = httpx.AsyncClient(
+        transport=httpx.ASGITransport(stamped), base_url=browser.base_url, cookies=browser.cookies
+    )
+    assert (await gated.put(path, content=slowly(), headers=headers)).status_code == 200
+    assert (await gated.put(path, content=b"{}", headers=headers | sent(LATE_S))).status_code == 503
 
 
 PUBLIC = {"/login", "/login/panel", "/setup"}

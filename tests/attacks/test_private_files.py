@@ -12,7 +12,7 @@ import pytest
 
 from app import cli
 from app.core.database import Database
-from app.core.database.private import make_file, make_private, write_file
+from app.core.database.files import make_file, make_private, write_file
 from app.errors import StoreError
 from bus import __main__ as worker
 from bus.worker import parent

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from app.core.server.admission.fair_queue import FairQueue
+from app.core.server.turns import FairQueue
 from app.core.web.admission.access import Person, Role
 from app.core.web.admission.turns import (
     MAX_AT_ONCE,

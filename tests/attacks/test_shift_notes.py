@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.database.reserve import MIN_FREE_OF_OTHERS
+from app.core.database.files import MIN_FREE_OF_OTHERS
 from app.core.web.admission.access import Role
 from app.records.handover.notes import notes, quota
 from app.records.handover.notes.quota import MAX_AGE_DAYS, MAX_PER_HOUR

@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager, suppress
 import httpx
 import pytest
 
-from app.core.server.connection.connections import MAX_OF_ADDRESS
+from app.core.server.connections import MAX_OF_ADDRESS
 from tests.app.served_tls import PATIENCE_S, Served, served
 
 BRIEF_S = 0.5

@@ -13,9 +13,8 @@ import pytest
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from app.core.server.connection.client_connection import client_connection
-from app.core.server.connection.gate import CLOSING_S, MAX_HELD_BYTES, MAX_MESSAGE_BYTES, Gate
-from app.core.server.connection.pace import STALL_S
+from app.core.server.connections import STALL_S, client_connection
+from app.core.server.gate import CLOSING_S, MAX_HELD_BYTES, MAX_MESSAGE_BYTES, Gate
 from tests.app.gated import PATIENCE_S, Port, everything, gated, until
 
 FEED_PATH = "/feed"

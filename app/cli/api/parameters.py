@@ -25,7 +25,7 @@ from app.cli.options import (
     url_option,
     yes_option,
 )
-from app.core.database.private import write_file
+from app.core.database.files import write_file
 from app.core.web.api.shape import maybe_shown, message_shown
 from app.engineering.sets.document import MAX_DOCUMENT, read_document, write_document
 from app.engineering.sets.model import ParameterDifference, ParameterSet, UnitRows, differences

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from app.cli.findings.machine import Finding, fault, is_read_only, may_make_files_in, user
-from app.core.database.reserve import free_bytes
+from app.core.database.files import free_bytes
 from app.errors import StoreError
 from app.settings import Settings
 from app.system.backup.cipher import read_key

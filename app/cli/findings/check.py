@@ -16,7 +16,7 @@ from app.cli.findings.backup import backup_findings
 from app.cli.findings.machine import Finding, fault, user
 from app.cli.options import config_option, json_option
 from app.cli.setup.rights import become_owner_of
-from app.core.server.secret_file import SecretFileError, can_others_read, read_secret_text
+from app.core.server.settings import SecretFileError, can_others_read, read_secret_text
 from app.core.web.api.shape import message_shown
 from app.people.auth.oidc.single_sign_on import provider_of, require_package
 from app.people.auth.settings import OidcSettings

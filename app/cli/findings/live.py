@@ -18,9 +18,8 @@ from app.cli.serving.listening import ListenError, PortInUse, listen, url_of
 from app.cli.site.status import is_serving, verification
 from app.cli.site.status_lines import GB
 from app.core.database.connection import examining
-from app.core.database.migration import refuse_newer
-from app.core.database.presence import presence_of
-from app.core.database.reserve import free_bytes
+from app.core.database.files import free_bytes
+from app.core.database.migration import presence_of, refuse_newer
 from app.errors import StoreError
 from app.people.audit.anchor import anchor_file
 from app.settings import LOCK_FILE, ServerSettings, Settings

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Iterator
 
 from app.cli.findings.machine import Finding
-from app.core.server.secret_file import can_others_read
+from app.core.server.settings import can_others_read
 from app.settings import Settings
 from app.system.peers.client import fault_of
 from app.system.peers.settings import PeerSettings

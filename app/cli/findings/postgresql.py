@@ -7,7 +7,7 @@ from secrets import token_hex
 
 from app.cli.findings.machine import Finding
 from app.core.database.connection import examining, has_table
-from app.core.server.secret_file import can_others_read
+from app.core.server.settings import can_others_read
 from app.errors import StoreError
 from app.settings import Settings
 from app.system.postgresql.destination import Destination

@@ -19,8 +19,13 @@ from app.cli.findings.machine import (
 )
 from app.cli.site.facts import CertificateFacts, certificate_facts, size_of
 from app.core.database.connection import examining
-from app.core.database.migration import is_store, refuse_newer, refuse_unfinished
-from app.core.database.presence import presence_of, refusal_to_start
+from app.core.database.migration import (
+    is_store,
+    presence_of,
+    refusal_to_start,
+    refuse_newer,
+    refuse_unfinished,
+)
 from app.errors import StoreError, TooCostlyError
 from app.line.conditions.catalogue import DAY_S, certificate_expires
 from app.line.history.status import DiskReserve, space
@@ -45,7 +50,7 @@ def encryption(settings: Settings) -> Iterator[Finding]:
         if settings.server.is_in_clear:
             yield Finding(Message("check_no_tls"))
         return
-    from app.core.server.tls.certificate import ServerCertificate
+    from app.core.server.tls import ServerCertificate
 
     try:
         reason = ServerCertificate(tls).fault

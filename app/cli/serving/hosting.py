@@ -27,9 +27,10 @@ from app.cli.ending import report
 from app.cli.serving.listening import listen, url_of
 from app.cli.serving.workers import WorkerProcesses
 from app.cli.setup.rights import become_owner_of
-from app.core.database.private import make_folder
+from app.core.database import Database
+from app.core.database.files import make_folder
 from app.core.messages.languages import catalogs, locale_of
-from app.core.server.service_manager import ServiceManager
+from app.core.server.service_manager import Liveness, ServiceManager
 from app.errors import system_error
 from app.settings import LOCK_FILE, Settings
 from app.version import VERSION
@@ -122,9 +123,9 @@ async def _host(
                 settings, demo, tokens, partial(_report_serving, url, manager), since, feed
             )
         workers.watch(server.worker_responds)
-        server.each_second(module.Liveness(manager, server.services[module.Database], workers.are_kept).tick)
+        server.each_second(Liveness(manager, server.services[Database], workers.are_kept).tick)
         if restarts:
-            restart = server.services[module.Restart].offer()
+            restart = server.offer_restart()
         restarting = asyncio.create_task(restart.wait())
         serving = asyncio.create_task(server.serve([listening]))
         await asyncio.wait({serving, stopping, restarting}, return_when=asyncio.FIRST_COMPLETED)

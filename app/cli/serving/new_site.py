@@ -9,9 +9,8 @@ from app.cli.serving.serve import check_store
 from app.cli.setup.rights import become_owner_of
 from app.cli.site.log import open_log, record
 from app.core.database import Database
-from app.core.database.migration import put_aside
-from app.core.database.presence import presence_of
-from app.core.database.words import in_words
+from app.core.database.files import in_words
+from app.core.database.migration import presence_of, put_aside
 from app.errors import StoreError
 from app.people.audit.keys import find_key_file
 from app.settings import Settings

@@ -14,7 +14,7 @@ from app.cli.ending import complain, report
 from app.cli.options import config_option
 from app.cli.serving.listening import listen
 from app.cli.setup.service_unit import WRONG_CONFIGURATION
-from app.core.database.presence import presence_of, refusal_to_start
+from app.core.database.migration import presence_of, refusal_to_start
 from app.core.server.service_manager import ServiceManager
 from app.errors import StoreError
 from app.people.audit.keys import find_key_file

@@ -1,8 +1,12 @@
-"""Uvicorn as the dashboard wants it."""
+"""uvicorn with a gate in front of each connection, and the services of a site in its lifetime.
+
+Imported by :mod:`app.cli.serving.hosting` while the workers start: it imports FastAPI and every feature.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import resource
 import socket
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -10,38 +14,40 @@ from functools import partial
 from typing import Any, cast
 
 import uvicorn.server
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.config import Config
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app.cli.serving.listening import BACKLOG
-from app.cli.serving.liveness import Liveness as Liveness
-from app.core.database import Database as Database
-from app.core.server.admission.refusal_log import ErrorLines, RefusalLog
-from app.core.server.connection.connections import Connections
-from app.core.server.connection.gate import RECEIVE_BUFFER_BYTES, Gates
-from app.core.server.connection.own_feed import OnlyFeed
-from app.core.server.connection.stages import Stages
-from app.core.server.encryption import Encryption
-from app.core.server.files import raise_file_limit
+from app.core.server.connections import Connections
+from app.core.server.gate import RECEIVE_BUFFER_BYTES, Gate, Gates, Stages
 from app.core.server.loop_watch import LoopWatch
+from app.core.server.refusal_log import ErrorLines, RefusalLog
+from app.core.server.refusals import TLS_REQUIRED
+from app.core.server.tls import Encryption
 from app.feature import Services
 from app.line.feed.workers import Workers
 from app.line.live.api.stream import LineStream
 from app.main import create_app
 from app.people.auth.sign_in.first_admin import FirstAdmin
 from app.settings import Settings
-from app.system.configuration.restart import Restart as Restart
+from app.system.configuration.restart import Restart
 from bus.instants import Monotonic
 
 GRACEFUL_S = 1
-"""What requests in flight get when the server ends."""
+"""Time that requests in flight get when the server ends."""
+ENOUGH_FILES, FILES_OF_OTHERS = 4096, 256
+"""Files that this process may have open: more than all connections and the stores need together; and those
+that are no connections."""
+FEED = "/feed"
+NOT_HERE = 1008
+"""Close code of a WebSocket that may not be opened (RFC 6455, 7.4.1)."""
 TICK_S = 1.0
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024
 
 
 class Server(uvicorn.server.Server):
-    """Leaves the signals to the host, has a gate in front of each connection, and reports when it serves."""
+    """uvicorn's server, which leaves the signals to its host and reports when it serves."""
 
     def __init__(
         self,
@@ -52,8 +58,8 @@ class Server(uvicorn.server.Server):
         since: Monotonic,
         feed: socket.socket | None = None,
     ) -> None:
-        """``serving``: called with the code for the first admin, empty where there is a user; ``since``:
-        when the first client can have connected; ``feed``: where its own workers do, beside HTTPS."""
+        """``serving``: called with the code for the first admin, empty if there is a user; ``since``: when
+        the first client can have connected; ``feed``: the port of its own workers, beside HTTPS."""
         self._watch = LoopWatch(since)
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
         app: ASGIApp = create_app(settings, demo=demo, worker_tokens=worker_tokens)
@@ -77,6 +83,10 @@ class Server(uvicorn.server.Server):
         """Call ``act`` once a second while it serves."""
         self._each_second.append(act)
 
+    def offer_restart(self) -> asyncio.Event:
+        """Let people restart the server; the event is set a moment after one has."""
+        return self.services[Restart].offer()
+
     def end(self) -> None:
         """Close all connections, then return from serving."""
         self.should_exit = True
@@ -84,7 +94,7 @@ class Server(uvicorn.server.Server):
         self._gates.end()
 
     def capture_signals(self) -> Any:
-        """The workers must end before the server does."""
+        """Leave the signals to the host: the workers must end before the server does."""
         return nullcontext()
 
     async def serve(self, sockets: list[socket.socket] | None = None) -> None:
@@ -115,16 +125,17 @@ class Server(uvicorn.server.Server):
 
 
 def _config(app: ASGIApp, gates: Gates) -> Config:
-    """No deflate on WebSockets: at ten messages a second it costs a quarter of a core."""
+    """Return uvicorn's settings. WebSockets are not deflated: at ten messages a second that costs a quarter
+    of a core."""
     return Config(
         app,
         loop="none",
-        http=cast(type[asyncio.Protocol], partial(gates.make, HttpToolsProtocol)),
+        http=cast(type[asyncio.Protocol], partial(Gate, gates, HttpToolsProtocol)),
         ws="websockets-sansio",
         ws_per_message_deflate=False,
         ws_max_size=MAX_MESSAGE_BYTES,
         access_log=False,
-        proxy_headers=False,  # app.core.server.admission.forwarded does it, for the proxies that are named
+        proxy_headers=False,  # app.core.server.addresses does it, for the proxies that are named
         log_config=None,
         log_level="error",
         server_header=False,
@@ -132,3 +143,32 @@ def _config(app: ASGIApp, gates: Gates) -> Config:
         timeout_graceful_shutdown=GRACEFUL_S,
         backlog=BACKLOG,
     )
+
+
+class OnlyFeed:
+    """The app, of which only the feed is served at ``address``, where the server's own workers connect in
+    clear: a person signs in by HTTPS."""
+
+    def __init__(self, app: ASGIApp, address: tuple[str, int]) -> None:
+        self._app = app
+        self._address = address
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        is_here = scope.get("server") == self._address
+        if not is_here or (scope["type"] == "websocket" and scope["path"] == FEED):
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": NOT_HERE})
+        else:
+            await TLS_REQUIRED(scope, receive, send)
+
+
+def raise_file_limit() -> int:
+    """Raise the limit of open files as far as the system allows and is of use; return how many may be
+    sockets."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    allowed = ENOUGH_FILES if hard == resource.RLIM_INFINITY else min(ENOUGH_FILES, hard)
+    if soft != resource.RLIM_INFINITY and soft < allowed:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
+        soft = allowed
+    return max(FILES_OF_OTHERS, (ENOUGH_FILES if soft == resource.RLIM_INFINITY else soft) - FILES_OF_OTHERS)

@@ -12,8 +12,8 @@ from zoneinfo import ZoneInfo
 from app.cli.findings.backup import folder_fault
 from app.cli.findings.machine import existing_part
 from app.core.database.connection import examining, has_table
+from app.core.database.files import free_bytes
 from app.core.database.migration import COMPANIONS
-from app.core.database.reserve import free_bytes
 from app.errors import StoreError
 from app.line.history.series.runs import micros
 from app.line.history.service import FILE as HISTORY

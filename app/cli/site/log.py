@@ -12,9 +12,8 @@ from app.cli.serving.serve import check_store
 from app.cli.setup.rights import become_owner_of
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import examining
-from app.core.database.migration import require_version
-from app.core.database.presence import presence_of
-from app.core.database.private import make_private
+from app.core.database.files import make_private
+from app.core.database.migration import presence_of, require_version
 from app.core.web.admission.access import Person, Role
 from app.errors import StoreError
 from app.people.audit.entry import EventKind

@@ -26,9 +26,7 @@ from app.cli.findings.check import OF_MACHINE
 from app.cli.options import PATH, config_option
 from app.cli.setup.service_unit import UNIT_FILE
 from app.core.database.connection import examining
-from app.core.database.private import fresh_file
-from app.core.database.reserve import free_bytes
-from app.core.database.words import in_words
+from app.core.database.files import free_bytes, fresh_file, in_words
 from app.errors import StoreError
 from app.settings import Settings, load
 from app.version import VERSION

@@ -21,9 +21,8 @@ from app.cli.setup.rights import become_owner_of
 from app.cli.site.log import open_log, reading_site, record
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import examining, open_for_reading
+from app.core.database.files import in_words, make_private, refuse_link
 from app.core.database.migration import COMPANIONS, is_store
-from app.core.database.private import make_private, refuse_link
-from app.core.database.words import in_words
 from app.errors import StoreError
 from app.line.commands.limits import Protection, keep_in_force, read_protection
 from app.people.audit.anchor import anchor_file, put_aside

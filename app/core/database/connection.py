@@ -1,4 +1,4 @@
-"""Connections to a store: one that writes, and read-only ones; what is read of a store beside its rows."""
+"""Connections to a store: one that writes, and those that only read."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from app.core.database.private import make_file, make_folder, refuse_link
-from app.core.database.words import in_words
+from app.core.database.files import in_words, make_file, make_folder, refuse_link
 
 T = TypeVar("T")
 StoreConnection = sqlite3.Connection
@@ -22,17 +21,18 @@ BUSY_S = 5.0
 
 
 def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.Connection:
-    """Open the one connection that writes (and checkpoints). Autocommit: transactions are begun by hand."""
+    """Open the one connection that writes and checkpoints. It is in autocommit: transactions are begun by
+    hand."""
     make_folder(path.parent)
     make_file(path)
     connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
     connection.row_factory = sqlite3.Row
-    # Only in a new store; in one with tables it changes nothing.
+    # Takes effect in a new store only.
     connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute(f"PRAGMA synchronous = {synchronous}")
     connection.execute("PRAGMA foreign_keys = ON")
-    # A temporary file of a statement needs a disk with space.
+    # Temporary files of statements would need a disk with space.
     connection.execute("PRAGMA temp_store = MEMORY")
     return connection
 
@@ -43,8 +43,8 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
 
 
 def open_unchanged(path: Path) -> sqlite3.Connection:
-    """Open a connection that reads and leaves no file, also on a read-only disk. Where no process has the
-    store open and none left a log, SQLite would make both for a reader. Raises StoreError for a link."""
+    """Open a connection that reads and leaves no file, also on a read-only disk: for a reader alone SQLite
+    would make a log and its index. Raises StoreError for a link."""
     log, shared = (path.with_name(path.name + companion) for companion in ("-wal", "-shm"))
     if not log.exists():
         return _opened(path, "mode=ro&immutable=1")
@@ -61,7 +61,7 @@ def _opened(path: Path, how: str) -> sqlite3.Connection:
     uri = f"{path.absolute().as_uri()}?{how}"
     connection = sqlite3.connect(uri, uri=True, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
     connection.row_factory = sqlite3.Row
-    # SQLite takes any bytes for text. One row that is no UTF-8 must not make all the others unreadable.
+    # SQLite stores any bytes as text: one row that is no UTF-8 must not make all others unreadable.
     connection.text_factory = partial(str, encoding="utf-8", errors="replace")
     return connection
 
@@ -74,7 +74,7 @@ def examining(store: Path) -> Iterator[sqlite3.Connection]:
 
 
 def transact(connection: sqlite3.Connection, work: Callable[[sqlite3.Connection], T]) -> T:
-    """Run ``work`` inside one transaction: all of it, or none when it raises."""
+    """Run ``work`` in one transaction, which is rolled back if it raises."""
     connection.execute("BEGIN IMMEDIATE")
     try:
         result = work(connection)
@@ -88,7 +88,7 @@ def transact(connection: sqlite3.Connection, work: Callable[[sqlite3.Connection]
 
 @contextmanager
 def snapshot(connection: sqlite3.Connection) -> Iterator[None]:
-    """Everything that is read within is of one instant of the store."""
+    """Read everything within this context as of one instant."""
     connection.execute("BEGIN")
     try:
         yield
@@ -97,36 +97,36 @@ def snapshot(connection: sqlite3.Connection) -> Iterator[None]:
 
 
 def json_member(column: str, path: str) -> str:
-    """SQL for the text at a path of a column of JSON, such as ``what.code``; NULL where it is no JSON."""
+    """Return SQL for the text at a path of a JSON column, such as ``what.code``; NULL if it is no JSON."""
     return f"CASE WHEN json_valid({column}) THEN CAST(json_extract({column}, '$.{path}') AS TEXT) END"
 
 
 def upsert(table: str, key: Sequence[str], values: Sequence[str]) -> str:
-    """SQL that stores a row, the columns of its key first, in place of one with the same key."""
+    """Return SQL that stores a row, the columns of its key first, and replaces one with the same key."""
     columns, replaced = (*key, *values), ", ".join(f"{name} = excluded.{name}" for name in values)
     row = f"({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
     return f"INSERT INTO {table} {row} ON CONFLICT ({', '.join(key)}) DO UPDATE SET {replaced}"
 
 
 def has_column(connection: sqlite3.Connection, table: str, column: str) -> bool:
-    """Whether a store, which may be of any version, has this column."""
+    """Return whether a store of any version has this column."""
     query = "SELECT 1 FROM pragma_table_info(?) WHERE name = ?"
     return connection.execute(query, (table, column)).fetchone() is not None
 
 
 def has_table(connection: sqlite3.Connection, table: str) -> bool:
-    """Whether a store, which may be of any version, has this table."""
+    """Return whether a store of any version has this table."""
     query = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?"
     return connection.execute(query, (table,)).fetchone() is not None
 
 
 def size_of(connection: sqlite3.Connection) -> int:
-    """The bytes that the store takes, without its log."""
+    """Return the bytes of a store, without its log."""
     query = "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"
     return int(connection.execute(query).fetchone()[0])
 
 
 def is_intact(connection: sqlite3.Connection, table: str = "") -> bool:
-    """Check the pages of one table, or of all. Raises DamagedStoreError where not even that can be done."""
+    """Check the pages of one table, or of all. Raises DamagedStoreError if even that cannot be done."""
     check = f"PRAGMA quick_check({table})" if table else "PRAGMA quick_check"
     return [row[0] for row in connection.execute(check)] == ["ok"]

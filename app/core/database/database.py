@@ -12,10 +12,15 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from app.core.database.connection import STEPS, Synchronous, open_for_reading, open_for_writing, transact
+from app.core.database.connection import (
+    STEPS,
+    Synchronous,
+    open_for_reading,
+    open_for_writing,
+    transact,
+)
+from app.core.database.files import Reserve, in_words
 from app.core.database.migration import MIGRATIONS, alone, bring_up_to_date, refuse_unfinished
-from app.core.database.reserve import Reserve
-from app.core.database.words import in_words
 from app.errors import StoreError
 from bus.messages import Message
 
@@ -29,11 +34,10 @@ COSTLY_S = 3.0
 
 
 class Database:
-    """A store in a file of this machine. Opening brings it up to date and raises StoreError in words when it
-    cannot be used.
+    """A store in a file. Opening it brings it up to date, and raises StoreError if it cannot be used.
 
-    ``checkpoints`` False: another process may have the store open and does that (SQLite 3.40 can lose
-    writes when two connections reset the WAL). ``reserve``: the disk space that its transactions may use up.
+    ``checkpoints`` False: another process, which may have the store open, does that (SQLite 3.40 can lose
+    writes when two connections reset the WAL). ``reserve``: disk space that its transactions may use up.
     ``migrated``: the steps that opening took.
     """
 
@@ -69,7 +73,7 @@ class Database:
         return await self._run(self._readers, self.read_now, work)
 
     async def read_costly(self, work: Work[T]) -> T:
-        """Run a read that may take long, apart from all others. Raises TooCostlyError after `COSTLY_S`."""
+        """Run a read that may take long apart from all others. Raises TooCostlyError after `COSTLY_S`."""
         return await self._run(self._costly, self._read_within, work)
 
     def write_now(self, work: Work[T]) -> T:
@@ -90,7 +94,7 @@ class Database:
         self.write_now(lambda connection: connection.execute(vacuum).fetchall())
 
     def close(self) -> None:
-        """Finish pending calls, then close; waits for the threads."""
+        """Finish pending calls, wait for the threads, then close."""
         for pool in (self._readers, self._costly, self._writer):
             pool.shutdown()
         for connection in (*self._opened, self._connection):
@@ -122,7 +126,7 @@ class Database:
 
 
 class Tables:
-    """Some tables of a database. The queries of a subclass are its methods."""
+    """Some tables of a database; the methods of a subclass are their queries."""
 
     def __init__(self, database: Database) -> None:
         self.database = database

@@ -6,8 +6,7 @@ import asyncio
 from functools import partial
 
 from app.core.database import Database
-from app.core.database.private import make_private
-from app.core.database.reserve import Reserve
+from app.core.database.files import Reserve, make_private
 from app.feature import Feature, Services
 
 

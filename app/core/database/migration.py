@@ -1,4 +1,5 @@
-"""Brings a store up to date: numbered SQL files, forward only, a copy of the store first."""
+"""What opening a store needs: whether it is there and may be used, and the numbered steps, forward only and
+after a copy, that bring it up to date."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ import fcntl
 import re
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +15,9 @@ from typing import Literal
 
 import structlog
 
-from app.core.database.connection import has_table
-from app.core.database.private import make_file, make_folder
-from app.errors import StoreError
+from app.core.database.connection import STEPS, examining, has_table, is_intact
+from app.core.database.files import in_words, make_file, make_folder
+from app.errors import DamagedStoreError, StoreError
 from bus.instants import unix_now
 from bus.messages import Message
 
@@ -36,9 +37,9 @@ COPYING = "copying"
 CopyKind = Literal["before", "damaged"]
 """Copies beside a store: made before a step to a newer version; put aside because pages were damaged."""
 MAX_COPIES = 2
-"""Of each kind the newest so many stay."""
+"""How many copies of each kind stay."""
 COMPANIONS = ("-wal", "-shm")
-"""What SQLite has beside a store in WAL mode."""
+"""Suffixes of the files that SQLite has beside a store in WAL mode."""
 log = structlog.get_logger()
 
 
@@ -52,13 +53,14 @@ class Migration:
 
 
 def migrations_in(folder: Path) -> list[Migration]:
-    """Every ``NNNN_name.sql`` of a folder in order."""
+    """Return every ``NNNN_name.sql`` of a folder in order."""
     found = ((path, _NAME.match(path.name)) for path in sorted(folder.glob("*.sql")))
     return [Migration(int(name[1]), name[2], path.read_text("utf-8")) for path, name in found if name]
 
 
 def missing_in(applied: dict[int, str], folder: Path, store: str) -> list[Migration]:
-    """The steps of a folder that a store has not taken. Raises StoreError for a store of a newer version."""
+    """Return the steps of a folder that a store has not taken. Raises StoreError for a store of a newer
+    version."""
     known = migrations_in(folder)
     newer = set(applied) - {migration.number for migration in known}
     if newer:
@@ -91,30 +93,30 @@ def bring_up_to_date(connection: sqlite3.Connection, path: Path, folder: Path) -
 
 
 def is_store(connection: sqlite3.Connection) -> bool:
-    """Whether Lineside made the store, and not another program."""
+    """Return whether Lineside made the store, and not another program."""
     return has_table(connection, "migrations")
 
 
 def applied_steps(connection: sqlite3.Connection) -> dict[int, str]:
-    """Number and name of the steps that a store has taken."""
+    """Return number and name of the steps that a store has taken."""
     if not is_store(connection):
         return {}
     return dict(map(tuple, connection.execute("SELECT number, name FROM migrations")))
 
 
 def refuse_newer(connection: sqlite3.Connection, path: Path) -> list[Migration]:
-    """The steps that a main store has not taken. Raises StoreError for one of a newer version."""
+    """Return the steps that a main store has not taken. Raises StoreError for a store of a newer version."""
     return missing_in(applied_steps(connection), MIGRATIONS, str(path))
 
 
 def require_version(connection: sqlite3.Connection, path: Path) -> None:
-    """Raises StoreError for a main store of an earlier or a newer version."""
+    """Raise StoreError for a main store of an earlier or a newer version."""
     if refuse_newer(connection, path):
         raise StoreError(Message.of("store_of_earlier_version", path=str(path)))
 
 
 def refuse_unfinished(connection: sqlite3.Connection, path: Path) -> None:
-    """Raises StoreError where a store is half of a site."""
+    """Raise StoreError for a store that was not copied completely."""
     if has_table(connection, COPYING):
         raise StoreError(Message.of("store_unfinished", path=str(path)))
 
@@ -141,7 +143,7 @@ def _apply(connection: sqlite3.Connection, path: Path, step: Migration) -> None:
 
 
 def copy_of(store: Path, kind: CopyKind, label: str) -> Path:
-    """The name of a copy. Labels of a kind sort by age: the number of a step, a UTC time."""
+    """Return the path of a copy. Labels of a kind sort by age: the number of a step, a UTC time."""
     return store.with_name(f"{store.name}.{kind}-{label}")
 
 
@@ -165,3 +167,44 @@ def remove_older_copies(store: Path, kind: CopyKind) -> None:
                 copy.with_name(copy.name + suffix).unlink(missing_ok=True)
         except OSError as error:
             log.warning("copy of a store not removed", path=str(copy), error=str(error))
+
+
+Presence = Literal["sound", "missing", "empty", "damaged"]
+
+
+def refusal_to_start(store: Path, presence: Presence, key: Path | None, *, new: bool) -> Message | None:
+    """Return why a server does not start on a store, None if it may. ``key``: the key file of its audit log
+    if it exists, which is made together with the store; ``new``: a new site is wanted. Pure."""
+    match presence:
+        case "sound":
+            return Message.of("store_not_new", path=str(store)) if new else None
+        case "damaged":
+            return None if new else Message.of("store_damaged_at_start", path=str(store))
+        case "missing" | "empty":
+            if new or key is None:
+                return None
+            return Message.of(f"store_{presence}_at_start", path=str(store), key=str(key))
+
+
+def presence_of(store: Path) -> Presence:
+    """Look whether a store is there; nothing is created. Raises StoreError if that fails."""
+    try:
+        with in_words(store):
+            if not store.exists():
+                return "missing"
+            if not store.stat().st_size:
+                return "empty"
+            with examining(store) as connection:
+                return "sound" if connection.execute("SELECT 1 FROM sqlite_master").fetchone() else "empty"
+    except DamagedStoreError:
+        return "damaged"
+
+
+def proves_intact(store: Path, stop: Callable[[], bool]) -> bool:
+    """Return whether every page of a store is sound. Raises StoreError if ``stop`` ended the check early."""
+    try:
+        with examining(store) as connection:
+            connection.set_progress_handler(stop, STEPS)
+            return is_intact(connection)
+    except DamagedStoreError:
+        return False

@@ -7,7 +7,7 @@ from functools import partial
 
 import structlog
 
-from app.core.server.encryption import Encryption
+from app.core.server.tls import Encryption
 from app.feature import Feature, Services
 from app.people.audit.log import EventLog
 from bus.messages import Message
@@ -18,7 +18,7 @@ _log = structlog.get_logger()
 def make(services: Services) -> None:
     server, certificate = services.settings.server, None
     if server.tls is not None:
-        from app.core.server.tls.certificate import ServerCertificate
+        from app.core.server.tls import ServerCertificate
 
         certificate = ServerCertificate(server.tls)
         services.lifespan.add(

@@ -1,18 +1,27 @@
-"""Tells systemd how the server is: that it serves, what it waits for, that it goes on (sd_notify(3)).
+"""Tells systemd that the server serves, restarts or stops, and feeds its watchdog (sd_notify(3)).
 
-A datagram to the socket that ``NOTIFY_SOCKET`` names; nothing where there is none.
+Each is a datagram to the socket that ``NOTIFY_SOCKET`` names; without one nothing is sent.
 """
 
 from __future__ import annotations
 
+import asyncio
 import os
 import socket
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Callable, MutableMapping
 from contextlib import suppress
 
-from bus.instants import Monotonic
+import structlog
+
+from app.core.database import Database, StoreConnection
+from bus.errors import LinesideError
+from bus.instants import MonotonicClock, monotonic_now
+
+log = structlog.get_logger()
 
 NOTIFY_SOCKET = "NOTIFY_SOCKET"
+MAX_STILL_S = {"bus workers": 12.0, "store": 60.0}
+"""Seconds that each part may stand still. A disk may take longer over a write."""
 
 
 class ServiceManager:
@@ -29,12 +38,12 @@ class ServiceManager:
         self._send("READY=1", f"STATUS={status}")
 
     def alive(self) -> None:
-        """Tell systemd that every part has moved on: its watchdog begins its time again."""
+        """Feed the watchdog: its time begins again."""
         self._send("WATCHDOG=1")
 
     def restarting(self, environment: MutableMapping[str, str] = os.environ) -> None:
-        """Tell systemd that the server starts again in this process, which finds the socket in its
-        environment."""
+        """Tell systemd that the server starts again in this process, which then finds the socket in its
+        environment again."""
         self._send("RELOADING=1", "STATUS=restarts with the changed configuration")
         if self.is_there:
             environment[NOTIFY_SOCKET] = self._address.replace("\0", "@", 1)
@@ -46,21 +55,57 @@ class ServiceManager:
         if not self.is_there:
             return
         with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sending:
-            # A manager that is busy or gone learns it the next time.
+            # A manager that is busy or gone misses this one.
             sending.setblocking(False)
             sending.sendto("\n".join(lines).encode(), self._address)
 
 
-class PartsProgress:
-    """Whether every part moves on, from ``now`` on. ``max_still_s``: how long each may not. Pure."""
+class Liveness:
+    """Feeds the watchdog of systemd while the event loop turns, the store takes what it is given, and every
+    bus has its worker or is about to. A port that is unplugged is no standstill. Call :meth:`tick` once a
+    second on the event loop."""
 
-    def __init__(self, max_still_s: Mapping[str, float], now: Monotonic) -> None:
-        self._max_still_s = max_still_s
-        self._at = dict.fromkeys(max_still_s, now)
+    def __init__(
+        self,
+        manager: ServiceManager,
+        database: Database,
+        has_workers: Callable[[], bool],
+        now: MonotonicClock = monotonic_now,
+    ) -> None:
+        self._manager = manager
+        self._database = database
+        self._has_workers = has_workers
+        self._now = now
+        self._moved_at = dict.fromkeys(MAX_STILL_S, now())
+        self._looking: asyncio.Task[None] | None = None
+        self._reported: list[str] = []
 
-    def moved(self, part: str, now: Monotonic) -> None:
-        self._at[part] = now
+    def tick(self) -> None:
+        """Feed the watchdog unless a part stands still, which is logged once."""
+        now = self._now()
+        if self._has_workers():
+            self._moved_at["bus workers"] = now
+        if self._store_took_it():
+            self._moved_at["store"] = now
+        still = [part for part, at in self._moved_at.items() if now - at > MAX_STILL_S[part]]
+        if not still:
+            self._manager.alive()
+        if still != self._reported:
+            self._reported = still
+            log.error("watchdog of systemd not fed" if still else "watchdog of systemd fed", parts=still)
 
-    def stands_still(self, now: Monotonic) -> list[str]:
-        """Return the parts that have not moved on for too long."""
-        return [part for part, at in self._at.items() if now - at > self._max_still_s[part]]
+    def _store_took_it(self) -> bool:
+        """Return whether the store has responded since the last tick; then give it the next look."""
+        if self._looking is not None and not self._looking.done():
+            return False
+        self._looking = asyncio.create_task(self._look(), name="look at the store")
+        return True
+
+    async def _look(self) -> None:
+        # A store that refuses, as on a full disk, has responded.
+        with suppress(LinesideError):
+            await self._database.write(_look)
+
+
+def _look(connection: StoreConnection) -> object:
+    return connection.execute("SELECT 1").fetchone()

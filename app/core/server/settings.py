@@ -1,7 +1,9 @@
-"""The table ``[server.tls]`` of lineside.toml, and rules for addresses."""
+"""The table ``[server.tls]`` of lineside.toml, rules for addresses, and the reading of secret files:
+passwords and keys are read when they are needed, and kept nowhere."""
 
 from __future__ import annotations
 
+import os
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated
@@ -10,12 +12,15 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
+from app.errors import system_error
+from bus.errors import LinesideError
 from bus.messages import Message
 from bus.settings import StrictModel
 
 
 def check_web_url(written: str) -> str:
-    """Raises ValueError, without the URL, for one that is not of the web or holds a password."""
+    """Return a URL of the web. Raises ValueError, without the URL, for another, and for one with a
+    password."""
     try:
         parts = urlsplit(written)
         is_url = parts.scheme in ("https", "http") and bool(parts.hostname) and parts.port != 0
@@ -29,7 +34,7 @@ def check_web_url(written: str) -> str:
 
 
 def url_refusal(message: Message) -> PydanticCustomError:
-    """Return the fault of a URL; it is shown without the URL, which may be a secret."""
+    """Return the fault of a URL, which is shown without the URL: that may be a secret."""
     return PydanticCustomError("web_url", "no such URL", {"message": message, "at": ()})
 
 
@@ -37,7 +42,7 @@ WebUrl = Annotated[str, Field(max_length=2000), AfterValidator(check_web_url)]
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches what listens there."""
+    """Return whether only this machine reaches a server at this host."""
     try:
         return ip_address(host).is_loopback
     except ValueError:
@@ -56,3 +61,44 @@ class TlsSettings(StrictModel):
     @property
     def files(self) -> tuple[Path, ...]:
         return (self.certificate, self.key, *([self.client_ca] if self.client_ca else []))
+
+
+MAX_BYTES = 4096
+
+
+class SecretFileError(LinesideError):
+    """The file of a secret cannot be used; the text gives the reason, without the content."""
+
+
+def read_secret(path: Path) -> bytes:
+    """Return the content of a file without its final newline. Raises SecretFileError."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        with os.fdopen(descriptor, "rb") as file:
+            content = file.read(MAX_BYTES + 1) or b""
+    except OSError as error:
+        reason = system_error(error)
+        raise SecretFileError(Message.of("notify_secret_unreadable", path=str(path), reason=reason)) from None
+    secret = content.removesuffix(b"\n").removesuffix(b"\r")
+    if not secret or len(content) > MAX_BYTES:
+        raise SecretFileError(Message.of("notify_secret_empty", path=str(path), n=MAX_BYTES))
+    return secret
+
+
+def read_secret_text(path: Path) -> str:
+    """Return the content of a file as one line of ASCII. Raises SecretFileError."""
+    try:
+        text = read_secret(path).decode("ascii").strip()
+    except UnicodeDecodeError:
+        text = ""
+    if not text or not text.isprintable():
+        raise SecretFileError(Message.of("notify_secret_not_text", path=str(path)))
+    return text
+
+
+def can_others_read(path: Path) -> bool:
+    """Return whether every user of the machine can read the file."""
+    try:
+        return bool(path.stat().st_mode & 0o007)
+    except OSError:
+        return False

@@ -17,8 +17,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.websockets import WebSocket
 
-from app.core.server.admission.fair_queue import TooManyWaitingError
-from app.core.server.security_headers import HEADERS
+from app.core.server.refusals import HEADERS
+from app.core.server.turns import TooManyWaitingError
 from app.core.web.admission.access import caller_of
 from app.core.web.api.shape import message_shown, reason_shown
 from app.core.web.rendering.templating import render, templates_of

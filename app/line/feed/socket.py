@@ -8,7 +8,7 @@ from contextlib import suppress
 from fastapi import APIRouter, WebSocket
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
-from app.core.server.connection.client_connection import client_connection
+from app.core.server.connections import client_connection
 from app.core.web.admission.access import Worker
 from app.core.web.services import service_of
 from app.errors import Problem

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import ConfigDict, Field
 
 from app.core.database import StoreConnection
-from app.core.database.reserve import MIN_FREE_OF_OTHERS
+from app.core.database.files import MIN_FREE_OF_OTHERS
 from app.core.web.api.shape import InstantObject, MessageObject
 from app.core.web.rendering.formats import Formats
 from app.line.history.series.runs import DAY, HOUR

@@ -15,9 +15,8 @@ import structlog
 
 from app.core.database import Database
 from app.core.database.connection import size_of
-from app.core.database.migration import put_aside
-from app.core.database.presence import proves_intact
-from app.core.database.reserve import free_bytes
+from app.core.database.files import free_bytes
+from app.core.database.migration import proves_intact, put_aside
 from app.core.web.api.shape import iso
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.line.history import tables

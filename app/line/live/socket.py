@@ -14,7 +14,7 @@ from fastapi import APIRouter, WebSocket
 from starlette.requests import Request
 from starlette.websockets import WebSocketDisconnect
 
-from app.core.server.admission.addresses import source_of
+from app.core.server.addresses import source_of
 from app.core.web.admission.access import Person, Role, Viewer
 from app.core.web.problems import refuse_socket
 from app.core.web.rendering.templating import WEBSOCKET_LINES, templates_of

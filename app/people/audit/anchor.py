@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import msgspec
 import structlog
 
-from app.core.database.private import restrict, write_file
+from app.core.database.files import restrict, write_file
 from app.core.server.in_thread import in_thread
 from app.core.web.rendering.formats import Formats
 from app.errors import StoreError, system_error

@@ -27,7 +27,7 @@ from zoneinfo import ZoneInfo
 import structlog
 
 from app.core.database import Database, StoreConnection
-from app.core.database.private import FILE_MODE, sync_folder
+from app.core.database.files import FILE_MODE, sync_folder
 from app.core.server.in_thread import in_thread
 from app.errors import StoreError, system_error
 from app.people.audit.chain import KeyRing

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from app.core.database.private import write_file
+from app.core.database.files import write_file
 
 FILE = "configuration.json"
 """The configuration that the server ran with last; beside the store."""

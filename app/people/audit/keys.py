@@ -16,7 +16,7 @@ from typing import Annotated
 
 import msgspec
 
-from app.core.database.private import fresh_file, sync_folder
+from app.core.database.files import fresh_file, sync_folder
 from app.errors import StoreError, system_error
 from app.people.audit.chain import KEY_BYTES, KeyOrigin, KeyRing
 from app.people.audit.former import Ends, origin_of

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Awaitable, Callable
 from functools import partial
 
-from app.core.server.admission.repeats import WINDOW_S, Repeats, Repetition
+from app.core.server.refusal_log import WINDOW_S, Repeats, Repetition
 from app.errors import StoreError
 from app.people.audit.entry import EventKind
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.core.database import Database
-from app.core.server.admission.refusal_log import RefusalLog
+from app.core.server.refusal_log import RefusalLog
 from app.feature import Feature, Services
 from app.people.audit.log import EventLog
 from app.people.auth import api, pages, users

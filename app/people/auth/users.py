@@ -10,7 +10,7 @@ from fastapi import APIRouter
 from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
-from app.core.server.encryption import Encryption
+from app.core.server.tls import Encryption
 from app.core.web.admission.access import PEOPLE_ROLES, Admin, Person, Role, role_named
 from app.core.web.problems import is_fragment
 from app.core.web.rendering.templating import render

@@ -20,9 +20,7 @@ from pathlib import Path
 
 import msgspec
 
-from app.core.database.private import make_file, sync_folder, write_file
-from app.core.database.reserve import free_bytes
-from app.core.database.words import in_words
+from app.core.database.files import free_bytes, in_words, make_file, sync_folder, write_file
 from app.errors import StoreError
 from app.people.audit.archive import NAME as ARCHIVED
 from app.people.audit.archive import digest_of

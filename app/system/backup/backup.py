@@ -14,8 +14,7 @@ from typing import Annotated, NamedTuple
 
 import msgspec
 
-from app.core.database.private import FILE_MODE
-from app.core.database.reserve import free_bytes
+from app.core.database.files import FILE_MODE, free_bytes
 from app.errors import StoreError
 from app.people.audit.archive import NAME as ARCHIVED
 from app.people.audit.archive import digest_of

@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 import msgspec
 from pydantic import BaseModel
 
-from app.core.database.private import make_folder, write_file
+from app.core.database.files import make_folder, write_file
 from app.errors import StoreError
 from app.people.audit.keys import find_key_file
 from app.settings import Settings

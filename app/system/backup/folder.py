@@ -19,10 +19,17 @@ from zoneinfo import ZoneInfo
 import msgspec
 
 from app.core.database.connection import examining, open_for_reading, snapshot
+from app.core.database.files import (
+    free_bytes,
+    fresh_file,
+    in_words,
+    make_file,
+    make_folder,
+    refuse_link,
+    sync_folder,
+    write_file,
+)
 from app.core.database.migration import COMPANIONS
-from app.core.database.private import fresh_file, make_file, make_folder, refuse_link, sync_folder, write_file
-from app.core.database.reserve import free_bytes
-from app.core.database.words import in_words
 from app.errors import StoreError
 from app.people.audit.archive import digest_of
 from app.settings import STORE_FILE, Settings

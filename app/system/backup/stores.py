@@ -12,8 +12,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from app.core.database.connection import examining, has_table, open_for_reading
-from app.core.database.private import make_file
-from app.core.database.words import in_words
+from app.core.database.files import in_words, make_file
 from app.errors import StoreError
 from app.line.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.line.history.service import FILE as HISTORY

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import structlog
 
-from app.core.database.private import fresh_file, sync_folder
+from app.core.database.files import fresh_file, sync_folder
 from app.core.web.admission.access import Person
 from app.errors import Problem, StoreError, or_404, system_error
 from app.people.audit.acts import Act

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 from pydantic import Field
 
-from app.core.database.private import make_folder, write_file
+from app.core.database.files import make_folder, write_file
 from app.core.web.api.shape import InstantObject
 
 FOLDER = "configuration"

@@ -10,7 +10,7 @@ from prometheus_client import CollectorRegistry, ProcessCollector, generate_late
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from app.core.database.reserve import free_bytes
+from app.core.database.files import free_bytes
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.rules.state_machine import PRESENT_STATES

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from app.core.server.secret_file import SecretFileError, read_secret_text
+from app.core.server.settings import SecretFileError, read_secret_text
 from app.errors import is_refused_certificate, network_cause, system_error
 from app.system.peers.board import LineBoard, Peer
 from app.system.peers.report import ReportError, read_report

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
-from app.core.server.secret_file import SecretFileError, read_secret_text
+from app.core.server.settings import SecretFileError, read_secret_text
 from app.errors import StoreError
 from app.system.postgresql.outbox import Batch
 from app.system.postgresql.rows import EVENT, READING, UNIT, Row, Table, instant, unit_row

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from app.core.server import tls as server_certificate
 from app.core.server.settings import TlsSettings
-from app.core.server.tls import certificate as server_certificate
-from app.core.server.tls.certificate import ServerCertificate
+from app.core.server.tls import ServerCertificate
 from bus.instants import unix_now
 from bus.messages import Message
 from bus.tls import TlsFileError, read_certificate

@@ -10,9 +10,8 @@ from typing import cast
 
 import pytest
 
-from app.cli.serving.liveness import MAX_STILL_S, Liveness
 from app.core.database import Database
-from app.core.server.service_manager import PartsProgress, ServiceManager
+from app.core.server.service_manager import MAX_STILL_S, Liveness, ServiceManager
 from app.errors import StoreError
 from bus.instants import Monotonic
 from bus.messages import Message
@@ -77,15 +76,6 @@ def test_without_a_manager_or_with_one_that_has_gone_nothing_happens(tmp_path: P
     gone = {"NOTIFY_SOCKET": str(tmp_path / "gone")}
     for environment in (dict[str, str](), gone):
         ServiceManager(environment).alive()
-
-
-def test_a_part_stands_still_once_its_time_is_over() -> None:
-    progress = PartsProgress({"a": 10.0, "b": 20.0}, Monotonic(0.0))
-    assert progress.stands_still(Monotonic(10.0)) == []
-    assert progress.stands_still(Monotonic(10.1)) == ["a"]
-    progress.moved("a", Monotonic(10.1))
-    assert progress.stands_still(Monotonic(20.0)) == []
-    assert progress.stands_still(Monotonic(20.2)) == ["a", "b"]
 
 
 class Store:

@@ -17,7 +17,7 @@ from app.cli import cli
 from app.cli.site.facts import backup_facts, certificate_facts, disk_facts
 from app.core.database import Database
 from app.core.database.connection import open_unchanged
-from app.core.database.reserve import MIN_FREE_OF_OTHERS
+from app.core.database.files import MIN_FREE_OF_OTHERS
 from app.line.history.series.runs import DAY, HOUR, micros
 from app.line.history.status import MAX_DAYS, days_left, growth_of_history
 from app.settings import load

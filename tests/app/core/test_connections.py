@@ -9,24 +9,33 @@ from ipaddress import ip_network
 
 import pytest
 
-from app.core.server.connection.connections import (
+from app.core.server.connections import (
+    HANDSHAKES_A_SECOND,
+    HANDSHAKES_TOGETHER_A_SECOND,
+    MAX_BODY_S,
+    MAX_HANDSHAKES_AT_ONCE,
+    MAX_HANDSHAKES_TOGETHER,
     MAX_IN_ALL,
     MAX_OF_ACCOUNT,
     MAX_OF_ADDRESS,
     MAX_STRANGERS,
-    Connection,
+    MIN_RATE,
+    STALL_S,
+    WITHIN_S,
+    Awaited,
+    Backlog,
+    ClientConnection,
     Connections,
+    Handshakes,
+    Pace,
 )
-from app.core.server.connection.pace import MAX_BODY_S, MIN_RATE, STALL_S, WITHIN_S, Awaited, Backlog, Pace
 
 
-@dataclass(frozen=True)
-class Held:
-    """A protocol that notes that its connection was ended."""
+class Held(ClientConnection):
+    """A connection that notes that it was ended."""
 
-    name: str
-    dropped: list[str]
-    idle: bool
+    def __init__(self, address: str, name: str, dropped: list[str], idle: bool) -> None:
+        self.address, self.name, self.dropped, self.idle = address, name, dropped, idle
 
     def give_way(self) -> None:
         self.dropped.append(self.name)
@@ -40,12 +49,12 @@ class World:
     connections: Connections = field(default_factory=lambda: Connections([ip_network("10.0.0.5")]))
     dropped: list[str] = field(default_factory=list)
 
-    def open(self, name: str, address: str = "192.0.2.7", *, idle: bool = True) -> Connection:
-        connection = Connection(address, Held(name, self.dropped, idle))
+    def open(self, name: str, address: str = "192.0.2.7", *, idle: bool = True) -> Held:
+        connection = Held(address, name, self.dropped, idle)
         self.connections.open(connection)
         return connection
 
-    def open_many(self, count: int, address: str = "192.0.2.7") -> list[Connection]:
+    def open_many(self, count: int, address: str = "192.0.2.7") -> list[Held]:
         return [self.open(f"{address} {number}", address) for number in range(count)]
 
 
@@ -104,14 +113,15 @@ def test_an_account_is_counted_once_for_each_connection(world: World) -> None:
     assert connection.account == "ann"
     world.connections.close(connection)
     world.connections.close(connection)
-    assert world.connections._count == {True: 0, False: 0}
+    assert world.connections.count(known=True) == world.connections.count(known=False) == 0
 
 
 def test_who_was_dropped_is_counted_no_more(world: World) -> None:
     oldest, *_ = world.open_many(MAX_OF_ADDRESS + 1)
     world.connections.identify(oldest, "ann")
     world.connections.close(oldest)
-    assert world.connections._count == {True: 0, False: MAX_OF_ADDRESS}
+    assert world.connections.count(known=True) == 0
+    assert world.connections.count(known=False) == MAX_OF_ADDRESS
 
 
 def test_a_trusted_proxy_has_more_than_a_stranger(world: World) -> None:
@@ -154,3 +164,29 @@ def test_a_reader_keeps_the_least_rate_or_is_stuck() -> None:
     assert not backlog.is_stuck(0, 3 * STALL_S)
     assert not backlog.is_stuck(1, 4 * STALL_S)
     assert backlog.is_stuck(1, 5 * STALL_S)
+
+
+def test_all_pages_of_a_plant_come_back_quickly_and_more_are_delayed() -> None:
+    handshakes = Handshakes()
+    waits = [handshakes.wait_s("ann", 0.0) for _ in range(MAX_HANDSHAKES_AT_ONCE + 600)]
+    assert waits[:MAX_HANDSHAKES_TOGETHER] == [0.0] * MAX_HANDSHAKES_TOGETHER
+    assert (
+        waits[MAX_HANDSHAKES_AT_ONCE - 1]
+        == (MAX_HANDSHAKES_AT_ONCE - MAX_HANDSHAKES_TOGETHER) / HANDSHAKES_TOGETHER_A_SECOND
+    )
+    assert waits[-1] == 600 / HANDSHAKES_A_SECOND
+
+
+def test_pages_that_come_one_after_the_other_do_not_wait() -> None:
+    handshakes = Handshakes()
+    times = (n / HANDSHAKES_TOGETHER_A_SECOND for n in range(MAX_HANDSHAKES_AT_ONCE))
+    assert {handshakes.wait_s("ann", at) for at in times} == {0.0}
+
+
+def test_others_do_not_wait_and_the_delay_ends() -> None:
+    handshakes = Handshakes()
+    for _ in range(2 * MAX_HANDSHAKES_AT_ONCE):
+        handshakes.wait_s("ann", 0.0)
+    assert handshakes.wait_s("ben", 0.0) == 0.0
+    assert handshakes.wait_s("ann", 0.0) > 1.0
+    assert handshakes.wait_s("ann", 1e3) == 0.0

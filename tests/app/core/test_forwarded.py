@@ -10,8 +10,15 @@ import pytest
 from starlette.datastructures import Headers
 from starlette.types import Message, Receive, Scope, Send
 
-from app.core.server.admission.addresses import canonical, source_of
-from app.core.server.admission.forwarded import MAX_HOPS, MAX_UNDER_WAY, Forwarded, Origin, origin_of
+from app.core.server.addresses import (
+    MAX_HOPS,
+    MAX_UNDER_WAY,
+    Forwarded,
+    Origin,
+    canonical,
+    origin_of,
+    source_of,
+)
 from app.core.web.admission.access import Role
 from app.core.web.admission.security import host_name
 from app.settings import ConfigurationError, load

@@ -12,11 +12,18 @@ from dataclasses import dataclass, field
 import pytest
 from starlette.types import Receive, Scope, Send
 
-from app.core.server.admission.turns import ARRIVED_AT
-from app.core.server.connection import gate as gate_module
-from app.core.server.connection.client_connection import client_connection
-from app.core.server.connection.connections import MAX_OF_ADDRESS
-from app.core.server.connection.gate import (
+from app.core.server import gate as gate_module
+from app.core.server.connections import (
+    ARRIVED_AT,
+    MAX_OF_ADDRESS,
+    MIN_RATE,
+    PROMPT_S,
+    STALL_S,
+    WITHIN_S,
+    Awaited,
+    client_connection,
+)
+from app.core.server.gate import (
     CLOSING_S,
     MAX_FRAMING_BYTES,
     MAX_HEAD_BYTES,
@@ -26,9 +33,7 @@ from app.core.server.connection.gate import (
     MAX_PASSED_OVER_BYTES,
     SLICE_BYTES,
 )
-from app.core.server.connection.pace import MIN_RATE, PROMPT_S, STALL_S, WITHIN_S, Awaited
-from app.core.server.connection.tcp_age import age_s
-from app.core.server.loop_watch import LoopWatch
+from app.core.server.loop_watch import LoopWatch, age_s
 from bus.instants import Monotonic
 from tests.app.gated import Ends, Port, everything, gated, until
 

@@ -9,7 +9,7 @@ import pytest
 
 from app.core.database import Database
 from app.core.database.connection import examining
-from app.core.database.presence import Presence, presence_of, refusal_to_start
+from app.core.database.migration import Presence, presence_of, refusal_to_start
 from app.errors import StoreError
 
 STORE, KEY = Path("/data/lineside.db"), Path("/etc/lineside.audit.key")

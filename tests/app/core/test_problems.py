@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.core.server.security_headers import HEADERS
+from app.core.server.refusals import HEADERS
 from app.core.web.admission.access import Role
 from app.core.web.problems import problem_json
 from app.errors import Problem, StoreError

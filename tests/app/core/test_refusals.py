@@ -11,7 +11,7 @@ from starlette.websockets import WebSocketDisconnect
 from structlog.testing import capture_logs
 
 from app.core.database import Database
-from app.core.server.admission.refusal_log import RefusalLog
+from app.core.server.refusal_log import RefusalLog
 from app.core.web.admission.access import Role
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts

@@ -11,7 +11,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from app.core.database import Database, reserve
-from app.core.database.reserve import FILE, MIN_FREE, MIN_FREE_OF_OTHERS, Reserve
+from app.core.database.files import FILE, MIN_FREE, MIN_FREE_OF_OTHERS, Reserve
 
 SIZE = 8_000_000
 

@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 from websockets.asyncio.client import connect
 
-from app.core.server.connection.connections import MAX_OF_ADDRESS
-from app.core.server.connection.pace import WITHIN_S, Awaited
-from app.core.server.connection.records import HEADER_BYTES
+from app.core.server.connections import MAX_OF_ADDRESS, WITHIN_S, Awaited
+from app.core.server.tls import HEADER_BYTES
 from bus.instants import monotonic_now
 from tests.app.gated import PATIENCE_S, Ends, everything, until
 from tests.app.tls_site import GET, TlsSite, tls_site

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from app.core.server.connection.own_feed import OnlyFeed
-from app.core.server.encryption import Encryption
+from app.cli.serving.server import OnlyFeed
 from app.core.server.settings import TlsSettings
+from app.core.server.tls import Encryption
 from app.main import create_app
 from app.settings import ServerSettings
 from tests.app.complete_app import settings_in

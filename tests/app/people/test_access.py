@@ -14,7 +14,7 @@ from starlette.testclient import TestClient, WebSocketDenialResponse
 from starlette.types import Message, Receive, Scope, Send
 from uvicorn.protocols.utils import ClientDisconnected
 
-from app.core.server.connection.client_connection import CONNECTION, NoClientConnection
+from app.core.server.connections import CONNECTION, ClientConnection
 from app.core.web.admission.access import Person, Requires, Role
 from app.core.web.admission.cookies import SESSION
 from app.core.web.admission.routes import demands, refuse_undeclared
@@ -134,7 +134,7 @@ async def test_the_server_learns_whose_a_connection_is(house: House) -> None:
     """Connections of accounts, the workers' among them, are counted apart from those of strangers."""
     seen: list[str] = []
 
-    class Noting(NoClientConnection):
+    class Noting(ClientConnection):
         def identify(self, account: str) -> None:
             seen.append(account)
 

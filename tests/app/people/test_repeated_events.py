@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from app.core.database import Database
-from app.core.server.admission.repeats import WINDOW_S
+from app.core.server.refusal_log import WINDOW_S
 from app.people.audit.log import EventLog
 from app.people.audit.queries import Filter
 from app.people.audit.repeated import MANY, MAX_KEYS, RepeatedEvents

@@ -8,15 +8,16 @@ from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
-from app.core.server.admission.addresses import source_of
-from app.core.server.admission.fair_queue import FairQueue, TooManyWaitingError
-from app.core.server.admission.turns import HEALTH
+from app.core.server.addresses import source_of
+from app.core.server.turns import FairQueue, TooManyWaitingError
 from app.core.web.admission.access import address_of, caller_of
 from app.core.web.admission.bounds import MAX_PLAIN_BODY_BYTES, BoundedBody
 from app.core.web.admission.security import refuse
 from app.core.web.problems import too_many_requests
 from app.errors import Problem
 
+HEALTH = "/healthz"
+"""Path that is polled to check that this server works."""
 MAX_AT_ONCE, AT_ONCE_OF_ADDRESS = 2, 1
 MAX_WAITING, MAX_WAITING_OF_ADDRESS = 512, 64
 REST = 4.0

@@ -1,7 +1,7 @@
 """When a request was made, as far as it can be known, and how long its command may wait after that.
 
 Three clocks give the time, and the earliest is believed: the server, which stamps each request with the
-moment at which its first byte arrived (app/core/server/connection/gate.py), a stall or a start of the server
+moment at which its first byte arrived (app/core/server/gate.py), a stall or a start of the server
 included; a program, in the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Clicked-At``
 or, where the browser sends the form itself, in the query ``clicked_at`` (static/js/review.js).
 """
@@ -14,7 +14,7 @@ from datetime import datetime
 
 from starlette.requests import HTTPConnection
 
-from app.core.server.admission.turns import ARRIVED_AT, BEGUN_AT
+from app.core.server.connections import ARRIVED_AT, BEGUN_AT
 from app.errors import Problem
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, number

@@ -16,7 +16,7 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
-from app.core.server.admission.addresses import canonical
+from app.core.server.addresses import canonical
 from app.core.web.admission.security import foreign_problem, header_problem, host_problem, refuse
 from app.core.web.api.shape import parse_integer
 from app.core.web.problems import respond

@@ -19,7 +19,7 @@ from starlette.requests import Request
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from app.core.server.admission.addresses import canonical
+from app.core.server.addresses import canonical
 from app.core.web.admission.arrival import SAFE_METHODS
 from app.core.web.problems import problem_json, refuse_socket, respond
 from app.errors import Problem

@@ -13,7 +13,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
-from app.core.server.admission.fair_queue import FairQueue
+from app.core.server.turns import FairQueue
 from app.core.web.admission.access import Viewer, caller_of
 from app.core.web.services import service_of
 

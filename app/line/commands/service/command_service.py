@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from app.core.server.admission.fair_queue import FairQueue, TooManyWaitingError
+from app.core.server.turns import FairQueue, TooManyWaitingError
 from app.core.web.admission.access import Person, refuse_without
 from app.core.web.admission.arrival import Deadline
 from app.errors import Problem, StoreError

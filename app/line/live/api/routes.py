@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Header, Query
 from starlette.requests import HTTPConnection
 from starlette.responses import StreamingResponse
 
-from app.core.server.admission.addresses import source_of
+from app.core.server.addresses import source_of
 from app.core.web.admission.access import Viewer
 from app.core.web.api.route import ApiRoute
 from app.core.web.services import service

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from app.core.database.reserve import Reserve
+from app.core.database.files import Reserve
 from app.core.messages import DEFAULT
 from app.core.web.rendering.templating import Templates
 from app.engineering.recipes.book import RecipeBook

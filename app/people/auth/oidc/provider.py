@@ -28,7 +28,7 @@ from joserfc.errors import ClaimError, InvalidKeyIdError, JoseError
 from joserfc.jwk import KeySet, import_key
 from joserfc.jws import JWSRegistry
 
-from app.core.server.secret_file import SecretFileError, read_secret_text
+from app.core.server.settings import SecretFileError, read_secret_text
 from app.errors import network_cause, system_error
 from app.people.auth.oidc.login import LoginAttempt, NotAdmittedError, printable
 from app.people.auth.settings import OidcSettings

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from app.core.server.admission.addresses import source_of
-from app.core.server.admission.fair_queue import FairQueue, TooManyWaitingError
+from app.core.server.addresses import source_of
+from app.core.server.turns import FairQueue, TooManyWaitingError
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
 from app.people.auth.oidc.login import (

@@ -17,9 +17,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 from starlette.websockets import WebSocketDisconnect
 
-from app.core.server.admission.handshakes import Handshakes
-from app.core.server.admission.refusal_log import REFUSED, RefusalLog
-from app.core.server.connection.client_connection import client_connection
+from app.core.server.connections import Handshakes, client_connection
+from app.core.server.refusal_log import REFUSED, RefusalLog
 from app.core.web.admission.access import Caller, Role, account_shown, address_of, not_signed_in
 from app.core.web.admission.cookies import session_name
 from app.core.web.admission.security import LOOPBACK, refuse

@@ -11,7 +11,7 @@ import secrets
 from dataclasses import dataclass, field
 from math import ceil
 
-from app.core.server.admission.addresses import source_of
+from app.core.server.addresses import source_of
 from app.errors import Problem
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts

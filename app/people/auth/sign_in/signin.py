@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from math import ceil
 
 from app.core.database import Database, StoreConnection
-from app.core.server.admission.addresses import source_of
-from app.core.server.admission.fair_queue import FairQueue, TooManyWaitingError
+from app.core.server.addresses import source_of
+from app.core.server.turns import FairQueue, TooManyWaitingError
 from app.core.web.admission.access import Person
 from app.core.web.admission.rate_limit import RateLimit
 from app.errors import Problem, StoreError

@@ -7,7 +7,7 @@ from functools import partial
 from math import ceil
 from pathlib import Path
 
-from app.core.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
+from app.core.database.files import MIN_FREE_OF_OTHERS, free_bytes
 from app.core.web.admission.rate_limit import RateLimit
 from app.errors import Problem
 from app.records.handover.rules.shift_times import Shift

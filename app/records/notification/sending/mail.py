@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from app.core.server.in_thread import in_thread
-from app.core.server.secret_file import read_secret_text
+from app.core.server.settings import read_secret_text
 from app.records.notification.compose import Letter
 from app.records.notification.rules.delivery import NotDeliveredError
 from app.records.notification.settings import SmtpSettings

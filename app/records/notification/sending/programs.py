@@ -12,8 +12,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from app.core.server.in_thread import in_thread
-from app.core.server.secret_file import read_secret, read_secret_text
-from app.core.server.settings import check_web_url
+from app.core.server.settings import check_web_url, read_secret, read_secret_text
 from app.errors import network_cause
 from app.records.notification.compose import Letter
 from app.records.notification.rules.delivery import NotDeliveredError

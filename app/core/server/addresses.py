@@ -1,6 +1,7 @@
-"""Finds the client of a request behind proxies: X-Forwarded-For, -Proto and -Host of trusted ones.
+"""Network addresses as limits and logs see them, and the client of a request behind proxies.
 
-No others are believed: the address reaches the audit log and the limits of sign-ins.
+X-Forwarded-For, -Proto and -Host are believed of trusted proxies only: the address reaches the audit log and
+the limits of sign-ins.
 """
 
 from __future__ import annotations
@@ -9,12 +10,51 @@ import re
 from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import lru_cache
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from app.core.server.admission.addresses import Network, canonical, is_within, parse_address, source_of
-from app.core.server.admission.refusal import TOO_MANY_REQUESTS
+from app.core.server.refusals import TOO_MANY_REQUESTS
+
+Address = IPv4Address | IPv6Address
+Network = IPv4Network | IPv6Network
+
+SUBNET_BITS = 64
+"""Prefix of an IPv6 subnet, which one subscriber or one machine has at least (RFC 6177, 2)."""
+MAX_REMEMBERED = 1024
+
+
+def parse_address(text: str) -> Address | None:
+    """Parse an address; an IPv4 address also as a dual-stack socket writes it, ``::ffff:10.0.0.5``."""
+    try:
+        address = ip_address(text)
+    except ValueError:
+        return None
+    return getattr(address, "ipv4_mapped", None) or address
+
+
+def canonical(text: str) -> str:
+    """Return an address in its usual form; any other text unchanged."""
+    return str(parse_address(text) or text)
+
+
+@lru_cache(maxsize=MAX_REMEMBERED)
+def source_of(text: str) -> str:
+    """Return the key by which a client is counted: an IPv4 address, the /64 of an IPv6 address, or any other
+    text unchanged."""
+    address = parse_address(text)
+    if isinstance(address, IPv6Address):
+        return str(ip_network((int(address) >> SUBNET_BITS << SUBNET_BITS, SUBNET_BITS)))
+    return str(address or text)
+
+
+def is_within(text: str, networks: Collection[Network]) -> bool:
+    """Return whether the address belongs to one of the networks."""
+    address = parse_address(text)
+    return address is not None and any(address in network for network in networks)
+
 
 MAX_HOPS = 20
 MAX_UNDER_WAY = 200
@@ -26,7 +66,8 @@ _SOCKET_SCHEMES = {"http": "ws", "https": "wss"}
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The client by a trusted proxy; ``scheme`` and ``host`` are empty where it does not report them."""
+    """The client that a trusted proxy reports; ``scheme`` and ``host`` are empty if it does not report
+    them."""
 
     address: str
     scheme: str = ""
@@ -34,10 +75,11 @@ class Origin:
 
 
 def origin_of(peer: str, headers: Headers, trusted: Collection[Network]) -> Origin:
-    """Return the client. ``peer``: the other end of the connection, believed only when it is ``trusted``.
+    """Return the client of a request. ``peer``: the other end of the connection, believed only if it is
+    ``trusted``.
 
-    Each proxy appends the address of its client, so the right-most one that is no trusted proxy is the
-    client; what is left of it can be made up.
+    Each proxy appends the address of its client, so the right-most address that is no trusted proxy is the
+    client's; anything to the left of it can be made up.
     """
     if not is_within(peer, trusted):
         return Origin(canonical(peer))
@@ -72,10 +114,9 @@ def _last(headers: Headers, name: str) -> str:
 
 
 class Forwarded:
-    """Puts into the scope of a request whom it is from, and what its client called this server.
-
-    A proxy's connections carry requests of many, so those of each client are counted here as the connections
-    of others are (`app.core.server.connection.connections`).
+    """ASGI middleware that puts the client of a request, and the name by which it called this server, into
+    the scope. A proxy's connections carry requests of many, so the requests of each client are counted here
+    as the connections of others are (`app.core.server.connections`).
     """
 
     def __init__(self, app: ASGIApp, trusted: Collection[Network]) -> None:

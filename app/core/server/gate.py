@@ -1,9 +1,9 @@
-"""One connection in front of uvicorn's protocol, by the public interfaces of asyncio alone.
+"""The protocol of one connection in front of uvicorn's, by the public interfaces of asyncio alone.
 
-It is counted, encrypted, watched to its end, and feeds uvicorn in turns: the system gives in one call what
-was sent in seconds, and a parser calls back for each piece of it, which may have a single byte. One request
-at a time: what follows waits here, with the time at which it arrived.
-:mod:`app.core.server.connection.stages` states how far each request is.
+It is counted, encrypted and watched to its end, and feeds uvicorn in turns: the system gives in one call what
+was sent in seconds, and a parser calls back for each piece of it, which may have a single byte. uvicorn gets
+one request at a time: what follows waits here, with the time at which it arrived. `Stages`, the outermost
+ASGI middleware, tells the gate how far each request is.
 """
 
 from __future__ import annotations
@@ -11,17 +11,29 @@ from __future__ import annotations
 import asyncio
 import ssl
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
 from typing import Any
 
-from starlette.types import Scope
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.core.server.admission.addresses import source_of
-from app.core.server.admission.refusal import (
+from app.core.server.addresses import source_of
+from app.core.server.connections import (
+    ARRIVED_AT,
+    BEGUN_AT,
+    CONNECTION,
+    Awaited,
+    Backlog,
+    ClientConnection,
+    Connections,
+    Pace,
+)
+from app.core.server.loop_watch import LoopWatch, age_s
+from app.core.server.refusal_log import RefusalLog
+from app.core.server.refusals import (
     MALFORMED,
     NO_SUCH_EXPECTATION,
     NO_SUCH_VERSION,
@@ -31,48 +43,43 @@ from app.core.server.admission.refusal import (
     TOO_SLOW,
     Refusal,
 )
-from app.core.server.admission.refusal_log import RefusalLog
-from app.core.server.admission.turns import LoopTurns
-from app.core.server.connection.client_connection import CONNECTION
-from app.core.server.connection.connections import Connection, Connections
-from app.core.server.connection.pace import Awaited, Backlog, Pace
-from app.core.server.connection.records import ChooseContext, NoTlsError, TlsSession
-from app.core.server.connection.tcp_age import age_s
-from app.core.server.loop_watch import LoopWatch
-from bus.instants import Monotonic
+from app.core.server.tls import ChooseContext, NoTlsError, TlsSession
+from app.core.server.turns import LoopTurns
+from bus.instants import Monotonic, monotonic_now
 
 SLICE_BYTES = 512
-"""Given to the parser at once: 85 empty frames or chunks of a byte."""
+"""Bytes given to the parser at once: 85 empty frames or chunks of a byte."""
 TURN_S = 0.0003
-"""After which no further slice is parsed: one of chunks of a byte takes as long."""
+"""Time after which no further slice is parsed in this turn: one of chunks of a byte takes as long."""
 MAX_HELD_BYTES, MAX_HELD_PARTS = 64 * 1024, 64
-"""What waits here; what follows waits in the system. A part may have a single byte: beyond so many, what
-arrives has the time of the last."""
+"""What waits in the gate; what follows waits in the system. A part may have a single byte: beyond so many
+parts, what arrives gets the time of the last."""
 RECEIVE_BUFFER_BYTES = 64 * 1024
-"""What the system takes of a connection before it is read."""
+"""What the system receives on a connection before it is read."""
 MAX_HEAD_BYTES, MAX_HEADERS = 32 * 1024, 100
 MAX_FRAMING_BYTES, MAX_FRAMING_SHARE = 128 * 1024, 16
-"""Of a body in chunks: what may arrive that the app has not taken, and for each byte that it has. A chunk of
-one byte has 5 more."""
+"""Limits of a body in chunks: bytes that may arrive before the app takes any, and for each byte that it has
+taken. A chunk of one byte has 5 more."""
 MAX_MESSAGE_BYTES = 16 * 1024
-"""Of a WebSocket, control frames included, until the app takes the next message or trusts the sender."""
+"""Bytes that a WebSocket may send, control frames included, until the app takes the next message or trusts
+the sender."""
 MAX_AFTER_CLOSE_BYTES = 4096
-"""Of what a page sent before it saw the server's Close frame, its own Close frame included."""
+"""Bytes that a page may send until it has seen the server's Close frame, its own Close frame included."""
 MAX_PASSED_OVER_BYTES = 4 * 1024 * 1024
-"""Of what a client sends after its connection has ended."""
+"""Bytes that a client may send after the server has ended the connection."""
 CLOSING_S = 5.0
-"""What a client gets to read the end of a connection."""
+"""Time that a client gets to read the end of a connection."""
 NEVER = Monotonic(inf)
 VERSIONS = ("1.0", "1.1")
 HEAD_END = b"\r\n\r\n"
 
-MakeProtocol = Callable[[Mapping[str, Any]], asyncio.Protocol]
-"""Makes uvicorn's protocol, with this in the ``state`` of each of its scopes."""
+MakeProtocol = Callable[..., asyncio.Protocol]
+"""uvicorn's protocol, which gets ``app_state``, the ``state`` of each of its scopes, as an argument."""
 
 
 @dataclass
 class Gates:
-    """The gates that are open, and what they share. ``in_clear``: the address where none is encrypted
+    """The gates that are open, and what they share. ``in_clear``: the address at which none is encrypted
     although ``choose_context`` is set."""
 
     connections: Connections
@@ -83,14 +90,6 @@ class Gates:
     turns: LoopTurns = field(default_factory=LoopTurns)
     open: set[Gate] = field(default_factory=set)
     is_over: bool = False
-
-    def make(self, make_protocol: Callable[..., asyncio.Protocol], **options: Any) -> Gate:
-        """Make the gate of a connection, with uvicorn's protocol made by its ``options``."""
-
-        def make(state: Mapping[str, Any]) -> asyncio.Protocol:
-            return make_protocol(**{**options, "app_state": {**options["app_state"], **state}})
-
-        return Gate(self, make)
 
     def check(self) -> None:
         """End the connections of clients that take too long; to be called about once a second."""
@@ -105,16 +104,19 @@ class Gates:
             gate.leave()
 
 
-class Gate(asyncio.Protocol):
-    """One connection, with ``inner`` behind it once it has sent something."""
+class Gate(ClientConnection, asyncio.Protocol):
+    """One connection. ``inner``: uvicorn's protocol behind it, made once the client has sent something."""
 
     transport: asyncio.Transport
-    connection: Connection
 
-    def __init__(self, gates: Gates, make_protocol: MakeProtocol) -> None:
+    def __init__(
+        self, gates: Gates, make_protocol: MakeProtocol, app_state: dict[str, Any], **options: Any
+    ) -> None:
+        """``app_state`` and ``options``: the arguments that uvicorn gives to the protocol of a connection."""
         self._gates = gates
         self._loop = asyncio.get_running_loop()
-        self._make_protocol = make_protocol
+        self._make_inner = partial(make_protocol, **options)
+        self._app_state = app_state
         self._pace = Pace(self._loop.time())
         self._backlog = Backlog()
         self.inner: Any = None
@@ -127,7 +129,8 @@ class Gate(asyncio.Protocol):
         self._is_feeding = self._is_heavy = False
         self._awaits_turn = self._awaits_app = False
         self._is_full = self._is_socket = self._has_responded = False
-        self._arrived_at = NEVER
+        self.arrived_at = NEVER
+        """When the first byte of this request can have arrived at the earliest."""
         self._last = b""
         self._seen = 0
         self._body_left = self._most = inf
@@ -137,20 +140,19 @@ class Gate(asyncio.Protocol):
     # --- as the protocol of the socket -------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Await the first request from here on, the handshake of TLS included."""
+        """Await the first request, the handshake of TLS included."""
         self.transport = transport
-        self._address = (transport.get_extra_info("peername") or ("",))[0]
+        self.address = (transport.get_extra_info("peername") or ("",))[0]
         self._read_since, earliest = self._gates.watch.now(), self._gates.watch.earliest()
-        # The system accepts without us: it may have been open, and have data, for long.
+        # The system accepts before we do: it may have been open, and have data, for long.
         age = age_s(transport.get_extra_info("socket"))
         self._floor = earliest if age is None else min(earliest, Monotonic(float(self._read_since) - age))
         if self._gates.choose_context is not None and not self._is_in_clear():
             self._tls = TlsSession(self._gates.choose_context)
-            # As the heavy ones of its sender: a handshake does not stand in front of its short requests.
+            # A handshake is not served before the short requests of the same sender.
             self._is_heavy = True
-        self.connection = Connection(self._address, self)
         self._gates.open.add(self)
-        self._gates.connections.open(self.connection)
+        self._gates.connections.open(self)
         if self._gates.is_over:
             transport.abort()
 
@@ -181,22 +183,21 @@ class Gate(asyncio.Protocol):
         self.go_on()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Unwind the app in turn: that takes a millisecond, and a client with some hundred of them may drop
-        them all at once."""
+        """End the request in turn: that takes the app a millisecond, and a client with hundreds of
+        connections may drop them all at once."""
         if self not in self._gates.open:
             return
         if self._pace.awaited in (Awaited.HEAD, Awaited.BODY) and self._ended_at is None:
-            self._gates.refusals.note(self._address, "incomplete")
+            self._gates.refusals.note(self.address, "incomplete")
         self._drop()
         self._gates.open.discard(self)
-        self._gates.connections.close(self.connection)
-        self.connection.holder = None
+        self._gates.connections.close(self)
         self._ended_at = self._ended_at or self._loop.time()
-        inner, self.inner = self.inner, None  # each would keep the other until the next collection
+        inner, self.inner = self.inner, None  # otherwise each would keep the other until the next collection
         if inner is not None:
             self._gates.turns.run(self._sender(), partial(inner.connection_lost, exc))
 
-    # --- as app.core.server.connection.connections.ConnectionHolder -------------------------------------
+    # --- as ClientConnection -------------------------------------------------------------------------
 
     def give_way(self) -> None:
         """End the connection at once, to make room for another."""
@@ -207,21 +208,19 @@ class Gate(asyncio.Protocol):
             self.transport.abort()
 
     def is_idle(self) -> bool:
-        """Whether the client keeps the server waiting. A page or a worker sends when it has something."""
+        """Return whether the client keeps the server waiting; a page or a worker never does."""
         is_late = not self._awaits_turn and self._pace.is_idle(self._loop.time())
         return not self._is_socket and (is_late or self._is_full)
 
-    # --- as app.core.server.connection.client_connection.ClientConnection -------------------------------
-
     def identify(self, account: str) -> None:
-        self._gates.connections.identify(self.connection, account)
+        self._gates.connections.identify(self, account)
 
     def is_certified(self) -> bool:
         return self._tls is not None and self._tls.is_certified()
 
     @property
     def is_encrypted(self) -> bool:
-        """Whether the connection is encrypted by TLS."""
+        """Return whether the connection is encrypted by TLS."""
         return self._tls is not None
 
     def trust(self) -> None:
@@ -240,11 +239,6 @@ class Gate(asyncio.Protocol):
             self._note(refusal)
         return refusal
 
-    @property
-    def arrived_at(self) -> Monotonic:
-        """Return when the first byte of this request can have arrived at the earliest."""
-        return self._arrived_at
-
     def received(self, size: int, *, is_all: bool) -> None:
         """Note that the app has taken so many bytes of a body, or a message."""
         self._pace.received += size if self._body_left == inf else 0
@@ -254,9 +248,8 @@ class Gate(asyncio.Protocol):
             self._expect(Awaited.NOTHING)
 
     def is_last(self) -> bool:
-        """Whether the response that begins is the last of this connection: the rest of the request will not
-        be read, or where its end is cannot be told (RFC 9112, 9.6). A client that sends body and head apart
-        would send its next request on it."""
+        """Return whether the response that begins is the last of this connection: the rest of the request
+        will not be read, or its end is not known (RFC 9112, 9.6)."""
         self._has_responded = True
         return self._body_left > 0
 
@@ -267,8 +260,7 @@ class Gate(asyncio.Protocol):
             self._loop.call_soon(self.go_on)
 
     def opened(self) -> None:
-        """Note that the WebSocket is open. A client that does not read is waited for after one message, not
-        64 KiB."""
+        """Note that the WebSocket is open: from now on one unread message, not 64 KiB, stops its sender."""
         self._is_socket, self._most = True, min(self._most, MAX_MESSAGE_BYTES)
         self.transport.set_write_buffer_limits(high=0)
         self._loop.call_soon(self.go_on)
@@ -303,7 +295,7 @@ class Gate(asyncio.Protocol):
                 self._unseal()
             if self._loop.time() > end:
                 break
-        # What one turn was not enough for does not stand in front of the short requests of the same sender.
+        # What needs more than one turn is not served before the short requests of the same sender.
         self._is_heavy = self._held_bytes > 0
         self.go_on()
 
@@ -314,14 +306,14 @@ class Gate(asyncio.Protocol):
         if not data:
             return  # an empty line before a request (RFC 9112, 2.2)
         if is_first:
-            self._arrived_at, self._seen, self._has_responded = arrived_at, 0, False
+            self.arrived_at, self._seen, self._has_responded = arrived_at, 0, False
             self._expect(Awaited.HEAD)
         ends_head = self._pace.awaited is Awaited.HEAD and self._last == HEAD_END
         self._bound(len(data))
         if self._ended_at is not None:
             return
         if self.inner is None:
-            self.inner = self._make_protocol({CONNECTION: self})
+            self.inner = self._make_inner(app_state={**self._app_state, CONNECTION: self})
             self.inner.connection_made(Wire(self))
         self._is_feeding = True
         try:
@@ -334,8 +326,7 @@ class Gate(asyncio.Protocol):
             self._loop.call_soon(self._heard)
 
     def _slice(self, *, is_first: bool) -> tuple[Monotonic, bytes]:
-        """Return a slice of what waits: to the end of a head, so that nothing of the next request goes with
-        it."""
+        """Return a slice of what waits, which ends at the latest where the head or the body does."""
         arrived_at, chunk = self._held[0]
         before = len(chunk)
         if is_first:
@@ -356,12 +347,12 @@ class Gate(asyncio.Protocol):
         return arrived_at, data
 
     def _bound(self, size: int) -> None:
-        """Count bytes that were received; end what is longer than it may be, a request or the messages of a
-        WebSocket."""
+        """Count received bytes; end a request, or the messages of a WebSocket, that is longer than
+        allowed."""
         self._seen += size
         if self._is_socket:
             if self._seen > self._most:
-                self._gates.refusals.note(self._address, "too many messages")
+                self._gates.refusals.note(self.address, "too many messages")
                 self._ended_at = self._loop.time()
                 self.transport.abort()
         elif self._pace.awaited is Awaited.HEAD and self._seen > MAX_HEAD_BYTES:
@@ -397,8 +388,8 @@ class Gate(asyncio.Protocol):
         return min(self._gates.watch.earliest(), self._floor)
 
     def _sender(self) -> str:
-        """Return the account, or the address of a stranger: one with many connections has no more turns."""
-        return self.connection.account or source_of(self._address)
+        """Return who shares turns: the connections of one account, or of strangers at one address."""
+        return self.account or source_of(self.address)
 
     def _expect(self, awaited: Awaited) -> None:
         self._pace.expect(awaited, self._loop.time())
@@ -417,18 +408,18 @@ class Gate(asyncio.Protocol):
         del chunk[:SLICE_BYTES]
         if not chunk:
             self._sealed.popleft()
-        # What was received has the time of the first byte of its record.
+        # Data gets the time of the first byte of its record.
         self._sealed_at = min(self._sealed_at, arrived_at) if self._tls.is_established else arrived_at
         try:
             data = self._tls.decrypt(sealed)
         except NoTlsError as error:
-            if error.is_text:  # a person who left out the s of https gets a text
+            if error.is_text:  # for a person who left out the s of https
                 self.transport.write(TLS_REQUIRED.response())
-            self._gates.refusals.note(self._address, "plain HTTP" if error.is_text else "garbage")
+            self._gates.refusals.note(self.address, "plain HTTP" if error.is_text else "garbage")
             self._finish(linger=True)
         except ssl.SSLError as error:
             reason = (error.reason or str(error.args[-1])).lower().replace("_", " ")
-            self._gates.refusals.note(self._address, f"TLS: {reason}")
+            self._gates.refusals.note(self.address, f"TLS: {reason}")
             self._send(self._tls.take_outgoing())
             self._finish(linger=not self._tls.is_established)
         else:
@@ -467,7 +458,7 @@ class Gate(asyncio.Protocol):
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more is written."""
+        """Return whether nothing more is written."""
         return self._ended_at is not None or self.transport.is_closing()
 
     def write(self, data: bytes) -> None:
@@ -480,12 +471,12 @@ class Gate(asyncio.Protocol):
             self._write(data)
 
     def close(self) -> None:
-        """Close for uvicorn. To close with bytes unread resets the connection, and the client may never see
-        the response (RFC 9112, 9.6): the rest is read and passed over for a while."""
+        """Close for uvicorn. Bytes that are still to come are read and passed over for a while: closing at
+        once would reset the connection, and the client might never see the response (RFC 9112, 9.6)."""
         self._finish(linger=self._body_left > 0 or self._held_bytes > 0)
 
     def _is_refusable(self) -> bool:
-        """Whether a request is awaited, and no response to it has begun."""
+        """Return whether a request is awaited, and no response to it has begun."""
         is_awaited = self._pace.awaited in (Awaited.HEAD, Awaited.BODY)
         return is_awaited and self._ended_at is None and not self._has_responded
 
@@ -505,7 +496,7 @@ class Gate(asyncio.Protocol):
         self._finish(linger=is_read)
 
     def _note(self, refusal: Refusal) -> None:
-        self._gates.refusals.note(self._address, refusal.code)
+        self._gates.refusals.note(self.address, refusal.code)
 
     def _finish(self, *, linger: bool = False) -> None:
         if self._ended_at is not None:
@@ -532,7 +523,7 @@ class Gate(asyncio.Protocol):
 
 
 class Wire:
-    """The transport that uvicorn has: its gate stays in front."""
+    """The transport that uvicorn's protocol writes to; all else is that of the connection."""
 
     def __init__(self, gate: Gate) -> None:
         self._gate = gate
@@ -557,7 +548,7 @@ class Wire:
         self._gate.inner_pauses = True
 
     def resume_reading(self) -> None:
-        """Go on reading, but not in this call: uvicorn is still ending a response."""
+        """Resume after this call, in which uvicorn is still ending a response."""
         self._gate.inner_pauses = False
         asyncio.get_running_loop().call_soon(self._gate.go_on)
 
@@ -580,3 +571,36 @@ def _body_length(headers: list[tuple[bytes, bytes]]) -> float:
     with suppress(ValueError):
         return float(int(next((value for name, value in headers if name == b"content-length"), b"0")))
     return inf
+
+
+class Stages:
+    """ASGI middleware that stamps a request with its arrival and tells its gate what the app does with it."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        gate: Gate = scope["state"][CONNECTION]
+        scope["state"][ARRIVED_AT] = gate.arrived_at
+        scope["state"][BEGUN_AT] = monotonic_now()
+
+        async def receiving() -> Message:
+            message = await receive()
+            if message["type"] in ("http.request", "websocket.receive"):
+                gate.received(len(message.get("body", b"")), is_all=not message.get("more_body"))
+            return message
+
+        async def sending(message: Message) -> None:
+            if message["type"] == "http.response.start" and gate.is_last():
+                message = {**message, "headers": [*message.get("headers", ()), (b"connection", b"close")]}
+            await send(message)
+            match message["type"]:
+                case "http.response.body" if not message.get("more_body"):
+                    gate.responded()
+                case "websocket.accept":
+                    gate.opened()
+                case "websocket.close":
+                    gate.closed()
+
+        refusal = gate.begin(scope)
+        await (refusal or self._app)(scope, receiving, sending)

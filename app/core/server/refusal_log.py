@@ -1,22 +1,81 @@
-"""The log of requests that were refused: one line for an address, and then their number once a minute.
+"""The log of requests that were refused and of errors: one line for the first of its kind, and then the
+number of those that followed, once a minute.
 
 A client decides how many requests it sends: a line for each, and more so a traceback, would let it fill the
-disk.
+disk. `Repeats` is pure: times are monotonic and passed in.
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import structlog
 
-from app.core.server.admission.addresses import source_of
-from app.core.server.admission.repeats import Repeats
-from bus.instants import MonotonicClock, monotonic_now
+from app.core.server.addresses import source_of
+from bus.instants import Monotonic, MonotonicClock, monotonic_now
+
+WINDOW_S = 60.0
+MAX_KEYS = 100
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, slots=True)
+class Repetition(Generic[Item]):
+    """What came ``count`` times since it was last noted; ``item`` is the last of them. ``is_of_others``:
+    several keys are counted together."""
+
+    item: Item
+    count: int
+    is_of_others: bool
+
+
+@dataclass(slots=True)
+class _Window(Generic[Item]):
+    item: Item
+    since: Monotonic
+    count: int = 0
+
+
+class Repeats(Generic[Item]):
+    """Counts what follows the first of each key, a minute at a time. Beyond ``max_keys`` keys all others
+    count as one."""
+
+    def __init__(self, max_keys: int = MAX_KEYS) -> None:
+        self._max_keys = max_keys
+        self._windows: dict[Hashable, _Window[Item]] = {}
+
+    def note(self, key: Hashable, item: Item, now: Monotonic) -> Repetition[Item] | None:
+        """Return ``item`` if it is the first of its key for a minute; otherwise count it and return None."""
+        if key not in self._windows and len(self._windows) >= self._max_keys:
+            key = None
+        window = self._windows.get(key)
+        if window is None:
+            self._windows[key] = _Window(item, now)
+            return Repetition(item, 1, key is None)
+        window.item = item
+        window.count += 1
+        return None
+
+    def take_counted(self, now: Monotonic, *, everything: bool = False) -> list[Repetition[Item]]:
+        """Return what followed the first, by key, for each minute that has passed, or with ``everything`` for
+        all; a minute in which nothing followed is forgotten."""
+        found = []
+        for key, window in list(self._windows.items()):
+            if not everything and now - window.since < WINDOW_S:
+                continue
+            del self._windows[key]
+            if window.count:
+                found.append(Repetition(window.item, window.count, key is None))
+                self._windows[key] = _Window(window.item, now)
+        return found
+
 
 _log = structlog.get_logger()
 OTHERS = "others"
-"""Stands for all that are counted together."""
+"""Name of all that are counted together."""
 
 REFUSED = frozenset({400, 401, 403, 408, 413, 414, 415, 417, 421, 429, 431})
 """Statuses that a client gets for what it may not do or cannot mean; one that mistypes gets others."""

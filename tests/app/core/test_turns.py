@@ -1,4 +1,4 @@
-"""Turns at what costs much: one key does not wait for all that another has sent."""
+"""Turns of the event loop and at what costs much: one key does not wait for all that another has sent."""
 
 from __future__ import annotations
 
@@ -7,9 +7,74 @@ from collections.abc import Callable
 
 import pytest
 
-from app.core.server.admission.fair_queue import MAX_REST_S, FairQueue, TooManyWaitingError
+from app.core.server.turns import MAX_REST_S, FairQueue, LoopTurns, TooManyWaitingError
 
 MAX_OF_ONE, MAX_WAITING = 5, 200
+
+
+async def iterations(count: int) -> None:
+    for _ in range(count):
+        await asyncio.sleep(0)
+
+
+async def test_the_first_runs_at_once_and_the_keys_take_turns() -> None:
+    turns, begun = LoopTurns(), list[str]()
+    for number in range(50):
+        turns.run("a", lambda name=f"a{number}": begun.append(name))  # type: ignore[misc]
+    assert begun == ["a0"]
+    turns.run("b", lambda: begun.append("b"))
+    async with asyncio.timeout(60):
+        while len(begun) < 51:  # noqa: ASYNC110
+            await asyncio.sleep(0)
+    assert begun.index("b") < 5
+
+
+async def test_after_a_turn_of_a_key_with_more_the_loop_is_free_as_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loop, now, later = asyncio.get_running_loop(), 0.0, list[tuple[float, Callable[[], None]]]()
+    turns, begun = LoopTurns(), list[str]()
+
+    def spend(seconds: float) -> None:
+        nonlocal now
+        now += seconds
+
+    def begin(key: str) -> None:
+        begun.append(key)
+        spend(0.003)
+        loop.call_soon(spend, 0.001)  # as the app's first step
+
+    monkeypatch.setattr(loop, "time", lambda: now)
+    monkeypatch.setattr(loop, "call_later", lambda delay, call: later.append((round(delay, 6), call)))
+    for _ in range(3):
+        turns.run("a", lambda: begin("a"))
+    await iterations(10)
+    assert (begun, [delay for delay, _ in later]) == (["a"], [0.004])
+    turns.run("b", lambda: begin("b"))
+    await iterations(10)
+    assert begun == ["a"]
+    later.pop()[1]()
+    await iterations(10)
+    assert (begun, len(later)) == (["a", "a"], 1)
+    later.pop()[1]()
+    await iterations(10)
+    assert (begun, later) == (["a", "a", "b", "a"], [])
+
+
+async def test_a_function_that_fails_does_not_keep_the_others() -> None:
+    turns, begun, faults = LoopTurns(), list[str](), list[str]()
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: faults.append(context["message"]))
+
+    def fail() -> None:
+        raise KeyError
+
+    turns.run("a", lambda: begun.append("first"))
+    turns.run("a", fail)
+    turns.run("a", lambda: begun.append("third"))
+    async with asyncio.timeout(60):
+        while len(begun) < 2:  # noqa: ASYNC110
+            await asyncio.sleep(0)
+    assert (begun, len(faults)) == (["first", "third"], 1)
 
 
 class Scene:

@@ -1,1 +1,0 @@
-"""The admission of requests: whose turn it is, and what is refused before the app sees it."""

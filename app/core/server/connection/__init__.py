@@ -1,1 +1,0 @@
-"""The connections of clients: counted, bounded, given to uvicorn, and watched to their end."""

@@ -1,1 +1,0 @@
-"""TLS of connections, with a certificate that is replaced while the server runs."""
