@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from app.core.database import Database, reserve
+from app.core.database import Database, files
 from app.core.database.files import FILE, MIN_FREE, MIN_FREE_OF_OTHERS, Reserve
 
 SIZE = 8_000_000
@@ -20,7 +20,7 @@ SIZE = 8_000_000
 def disk(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     """How many bytes are free."""
     free = {"bytes": 10 * MIN_FREE_OF_OTHERS}
-    monkeypatch.setattr(reserve, "free_bytes", lambda _: free["bytes"])
+    monkeypatch.setattr(files, "free_bytes", lambda _: free["bytes"])
     return free
 
 
