@@ -1,7 +1,4 @@
-"""The files of TLS, as the server and a worker read them, and the name under which a worker announces itself.
-
-Imported only where TLS is configured.
-"""
+"""The files of TLS, as server and worker read them, and the protocol by which a worker announces itself."""
 
 from __future__ import annotations
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -70,17 +68,3 @@ def test_with_a_certificate_its_fault_is_that_of_the_server(tmp_path: Path) -> N
     fault = app.state.services[Encryption].fault
     assert fault is not None
     assert fault.code == "tls_expired"
-
-
-def test_without_tls_nothing_of_it_is_imported(tmp_path: Path) -> None:
-    code = (
-        "import sys; from app.settings import Settings; from app.cli.serving.server import Server; "
-        "Server(Settings.model_validate({'server': {'data': sys.argv[1]}}), False, {}, bool, 0.0); "
-        "import bus.worker.process; "
-        "print(sorted(name for name in sys.modules if 'tls' in name.split('.')[-1] "
-        "and name.split('.')[0] in ('app', 'bus')))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "[]"
