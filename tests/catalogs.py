@@ -24,7 +24,7 @@ from app.line.commands.service.command_request import CommandOrigin
 from app.line.history.series.values import VALUES
 from app.line.live.fields import STAGE_WORDS, STATE_WORDS, STOPPED_WITH_RUN, TURNING
 from app.people.audit.entry import EventKind
-from app.records.handover.signing.signatures import SignedPart
+from app.records.handover.signatures import SignedPart
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import parameter_unit
 from bus.contract import BusLinkState, Outcome, UnitLinkState

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from app.system.configuration.versions import ConfigurationVersion, StoredVersion, VersionStore
+from app.system.configuration.document import ConfigurationVersion, StoredVersion, VersionStore
 from bus.instants import UnixTime
 from tests.test_architecture import ROOT, text_of
 

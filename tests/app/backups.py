@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from app.cli.stores.restore_store import Restored, put_back
-from app.system.backup.archive import open_archive, write_archive
-from app.system.backup.backup import WrittenBackup
+from app.system.backup.archive import WrittenBackup, open_archive, write_archive
 
 
 def write_backup(data: Path, file: Path) -> WrittenBackup:

@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 
 from app.cli import cli
 from app.core.database import Database
-from app.system.backup import backup
+from app.system.backup import archive as backup
 from app.system.backup.archive import MAX_ARCHIVE_BYTES
 
 MAIN = "lineside.db"

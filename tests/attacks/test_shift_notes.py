@@ -11,9 +11,8 @@ import pytest
 
 from app.core.database.files import MIN_FREE_OF_OTHERS
 from app.core.web.admission.access import Role
-from app.records.handover.notes import notes, quota
-from app.records.handover.notes.quota import MAX_AGE_DAYS, MAX_PER_HOUR
-from app.records.handover.rules.shift_times import Shift
+from app.records.handover.notes import MAX_AGE_DAYS, MAX_PER_HOUR, notes, quota
+from app.records.handover.rules.shifts import Shift
 from app.records.handover.service import Handover
 from app.records.handover.settings import ShiftSettings
 from app.settings import ServerSettings

@@ -8,7 +8,7 @@ from app.cli.findings.machine import Finding, fault, is_read_only, may_make_file
 from app.core.database.files import free_bytes
 from app.errors import StoreError
 from app.settings import Settings
-from app.system.backup.cipher import read_key
+from app.system.backup.files import read_key
 from app.system.backup.folder import refuse_other_site, space_needed
 from bus.messages import Message
 

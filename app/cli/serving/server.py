@@ -31,7 +31,7 @@ from app.line.live.api.stream import LineStream
 from app.main import create_app
 from app.people.auth.sign_in.first_admin import FirstAdmin
 from app.settings import Settings
-from app.system.configuration.restart import Restart
+from app.system.configuration.service import Restart
 from bus.instants import Monotonic
 
 GRACEFUL_S = 1

@@ -36,10 +36,10 @@ from app.people.audit.acts import Act
 from app.people.audit.keys import open_keys
 from app.people.audit.log import EventLog
 from app.people.audit.proof import heads_of
-from app.records.handover.acts import WRITE_NOTE
-from app.records.handover.notes import notes
-from app.records.handover.notes.notes import Note
-from app.records.handover.rules.shift_times import shift_at, site_time
+from app.records.handover import notes
+from app.records.handover.notes import Note
+from app.records.handover.rules.shifts import shift_at, site_time
+from app.records.handover.signatures import WRITE_NOTE
 from app.settings import Settings
 from bus.catalogue import numbers
 from bus.catalogue.parameters import PARAMETERS

@@ -22,7 +22,7 @@ from app.people.audit.chain import ROTATED, KeyRing, newest_of
 from app.people.audit.former import Ends, origin_of
 from app.people.audit.keys import find_key_file, owners_of, read_key_file
 from app.people.audit.proof import AuditVerification, cuts_of, heads_of, prove
-from app.records.handover.signing.signatures import missing_signatures
+from app.records.handover.signatures import missing_signatures
 from app.settings import Settings, load
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.outbox import read_identity

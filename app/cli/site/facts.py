@@ -20,7 +20,7 @@ from app.line.history.service import FILE as HISTORY
 from app.line.history.service import seconds
 from app.line.history.status import MAX_DAYS, days_left, growth_of_events, growth_of_history
 from app.settings import STORE_FILE, Settings
-from app.system.backup.schedule import next_due
+from app.system.backup.folder import next_due
 from app.system.backup.service import newest_in
 from app.system.backup.stores import STORES
 from app.system.postgresql.outbox import read_cursor

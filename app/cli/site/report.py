@@ -21,12 +21,11 @@ from app.core.web.rendering.csv_file import FOR_PROGRAMS
 from app.core.web.rendering.formats import lasting
 from app.line.history.service import FILE as HISTORY
 from app.line.history.unit_report import UnitReport, stored_tail
-from app.records.handover.rules.scope import EVERYTHING
-from app.records.handover.rules.shift_times import Shift, shift_at, site_time
-from app.records.handover.signing.signatures import signed_between
+from app.records.handover.rules.shifts import EVERYTHING, Shift, shift_at, site_time
+from app.records.handover.signatures import signed_between
+from app.records.reports.document import stops_text, units_text
 from app.records.reports.report import ReportedUnit, reported_buses, span_report
-from app.records.reports.rules.spans import DAY_S, MAX_DAYS
-from app.records.reports.tables import stops_text, units_text
+from app.records.reports.rules import DAY_S, MAX_DAYS
 from app.settings import Settings, load
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now

@@ -21,7 +21,7 @@ from app.cli.site.facts import (
 )
 from app.core.web.api.shape import iso, maybe_shown
 from app.line.history.status import MAX_DAYS
-from app.records.handover.rules.shift_times import site_time
+from app.records.handover.rules.shifts import site_time
 from app.settings import Settings
 from app.system.peers.settings import PeerSettings
 from app.version import VERSION

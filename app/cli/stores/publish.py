@@ -18,7 +18,7 @@ from app.core.database import StoreConnection
 from app.core.database.connection import examining
 from app.line.history.series.runs import SECOND, micros
 from app.line.history.service import FILE as HISTORY
-from app.records.handover.rules.shift_times import site_time
+from app.records.handover.rules.shifts import site_time
 from app.settings import Settings, load
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.outbox import HistoryRows, read_identity

@@ -30,8 +30,7 @@ from app.people.audit.chain import Head, newest_of
 from app.people.audit.proof import heads_of
 from app.people.auth.rights.withheld import Present, Withheld, read_present, tokens_to_revoke, withhold
 from app.settings import STORE_FILE, Settings, load
-from app.system.backup.archive import open_archive
-from app.system.backup.backup import Backup
+from app.system.backup.archive import Backup, open_archive
 from app.system.backup.files import place_files
 from app.system.backup.folder import open_newest
 from app.system.backup.stores import STORES, fault_of

@@ -20,12 +20,13 @@ from app.core.web.api.schema import limited, problems
 from app.core.web.api.shape import Instant, StrictBody, ZonedTime, iso
 from app.core.web.services import service
 from app.errors import Problem
-from app.records.handover.acts import SIGN, WRITE_NOTE
-from app.records.handover.notes.pictures import MAX_OF_NOTE
-from app.records.handover.rules.shift_times import Shift
+from app.line.history.service import seconds
+from app.line.history.spans import SpanOf
+from app.records.handover.document import APART, SheetDocuments
+from app.records.handover.pictures import MAX_OF_NOTE
+from app.records.handover.rules.shifts import Shift
 from app.records.handover.service import Handover, NewNote, ShiftSummary
-from app.records.handover.sheet.document import APART, SheetDocuments
-from app.records.handover.sheet.sheet import (
+from app.records.handover.sheet import (
     ShiftNote,
     ShiftSheet,
     ShiftSignatures,
@@ -34,7 +35,8 @@ from app.records.handover.sheet.sheet import (
     notes_json,
     signed_json,
 )
-from app.records.handover.signing.signing import ShiftSignRequest, Signing
+from app.records.handover.signatures import SIGN, WRITE_NOTE
+from app.records.handover.signing import ShiftSignRequest, Signing
 from bus.instants import UnixTime
 from bus.messages import Message
 from bus.text import Lines, OneLine
@@ -43,6 +45,7 @@ router = APIRouter(prefix="/api/v1/shifts", tags=["shifts"], route_class=ApiRout
 
 MAX_NOTE_LENGTH = 2000
 MAX_SHIFTS = 100
+MAX_UNITS = 255
 Shifts = Annotated[Handover, service(Handover)]
 Sign = Annotated[Signing, service(Signing)]
 Documents = Annotated[SheetDocuments, service(SheetDocuments)]
@@ -101,6 +104,50 @@ async def get_shifts(
     """The shift under way and those before it."""
     found = await shifts.summaries(before, limit)
     return {"shifts": found, "next": iso(found[-1].start)}
+
+
+class NoteRequest(StrictBody):
+    """A note about a time, in whichever shift that is."""
+
+    text: NoteText
+    time: Annotated[ZonedTime, Field(strict=False, description="Not in the future; with zone.")]
+    bus: Annotated[OneLine, Field(max_length=80)] | None = None
+    unit: Annotated[int | None, Field(ge=1, le=255)] = None
+
+
+class NotesOfSpan(TypedDict):
+    """Notes of a span, in the order of what they are about; corrected ones as they were corrected."""
+
+    notes: list[ShiftNote]
+
+
+@router.get("/notes", dependencies=[SEARCH])
+async def get_notes_of_span(
+    _: Viewer,
+    shifts: Shifts,
+    span: SpanOf,
+    unit: Annotated[list[str] | None, Query(max_length=MAX_UNITS)] = None,
+) -> NotesOfSpan:
+    """The notes about a time of the span: of the site, and of each ``bus/unit`` named with its bus, or all.
+    At most the newest 200."""
+    found = await shifts.notes_between(seconds(span.start), seconds(span.end), unit or [])
+    return {"notes": notes_json(found)}
+
+
+@router.post("/notes", status_code=201, responses=limited(201))
+async def write_note(
+    person: Annotated[Person, WRITE_NOTE.permitted],
+    shifts: Shifts,
+    body: NoteRequest,
+    response: Response,
+    key: RequestKey = None,
+) -> ShiftNote:
+    """Write a note about a time: it is one of the shift of that time, as on its hand-over sheet."""
+    at = UnixTime(body.time.timestamp())
+    new = NewNote(text=body.text, at=at, bus=body.bus, unit=body.unit, key=key)
+    written = await shifts.write(person, shifts.shift_at(at), new)
+    response.headers.update(shifts.quota.rate_limit(person.sender).headers)
+    return notes_json([written])[0]
 
 
 @router.get("/{start}", response_model=ShiftSheet, dependencies=[SEARCH])

@@ -13,12 +13,11 @@ from app.line.alarms.line_alarms import LineAlarms
 from app.people.audit.log import EventLog
 from app.people.auth.sign_in.signin import SignIn
 from app.records.handover import api, pages
-from app.records.handover.acts import ACTS
-from app.records.handover.notes import api as notes_api
-from app.records.handover.notes.pictures import PictureStore
+from app.records.handover.document import SheetDocuments
+from app.records.handover.pictures import PictureStore
 from app.records.handover.service import Handover
-from app.records.handover.sheet.document import SheetDocuments
-from app.records.handover.signing.signing import Signing
+from app.records.handover.signatures import ACTS
+from app.records.handover.signing import Signing
 
 
 def make(services: Services) -> None:
@@ -31,4 +30,4 @@ def make(services: Services) -> None:
     services.add(Signing(handover, database, events, services[SignIn], documents.page))
 
 
-FEATURE = Feature(make, (notes_api.router, api.router, pages.router), ACTS)
+FEATURE = Feature(make, (api.router, pages.router), ACTS)

@@ -22,14 +22,14 @@ from app.core.web.services import unknown_bus, unknown_unit
 from app.errors import Problem
 from app.line.alarms.journal import JournalEntry
 from app.people.audit.log import EventLog
-from app.records.handover.acts import CORRECT_NOTE, WRITE_NOTE
-from app.records.handover.notes import notes
-from app.records.handover.notes.notes import Note, RepeatedNoteError
-from app.records.handover.notes.pictures import PictureStore, judged
-from app.records.handover.notes.quota import Quota
-from app.records.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until, site_time
-from app.records.handover.sheet.sheet import write_sheet
-from app.records.handover.signing.signatures import (
+from app.records.handover import notes
+from app.records.handover.notes import Note, Quota, RepeatedNoteError
+from app.records.handover.pictures import PictureStore, judged
+from app.records.handover.rules.shifts import Shift, instant_of, shift_at, shifts_until, site_time
+from app.records.handover.sheet import write_sheet
+from app.records.handover.signatures import (
+    CORRECT_NOTE,
+    WRITE_NOTE,
     MissingSignature,
     ShiftSignature,
     SignedSheet,

@@ -16,13 +16,11 @@ from app.core.web.services import service
 from app.line.history.service import seconds
 from app.line.history.spans import SpanOf
 from app.records.handover.api import HTML
-from app.records.handover.rules.scope import Scope
-from app.records.handover.rules.shift_times import Shift
-from app.records.handover.sheet.document import APART
-from app.records.reports.document import ReportDocuments, file_name
+from app.records.handover.document import APART
+from app.records.handover.rules.shifts import Scope, Shift
+from app.records.reports.document import ReportDocuments, file_name, stops_text, units_text
 from app.records.reports.report import SpanReport
 from app.records.reports.service import Reports
-from app.records.reports.tables import stops_text, units_text
 from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/report", tags=["reports"], route_class=ApiRoute)

@@ -13,8 +13,7 @@ from app.records.notification.notice import ReportAttachments
 from app.records.notification.service import Notification
 from app.records.reports import api, pages
 from app.records.reports.document import ReportDocuments
-from app.records.reports.schedule import ReportSchedule
-from app.records.reports.service import Reports
+from app.records.reports.service import Reports, ReportSchedule
 from bus.messages import Message
 
 

@@ -17,11 +17,10 @@ from app.core.web.rendering.templating import render
 from app.errors import Problem
 from app.line.alarms.api import Alarms
 from app.records.handover.pages import places_of
-from app.records.handover.rules.scope import EVERYTHING
-from app.records.handover.rules.shift_times import Shift
+from app.records.handover.rules.shifts import EVERYTHING, Shift
 from app.records.reports.api import ReportsOf
 from app.records.reports.document import shown
-from app.records.reports.rules.spans import SpanName
+from app.records.reports.rules import SpanName
 from app.records.reports.service import Reports
 from bus.instants import UnixTime
 from bus.messages import Message, term

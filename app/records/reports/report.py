@@ -17,11 +17,10 @@ from app.line.alarms.journal import JournalEntry
 from app.line.history.series.figures import DrawFigures, RunFigures, StopCause
 from app.line.history.series.runs import SECOND, micros
 from app.line.history.unit_report import MAX_READINGS, BusReport, UnitReport
-from app.records.handover.notes.notes import MAX_OF_SPAN
-from app.records.handover.rules.scope import Scope
-from app.records.handover.rules.shift_times import Shift
-from app.records.handover.sheet.sheet import ShiftSignatures, SignedShiftSheet, signed_json, write_sheet
-from app.records.handover.signing.signatures import signed_sheet
+from app.records.handover.notes import MAX_OF_SPAN
+from app.records.handover.rules.shifts import Scope, Shift
+from app.records.handover.sheet import ShiftSignatures, SignedShiftSheet, signed_json, write_sheet
+from app.records.handover.signatures import signed_sheet
 from app.settings import Settings
 from bus.instants import UnixTime
 from bus.settings import BusSettings, UnitSettings

@@ -1,27 +1,83 @@
-"""Reports of any span while the server runs."""
+"""Makes reports of any span, and puts those that are due into the outbox of notification to be mailed."""
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator
 from datetime import datetime
 from typing import Any
 from zoneinfo import ZoneInfo
+
+import structlog
 
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import snapshot
 from app.core.web.admission.bounds import refuse_year
 from app.core.web.api.shape import parse_integer
 from app.core.web.services import unknown_bus, unknown_unit
-from app.errors import Problem
+from app.errors import Problem, StoreError
 from app.line.history.service import History
 from app.line.history.unit_report import UnitReport
-from app.records.handover.rules.scope import EVERYTHING, Scope
-from app.records.handover.rules.shift_times import Shift
+from app.records.handover.rules.shifts import EVERYTHING, Scope, Shift, site_time
+from app.records.notification.notice import OutboxItem, ReportNotice
+from app.records.notification.sending.endpoints import NotificationEndpoint
 from app.records.reports.report import reported_buses, span_report
-from app.records.reports.rules.spans import SpanName, named_span, span_fault
+from app.records.reports.rules import SpanName, last_due, named_span, span_fault
 from app.settings import Settings
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 from bus.settings import BusSettings
+
+CHECK_S = 20.0
+Send = Callable[[list[OutboxItem]], Awaitable[None]]
+log = structlog.get_logger()
+
+
+class ReportSchedule:
+    """The outbox takes each report once for each of its addresses: a server that was off sends the report
+    that it missed, and none twice."""
+
+    def __init__(self, settings: Settings, send: Send, clock: Clock = unix_now) -> None:
+        self._settings = settings
+        self._send = send
+        self._clock = clock
+
+    async def follow(self) -> None:
+        """Look for due reports, without end."""
+        while True:
+            try:
+                await self.look()
+            except StoreError as error:
+                log.error("reports wait", error=str(error))
+            await asyncio.sleep(CHECK_S)
+
+    async def look(self) -> None:
+        """Put the reports that are due now into the outbox."""
+        items = list(self._due(self._clock()))
+        if items:
+            await self._send(items)
+
+    def _due(self, now: UnixTime) -> Iterator[OutboxItem]:
+        starts, zone = self._settings.shift.minutes, ZoneInfo(self._settings.site.zone)
+        for report in self._settings.report:
+            span = last_due(report.every, report.minute, now, starts, zone)
+            if span is None:
+                continue
+            start, end = site_time(span.start, zone), site_time(span.end, zone)
+            scope = "/".join(str(each) for each in (report.bus, report.unit) if each is not None)
+            notice = ReportNotice(
+                every=report.every,
+                start=float(span.start),
+                end=float(span.end),
+                first=start,
+                last=end,
+                place=f"{self._settings.site.name} {scope}".strip(),
+                bus=report.bus,
+                unit=report.unit,
+            )
+            key = f"report:{report.every}:{scope}:{float(span.start):.0f}"
+            for address in report.to:
+                yield OutboxItem(key, NotificationEndpoint("mail", address).key, "report", now, notice)
 
 
 class Reports:

@@ -9,7 +9,7 @@ from pydantic import Field
 from pydantic_core import PydanticCustomError
 
 from app.records.notification.settings import ClockTime, MailAddress, NotifySettings, minute_of_day
-from app.records.reports.rules.spans import ReportEvery
+from app.records.reports.rules import ReportEvery
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 

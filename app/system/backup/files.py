@@ -1,23 +1,88 @@
-"""The files of a site beside its stores: the configuration with its versions and what it names, such as the
-key of the audit log, certificates with their keys, and the files of passwords. In a backup they are one
-member, which is encrypted where ``[backup] key_file`` names a key, and else has the configuration and its
-versions alone."""
+"""The files of a site beside its stores, and how a backup encrypts them.
+
+They are the configuration with its versions and what it names, such as the key of the audit log, certificates
+with their keys, and the files of passwords. In a backup they are one member, encrypted where ``[backup]
+key_file`` names a key: AES-256 in counter mode, sealed by HMAC-SHA-256. Without a key the member has the
+configuration and its versions alone.
+
+The layout is 16 bytes of salt, 32 of the seal over the salt and the rest, then the rest. The keys of a backup
+are derived from the key file and from its salt, which no other backup has.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import hmac
+import secrets
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 import msgspec
+from cryptography.hazmat.primitives.ciphers import Cipher
+from cryptography.hazmat.primitives.ciphers.algorithms import AES256
+from cryptography.hazmat.primitives.ciphers.modes import CTR
 from pydantic import BaseModel
 
 from app.core.database.files import make_folder, write_file
 from app.errors import StoreError
 from app.people.audit.keys import find_key_file
 from app.settings import Settings
-from app.system.backup.cipher import decrypt, encrypt, read_key
-from app.system.configuration.versions import VersionStore
+from app.system.configuration.document import VersionStore
 from bus.messages import Message
+
+MIN_KEY_CHARACTERS, MAX_KEY_BYTES = 32, 4096
+SALT_BYTES, SEAL_BYTES = 16, 32
+PBKDF2_ROUNDS = 10_000
+"""As ``openssl enc -pbkdf2`` has them, which version 0.2 called. The password is random, and not guessed."""
+
+
+def read_key(file: Path) -> bytes:
+    """Return the key of a file, without the white space around it. Raises StoreError where it is none."""
+    try:
+        with file.open("rb") as opened:
+            key = opened.read(MAX_KEY_BYTES).strip()
+    except OSError as error:
+        raise StoreError(Message.of("backup_key_missing", file=str(file))) from error
+    if len(key) < MIN_KEY_CHARACTERS:
+        raise StoreError(Message.of("backup_key_short", file=str(file), n=MIN_KEY_CHARACTERS))
+    return key
+
+
+def encrypt(content: bytes, key: bytes) -> bytes:
+    """Encrypt the content with a key."""
+    salt = secrets.token_bytes(SALT_BYTES)
+    password, seal_key = _keys(key, salt)
+    hidden = _counted(content, password)
+    return salt + _seal(seal_key, salt, hidden) + hidden
+
+
+def decrypt(packed: bytes, key: bytes) -> bytes:
+    """Decrypt what was encrypted. Raises StoreError where it was so under another key, or was altered."""
+    salt, seal, hidden = (
+        packed[:SALT_BYTES],
+        packed[SALT_BYTES:][:SEAL_BYTES],
+        packed[SALT_BYTES + SEAL_BYTES :],
+    )
+    password, seal_key = _keys(key, salt)
+    if not hmac.compare_digest(seal, _seal(seal_key, salt, hidden)):
+        raise StoreError(Message("backup_key_wrong"))
+    return _counted(hidden, password)
+
+
+def _keys(key: bytes, salt: bytes) -> tuple[bytes, bytes]:
+    both = hashlib.scrypt(key, salt=salt, n=2**14, r=8, p=1, dklen=64)
+    return both[:32], both[32:]
+
+
+def _seal(key: bytes, salt: bytes, hidden: bytes) -> bytes:
+    return hmac.digest(key, salt + hidden, "sha256")
+
+
+def _counted(content: bytes, password: bytes) -> bytes:
+    """Encrypt or decrypt in counter mode, in which both are the same."""
+    derived = hashlib.pbkdf2_hmac("sha256", password.hex().encode(), b"", PBKDF2_ROUNDS, 48)
+    return Cipher(AES256(derived[:32]), CTR(derived[32:])).encryptor().update(content)
+
 
 IN_CLEAR, ENCRYPTED = "files.json", "files.encrypted"
 MAX_FILE_BYTES = 4 * 2**20

@@ -18,7 +18,7 @@ import structlog
 from app.errors import system_error
 from app.line.conditions.catalogue import BACKUP_OVERDUE, BACKUP_S
 from app.people.audit.log import EventLog
-from app.system.backup.schedule import next_due, time_of
+from app.system.backup.folder import next_due, time_of
 from app.system.backup.settings import BackupSettings
 from bus.errors import LinesideError
 from bus.instants import Clock, UnixTime, unix_now

@@ -17,7 +17,7 @@ from app.errors import StoreError
 from app.line.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.line.history.service import FILE as HISTORY
 from app.people.audit.proof import cuts_of
-from app.records.handover.notes.pictures import FILE as PICTURES
+from app.records.handover.pictures import FILE as PICTURES
 from app.settings import STORE_FILE
 from app.system.postgresql.outbox import read_identity
 from bus.instants import UnixTime

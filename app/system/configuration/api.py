@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import tomllib
+from collections.abc import Mapping
 from datetime import date
 from typing import Annotated, Any, Literal
 
@@ -16,16 +18,57 @@ from app.core.web.api.shape import MessageObject, StrictBody
 from app.core.web.services import service
 from app.errors import Problem
 from app.people.audit.acts import Act
-from app.system.configuration.acts import CHANGE, RESTART, ROLL_BACK
-from app.system.configuration.difference import DifferenceLine, difference
-from app.system.configuration.document import Edit, at
-from app.system.configuration.edits import act_on, edit_of
-from app.system.configuration.restart import Restart
-from app.system.configuration.service import ConfigurationFile
-from app.system.configuration.tables import TableKind, TablePlace, place_or_404, places_of, text_of
-from app.system.configuration.versions import ConfigurationVersion
+from app.system.configuration.document import (
+    ConfigurationVersion,
+    DifferenceLine,
+    Edit,
+    at,
+    difference,
+    moved_up,
+    with_values,
+    without,
+)
+from app.system.configuration.service import (
+    CHANGE,
+    CHANGE_MAIL,
+    RESTART,
+    ROLL_BACK,
+    ConfigurationFile,
+    Restart,
+)
+from app.system.configuration.tables import (
+    TableKind,
+    TablePlace,
+    changes_of,
+    place_or_404,
+    places_of,
+    text_of,
+)
 from bus.messages import Message
 from bus.text import OneLine
+
+
+def act_on(place: TablePlace) -> Act:
+    """What a person must be permitted to do."""
+    return CHANGE_MAIL if place.form.kind in ("notify", "smtp") else CHANGE
+
+
+def edit_of(place: TablePlace, kind: str, texts: Mapping[str, str]) -> Edit:
+    """``kind``: ``change`` sets keys to what was typed, ``remove`` removes the table, ``up`` exchanges it
+    with the one before it. Raises Problem 422 for what cannot be done with the table."""
+    if kind == "change":
+        return lambda text: _changed(text, place, texts)
+    if kind == "remove" and place.form.is_listed:
+        return lambda text: without(text, place.path)
+    if kind == "up" and place.form.kind == "unit":
+        return lambda text: moved_up(text, place.path)
+    raise Problem(422, "invalid", Message.of("configuration_no_such_change", name=place.name))
+
+
+def _changed(text: str, place: TablePlace, texts: Mapping[str, str]) -> str:
+    changes = changes_of(place, tomllib.loads(text), texts)
+    return with_values(text, place.path, changes) if changes else text
+
 
 router = APIRouter(prefix="/api/v1/configuration", tags=["configuration"], route_class=ApiRoute)
 

@@ -15,12 +15,11 @@ from app.core.web.admission.access import Person
 from app.core.web.rendering.templating import render
 from app.core.web.services import service
 from app.errors import Problem
-from app.system.configuration.acts import CHANGE_PORTS
 from app.system.configuration.api import FileOfServer
 from app.system.configuration.document import Edit, TomlValue, at, with_values, without
 from app.system.configuration.pages import SEE_OTHER, Digest, ReasonOfChange, buses_of, review_page
 from app.system.configuration.port_scan import PortScan, ports
-from app.system.configuration.service import PresentFile
+from app.system.configuration.service import CHANGE_PORTS, PresentFile
 from bus.errors import CallerError
 from bus.messages import Message
 from bus.settings import BAUDS, BusSettings, check_port

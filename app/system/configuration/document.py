@@ -1,18 +1,32 @@
-"""Changes the text of a TOML file, and nothing of it but what is to change: comments, order and blank lines
-stay. Each result is read again and compared with what it should hold."""
+"""Changes the text of the configuration file, compares it and keeps its versions.
+
+Only what is to change is changed: comments, order and blank lines stay. Each result is read again and
+compared with what it should hold. A comparison goes line by line and leaves secrets out. Each version is a
+file of the data folder, readable by the server's user alone.
+"""
 
 from __future__ import annotations
 
 import json
 import re
+import secrets
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
+from dataclasses import dataclass
 from datetime import date
+from difflib import SequenceMatcher
+from hashlib import blake2b
 from itertools import pairwise
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from bus.configuration import KeyPath, lines_of, statements
+import msgspec
+from pydantic import Field
+
+from app.core.database.files import make_folder, write_file
+from app.core.web.api.shape import InstantObject
+from bus.configuration import HOLDS_SECRET, KeyPath, lines_of, statements
 from bus.errors import CallerError
 from bus.messages import Message
 
@@ -247,3 +261,149 @@ def _written(value: TomlValue) -> str:
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace(_DELETE, "\\u007f")
     return value.isoformat() if isinstance(value, date) else repr(value)
+
+
+CONTEXT = 2
+"""Lines that are shown around a change."""
+_IN_URL = re.compile(r"(\w+://)[^\s/@\"']*@")
+_KEY = secrets.token_bytes(16)
+"""Another one in each run, so that the digest of a simple password cannot be looked up."""
+
+
+@dataclass(frozen=True, slots=True)
+class DifferenceLine:
+    """A line of a difference; of a ``gap`` lines are left out."""
+
+    kind: Literal["same", "gone", "new", "gap"]
+    number: Annotated[int, Field(description="In the new text; of a line that is gone, in the old one.")]
+    text: Annotated[str, Field(description="Secrets are masked.")]
+
+
+def masked(text: str) -> str:
+    """The text as people see it: of each key that may hold a secret only whether it changes, also in a
+    comment. The file of a secret is no secret."""
+    lines, open_statement = [], ""
+    for line in _bare_lines(text):
+        statement = f"{open_statement}{line}\n"
+        hides = HOLDS_SECRET.search(statement) is not None
+        lines.append(
+            _masked_line(line, follows=bool(open_statement)) if hides else _IN_URL.sub(r"\1…@", line)
+        )
+        open_statement = "" if _is_complete(statement) else statement
+    return "".join(f"{line}\n" for line in lines)
+
+
+def difference(before: str, now: str) -> list[DifferenceLine]:
+    """The lines that differ, each with those around it; of secrets, that they differ."""
+    return list(_lines(_bare_lines(masked(before)), _bare_lines(masked(now))))
+
+
+def _bare_lines(text: str) -> list[str]:
+    return [line.rstrip("\r\n") for line in lines_of(text)]
+
+
+def _lines(old: list[str], new: list[str]) -> Iterator[DifferenceLine]:
+    for number, group in enumerate(
+        SequenceMatcher(None, old, new, autojunk=False).get_grouped_opcodes(CONTEXT)
+    ):
+        if number:
+            yield DifferenceLine("gap", 0, "")
+        for tag, i1, i2, j1, j2 in group:
+            if tag == "equal":
+                yield from (DifferenceLine("same", j1 + n + 1, each) for n, each in enumerate(new[j1:j2]))
+                continue
+            yield from (DifferenceLine("gone", i1 + n + 1, each) for n, each in enumerate(old[i1:i2]))
+            yield from (DifferenceLine("new", j1 + n + 1, each) for n, each in enumerate(new[j1:j2]))
+
+
+def _masked_line(line: str, *, follows: bool) -> str:
+    mark = f"*** {blake2b(line.encode(), key=_KEY, digest_size=3).hexdigest()}"
+    key, sign, _ = line.partition("=")
+    return mark if follows or not sign else f"{key}{sign} {mark}"
+
+
+def _is_complete(statement: str) -> bool:
+    try:
+        tomllib.loads(statement)
+    except tomllib.TOMLDecodeError:
+        return False
+    return True
+
+
+FOLDER = "configuration"
+"""In the data folder."""
+MAX_VERSIONS = 100
+"""The newest are kept."""
+VersionOrigin = Literal["found", "by_hand", "changed", "rolled_back"]
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigurationVersion:
+    """A version without its text. ``origin``: the first one was ``found``; ``by_hand``: changed in the file
+    itself, by then at the latest. ``who`` and ``reason``: empty for these two."""
+
+    number: Annotated[int, Field(description="From 1.")]
+    at: InstantObject
+    origin: VersionOrigin
+    digest: Annotated[str, Field(description="Identifies its text.")]
+    who: str = ""
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredVersion:
+    """A version with its text, secrets included: never published."""
+
+    version: ConfigurationVersion
+    text: str
+
+
+class VersionStore:
+    """Raises OSError where one cannot be written."""
+
+    def __init__(self, data: Path) -> None:
+        self._folder = data / FOLDER
+
+    def newest(self) -> StoredVersion | None:
+        """The last one; None where there is none."""
+        numbers = self._numbers()
+        return self.one(numbers[0]) if numbers else None
+
+    def every(self) -> list[StoredVersion]:
+        """Those that are kept, newest first; without one that cannot be read."""
+        found = (self.one(number) for number in self._numbers())
+        return [each for each in found if each is not None]
+
+    def one(self, number: int) -> StoredVersion | None:
+        """A version; None where it is not kept, or cannot be read."""
+        try:
+            return msgspec.json.decode(self._file(number).read_bytes(), type=StoredVersion)
+        except (OSError, msgspec.MsgspecError):
+            return None
+
+    @property
+    def files(self) -> list[Path]:
+        """Where they are, oldest first."""
+        return [self._file(number) for number in reversed(self._numbers())]
+
+    def next_number(self) -> int:
+        """The number of the next version."""
+        return max(self._numbers(), default=0) + 1
+
+    def add(self, stored: StoredVersion) -> None:
+        """Write one, on disk when this returns; the oldest beyond `MAX_VERSIONS` go."""
+        make_folder(self._folder)
+        write_file(self._file(stored.version.number), msgspec.json.encode(stored))
+        for number in self._numbers()[MAX_VERSIONS:]:
+            self._file(number).unlink(missing_ok=True)
+
+    def withdraw(self, number: int) -> None:
+        """Remove a version that did not become the file."""
+        self._file(number).unlink(missing_ok=True)
+
+    def _numbers(self) -> list[int]:
+        names = [path.stem for path in self._folder.glob("*.json")] if self._folder.is_dir() else []
+        return sorted((int(name) for name in names if name.isdecimal()), reverse=True)
+
+    def _file(self, number: int) -> Path:
+        return self._folder / f"{number:06d}.json"

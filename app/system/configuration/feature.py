@@ -5,11 +5,9 @@ from __future__ import annotations
 from app.feature import Feature, Services
 from app.people.audit.log import EventLog
 from app.system.configuration import api, bus_pages, pages
-from app.system.configuration.acts import ACTS
+from app.system.configuration.document import VersionStore
 from app.system.configuration.port_scan import PortScan
-from app.system.configuration.restart import Restart
-from app.system.configuration.service import ConfigurationFile, SystemsBeside
-from app.system.configuration.versions import VersionStore
+from app.system.configuration.service import ACTS, ConfigurationFile, Restart, SystemsBeside
 
 
 def make(services: Services) -> None:

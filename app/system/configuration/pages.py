@@ -18,12 +18,18 @@ from app.core.web.services import service
 from app.errors import Problem
 from app.line.conditions.catalogue import CONDITIONS
 from app.records.notification.settings import DAYS
-from app.system.configuration.acts import RESTART, ROLL_BACK
-from app.system.configuration.api import MAX_REASON, ConfigurationChanger, FileOfServer, RestartOfServer
-from app.system.configuration.difference import difference, masked
-from app.system.configuration.document import at, content_of
-from app.system.configuration.edits import act_on, edit_of
+from app.system.configuration.api import (
+    MAX_REASON,
+    ConfigurationChanger,
+    FileOfServer,
+    RestartOfServer,
+    act_on,
+    edit_of,
+)
+from app.system.configuration.document import at, content_of, difference, masked
 from app.system.configuration.service import (
+    RESTART,
+    ROLL_BACK,
     ConfigurationFile,
     ConfigurationReview,
     PresentFile,

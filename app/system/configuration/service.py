@@ -1,4 +1,4 @@
-"""The configuration file of this server: read, reviewed, written and kept in versions."""
+"""Reads, reviews and writes the configuration file of this server, and restarts it with the new one."""
 
 from __future__ import annotations
 
@@ -13,19 +13,38 @@ from typing import Any, NamedTuple
 import structlog
 
 from app.core.database.files import fresh_file, sync_folder
-from app.core.web.admission.access import Person
+from app.core.web.admission.access import Person, Role
 from app.errors import Problem, StoreError, or_404, system_error
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from app.settings import Settings, parse
-from app.system.configuration.acts import ROLL_BACK
-from app.system.configuration.difference import DifferenceLine, difference
-from app.system.configuration.document import Edit, content_of
-from app.system.configuration.versions import ConfigurationVersion, StoredVersion, VersionOrigin, VersionStore
+from app.system.configuration.document import (
+    ConfigurationVersion,
+    DifferenceLine,
+    Edit,
+    StoredVersion,
+    VersionOrigin,
+    VersionStore,
+    content_of,
+    difference,
+)
 from bus.configuration import ConfigurationError, read
 from bus.errors import LinesideError
 from bus.instants import Clock, unix_now
 from bus.messages import Message
+
+CHANGE = Act("change_configuration", Role.ENGINEER, "configuration", "event_configuration_edited")
+CHANGE_MAIL = Act("change_mail_server", Role.ADMIN, "configuration", "event_configuration_edited")
+"""The server sends its password to the mail server that is named here, and the links in its mails lead
+people to the address of the dashboard."""
+CHANGE_PORTS = Act("change_ports", Role.ADMIN, "configuration", "event_configuration_edited")
+"""The server opens the devices and hosts that are named here."""
+ROLL_BACK = Act("roll_back_configuration", Role.ADMIN, "configuration", "event_configuration_rolled_back")
+"""It may change everything, also what only the file has."""
+RESTART = Act("restart_server", Role.ADMIN, "server", "event_restart_requested")
+"""For a few seconds no drive of the server is monitored."""
+ACTS = (CHANGE, CHANGE_MAIL, CHANGE_PORTS, ROLL_BACK, RESTART)
+
 
 MAX_EVENT = 2000
 """Characters of a difference in the audit log."""
@@ -261,3 +280,40 @@ def _in_short(lines: list[DifferenceLine]) -> str:
     return "; ".join(f"{signs[each.kind]} {each.text.strip()}" for each in lines if each.kind in signs)[
         :MAX_EVENT
     ]
+
+
+DELAY_S = 1.0
+"""Within which a browser loads the page that it is sent to, which then follows the restart."""
+
+
+class Restart:
+    """Restarts the server where what runs it offers that: a demonstration does not, nor does a server that
+    was started with rights or at a port that it would not get again."""
+
+    def __init__(self, file: ConfigurationFile, events: EventLog) -> None:
+        self._file = file
+        self._events = events
+        self._requested: asyncio.Event | None = None
+
+    @property
+    def is_offered(self) -> bool:
+        return self._requested is not None
+
+    def offer(self) -> asyncio.Event:
+        """From now on a person may restart the server: what is returned is set a moment after that."""
+        self._requested = asyncio.Event()
+        return self._requested
+
+    async def request(self, person: Person, digest: str, reason: str) -> None:
+        """Restart within a second. Raises Problem 403, and 409 where the file is another one by now, or one
+        with which the server would not start, or where it cannot restart."""
+        RESTART.check(person)
+        if self._requested is None:
+            raise Problem(409, "not_in_state", Message("restart_not_offered"))
+        present = await self._file.present()
+        self._file.refuse_superseded(present, digest)
+        if present.faults:
+            faults = Message.of("several", messages=list(present.faults))
+            raise Problem(409, "not_in_state", Message.of("restart_refused", faults=faults))
+        await self._events.record(**RESTART.by(person, reason=reason or "-"))
+        asyncio.get_running_loop().call_later(DELAY_S, self._requested.set)

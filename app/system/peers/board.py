@@ -1,16 +1,25 @@
-"""The lines of this server and of its peers, each with its age, the worst first. All of it is in memory, and
-read again after a start."""
+"""The lines of this server and of its peers, each with its age, the worst first, and their tiles.
+
+A tile is a set of fields in the reader's language, as those of a unit; pages that follow the lines get the
+fields that changed. All of it is in memory, and read again after a start.
+"""
 
 from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from math import inf
+from typing import Annotated
 
+from app.core.web.rendering.formats import UNKNOWN
+from app.core.web.services import service
 from app.line.conditions.condition import PRIORITIES
+from app.line.live.diagnosis import Level
+from app.line.live.fields import Fields, Groups, Translator, cause_texts, put_fields
 from app.system.peers.settings import PeerSettings
-from app.system.peers.summary import LineSummary
-from bus.instants import Monotonic, MonotonicClock, monotonic_now
+from app.system.peers.summary import MAX_POINTS, Counts, LineSummary
+from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now
 from bus.messages import Message
 
 STALE_AFTER_S = 6.0
@@ -132,3 +141,190 @@ def _lines_of(peer: Peer, now: Monotonic) -> list[LineOnBoard]:
     if not peer.lines:
         return [LineOnBoard("", None, age_s, peer)]
     return [LineOnBoard(bus, line, age_s, peer) for bus, line in peer.lines.items()]
+
+
+WIDTH, HEIGHT = 240, 40
+MIN_REACH = 0.02
+"""The height of the drawing, as a part of the value, at least: noise is not to look like movement."""
+MINUTE_S, HOUR_S = 60, 3600
+LONG_S, LONG_MINUTES_S = 2 * MINUTE_S, 2 * HOUR_S
+STATES = {
+    "at_speed": "line_n_at_speed",
+    "ramping": "line_n_ramping",
+    "at_zero": "line_n_at_zero",
+    "off_speed": "line_n_off_speed",
+}
+"""The text for how many units are in a state."""
+_NO_REPORT: tuple[tuple[float, str, int], ...] = (
+    (LONG_S, "line_overdue_seconds", 1),
+    (LONG_MINUTES_S, "line_overdue_minutes", MINUTE_S),
+    (inf, "line_overdue_hours", HOUR_S),
+)
+"""Up to which age, the text that nothing was reported for so long, and in what."""
+_NEVER: Fields = {
+    **dict.fromkeys(("place", "last", "counts", "alarm", "alarm_mark", "alarms", "spark"), ""),
+    **dict.fromkeys(("recipe", "event", "event_at"), ""),
+    "speed": UNKNOWN,
+    "scan": UNKNOWN,
+}
+"""Of a line whose figures are not known."""
+
+
+def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fields:
+    """Return the fields of a line. ``quality``: whether it is of the present; ``last``: of one that is not,
+    what it was."""
+    summary, level = line.summary, shown_level(line)
+    fields = _NEVER | {
+        "level": level,
+        "level_text": translator.t(level),
+        "quality": "stale" if line.is_stale else "live",
+    }
+    if summary is None:
+        return fields | {"verdict": translator.t(no_report(line))}
+    place, verdict = _place_and_verdict(summary, translator, now)
+    if line.is_stale:
+        before = f"{translator.isolated(place)} · {verdict}" if place else verdict
+        was = translator.t(Message.of("line_was", verdict=before))
+        fields |= {"verdict": translator.t(no_report(line)), "last": was}
+    else:
+        fields |= {"place": place, "verdict": verdict}
+    return fields if line.is_away else fields | _figures(summary, translator, now)
+
+
+def _figures(summary: LineSummary, translator: Translator, now: UnixTime) -> Fields:
+    return {
+        "counts": _counts(summary, translator),
+        "alarm": translator.t(summary.alarm) if summary.alarm is not None else "",
+        "alarm_mark": summary.alarm_priority,
+        "alarms": _alarms(summary, translator),
+        "scan": translator.formats.number(summary.scan_hz, 1) if summary.scan_hz is not None else UNKNOWN,
+        "speed": _speed(summary, translator),
+        "spark": outline(summary.speeds),
+        "recipe": translator.t(summary.recipe) if summary.recipe is not None else "",
+    } | _event(summary, translator, now)
+
+
+def _event(summary: LineSummary, translator: Translator, now: UnixTime) -> Fields:
+    event = summary.event
+    if event is None:
+        return {"event": "", "event_at": ""}
+    at = translator.formats.since(UnixTime(event.at), now)
+    return {"event": translator.t(event.text), "event_at": at}
+
+
+def shown_level(line: LineOnBoard) -> Level:
+    """Return the priority of a line; of one whose present state is not known high at least."""
+    level = "" if line.summary is None else line.summary.level
+    return "high" if line.is_stale and level not in ("urgent", "high") else level
+
+
+def verdict_text(summary: LineSummary, translator: Translator, now: UnixTime) -> str:
+    """Return the verdict, after the name of the unit that it is about."""
+    place, text = _place_and_verdict(summary, translator, now)
+    return f"{translator.isolated(place)} · {text}" if place else text
+
+
+def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTime) -> tuple[str, str]:
+    """Return place and verdict of a line; the place is empty where the verdict is about the line itself."""
+    if summary.cause is None:
+        return "", translator.t(summary.verdict)
+    place = "" if summary.place == summary.bus else summary.place
+    return place, cause_texts(summary.cause.cause(summary.level), translator, now).line
+
+
+def no_report(line: LineOnBoard) -> Message:
+    """Return the text that a peer does not report a line, since when and why."""
+    peer = line.peer
+    assert peer is not None, "a line of this server is always reported"
+    name = peer.settings.name
+    if line.age_s is None or not line.is_stale:
+        if peer.fault is None:
+            return Message.of("peer_has_no_lines" if peer.reported_at else "peer_awaited", peer=name)
+        return Message.of("peer_not_read", peer=name, reason=peer.fault)
+    _, code, unit_s = next(row for row in _NO_REPORT if line.age_s < row[0] or row[0] == inf)
+    overdue = Message.of(code, server=name, n=int(line.age_s // unit_s))
+    return overdue if peer.fault is None else Message.of("peer_overdue", overdue=overdue, reason=peer.fault)
+
+
+def outline(speeds: list[float | None]) -> str:
+    """Return an SVG path of speeds over ten minutes, the newest at the right; an unknown value lifts the
+    pen."""
+    known = [speed for speed in speeds if speed is not None]
+    if not known:
+        return ""
+    middle = (min(known) + max(known)) / 2
+    reach = max(max(known) - min(known), abs(middle) * MIN_REACH) or 1.0
+    path, pen = "", "M"
+    for place, speed in enumerate(speeds, MAX_POINTS - len(speeds)):
+        if speed is None:
+            pen = "M"
+            continue
+        x = place * WIDTH / (MAX_POINTS - 1)
+        y = HEIGHT / 2 - (speed - middle) / reach * (HEIGHT - 4)
+        path += f"{pen}{x:.0f} {y:.1f}"
+        pen = "L"
+    return path
+
+
+def _counts(summary: LineSummary, translator: Translator) -> str:
+    states = summary.states
+    parts = [Message.of("line_live_of", n=states.get("online", 0), units=summary.units)]
+    parts += [Message.of(code, n=states[state]) for state, code in STATES.items() if states.get(state)]
+    return " · ".join(map(translator.t, parts))
+
+
+def _alarms(summary: LineSummary, translator: Translator) -> str:
+    """Return how many alarms are active, by priority, and how many wait for an acknowledgement."""
+    parts = _by_priority(summary.active, translator)
+    if waiting := sum(summary.waiting.values()):
+        parts.append(translator.t(Message.of("line_alarms_waiting", n=waiting)))
+    return " · ".join(parts) or translator.t(Message("line_no_alarms"))
+
+
+def _by_priority(counts: Counts, translator: Translator) -> list[str]:
+    return [f"{counts[name]} {translator.t(name)}" for name in PRIORITIES if counts.get(name)]
+
+
+def _speed(summary: LineSummary, translator: Translator) -> str:
+    newest = summary.speeds[-1] if summary.speeds else None
+    return UNKNOWN if newest is None else translator.formats.point(f"{newest:g}")
+
+
+class LineTiles:
+    """The lines as pages show them. ``clock``: Unix time in seconds."""
+
+    def __init__(self, board: LineBoard, clock: Clock) -> None:
+        self.board = board
+        self._clock = clock
+        self._shown: dict[str, Groups] = {}
+
+    def shown(self, translator: Translator) -> Groups:
+        """Return the fields of all lines now, the worst first."""
+        return self.fields_of(self.board.lines(), translator)
+
+    def fields_of(self, lines: list[LineOnBoard], translator: Translator) -> Groups:
+        """Return the fields of these lines, in their order."""
+        now = self._clock()
+        return {
+            line.key: tile_fields(line, translator, now) | {"rank": str(rank)}
+            for rank, line in enumerate(lines)
+        }
+
+    def changes(self, translator: Translator) -> Groups:
+        """Return the fields that are different from those of the last call for this language. A line that is
+        no longer there has the quality ``gone``."""
+        shown = self._shown.setdefault(translator.language.tag, {})
+        changed, fields = Groups(), self.shown(translator)
+        for key in shown.keys() - fields.keys():
+            del shown[key]
+            changed[key] = {"quality": "gone"}
+        for key, each in fields.items():
+            changed |= put_fields(shown, key, each)
+        return changed
+
+    def forget(self, tag: str) -> None:
+        """Forget what pages of a language have, as no page follows the lines in it."""
+        self._shown.pop(tag, None)
+
+
+LineTilesService = Annotated[LineTiles, service(LineTiles)]

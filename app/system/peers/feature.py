@@ -16,10 +16,9 @@ from app.line.live.bus_live import LiveState
 from app.line.live.fields import Translator
 from app.people.audit.log import EventLog
 from app.system.peers import pages
-from app.system.peers.board import LineBoard, Peer
+from app.system.peers.board import LineBoard, LineTiles, Peer
 from app.system.peers.client import follow
-from app.system.peers.own_lines import LastEvents, OwnLines
-from app.system.peers.tile import LineTiles
+from app.system.peers.summary import LastEvents, OwnLines
 from bus.instants import unix_now
 
 

@@ -18,9 +18,8 @@ from app.core.web.services import service, service_of, unknown_bus
 from app.line.live.fields import Translator
 from app.line.live.hub import Hub
 from app.line.live.pages import UnitOnLine, unit_on_line
-from app.system.peers.board import LineOnBoard
-from app.system.peers.report import LinesOfSites, board_json
-from app.system.peers.tile import LineTilesService
+from app.system.peers.board import LineOnBoard, LineTilesService
+from app.system.peers.client import LinesOfSites, board_json
 from bus.instants import unix_now
 
 api = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)

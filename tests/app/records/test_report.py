@@ -30,9 +30,9 @@ from app.line.history.series.figures import (
 from app.line.history.series.rollup import rollup
 from app.line.history.series.runs import MINUTE, SECOND, Run
 from app.line.history.series.values import Marks
-from app.records.handover.notes.notes import Note
-from app.records.handover.notes.notes import add as add_note
-from app.records.handover.rules.shift_times import Shift
+from app.records.handover.notes import Note
+from app.records.handover.notes import add as add_note
+from app.records.handover.rules.shifts import Shift
 from bus.contract import Reading
 from bus.instants import UnixTime
 from tests.app.history_line import NOON, Shelf

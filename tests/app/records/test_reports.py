@@ -12,7 +12,7 @@ import pytest
 
 from app.core.web.admission.access import Role
 from app.records.notification.service import Notification
-from app.records.reports.schedule import ReportSchedule
+from app.records.reports.service import ReportSchedule
 from app.settings import load
 from bus.configuration import ConfigurationError
 from bus.contract import Reading

@@ -20,9 +20,8 @@ from hypothesis import strategies as st
 from app.core.database import Database
 from app.core.web.admission.access import Role
 from app.errors import ConstraintError, StoreError
-from app.records.handover.notes.pictures import FILE, MIGRATIONS
-from app.records.handover.rules.orientation import TURNED, exif_of, orientation_of, plain_exif
-from app.records.handover.rules.pictures import plain_picture
+from app.records.handover.pictures import FILE, MIGRATIONS
+from app.records.handover.rules.pictures import TURNED, exif_of, orientation_of, plain_exif, plain_picture
 from app.system.backup import archive
 from bus.errors import CallerError
 from tests.app.backups import read_backup, write_backup

@@ -20,8 +20,7 @@ from app.errors import StoreError
 from app.line.conditions.catalogue import backup_is_overdue
 from app.people.audit.log import EventLog
 from app.settings import load
-from app.system.backup.folder import CONTENTS
-from app.system.backup.schedule import RETRY_S, name_of, next_after, next_due, time_of, too_many
+from app.system.backup.folder import CONTENTS, RETRY_S, name_of, next_after, next_due, time_of, too_many
 from app.system.backup.service import Backups, WriteBackup, Written, left_out_of, newest_in
 from app.system.backup.settings import BackupSettings
 from bus.instants import UnixTime

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from app.cli import cli
 from app.settings import Settings
-from app.system.configuration.versions import ConfigurationVersion, StoredVersion, VersionStore
+from app.system.configuration.document import ConfigurationVersion, StoredVersion, VersionStore
 from bus.instants import UnixTime
 from tests.app.archived_site import archived_site
 from tests.app.cli.test_cli_archive import verified

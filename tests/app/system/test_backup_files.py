@@ -18,8 +18,7 @@ from app.cli.findings.backup import backup_findings
 from app.errors import StoreError
 from app.settings import load
 from app.system.backup.archive import WORKING
-from app.system.backup.cipher import decrypt, encrypt
-from app.system.backup.files import ENCRYPTED, IN_CLEAR, SiteFile, files_of, place_files
+from app.system.backup.files import ENCRYPTED, IN_CLEAR, SiteFile, decrypt, encrypt, files_of, place_files
 from app.system.backup.folder import SITE
 from tests.app.backups import write_backup
 from tests.e2e.site import add_people

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.system.configuration.difference import difference, masked
+from app.system.configuration.document import difference, masked
 
 
 def changed(before: str, now: str) -> list[tuple[str, int, str]]:

@@ -11,8 +11,8 @@ import httpx
 import pytest
 
 from app.core.web.admission.access import Role
-from app.system.configuration import restart as restart_module
-from app.system.configuration.restart import Restart
+from app.system.configuration import service as restart_module
+from app.system.configuration.service import Restart
 from tests import fork_server
 from tests.app.cli.test_serve import CONFIG, eventually, only_child, started
 from tests.app.complete_app import House

@@ -12,16 +12,16 @@ from app.core.web.admission.access import Person, Role
 from app.errors import Problem, StoreError
 from app.people.audit.acts import Act
 from app.settings import load
-from app.system.configuration.acts import CHANGE, CHANGE_MAIL, ROLL_BACK
-from app.system.configuration.document import Edit, with_values
-from app.system.configuration.service import ConfigurationFile
-from app.system.configuration.versions import (
+from app.system.configuration.document import (
     FOLDER,
     MAX_VERSIONS,
     ConfigurationVersion,
+    Edit,
     StoredVersion,
     VersionStore,
+    with_values,
 )
+from app.system.configuration.service import CHANGE, CHANGE_MAIL, ROLL_BACK, ConfigurationFile
 from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app

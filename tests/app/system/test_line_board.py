@@ -10,10 +10,17 @@ import pytest
 from app.core.web.rendering.formats import UNKNOWN
 from app.line.conditions.condition import PRIORITIES, AlarmPriority
 from app.line.live.diagnosis import Level
-from app.system.peers.board import STALE_AFTER_S, LineBoard, LineOnBoard, Peer
+from app.system.peers.board import (
+    STALE_AFTER_S,
+    LineBoard,
+    LineOnBoard,
+    LineTiles,
+    Peer,
+    outline,
+    tile_fields,
+)
 from app.system.peers.settings import PeerSettings
 from app.system.peers.summary import CauseSummary, LineSummary
-from app.system.peers.tile import LineTiles, outline, tile_fields
 from bus.instants import Monotonic, UnixTime
 from bus.messages import Message
 from tests.app.screens import translator

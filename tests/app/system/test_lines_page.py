@@ -12,7 +12,7 @@ from app.line.live.browser import Browser
 from app.line.live.bus_live import LiveState
 from app.line.live.fields import Groups, merge_groups
 from app.line.live.hub import Hub
-from app.system.peers.own_lines import FRESH_S
+from app.system.peers.summary import FRESH_S
 from bus.instants import unix_now
 from tests.app.complete_app import EVERY_ROLE, complete_app
 from tests.app.played_line import played_line

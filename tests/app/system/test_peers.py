@@ -19,11 +19,9 @@ from app.core.web.admission.access import Role
 from app.feature import Services
 from app.settings import ConfigurationError, load
 from app.system.peers import client
-from app.system.peers.board import LineBoard, Peer
-from app.system.peers.client import fault_of
-from app.system.peers.report import read_report
+from app.system.peers.board import LineBoard, LineTiles, Peer
+from app.system.peers.client import fault_of, read_report
 from app.system.peers.settings import PeerSettings
-from app.system.peers.tile import LineTiles
 from app.version import VERSION
 from bus.messages import TEXTS
 from tests.app.complete_app import House, complete_app

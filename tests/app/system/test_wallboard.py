@@ -9,7 +9,7 @@ import httpx
 
 from app.core.web.admission.access import Role
 from app.people.audit.log import EventLog
-from app.system.peers.own_lines import LastEvents
+from app.system.peers.summary import LastEvents
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import played_line

@@ -28,7 +28,7 @@ from app.line.live.hub import Hub
 from app.line.live.onset_lookup import OnsetLookup
 from app.line.live.sources import Sources
 from app.people.audit.anchor import Anchoring, anchor_notice
-from app.system.peers.tile import LineTiles
+from app.system.peers.board import LineTiles
 from bus.instants import UnixTime, unix_now
 
 

@@ -1,21 +1,58 @@
-"""Judges a picture by its content and keeps of it only what draws it: JPEG (T.81), PNG, WebP (RFC 9649).
+"""Judges a picture by its content and keeps only what draws it: JPEG (T.81), PNG, WebP (RFC 9649). Pure.
 
 Metadata (place, time, camera, comments), animations, and bytes behind the picture are left out. Of the Exif
-data of a JPEG or PNG the orientation stays, by which browsers turn it; Chromium does not read that of a WebP.
-Pure.
+data (TIFF 6.0) of a JPEG or PNG the orientation stays, by which browsers turn it; Chromium does not read that
+of a WebP.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from struct import pack, unpack_from
+from struct import error, pack, unpack_from
 from typing import Literal
 from zlib import crc32
 
-from app.records.handover.rules.orientation import plain_exif
 from bus.errors import CallerError
 from bus.messages import Message
+
+UPRIGHT = 1
+TURNED = range(2, 9)
+"""Values of the entry by which browsers turn or mirror a picture (``image-orientation: from-image``)."""
+_ORIENTATION = 0x0112
+_SHORT = 3
+_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
+_ENTRY_BYTES = 12
+
+
+def orientation_of(exif: bytes) -> int:
+    """1 (upright) to 8; upright for what is no Exif data or states no orientation. At most the 65,535
+    entries of one directory are read."""
+    order = _ORDERS.get(exif[:4])
+    if order is None:
+        return UPRIGHT
+    try:
+        (start,) = unpack_from(f"{order}I", exif, 4)
+        (count,) = unpack_from(f"{order}H", exif, start)
+        for place in range(start + 2, start + 2 + count * _ENTRY_BYTES, _ENTRY_BYTES):
+            tag, kind, values, value = unpack_from(f"{order}HHIH", exif, place)
+            if tag == _ORIENTATION:
+                return value if (kind, values) == (_SHORT, 1) and value in TURNED else UPRIGHT
+    except error:
+        pass
+    return UPRIGHT
+
+
+def exif_of(orientation: int) -> bytes:
+    """Exif data with this entry and nothing else: 26 bytes."""
+    return b"MM\0*" + pack(">IHHHIHHI", 8, 1, _ORIENTATION, _SHORT, 1, orientation, 0, 0)
+
+
+def plain_exif(exif: bytes) -> bytes:
+    """Exif data with its orientation alone; empty for a picture that is upright."""
+    orientation = orientation_of(exif)
+    return exif_of(orientation) if orientation in TURNED else b""
+
 
 PictureType = Literal["image/jpeg", "image/png", "image/webp"]
 MAX_PIXELS = 25_000_000

@@ -13,11 +13,10 @@ from app.core.web.api.shape import StrictBody
 from app.errors import Problem
 from app.people.audit.log import EventLog
 from app.people.auth.sign_in.signin import SignIn, WrongSecretError
-from app.records.handover.acts import SIGN, SIGNATURES
-from app.records.handover.rules.shift_times import Shift
+from app.records.handover import signatures
+from app.records.handover.rules.shifts import Shift
 from app.records.handover.service import Handover
-from app.records.handover.signing import signatures
-from app.records.handover.signing.signatures import SignedPart, SignedSheet
+from app.records.handover.signatures import SIGN, SIGNATURES, SignedPart, SignedSheet
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 from bus.text import OneLine, TypedText

@@ -1,4 +1,4 @@
-"""Signed sheets: what the leaving and the coming person have signed, and when."""
+"""The acts of people on a shift, and the stored signatures: what who signed, and when."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ from pydantic import Field
 
 from app.core.database import StoreConnection
 from app.core.database.connection import has_column, json_member
+from app.core.web.admission.access import Role
 from app.core.web.api.shape import InstantObject, iso
 from app.errors import Problem
 from app.people.audit import queries
-from app.records.handover.rules.shift_times import Shift, site_time
+from app.people.audit.acts import Act
+from app.records.handover.rules.shifts import Shift, site_time
 from bus.instants import UnixTime
 from bus.messages import Message, term
 
@@ -142,3 +144,11 @@ def _is_named(connection: StoreConnection, signed: SignedSheet, signature: Shift
         and (what.code, event["who"]) == (EVENTS[signature.part], signature.who)
         and digests.items() <= what.params.items()
     )
+
+
+WRITE_NOTE = Act("write_shift_note", Role.OPERATOR, "shift", "event_shift_note")
+CORRECT_NOTE = Act("correct_shift_note", Role.OPERATOR, "shift", "event_shift_note_corrected")
+SIGN = Act("sign_shift_sheet", Role.OPERATOR, "shift", EVENTS["leaving"])
+TAKE_OVER = Act("take_over_shift", Role.OPERATOR, "shift", EVENTS["coming"])
+SIGNATURES: dict[SignedPart, Act] = {"leaving": SIGN, "coming": TAKE_OVER}
+ACTS = (WRITE_NOTE, CORRECT_NOTE, *SIGNATURES.values())

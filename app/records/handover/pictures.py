@@ -18,7 +18,7 @@ from bus.messages import Message
 log = structlog.get_logger()
 
 FILE = "pictures.db"
-MIGRATIONS = Path(__file__).parents[1] / "migrations"
+MIGRATIONS = Path(__file__).parent / "migrations"
 MAX_OF_NOTE = 3
 MAX_PICTURE_BYTES = 1024**2
 """Bytes of one picture."""

@@ -1,4 +1,4 @@
-"""Shifts by the clock of the site. Pure.
+"""Shifts by the clock of the site, and what a sheet or a report is about. Pure.
 
 A shift lasts from one start to the next. Where the clocks change, one is an hour shorter or longer.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
+from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
 from bus.instants import UnixTime
@@ -79,3 +80,30 @@ def _day(at: UnixTime, zone: ZoneInfo) -> date:
 def _clock(at: UnixTime, zone: ZoneInfo) -> int:
     local = datetime.fromtimestamp(float(at), zone)
     return 60 * local.hour + local.minute
+
+
+class Scope(NamedTuple):
+    """``bus`` None: the site; ``unit`` None: all units of the bus."""
+
+    bus: str | None = None
+    unit: int | None = None
+
+    def holds(self, bus: str | None, unit: int | None) -> bool:
+        """Whether what is about a place is about this."""
+        return self.bus in (None, bus) and self.unit in (None, unit)
+
+    def concerns(self, bus: str | None, unit: int | None) -> bool:
+        """Whether people of this have to know what is about a place: also of its line, and of the site."""
+        return (
+            bus is None
+            or self.bus is None
+            or (bus == self.bus and (unit is None or self.unit in (None, unit)))
+        )
+
+    def conditions(self, table: str = "") -> tuple[str, list[object]]:
+        """SQL to append to a query of a table with these columns, and its values."""
+        named = [(name, value) for name, value in self._asdict().items() if value is not None]
+        return "".join(f" AND {table}{name} = ?" for name, _ in named), [value for _, value in named]
+
+
+EVERYTHING = Scope()

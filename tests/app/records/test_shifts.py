@@ -1,17 +1,28 @@
-"""Which span a report is of, and when one is due; with the days on which the clocks change."""
+"""Which shift a moment is in: also on the days on which the clocks change. Pure; under a second.
+
+Which span a report is of, and when one is due; with the days on which the clocks change.
+"""
 
 from __future__ import annotations
 
 from datetime import datetime, timedelta
+from itertools import islice, pairwise
 from zoneinfo import ZoneInfo
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.records.handover.rules.scope import EVERYTHING, Scope
-from app.records.handover.rules.shift_times import Shift
-from app.records.reports.rules.spans import (
+from app.records.handover.rules.shifts import (
+    EVERYTHING,
+    Scope,
+    Shift,
+    instant_of,
+    shift_at,
+    shifts_until,
+    site_time,
+)
+from app.records.reports.rules import (
     LATE_S,
     MAX_DAYS,
     SETTLE_S,
@@ -24,11 +35,92 @@ from app.records.reports.rules.spans import (
 from bus.instants import UnixTime
 
 BERLIN = ZoneInfo("Europe/Berlin")
-STARTS = (6 * 60, 14 * 60, 22 * 60)
-DAY_S = 86_400.0
+THREE = (360, 840, 1320)
+ZONES = st.sampled_from(
+    [BERLIN, *map(ZoneInfo, ("UTC", "America/New_York", "Australia/Lord_Howe", "Pacific/Apia"))]
+)
+STARTS = st.lists(st.integers(0, 1439), min_size=1, max_size=24, unique=True)
+MOMENTS = st.floats(0, 4e9).map(UnixTime)
 
 
 def at(text: str) -> UnixTime:
+    return UnixTime(datetime.fromisoformat(text).timestamp())
+
+
+def hours(shift: Shift) -> float:
+    return (shift.end - shift.start) / 3600
+
+
+@pytest.mark.parametrize(
+    ("moment", "start", "lasts"),
+    [
+        ("2026-11-23T06:00:00+01:00", "2026-11-23T06:00:00+01:00", 8),
+        ("2026-11-23T13:59:59.999+01:00", "2026-11-23T06:00:00+01:00", 8),
+        ("2026-11-23T05:59:59+01:00", "2026-11-22T22:00:00+01:00", 8),
+        ("2026-03-29T01:00:00+01:00", "2026-03-28T22:00:00+01:00", 7),
+        ("2026-10-25T02:30:00+01:00", "2026-10-24T22:00:00+02:00", 9),
+    ],
+)
+def test_a_shift_lasts_to_the_next_start_and_an_hour_less_or_more_where_the_clocks_change(
+    moment: str, start: str, lasts: float
+) -> None:
+    shift = shift_at(at(moment), THREE, BERLIN)
+    assert (shift.start, hours(shift)) == (at(start), lasts)
+
+
+def test_a_start_that_the_clocks_skip_is_where_they_go_on() -> None:
+    shift = shift_at(at("2026-03-29T03:00:00+02:00"), (150, 840), BERLIN)
+    assert shift.start == at("2026-03-28T14:00:00+01:00")
+    assert shift.end == at("2026-03-29T03:30:00+02:00")
+
+
+@given(moment=MOMENTS, starts=STARTS, zone=ZONES)
+def test_every_moment_is_in_one_shift_and_shifts_follow_each_other(
+    moment: UnixTime, starts: list[int], zone: ZoneInfo
+) -> None:
+    shift = shift_at(moment, starts, zone)
+    assert shift.holds(moment)
+    assert shift_at(shift.start, starts, zone) == shift
+    assert shift_at(shift.end, starts, zone).start == shift.end
+    recent = list(islice(shifts_until(moment, starts, zone), 30))
+    assert recent[0] == shift
+    assert all(earlier.end == later.start for later, earlier in pairwise(recent))
+
+
+@given(moment=MOMENTS, minute=st.integers(0, 1439), starts=STARTS, zone=ZONES)
+def test_a_clock_names_a_moment_of_the_shift_or_none(
+    moment: UnixTime, minute: int, starts: list[int], zone: ZoneInfo
+) -> None:
+    shift = shift_at(moment, starts, zone)
+    found = instant_of(minute, shift, zone)
+    shows = {
+        60 * local.hour + local.minute
+        for local in (
+            datetime.fromtimestamp(float(shift.start) + 60 * n, zone)
+            for n in range(round((shift.end - shift.start) / 60))
+        )
+    }
+    assert (found is not None) is (minute in shows)
+    if found is not None:
+        assert shift.holds(found)
+
+
+def test_of_an_hour_that_comes_twice_the_first_is_meant() -> None:
+    shift = shift_at(at("2026-10-25T01:00:00+02:00"), THREE, BERLIN)
+    assert instant_of(150, shift, BERLIN) == at("2026-10-25T02:30:00+02:00")
+    spring = shift_at(at("2026-03-29T01:00:00+01:00"), THREE, BERLIN)
+    assert instant_of(150, spring, BERLIN) is None
+
+
+def test_a_message_names_a_moment_by_the_clock_of_the_site() -> None:
+    assert site_time(at("2026-10-25T02:30:00+02:00"), BERLIN) == "2026-10-25 02:30"
+
+
+THREE_SHIFTS = (6 * 60, 14 * 60, 22 * 60)
+DAY_S = 86_400.0
+
+
+def berlin(text: str) -> UnixTime:
     return UnixTime(datetime.fromisoformat(text).replace(tzinfo=BERLIN).timestamp())
 
 
@@ -50,11 +142,11 @@ def written(span: Shift | None) -> str:
     ],
 )
 def test_the_spans_that_people_name(name: SpanName, expected: str) -> None:
-    assert written(named_span(name, at("2026-11-27T15:00"), STARTS, BERLIN)) == expected
+    assert written(named_span(name, berlin("2026-11-27T15:00"), THREE_SHIFTS, BERLIN)) == expected
 
 
 def test_a_day_on_which_the_clocks_change_is_a_day() -> None:
-    day = named_span("today", at("2026-10-25T12:00"), STARTS, BERLIN)
+    day = named_span("today", berlin("2026-10-25T12:00"), THREE_SHIFTS, BERLIN)
     assert (written(day), day.end - day.start) == ("10-25 00:00 10-26 00:00", 25 * 3600)
 
 
@@ -70,7 +162,7 @@ def test_a_day_on_which_the_clocks_change_is_a_day() -> None:
     ],
 )
 def test_the_report_that_is_due(every: ReportEvery, now: str, expected: str) -> None:
-    assert written(last_due(every, 7 * 60, at(now), STARTS, BERLIN)) == expected
+    assert written(last_due(every, 7 * 60, berlin(now), THREE_SHIFTS, BERLIN)) == expected
 
 
 @pytest.mark.parametrize(
@@ -78,18 +170,18 @@ def test_the_report_that_is_due(every: ReportEvery, now: str, expected: str) -> 
     [("day", "2026-11-27T06:59"), ("week", "2026-11-23T06:59"), ("week", "2026-11-27T07:00")],
 )
 def test_a_report_is_not_sent_before_its_time_or_long_after(every: ReportEvery, now: str) -> None:
-    assert last_due(every, 7 * 60, at(now), STARTS, BERLIN) is None
+    assert last_due(every, 7 * 60, berlin(now), THREE_SHIFTS, BERLIN) is None
 
 
 @given(st.floats(1.7e9, 1.9e9), st.sampled_from(["shift", "day", "week"]), st.integers(0, 1439))
 def test_a_span_that_is_due_is_over(now: float, every: ReportEvery, minute: int) -> None:
-    span = last_due(every, minute, UnixTime(now), STARTS, BERLIN)
+    span = last_due(every, minute, UnixTime(now), THREE_SHIFTS, BERLIN)
     if every == "shift":
         assert span is not None
         assert now - span.end >= SETTLE_S
     if span is not None:
         assert span.start < span.end <= now <= span.end + DAY_S + 3600 + LATE_S
-        again = last_due(every, minute, UnixTime(now), STARTS, BERLIN)
+        again = last_due(every, minute, UnixTime(now), THREE_SHIFTS, BERLIN)
         assert again == span
 
 
@@ -106,13 +198,13 @@ def test_a_span_that_is_due_is_over(now: float, every: ReportEvery, minute: int)
     ],
 )
 def test_a_span_that_there_is_no_report_of(days: int, units: int, code: str) -> None:
-    now = at("2026-11-27T12:00")
+    now = berlin("2026-11-27T12:00")
     fault = span_fault(Shift(UnixTime(now - days * DAY_S), now), now, units)
     assert (fault.code if fault else "") == code
 
 
 def test_a_span_of_the_future_and_one_before_the_epoch_have_no_report() -> None:
-    now = at("2026-11-27T12:00")
+    now = berlin("2026-11-27T12:00")
     later = Shift(now + 60.0, now + 120.0)
     for span in (later, Shift(UnixTime(-5.0), UnixTime(5.0))):
         fault = span_fault(span, now, 1)

@@ -13,7 +13,7 @@ import msgspec
 from app.core.web.rendering.assets import Assets
 from app.core.web.rendering.templating import Templates
 from app.line.alarms.line_alarms import LineAlarms
-from app.records.handover.notes.pictures import PictureStore
+from app.records.handover.pictures import PictureStore
 from app.records.handover.rules.pictures import PlainPicture
 from app.records.handover.service import SheetOfShift
 from bus.instants import UnixTime

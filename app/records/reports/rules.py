@@ -1,6 +1,7 @@
 """Which span a report is of, and when one that is sent on a schedule is due. Pure.
 
-A day is from midnight to midnight by the clock of the site, a week from Monday to Monday."""
+A day is from midnight to midnight by the clock of the site, a week from Monday to Monday.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from datetime import datetime, timedelta
 from typing import Literal
 from zoneinfo import ZoneInfo
 
-from app.records.handover.rules.shift_times import Shift, shift_at
+from app.records.handover.rules.shifts import Shift, shift_at
 from bus.instants import UnixTime
 from bus.messages import Message
 

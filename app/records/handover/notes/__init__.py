@@ -1,1 +1,0 @@
-"""Notes of a shift, with their pictures."""

@@ -1,1 +1,0 @@
-"""The sheet of a shift: what the store holds of it, and the document that it makes."""

@@ -1,1 +1,0 @@
-"""Signing a sheet: who leaves, who comes."""

@@ -1,1 +1,0 @@
-"""The spans of reports. Pure."""
