@@ -22,7 +22,7 @@ from app.line.history.series.rollup import (
     rollup,
     unpack_rollups,
 )
-from app.line.history.series.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_runs
+from app.line.history.series.runs import HOUR, MINUTE, PlainRun, Run, merge, unpack_columns
 from app.line.history.series.values import Interval, Marks, Value, intervals, usual_interval
 from app.line.history.tables import BlockKey, StoredTier
 from app.line.history.tail import Tail
@@ -247,7 +247,9 @@ def usual_of(source: StoredUnit, end: int) -> int:
 
 
 def runs_between(source: StoredUnit, start: int, end: int) -> list[Run]:
-    """Complete runs, for an export: those that begin within a span, in order of time."""
-    stored = source.blocks("raw", start, end, unpack_runs)
-    found = chain.from_iterable(runs for _, runs in stored)
-    return [run for run in merge(found, source.tail) if start <= run.at < end]
+    """Return the runs that begin within a span, µs, in order of time."""
+    found: list[PlainRun] = []
+    for _, table in source.blocks("raw", start, end, partial(unpack_columns, names=Run._fields)):
+        first, last = bisect_left(table[0], start), bisect_left(table[0], end)
+        found += zip(*(column[first:last] for column in table), strict=True)
+    return merge(found, (run for run in source.tail if start <= run.at < end))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
+from operator import itemgetter
 from typing import Any
 
 from app.core.database import StoreConnection
@@ -16,7 +17,7 @@ from app.core.database.connection import snapshot, upsert
 from app.line.history import tables
 from app.line.history.query import SeriesQuery, has_raw, scale_of
 from app.line.history.series.downsampling import series
-from app.line.history.series.figures import RunFigures, runs_of_minutes, stretches
+from app.line.history.series.figures import RunFigures, minute_figures, runs_of_minutes
 from app.line.history.series.runs import HOUR, MINUTE, SECOND, PlainRun, Run, runs_of
 from app.line.history.series.values import VALUES, Marks
 from app.line.history.tables import BlockKey
@@ -34,7 +35,6 @@ from app.system.postgresql.rows import (
     Table,
     alarm_row,
     event_row,
-    figures_by_minute,
     length_of,
     lost_row,
     minute_rows,
@@ -112,10 +112,8 @@ class Batch:
 
     def add(self, table: Table, rows: Iterable[Row]) -> None:
         """Add rows of a table; one replaces that of the same key."""
-        places = [table.columns.index(name) for name in table.key]
-        of_table = self.rows.setdefault(table, {})
-        for row in rows:
-            of_table[tuple([row[place] for place in places])] = row
+        key = itemgetter(*map(table.columns.index, table.key))
+        self.rows.setdefault(table, {}).update((key(row), row) for row in rows)
 
     @property
     def size(self) -> int:
@@ -333,7 +331,4 @@ def _figures(
     if not has_raw(source.connection, source.unit, start):
         runs = runs_of_minutes(minutes_of(source, start - MINUTE, end + MINUTE))
     marks = source.marks(start - MINUTE, end + MINUTE)
-    scales = unit.scales.actual
-    return figures_by_minute(
-        stretches(runs, start, end, marks), unit.bus.estop_healthy, lambda at, raw: scales.at(at).apply(raw)
-    )
+    return minute_figures(runs, marks, unit.scales.actual)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from typing import Any, NamedTuple
 
 from app.line.history.series.downsampling import Series
-from app.line.history.series.figures import RunFigures, RunStretch, run_figures
-from app.line.history.series.runs import MINUTE, SECOND, Run
+from app.line.history.series.figures import RunFigures
+from app.line.history.series.runs import SECOND, Run
 from app.line.history.series.values import VALUES, Scaling
 from app.people.audit.entry import is_moment
 from app.records.reports.report import PER_S
@@ -18,7 +19,7 @@ from bus.settings import BusSettings, UnitSettings
 Row = tuple[Any, ...]
 BITS = tuple(value for value in VALUES.values() if value.kind == "bit")
 BIT_COLUMNS = tuple(value.name.replace(".", "_") for value in BITS)
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_EPOCH, _MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=1)
 
 
 class Table(NamedTuple):
@@ -84,7 +85,7 @@ TABLES = (READING, MINUTE_TABLE, EVENT, ALARM, UNIT)
 
 def instant(at: int) -> datetime:
     """Convert µs since the epoch to an instant, exactly."""
-    return _EPOCH + timedelta(microseconds=at)
+    return _EPOCH + at * _MICROSECOND
 
 
 def instant_of(at: float | None) -> datetime | None:
@@ -136,18 +137,22 @@ def reading_rows(
     place: tuple[str, int], points: Iterable[tuple[int, Run]], scales: Scales, estop_healthy: int
 ) -> Iterator[Row]:
     """Yield the rows of a unit. ``place``: its bus and its number."""
+    changes = sorted({at for scaling in scales for at in scaling.since})
+    known: dict[Row, Row] = {}
     for at, run in points:
-        commanded, actual, analog = (scaling.at(run.at) for scaling in scales)
-        yield (
-            instant(at),
-            *place,
-            commanded.apply(run.commanded),
-            actual.apply(run.actual),
-            analog.apply(run.analog),
-            actual.decimals,
-            *_bits(run.word, estop_healthy),
-            "online",
-        )
+        sent = (bisect_right(changes, run.at), *run[3:])
+        values = known.get(sent)
+        if values is None:
+            commanded, actual, analog = (scaling.at(run.at) for scaling in scales)
+            values = known[sent] = (
+                commanded.apply(run.commanded),
+                actual.apply(run.actual),
+                analog.apply(run.analog),
+                actual.decimals,
+                *_bits(run.word, estop_healthy),
+                "online",
+            )
+        yield (instant(at), *place, *values)
 
 
 @cache
@@ -198,20 +203,6 @@ def minute_rows(
 def _times(run: RunFigures, per_s: int | None) -> Row:
     length = None if per_s is None else run.travel / SECOND / per_s
     return run.known / SECOND, run.running / SECOND, run.at_speed / SECOND, length
-
-
-def figures_by_minute(
-    stretches: Iterable[RunStretch], estop_healthy: int, speed_of: Callable[[int, int], float]
-) -> dict[int, RunFigures]:
-    """Return the figures of each minute; what lasts over its end is divided."""
-    parts: dict[int, list[RunStretch]] = {}
-    for at, until, run in stretches:
-        while at < until:
-            minute = at - at % MINUTE
-            end = min(until, minute + MINUTE)
-            parts.setdefault(minute, []).append(RunStretch(at, end, run))
-            at = end
-    return {minute: run_figures(part, estop_healthy, speed_of) for minute, part in parts.items()}
 
 
 # --- events, alarms, units --------------------------------------------------------------------------------

@@ -9,15 +9,17 @@ there is a hole between, which counts as neither."""
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import zip_longest
+from itertools import chain
+from operator import itemgetter
 from typing import Literal, NamedTuple
 
 from app.line.history.series.downsampling import Series
 from app.line.history.series.rollup import Rollup
 from app.line.history.series.runs import MINUTE, Run
-from app.line.history.series.values import LONG_GAP, VALUES, Marks, holes, usual_interval
+from app.line.history.series.values import LONG_GAP, VALUES, Marks, Scaling, holes, usual_interval
 from bus.catalogue.status import status_bits
 
 StopCause = Literal["estop", "run_off", "speed_zero", "unknown"]
@@ -59,8 +61,11 @@ class RunStretch(NamedTuple):
 
     @property
     def is_at_speed(self) -> bool:
-        run = self.run
-        return bool(run.actual and run.commanded > 0 and run.word & _AT_SPEED)
+        return _is_at_speed(self.run)
+
+
+def _is_at_speed(run: Run) -> bool:
+    return bool(run.actual and run.commanded > 0 and run.word & _AT_SPEED)
 
 
 def run_figures(stretches: Iterable[RunStretch], estop_healthy: int, speed_of: SpeedOf) -> RunFigures:
@@ -105,14 +110,44 @@ def runs_of_minutes(minutes: Iterable[Rollup]) -> list[Run]:
 def stretches(runs: Sequence[Run], start: int, end: int, marks: Marks) -> list[RunStretch]:
     """The runs of a unit over a span, µs, in order of time, each up to the next or to the hole after it.
     Runs from outside of the span show how long those at its ends count."""
-    edges = [time for run in runs for time in (run.at, run.until)]
-    broken = {position // 2 for position in holes(edges, marks, usual_interval(runs)) if position % 2}
     found = []
-    for position, (run, following) in enumerate(zip_longest(runs, runs[1:])):
-        lasts = run.until if following is None or position in broken else following.at
-        at, until = max(run.at, start), min(lasts, end)
+    for run, until in zip(runs, _ends(runs, marks), strict=True):
+        at, until = max(run.at, start), min(until, end)
         if until > at:
             found.append(RunStretch(at, until, run))
+    return found
+
+
+def _ends(runs: Sequence[Run], marks: Marks) -> list[int]:
+    """Return until when each run counts, µs: up to the next run, or to the hole after it."""
+    edges = list(chain.from_iterable(map(itemgetter(0, 1), runs)))
+    ends = [*edges[2::2], *edges[-1:]]
+    for position in holes(edges, marks, usual_interval(runs)):
+        if position % 2:
+            ends[position // 2] = edges[position]
+    return ends
+
+
+def minute_figures(runs: Sequence[Run], marks: Marks, scales: Scaling) -> dict[int, RunFigures]:
+    """Return the figures of each minute by its beginning, µs, without stops and the greatest speed. What lasts
+    over the end of a minute is divided."""
+    lasting: defaultdict[tuple[int, int, int, bool], int] = defaultdict(int)
+    since = scales.since
+    for run, until in zip(runs, _ends(runs, marks), strict=True):
+        at, actual, is_at_speed = run.at, run.actual, _is_at_speed(run)
+        place = bisect_right(since, at)
+        while until > (end := at - at % MINUTE + MINUTE):
+            lasting[end, place, actual, is_at_speed] += end - at
+            at = end
+        lasting[end, place, actual, is_at_speed] += until - at
+    found: dict[int, RunFigures] = {}
+    for (end, place, raw, is_at_speed), each in lasting.items():
+        figures = found.setdefault(end - MINUTE, RunFigures())
+        figures.known += each
+        if raw:
+            figures.running += each
+            figures.travel += scales.scales[max(0, place - 1)].apply(raw) * each
+            figures.at_speed += each if is_at_speed else 0
     return found
 
 

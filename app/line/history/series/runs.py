@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import chain
-from operator import add, gt, sub
+from operator import add, gt, itemgetter, sub
 from typing import NamedTuple
 
 from app.line.history.series import columns
@@ -40,6 +40,7 @@ class Run(NamedTuple):
 PlainRun = tuple[int, int, int, int, int, int, int]
 """A run as a plain tuple: of hundreds of thousands in memory the garbage collector looks at none."""
 _named: Callable[[PlainRun], Run] = partial(tuple.__new__, Run)
+_AT, _UNTIL = itemgetter(0), itemgetter(1)
 COLUMNS = {name: position for position, name in enumerate(Run._fields)}
 
 
@@ -79,9 +80,12 @@ def merge(one: Iterable[PlainRun], other: Iterable[PlainRun]) -> list[Run]:
 
 def merge_plain(one: Iterable[PlainRun], other: Iterable[PlainRun]) -> list[PlainRun]:
     """Merge plain runs in order of time; a run that both hold is there once."""
+    runs = sorted(chain(one, other))
+    if all(map(gt, map(_AT, runs[1:]), map(_UNTIL, runs))):
+        return runs
     merged: list[PlainRun] = []
     last: PlainRun | None = None
-    for run in sorted(chain(one, other)):
+    for run in runs:
         if last is None or run[0] > last[1] or run[3:] != last[3:]:
             merged.append(run)
         else:
@@ -104,7 +108,7 @@ def are_apart(table: Sequence[Sequence[int]]) -> bool:
 
 def unpack_runs(blob: bytes, start: int) -> list[Run]:
     """The runs of a block. Raises ValueError when it is damaged."""
-    return [Run(*row) for row in zip(*unpack_columns(blob, start, Run._fields), strict=True)]
+    return runs_of(zip(*unpack_columns(blob, start, Run._fields), strict=True))
 
 
 def unpack_columns(blob: bytes, start: int, names: Sequence[str]) -> list[list[int]]:
