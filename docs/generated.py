@@ -19,7 +19,7 @@ from app.main import FEATURES
 from app.people.audit.anchor import AnchorStatus
 from app.system.metrics.families import LineCollector
 from app.system.metrics.sources import OUTCOMES, MetricSources
-from app.system.postgresql.status import PublisherStatus
+from app.system.postgresql.publisher import PublisherStatus
 from bus.instants import UnixTime
 
 GUIDE = Path(__file__).parent / "guide"

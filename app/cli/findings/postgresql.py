@@ -12,7 +12,7 @@ from app.errors import StoreError
 from app.settings import Settings
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.outbox import read_identity
-from app.system.postgresql.status import PublisherStatus
+from app.system.postgresql.publisher import PublisherStatus
 from bus.instants import unix_now
 from bus.messages import Message
 

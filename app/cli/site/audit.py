@@ -24,9 +24,8 @@ from app.people.audit.keys import find_key_file, owners_of, read_key_file
 from app.people.audit.proof import AuditVerification, cuts_of, heads_of, prove
 from app.records.handover.signatures import missing_signatures
 from app.settings import Settings, load
-from app.system.postgresql.destination import Destination
+from app.system.postgresql.destination import Destination, compare
 from app.system.postgresql.outbox import read_identity
-from app.system.postgresql.witness import compare
 from bus.errors import CallerError
 from bus.messages import Message, in_english
 

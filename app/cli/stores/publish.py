@@ -21,8 +21,7 @@ from app.line.history.service import FILE as HISTORY
 from app.records.handover.rules.shifts import site_time
 from app.settings import Settings, load
 from app.system.postgresql.destination import Destination
-from app.system.postgresql.outbox import HistoryRows, read_identity
-from app.system.postgresql.past import fill
+from app.system.postgresql.outbox import HistoryRows, fill, read_identity
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message, number
@@ -54,7 +53,7 @@ def publish(since: str, until: str, config: Path) -> None:
         destination = Destination(to, settings.site.name, read_identity(site), settings.bus)
         opened.callback(destination.abandon)
         destination.connect()
-        rows = HistoryRows(settings, to.step)
+        rows = HistoryRows(settings.bus, to.step)
         sent = sum(_shown(fill(site, history, destination, rows, span), zone))
     start, end = (site_time(UnixTime(at / SECOND), zone) for at in span)
     report(Message.of("published_past", rows=number(str(sent)), start=start, end=end, place=to.place))

@@ -19,7 +19,7 @@ from app.line.conditions.draw import percent_of
 from app.line.history.status import HistoryStatus
 from app.line.live.bus_live import BusLive, draw_of, speed_decimals, unit_link_now
 from app.system.metrics.sources import MetricSources
-from app.system.postgresql.status import PublisherStatus
+from app.system.postgresql.publisher import PublisherStatus
 from app.version import VERSION
 from bus.catalogue.status import OUTPUT_NUMBERS, output_is_on
 from bus.instants import UnixTime, unix_now

@@ -12,7 +12,7 @@ from app.line.history.status import HistoryStatus
 from app.line.live.bus_live import LiveState
 from app.people.audit.anchor import AnchorStatus
 from app.people.audit.log import Event, EventLog
-from app.system.postgresql.status import PublisherStatus
+from app.system.postgresql.publisher import PublisherStatus
 from bus.instants import UnixTime
 
 OUTCOMES = ("verified", "acknowledged", "refused", "unverified", "invalid", "not_sent", "bus_closed")

@@ -1,26 +1,34 @@
-"""The connection to the plant's database: it sends batches, and says in words why it cannot."""
+"""The connection to the plant's database: it makes the tables, sends batches of rows, and says in words why
+it cannot.
+
+The events there are a second witness of the audit log: :func:`compare` compares the two.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
+from app.core.database import StoreConnection
 from app.core.server.settings import SecretFileError, read_secret_text
 from app.errors import StoreError
-from app.system.postgresql.outbox import Batch
-from app.system.postgresql.rows import EVENT, READING, UNIT, Row, Table, instant, unit_row
-from app.system.postgresql.schema import (
-    MONTHLY,
-    SchemaError,
-    add_month,
-    clock_difference,
-    later,
-    month_of,
-    partitioned,
-    prepare,
-    remove_old,
+from app.people.audit.proof import cuts_of
+from app.system.postgresql.rows import (
+    ALARM,
+    BIT_COLUMNS,
+    EVENT,
+    MINUTE_TABLE,
+    READING,
+    UNIT,
+    Batch,
+    Row,
+    Table,
+    instant,
+    unit_row,
 )
 from app.system.postgresql.settings import PostgresqlSettings
 from bus.instants import UnixTime, unix_now
@@ -33,7 +41,7 @@ if TYPE_CHECKING:
 CONNECT_S = 10
 STATEMENT_S = 60
 SILENCE_S = 30
-"""After which a database that does not respond is given up."""
+"""The time after which a database that does not respond is given up."""
 OPTIONS = " ".join(
     f"-c {name}={value}"
     for name, value in {
@@ -45,11 +53,39 @@ OPTIONS = " ".join(
     }.items()
 )
 BEGINNING = instant(0)
-"""From when on a unit is called as it is the first time that it is published: its past is filled in later."""
+"""The ``valid_from`` of the first names of a unit, since its past may be filled in later."""
+MARK = "lineside_version"
+"""The table that marks a schema as one of Lineside's."""
+VERSION = 1
+"""The version of the tables."""
+MONTHLY: tuple[Table, ...] = (READING, MINUTE_TABLE, EVENT, ALARM)
+_TYPES = {
+    "id": "bigint NOT NULL",
+    "occurrence": "bigint NOT NULL",
+    "count": "bigint",
+    "about": "bigint",
+    "unit": "integer",
+    "decimals": "smallint",
+    "old_raw": "bigint",
+    "new_raw": "bigint",
+    **dict.fromkeys(("at", "came", "valid_from"), "timestamptz NOT NULL"),
+    **dict.fromkeys(("cleared", "acknowledged"), "timestamptz"),
+    **dict.fromkeys(("commanded", "actual", "analog"), "double precision"),
+    **dict.fromkeys(("actual_min", "actual_avg", "actual_max"), "double precision"),
+    **dict.fromkeys(("known_s", "run_s", "at_speed_s", "length"), "double precision"),
+    **dict.fromkeys(BIT_COLUMNS, "boolean"),
+}
+"""The type of each column that is no text."""
+_MONTH = re.compile(r"_y(\d{4})m(\d{2})$")
+_NAMES = ("site", UNIT.name, *(table.name for table in MONTHLY), "unit_now")
 
 
 class PublishError(StoreError):
     """The plant's database cannot be reached, or does not take rows; the message says why."""
+
+
+class SchemaError(StoreError):
+    """The plant's database cannot take what is published; the message says what to do."""
 
 
 def require_package() -> None:
@@ -61,8 +97,8 @@ def require_package() -> None:
 
 
 class Destination:
-    """One connection, which :meth:`connect` opens again after a failure. Used by one thread at a time, but
-    for :meth:`abandon`."""
+    """One connection, which :meth:`connect` opens again after a failure. Only one thread at a time may use
+    it, except for :meth:`abandon`."""
 
     def __init__(
         self, settings: PostgresqlSettings, site: str, identity: str, buses: Sequence[BusSettings]
@@ -72,25 +108,25 @@ class Destination:
         self._months: set[tuple[Table, tuple[int, int]]] = set()
         self._partitioned: set[str] = set()
         self.clock_ahead_s = 0.0
-        """By how much the clock of the database is ahead of that of this machine, when it was connected."""
+        """How far the clock of the database was ahead of that of this machine when it was connected."""
 
     def connect(self) -> None:
-        """Connect where there is no connection, and bring the tables and the names of units up to date.
-        Raises PublishError, SchemaError."""
+        """Connect unless it is connected, and bring the tables and the names of units up to date. Raises
+        PublishError, SchemaError."""
         if self._connection is not None:
             return
         require_package()
         with self._in_words():
             connection = self._connection = self._opened()
             with connection.transaction():
-                prepare(connection, self._settings.quoted_schema, self._site, self._identity)
-                self._partitioned = partitioned(connection, self._settings.quoted_schema)
+                _prepare(connection, self._settings.quoted_schema, self._site, self._identity)
+                self._partitioned = _partitioned(connection, self._settings.quoted_schema)
                 for table in (UNIT, *MONTHLY):
                     connection.execute(
                         f"CREATE TEMPORARY TABLE incoming_{table.name}"
                         f" (LIKE {self._settings.quoted_schema}.{table.name}) ON COMMIT DELETE ROWS".encode()
                     )
-            self.clock_ahead_s = clock_difference(connection, float(unix_now()))
+            self.clock_ahead_s = _clock_difference(connection, float(unix_now()))
             self._send_units(connection)
 
     def examine(self) -> float:
@@ -102,68 +138,57 @@ class Destination:
         with self._in_words():
             connection = self._connection = self._opened()
             with connection.transaction():
-                prepare(connection, self._settings.quoted_schema, self._site, self._identity)
-                add_month(connection, self._settings.quoted_schema, MONTHLY[0], month_of(datetime.now(UTC)))
+                _prepare(connection, self._settings.quoted_schema, self._site, self._identity)
+                _add_month(connection, self._settings.quoted_schema, MONTHLY[0], _month_of(datetime.now(UTC)))
                 raise psycopg.Rollback
-            return clock_difference(connection, float(unix_now()))
+            return _clock_difference(connection, float(unix_now()))
 
     def send(self, batch: Batch, published_at: UnixTime) -> None:
-        """Send rows in one transaction; those that are there are not written again. Raises PublishError, and
-        SchemaError."""
-        self.connect()
-        with self._in_words():
-            connection = self._connection
-            assert connection is not None
-            with connection.transaction():
-                for table, rows in batch.rows.items():
-                    if rows:
-                        self._copy(connection, table, list(rows.values()))
-                said = f"UPDATE {self._settings.quoted_schema}.site SET published_at = to_timestamp(%s)"
-                connection.execute(f"{said} WHERE name = %s".encode(), (float(published_at), self._site))
+        """Send rows in one transaction; equal rows that are there already are not written again. Raises
+        PublishError, SchemaError."""
+        with self._connected() as connection, connection.transaction():
+            for table, rows in batch.rows.items():
+                if rows:
+                    self._copy(connection, table, list(rows.values()))
+            said = f"UPDATE {self._settings.quoted_schema}.site SET published_at = to_timestamp(%s)"
+            connection.execute(f"{said} WHERE name = %s".encode(), (float(published_at), self._site))
 
     def keep_up(self, now: UnixTime) -> None:
-        """Make the partitions of the next month, and remove what is older than it is to be kept. What is old,
-        the earlier of both clocks says: one that is ahead removes nothing. Raises PublishError."""
-        self.connect()
+        """Make the partitions of the next month, and remove what is older than ``keep_months``, by the
+        earlier of both clocks: one that is ahead removes nothing. Raises PublishError."""
         schema, keep_months = self._settings.quoted_schema, self._settings.keep_months
-        with self._in_words():
-            connection = self._connection
-            assert connection is not None
+        with self._connected() as connection:
             today = datetime.fromtimestamp(float(now), UTC)
-            earlier = today + timedelta(seconds=min(0.0, clock_difference(connection, float(now))))
+            earlier = today + timedelta(seconds=min(0.0, _clock_difference(connection, float(now))))
             with connection.transaction():
                 for table in MONTHLY:
                     if table.name in self._partitioned:
-                        add_month(connection, schema, table, later(month_of(today), 1))
+                        _add_month(connection, schema, table, _month_after(_month_of(today), 1))
                 if keep_months is not None:
-                    remove_old(connection, schema, self._site, earlier, keep_months)
+                    _remove_old(connection, schema, self._site, earlier, keep_months)
             self._months.clear()
 
     def hashes(self, after: int, limit: int) -> list[tuple[int, list[str]]]:
-        """Return the next events of the site behind a number: the number of each, and every hash that it was
-        ever published with. Raises PublishError, SchemaError."""
-        self.connect()
-        with self._in_words():
-            assert self._connection is not None
+        """Return events of the site behind a number, in order: the number of each, and every hash with which
+        it was ever published. Raises PublishError, SchemaError."""
+        with self._connected() as connection:
             query = (
                 f"SELECT id, array_agg(hash) FROM {self._settings.quoted_schema}.event"
                 " WHERE site = %s AND id > %s GROUP BY id ORDER BY id LIMIT %s"
             )
-            return self._connection.execute(query.encode(), (self._site, after, limit)).fetchall()
+            return connection.execute(query.encode(), (self._site, after, limit)).fetchall()
 
     def extents(self, after: UnixTime) -> list[tuple[int, datetime | None, datetime | None]]:
-        """Return what the site published of later than a time: of events and of readings how many, the first
-        and the last, which are None where there are none. Raises PublishError, SchemaError."""
-        self.connect()
-        with self._in_words():
-            assert self._connection is not None
+        """Return how many events and how many readings the site published of a time and later, each with the
+        first and the last instant, None without any. Raises PublishError, SchemaError."""
+        with self._connected() as connection:
             found = []
             for table in (EVENT, READING):
                 query = (
                     f"SELECT count(*), min(at), max(at) FROM {self._settings.quoted_schema}.{table.name}"
                     " WHERE site = %s AND at > to_timestamp(%s)"
                 )
-                found += self._connection.execute(query.encode(), (self._site, float(after))).fetchall()
+                found += connection.execute(query.encode(), (self._site, float(after))).fetchall()
             return found
 
     def abandon(self) -> None:
@@ -196,11 +221,9 @@ class Destination:
     def _copy(self, connection: psycopg.Connection[Any], table: Table, rows: Sequence[Row]) -> None:
         schema, columns = self._settings.quoted_schema, ("site", *table.columns)
         if table.name in self._partitioned:
-            for month in {month_of(row[0]) for row in rows} - {
-                of for each, of in self._months if each is table
-            }:
-                add_month(connection, schema, table, month)
-                self._months.add((table, month))
+            for month in {(table, _month_of(row[0])) for row in rows} - self._months:
+                _add_month(connection, schema, *month)
+                self._months.add(month)
         names, key = ", ".join(columns), ("site", *table.key)
         with connection.cursor() as cursor:
             with cursor.copy(f"COPY incoming_{table.name} ({names}) FROM STDIN".encode()) as copy:
@@ -228,6 +251,13 @@ class Destination:
                     rows.append(row)
         with connection.transaction():
             self._copy(connection, UNIT, rows)
+
+    @contextmanager
+    def _connected(self) -> Iterator[psycopg.Connection[Any]]:
+        self.connect()
+        with self._in_words():
+            assert self._connection is not None
+            yield self._connection
 
     @contextmanager
     def _in_words(self) -> Iterator[None]:
@@ -265,3 +295,179 @@ def _on_conflict(table: Table, key: Sequence[str]) -> str:
     new = ", ".join(f"{name} = excluded.{name}" for name in others)
     present, excluded = (", ".join(f"{row}.{name}" for name in others) for row in ("present", "excluded"))
     return f"DO UPDATE SET {new} WHERE ({present}) IS DISTINCT FROM ({excluded})"
+
+
+# --- tables ---
+
+
+def _table(schema: str, table: Table) -> str:
+    columns = ", ".join(f"{name} {_TYPES.get(name, 'text')}" for name in table.columns)
+    key = ", ".join(("site", *table.key))
+    parts = f" PARTITION BY RANGE ({table.key[0]})" if table in MONTHLY else ""
+    return f"CREATE TABLE {schema}.{table.name} (site text NOT NULL, {columns}, PRIMARY KEY ({key})){parts}"
+
+
+def _statements(schema: str) -> Iterator[str]:
+    """Yield the statements that make the tables."""
+    yield f"CREATE TABLE {schema}.{MARK} (version integer NOT NULL)"
+    yield f"INSERT INTO {schema}.{MARK} VALUES ({VERSION})"
+    yield f"CREATE TABLE {schema}.site (name text PRIMARY KEY, id text NOT NULL, published_at timestamptz)"
+    yield from (_table(schema, table) for table in (UNIT, *MONTHLY))
+    yield f"CREATE INDEX ON {schema}.{EVENT.name} (site, id)"
+    yield (
+        f"CREATE VIEW {schema}.unit_now AS SELECT DISTINCT ON (site, bus, unit) *"
+        f" FROM {schema}.{UNIT.name} ORDER BY site, bus, unit, valid_from DESC"
+    )
+
+
+def _prepare(connection: psycopg.Connection[Any], schema: str, site: str, identity: str) -> None:
+    """Make the schema and its tables unless they are there, within the present transaction; ``schema`` is
+    quoted. Raises SchemaError for tables of another program or of a newer version, and for a site of this
+    name that another server publishes."""
+    name = schema.strip('"')
+    # Two sites may come to an empty database at the same time.
+    connection.execute("SELECT pg_advisory_xact_lock(hashtext(%s))", (f"lineside {schema}",))
+    if not _one(connection, "SELECT 1 FROM pg_namespace WHERE nspname = %s", name):
+        _run(connection, f"CREATE SCHEMA {schema}")
+    present = _one(
+        connection,
+        "SELECT array_agg(relname::text) FROM pg_class WHERE relnamespace = %s::regnamespace",
+        schema,
+    )
+    names = set(present[0] or ()) if present else set()
+    if MARK not in names and (foreign := sorted(names & set(_NAMES))):
+        raise SchemaError(Message.of("publisher_foreign_tables", schema=name, tables=", ".join(foreign)))
+    if MARK not in names:
+        for statement in _statements(schema):
+            _run(connection, statement)
+    elif (found := _one(connection, f"SELECT version FROM {schema}.{MARK}")) and found[0] > VERSION:
+        raise SchemaError(Message.of("publisher_newer_schema", schema=name, found=found[0], known=VERSION))
+    _claim(connection, schema, site, identity)
+
+
+def _claim(connection: psycopg.Connection[Any], schema: str, site: str, identity: str) -> None:
+    """Enter the site in the database. Raises SchemaError where another one has its name."""
+    _run(
+        connection,
+        f"INSERT INTO {schema}.site (name, id) VALUES (%s, %s) ON CONFLICT DO NOTHING",
+        site,
+        identity,
+    )
+    found = _one(connection, f"SELECT id FROM {schema}.site WHERE name = %s", site)
+    if found is None or found[0] != identity:
+        named = schema.strip('"')
+        raise SchemaError(Message.of("publisher_other_site", schema=named, site=site))
+
+
+def _clock_difference(connection: psycopg.Connection[Any], now: float) -> float:
+    """Return how many seconds the clock of the database is ahead of ``now``, Unix time."""
+    found = _one(connection, "SELECT extract(epoch FROM clock_timestamp())::float8")
+    assert found is not None
+    return float(found[0]) - now
+
+
+# --- partitions ---
+
+
+def _month_of(at: datetime) -> tuple[int, int]:
+    """Return the year and the month of a row, by UTC."""
+    at = at.astimezone(UTC)
+    return at.year, at.month
+
+
+def _partitioned(connection: psycopg.Connection[Any], schema: str) -> set[str]:
+    """Return the names of the tables that have partitions; a plant may have replaced one by its own."""
+    query = "SELECT relname::text FROM pg_class WHERE relnamespace = %s::regnamespace AND relkind = 'p'"
+    return {name for [name] in connection.execute(query, (schema,))}
+
+
+def _add_month(
+    connection: psycopg.Connection[Any], schema: str, table: Table, month: tuple[int, int]
+) -> None:
+    """Make the partition of a month unless it is there."""
+    name = f"{schema}.{table.name}_y{month[0]:04d}m{month[1]:02d}"
+    if (found := _one(connection, "SELECT to_regclass(%s)", name)) and found[0]:
+        return
+    connection.execute("SELECT pg_advisory_xact_lock(hashtext(%s))", (f"lineside {schema}",))
+    bounds = f"FROM ('{_bound(month)}') TO ('{_bound(_month_after(month, 1))}')"
+    _run(
+        connection,
+        f"CREATE TABLE IF NOT EXISTS {name} PARTITION OF {schema}.{table.name} FOR VALUES {bounds}",
+    )
+
+
+def _month_after(month: tuple[int, int], by: int) -> tuple[int, int]:
+    """Return the month ``by`` months later."""
+    years, number = divmod(12 * month[0] + month[1] - 1 + by, 12)
+    return years, number + 1
+
+
+def _bound(month: tuple[int, int]) -> str:
+    return f"{month[0]:04d}-{month[1]:02d}-01 00:00:00+00"
+
+
+def _remove_old(
+    connection: psycopg.Connection[Any], schema: str, site: str, now: datetime, keep_months: int
+) -> None:
+    """Remove the rows of a site that are older than ``keep_months`` complete months before the current one.
+    The partition of a month is dropped where no other site has rows in it."""
+    first = _month_after(_month_of(now), -keep_months)
+    for table in MONTHLY:
+        query = "SELECT inhrelid::regclass::text FROM pg_inherits WHERE inhparent = %s::regclass"
+        parts = connection.execute(query, (f"{schema}.{table.name}",)).fetchall()
+        for [name] in parts:
+            month = _MONTH.search(name)
+            if month is None or (int(month[1]), int(month[2])) >= first:
+                continue
+            if _one(connection, f"SELECT 1 FROM {name} WHERE site <> %s LIMIT 1", site):
+                _run(connection, f"DELETE FROM {name} WHERE site = %s", site)
+            else:
+                _run(connection, f"DROP TABLE {name}")
+
+
+def _run(connection: psycopg.Connection[Any], statement: str, *values: object) -> None:
+    connection.execute(statement.encode(), values or None)
+
+
+def _one(connection: psycopg.Connection[Any], query: str, *values: object) -> tuple[Any, ...] | None:
+    return connection.execute(query.encode(), values or None).fetchone()
+
+
+# --- the events as a witness of the audit log ---
+
+
+CHUNK = 5000
+
+
+@dataclass
+class Comparison:
+    """The result of a comparison. ``same``: events that both have with one hash; ``replaced``: those of them
+    that the database has with a further hash, too; ``unpublished``: events that only the log has, from the
+    first on that the database has."""
+
+    same: int = 0
+    replaced: int = 0
+    unpublished: int = 0
+
+
+def compare(connection: StoreConnection, destination: Destination) -> Comparison:
+    """Compare every event that the database has with the log. Raises StoreError with the first event that the
+    log lacks or has with another content."""
+    found, after, first = Comparison(), 0, 0
+    archived = max((cut.last for cut in cuts_of(connection)), default=0)
+    while published := destination.hashes(after, CHUNK):
+        numbers = published[0][0], published[-1][0]
+        query = "SELECT id, hash FROM events WHERE id BETWEEN ? AND ?"
+        stored = dict(map(tuple, connection.execute(query, numbers)))
+        for number, hashes in published:
+            if number in stored and stored[number] in hashes:
+                found.same += 1
+                found.replaced += len(hashes) > 1
+            elif number in stored:
+                raise StoreError(Message.of("audit_witness_differs", entry=number))
+            elif number > archived:
+                raise StoreError(Message.of("audit_witness_lacks", entry=number))
+        first, after = first or numbers[0], numbers[1]
+    [count] = connection.execute("SELECT count(*) FROM events WHERE id >= ?", (first,)).fetchone()
+    found.unpublished = count - found.same
+    return found

@@ -14,10 +14,13 @@ from bus.messages import Message
 
 
 def make(services: Services) -> None:
-    to = services.settings.postgresql
-    if to is None:
+    settings = services.settings
+    if settings.postgresql is None:
         return
-    publisher = services.add(Publisher(services.settings, to, services[Database], services[History]))
+    site, buses = settings.site.name, settings.bus
+    publisher = services.add(
+        Publisher(settings.postgresql, site, buses, services[Database], services[History])
+    )
     services.lifespan.add("publisher", publisher.follow, end=publisher.end)
 
     def behind() -> Message | bool:

@@ -1,15 +1,17 @@
-"""The outbox of the publisher: the cursor, and the rows that the stores have behind it.
+"""The rows that the stores have for the plant's database: those behind the publisher's cursor, and those of a
+past that is filled in.
 
 The stores are the outbox: blocks of readings and entries of the logs have numbers that only rise, and the
-cursor says up to which they are in the plant's database. What is sent twice is one row there.
+cursor holds up to which they are in the plant's database. What is sent twice is one row there. A past is read
+from the stores as they are, whether or not the server runs.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
-from operator import itemgetter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from app.core.database import StoreConnection
@@ -18,21 +20,21 @@ from app.line.history import tables
 from app.line.history.query import SeriesQuery, has_raw, scale_of
 from app.line.history.series.downsampling import series
 from app.line.history.series.figures import RunFigures, minute_figures, runs_of_minutes
-from app.line.history.series.runs import HOUR, MINUTE, SECOND, PlainRun, Run, runs_of
+from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, Run, runs_of
 from app.line.history.series.values import VALUES, Marks
 from app.line.history.tables import BlockKey
 from app.line.history.tail import Tail
 from app.line.history.unit_history import StoredUnit, minutes_of, rollups, runs_between, stored_unit
-from app.line.history.unit_report import was_follower
-from app.settings import Settings
+from app.line.history.unit_report import stored_tail, was_follower
+from app.system.postgresql.destination import Destination
 from app.system.postgresql.rows import (
     ALARM,
     EVENT,
     MINUTE_TABLE,
     READING,
+    Batch,
     Row,
     Scales,
-    Table,
     alarm_row,
     event_row,
     length_of,
@@ -42,24 +44,25 @@ from app.system.postgresql.rows import (
     reading_rows,
     steps_of,
 )
+from bus.instants import unix_now
 from bus.settings import BusSettings, UnitSettings
 
 MAX_ENTRIES = 2000
 """Events, and transitions of alarms, of one batch."""
 MAX_SPAN = HOUR
-"""How much of readings one batch has, of all units together, µs: 10,000 to 20,000 readings."""
+"""The span of readings in one batch, summed over the units, µs: 10,000 to 20,000 readings."""
 MAX_BLOCKS = MAX_SPAN // MINUTE
 SETTLED = SECOND
-"""For how long the readings of a moment are waited for before it is published, µs. A later one comes with its
+"""How long the readings of a moment are awaited before it is published, µs. A later one is published with its
 minute."""
 _EVER = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
 class Cursor:
-    """Up to which number or time each kind of rows is published. ``blocks``: the id of a block of readings;
-    ``events`` and ``alarms``: of an entry of the log and of the journal; ``until``: a time, µs, up to which
-    everything that was stored then is published."""
+    """What is published. ``blocks``: the id of the last block of readings; ``events``, ``alarms``: of the
+    last entry of the log and of the journal; ``until``: a time, µs, up to which everything that was stored
+    then is published."""
 
     blocks: int
     events: int
@@ -71,7 +74,7 @@ _NAMES = tuple(each.name for each in fields(Cursor))
 
 
 def read_cursor(connection: StoreConnection) -> Cursor | None:
-    """Return the stored cursor; None: nothing was published yet."""
+    """Return the stored cursor; None if nothing was published yet."""
     found = dict(map(tuple, connection.execute("SELECT name, value FROM publisher_cursor")))
     return Cursor(**found) if found.keys() >= set(_NAMES) else None
 
@@ -83,12 +86,12 @@ def write_cursor(connection: StoreConnection, cursor: Cursor) -> None:
 
 
 def read_identity(connection: StoreConnection) -> str:
-    """Return what names the site in the plant's database: 32 hex digits that no other site has."""
+    """Return the id of the site in the plant's database: 32 hex digits that no other site has."""
     return str(connection.execute("SELECT id FROM publisher_identity").fetchone()[0])
 
 
 def end_of_logs(connection: StoreConnection) -> tuple[int, int]:
-    """Return the numbers of the newest event and the newest transition of an alarm; 0 without any."""
+    """Return the ids of the newest event and of the newest transition of an alarm; 0 without any."""
     query = "SELECT coalesce((SELECT max(id) FROM {}), 0)"
     return tuple(connection.execute(query.format(name)).fetchone()[0] for name in ("events", "alarm_journal"))
 
@@ -99,33 +102,16 @@ def end_of_blocks(connection: StoreConnection) -> int:
 
 
 def first_block_since(connection: StoreConnection, at: int) -> int | None:
-    """Return the least id of the blocks that begin at a time or later, µs."""
+    """Return the least id of the blocks that begin at ``at`` or later, µs."""
     found = connection.execute("SELECT min(id) FROM raw WHERE start >= ?", (at,)).fetchone()[0]
     return None if found is None else int(found)
 
 
-@dataclass
-class Batch:
-    """Rows to be sent together, by table and key: what is twice among them is sent once."""
-
-    rows: dict[Table, dict[Row, Row]] = field(default_factory=dict)
-
-    def add(self, table: Table, rows: Iterable[Row]) -> None:
-        """Add rows of a table; one replaces that of the same key."""
-        key = itemgetter(*map(table.columns.index, table.key))
-        self.rows.setdefault(table, {}).update((key(row), row) for row in rows)
-
-    @property
-    def size(self) -> int:
-        """Return how many rows it has."""
-        return sum(map(len, self.rows.values()))
-
-
-# --- events and alarms ------------------------------------------------------------------------------------
+# --- events and alarms ---
 
 
 def add_entries(connection: StoreConnection, cursor: Cursor, batch: Batch) -> tuple[Cursor, bool]:
-    """Add the events and alarms behind the cursor, as many as one batch has; return the cursor behind them,
+    """Add the events and alarms behind the cursor to a batch, up to its limit; return the cursor behind them,
     and whether these were all."""
     query = "SELECT * FROM events WHERE id > ? ORDER BY id LIMIT ?"
     events = connection.execute(query, (cursor.events, MAX_ENTRIES)).fetchall()
@@ -156,22 +142,7 @@ def _alarm_rows(connection: StoreConnection, occurrences: Iterable[tuple[str, in
             yield row
 
 
-def events_between(connection: StoreConnection, start: float, end: float, after: int) -> list[dict[str, Any]]:
-    """Return events of a span, Unix time, behind a number, as many as one batch has."""
-    query = "SELECT * FROM events WHERE id > ? AND time >= ? AND time < ? ORDER BY id LIMIT ?"
-    return [dict(row) for row in connection.execute(query, (after, start, end, MAX_ENTRIES))]
-
-
-def alarms_between(connection: StoreConnection, start: float, end: float) -> list[Row]:
-    """Return the occurrences of alarms that came within a span, Unix time."""
-    query = (
-        "SELECT DISTINCT alarm, occurrence FROM alarm_journal WHERE trigger = 'rise' AND at >= ? AND at < ?"
-    )
-    found = connection.execute(query, (start, end)).fetchall()
-    return [*_alarm_rows(connection, ((alarm, occurrence) for alarm, occurrence in found))]
-
-
-# --- readings ---------------------------------------------------------------------------------------------
+# --- readings ---
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,11 +161,11 @@ class PublishedUnit:
 
 
 class HistoryRows:
-    """Makes rows of the history of a site. ``step``: their distance in µs, 0 for every reading; ``damaged``:
-    blocks that could not be read, until they are taken."""
+    """Makes rows of the history of a site. ``step``: the distance of the rows in µs, 0 for every reading;
+    ``damaged``: blocks that could not be read, until the caller empties the list."""
 
-    def __init__(self, settings: Settings, step: int) -> None:
-        self._buses = {bus.name: bus for bus in settings.bus}
+    def __init__(self, buses: Iterable[BusSettings], step: int) -> None:
+        self._buses = {bus.name: bus for bus in buses}
         self._step = step
         self._known: tuple[object, ...] = ()
         self._units: dict[int, PublishedUnit] = {}
@@ -202,7 +173,7 @@ class HistoryRows:
         self.damaged: list[BlockKey] = []
 
     def units(self, connection: StoreConnection) -> dict[int, PublishedUnit]:
-        """Return the units by their keys; they are read again when a unit or a scale has come."""
+        """Return the units by their keys; they are read again after a new unit or scale."""
         query = "SELECT (SELECT count(*) FROM unit), count(*), max(at), total(raw) FROM parameter"
         known = tuple(connection.execute(query).fetchone())
         if known != self._known:
@@ -216,19 +187,18 @@ class HistoryRows:
     def add_blocks(
         self, connection: StoreConnection, tail: Tail, cursor: Cursor, batch: Batch
     ) -> tuple[Cursor, bool]:
-        """Add the blocks behind the cursor, as many as one batch has; return the cursor behind them, and
-        whether these were all. What was given up before it was published is added as minutes."""
+        """Add the blocks behind the cursor to a batch, up to its limit; return the cursor behind them, and
+        whether these were all. Readings that were given up before they were published are added as
+        minutes."""
         given_up = tables.raw_from(connection)
         if given_up > cursor.until:
             end = min(given_up, cursor.until - cursor.until % HOUR + HOUR)
             for unit in self.units(connection).values():
                 self._add_minutes(connection, tail, unit, (cursor.until - cursor.until % MINUTE, end), batch)
             return replace(cursor, until=end), False
+        units = self.units(connection)
         query = "SELECT id, unit, start, span FROM raw WHERE id > ? ORDER BY id LIMIT ?"
-        units, blocks = (
-            self.units(connection),
-            connection.execute(query, (cursor.blocks, MAX_BLOCKS)).fetchall(),
-        )
+        blocks = connection.execute(query, (cursor.blocks, MAX_BLOCKS)).fetchall()
         spans = itertools.accumulate((span for _, _, _, span in blocks), initial=0)
         for (number, key, start, span), before in zip(blocks, spans, strict=False):
             if before + span > MAX_SPAN and before:
@@ -332,3 +302,68 @@ def _figures(
         runs = runs_of_minutes(minutes_of(source, start - MINUTE, end + MINUTE))
     marks = source.marks(start - MINUTE, end + MINUTE)
     return minute_figures(runs, marks, unit.scales.actual)
+
+
+# --- the past ---
+
+MAX_ROWS = 20_000
+"""Rows that are sent together."""
+PIECE = 4 * HOUR
+
+
+def fill(
+    site: StoreConnection,
+    history: StoreConnection | None,
+    destination: Destination,
+    rows: HistoryRows,
+    span: tuple[int, int],
+) -> Iterator[tuple[int, int]]:
+    """Send everything of a span, µs: events, alarms, readings and minutes; each batch while the next one is
+    made. Yield up to when it was read, and how many rows are sent of that. Raises StoreError."""
+    readings = () if history is None else _reading_batches(history, rows, span)
+    with ThreadPoolExecutor(1) as thread:
+        sending = thread.submit(lambda: None)
+        for until, batch in itertools.chain(_entry_batches(site, span), readings):
+            sending.result()
+            sending = thread.submit(destination.send, batch, unix_now())
+            yield until, batch.size
+        sending.result()
+
+
+def _entry_batches(site: StoreConnection, span: tuple[int, int]) -> Iterator[tuple[int, Batch]]:
+    start, end = span[0] / SECOND, span[1] / SECOND
+    query = "SELECT * FROM events WHERE id > ? AND time >= ? AND time < ? ORDER BY id LIMIT ?"
+    after = 0
+    while events := site.execute(query, (after, start, end, MAX_ENTRIES)).fetchall():
+        after = events[-1]["id"]
+        batch = Batch()
+        batch.add(EVENT, map(event_row, map(dict, events)))
+        yield span[0], batch
+    query = (
+        "SELECT DISTINCT alarm, occurrence FROM alarm_journal WHERE trigger = 'rise' AND at >= ? AND at < ?"
+    )
+    batch = Batch()
+    batch.add(ALARM, _alarm_rows(site, map(tuple, site.execute(query, (start, end)).fetchall())))
+    yield span[0], batch
+
+
+def _reading_batches(
+    history: StoreConnection, rows: HistoryRows, span: tuple[int, int]
+) -> Iterator[tuple[int, Batch]]:
+    tail, stored = stored_tail(history), tables.extent(history)
+    spans = [each for each in (stored, tail.extent()) if each]
+    start = max(span[0], min((first for first, _ in spans), default=span[1]))
+    end = min(span[1], max((last for _, last in spans), default=span[0]))
+    start -= start % HOUR
+    batch = Batch()
+    while start < end:
+        # A day of minutes at a time, or a few hours of readings.
+        kept_from = tables.raw_from(history)
+        until = min(end, start + PIECE if start >= kept_from else min(start + DAY, kept_from))
+        for unit in rows.units(history).values():
+            rows.add_span(history, tail, unit, (start, until), batch)
+            if batch.size >= MAX_ROWS:
+                yield until, batch
+                batch = Batch()
+        start = until
+    yield end, batch

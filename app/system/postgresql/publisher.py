@@ -1,4 +1,5 @@
-"""Copies what is stored into the plant's database, at once, or when the database is there again.
+"""The publisher: it copies what is stored into the plant's database, at once, or when the database is there
+again.
 
 Nothing waits for it. The threads of readers read the stores, and a thread of its own waits for the database.
 """
@@ -6,7 +7,8 @@ Nothing waits for it. The threads of readers read the stores, and a thread of it
 from __future__ import annotations
 
 import asyncio
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import structlog
@@ -18,11 +20,9 @@ from app.line.history.series.runs import MINUTE, micros
 from app.line.history.service import History, seconds
 from app.line.history.tail import Tail
 from app.line.history.writer import LATE
-from app.settings import Settings
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.outbox import (
     SETTLED,
-    Batch,
     Cursor,
     HistoryRows,
     add_entries,
@@ -33,39 +33,77 @@ from app.system.postgresql.outbox import (
     read_identity,
     write_cursor,
 )
+from app.system.postgresql.rows import Batch
 from app.system.postgresql.settings import PostgresqlSettings
-from app.system.postgresql.status import PublisherStatus
-from bus.instants import Clock, Monotonic, monotonic_now, unix_now
-from bus.messages import in_english
+from bus.instants import Clock, Monotonic, UnixTime, monotonic_now, unix_now
+from bus.messages import Message, in_english, number
+from bus.settings import BusSettings
 
 EVERY_S = 1.0
 REST = 4.0
-"""How many times as long as a batch took it rests while it is behind: people and buses come first."""
+"""How many times the duration of a batch it rests while it is behind: people and buses come first."""
 MAX_REST_S = 2.0
 RETRY_S = (1.0, 2.0, 5.0, 10.0, 30.0)
-"""Between attempts, the last one again and again."""
+"""The time between two attempts, of which the last repeats."""
 STORE_EVERY_S = 10.0
 """How often the cursor is stored. After a crash what was sent since is sent again."""
 AGAIN = 2 * MINUTE
 """How much is sent again after a start: a store from a backup may be a moment older than the cursor, µs."""
 KEEP_UP_EVERY_S = 6 * 3600.0
+CLOCK_SAID_S = 60.0
+"""The difference of the clocks from which on there is a notice."""
 log = structlog.get_logger()
 
 
+@dataclass(frozen=True, slots=True)
+class PublisherStatus:
+    """The state of the publisher. ``until``: everything that was stored up to then is published; ``fault``:
+    why nothing is published now; ``clock_ahead_s``: how far the clock of the database is ahead; ``rows``:
+    sent since the start."""
+
+    place: str
+    until: UnixTime
+    fault: Message | None = None
+    clock_ahead_s: float = 0.0
+    rows: int = 0
+
+    def lag_s(self, now: UnixTime) -> float:
+        """Return for how many seconds not everything was published."""
+        return max(0.0, float(now - self.until))
+
+    def state(self, now: UnixTime) -> Message:
+        """State in a sentence how up to date the database is."""
+        seconds = number(f"{self.lag_s(now):.0f}")
+        if self.fault is not None:
+            return Message.of("publisher_lacks", reason=self.fault, seconds=seconds)
+        return Message.of("publisher_has", place=self.place, seconds=seconds)
+
+    @property
+    def notice(self) -> Message | None:
+        """The reason why nothing is published, or that the clock of the database differs; None mostly."""
+        if self.fault is not None:
+            return self.fault
+        if abs(self.clock_ahead_s) < CLOCK_SAID_S:
+            return None
+        ahead = number(f"{self.clock_ahead_s:+.0f}")
+        return Message.of("publisher_clock", place=self.place, seconds=ahead)
+
+
 class Publisher:
-    """Publishes what the stores of a site have. After any failure it waits and goes on where it was."""
+    """Publishes what the stores of a site hold; after a failure it waits and goes on where it was."""
 
     def __init__(
         self,
-        settings: Settings,
         to: PostgresqlSettings,
+        site: str,
+        buses: Sequence[BusSettings],
         database: Database,
         history: History,
         clock: Clock = unix_now,
     ) -> None:
         identity = database.read_now(read_identity)
-        self._destination = Destination(to, settings.site.name, identity, settings.bus)
-        self._rows = HistoryRows(settings, to.step)
+        self._destination = Destination(to, site, identity, buses)
+        self._rows = HistoryRows(buses, to.step)
         self._database, self._history, self._clock = database, history, clock
         self._step = to.step
         self._cursor: Cursor | None = None

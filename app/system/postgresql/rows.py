@@ -1,11 +1,13 @@
-"""Makes what the stores have into rows of the plant's database: plain values in engineering units. Pure."""
+"""The tables of the plant's database, and their rows: plain values in engineering units. Pure."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from functools import cache
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 from app.line.history.series.downsampling import Series
@@ -23,8 +25,8 @@ _EPOCH, _MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=
 
 
 class Table(NamedTuple):
-    """A table that rows are sent to. ``columns``: in the order of a row, without that of the site, which is
-    the first; ``key``: those that name a row, beside the site; ``is_final``: a row never changes."""
+    """A table of the plant's database. ``columns``: in the order of a row, without the first one, which names
+    the site; ``key``: the columns that identify a row of a site; ``is_final``: a row never changes."""
 
     name: str
     columns: tuple[str, ...]
@@ -83,6 +85,23 @@ UNIT = Table(
 TABLES = (READING, MINUTE_TABLE, EVENT, ALARM, UNIT)
 
 
+@dataclass
+class Batch:
+    """Rows that are sent together, by table and key."""
+
+    rows: dict[Table, dict[Row, Row]] = field(default_factory=dict)
+
+    def add(self, table: Table, rows: Iterable[Row]) -> None:
+        """Add rows of a table; a row replaces an earlier one with the same key."""
+        key = itemgetter(*map(table.columns.index, table.key))
+        self.rows.setdefault(table, {}).update((key(row), row) for row in rows)
+
+    @property
+    def size(self) -> int:
+        """The number of rows."""
+        return sum(map(len, self.rows.values()))
+
+
 def instant(at: int) -> datetime:
     """Convert µs since the epoch to an instant, exactly."""
     return _EPOCH + at * _MICROSECOND
@@ -93,11 +112,11 @@ def instant_of(at: float | None) -> datetime | None:
     return None if at is None else instant(round(at * SECOND) if is_moment(at) else 0)  # type: ignore[arg-type]
 
 
-# --- readings ---------------------------------------------------------------------------------------------
+# --- readings ---
 
 
 def points_of(runs: Iterable[Run]) -> Iterator[tuple[int, Run]]:
-    """Yield each reading that is stored by itself: of a run its first and, if it lasted, its last."""
+    """Yield the first reading of each run and, if the run lasted, its last one."""
     for run in runs:
         yield run.at, run
         if run.until > run.at:
@@ -105,7 +124,7 @@ def points_of(runs: Iterable[Run]) -> Iterator[tuple[int, Run]]:
 
 
 def steps_of(runs: Iterable[Run], step: int) -> Iterator[tuple[int, Run]]:
-    """Yield the last reading of each step in which the unit responded, by the beginning of the step, µs."""
+    """Yield the last reading of each step in which the unit responded, with the beginning of the step, µs."""
     last: dict[int, Run] = {}
     for run in runs:
         first = run.at - run.at % step
@@ -136,7 +155,7 @@ class Scales(NamedTuple):
 def reading_rows(
     place: tuple[str, int], points: Iterable[tuple[int, Run]], scales: Scales, estop_healthy: int
 ) -> Iterator[Row]:
-    """Yield the rows of a unit. ``place``: its bus and its number."""
+    """Yield the rows of a unit at points in order of time. ``place``: its bus and its number."""
     changes = sorted({at for scaling in scales for at in scaling.since})
     known: dict[Row, Row] = {}
     for at, run in points:
@@ -162,17 +181,17 @@ def _bits(word: int, estop_healthy: int) -> tuple[bool, ...]:
 
 
 def lost_row(place: tuple[str, int], at: int, link: str) -> Row:
-    """Return the row of the moment at which a unit or its bus was lost: it has no values."""
+    """Return the row without values of the moment at which a unit or its bus was lost."""
     values = (None,) * (len(READING.columns) - len(READING.key) - 1)
     return (instant(at), *place, *values, link)
 
 
-# --- minutes ----------------------------------------------------------------------------------------------
+# --- minutes ---
 
 
 def length_of(unit: UnitSettings | None) -> tuple[str, int] | None:
-    """Return the unit of a length of web, and the seconds in the time of the unit of speed; None where the
-    unit of speed, such as m/min, does not say both."""
+    """Return the unit of length in a unit of speed such as m/min, and the seconds of its unit of time; None
+    for a unit of speed without them."""
     length, _, per = (unit.labels.unit if unit else "").strip().partition("/")
     return (length.strip(), PER_S[per.strip()]) if length and per.strip() in PER_S else None
 
@@ -205,17 +224,16 @@ def _times(run: RunFigures, per_s: int | None) -> Row:
     return run.known / SECOND, run.running / SECOND, run.at_speed / SECOND, length
 
 
-# --- events, alarms, units --------------------------------------------------------------------------------
+# --- events, alarms, units ---
 
 
 def event_row(entry: Mapping[str, Any]) -> Row:
-    """Return the row of an entry of the audit log. The outcome of a command is an entry of its own, about the
-    command."""
+    """Return the row of an entry of the audit log."""
     return (instant_of(entry["time"]), *(_text(entry[name]) for name in EVENT.columns[1:]))
 
 
 def alarm_row(transitions: Sequence[Mapping[str, Any]]) -> Row | None:
-    """Return the row of an occurrence of an alarm, of its transitions in order; None where it never came."""
+    """Return the row of an occurrence of an alarm from its transitions in order; None if it never came."""
     last = {each["trigger"]: each for each in transitions}
     came, cleared, answer = last.get("rise"), last.get("clear"), last.get("acknowledge")
     if came is None:
@@ -233,7 +251,7 @@ def alarm_row(transitions: Sequence[Mapping[str, Any]]) -> Row | None:
 
 
 def unit_row(bus: BusSettings, unit: UnitSettings, valid_from: datetime) -> Row:
-    """Return the row of table ``unit`` that holds from ``valid_from`` on, with the names it has then."""
+    """Return the row of a unit with the names that it has from ``valid_from`` on."""
     length, labels = length_of(unit), unit.labels
     return (
         valid_from,
@@ -250,5 +268,5 @@ def unit_row(bus: BusSettings, unit: UnitSettings, valid_from: datetime) -> Row:
 
 
 def _text(value: Any) -> Any:
-    """Return a text without NUL, which PostgreSQL does not take."""
+    """Replace NUL, which PostgreSQL does not take."""
     return value.replace("\0", "\ufffd") if isinstance(value, str) else value

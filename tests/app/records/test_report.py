@@ -23,13 +23,14 @@ from app.line.history.series.figures import (
     RunFigures,
     SpeedStretch,
     draw_figures,
+    minute_figures,
     run_figures,
     runs_of_minutes,
     stretches,
 )
 from app.line.history.series.rollup import rollup
 from app.line.history.series.runs import MINUTE, SECOND, Run
-from app.line.history.series.values import Marks
+from app.line.history.series.values import LinearScale, Marks, Scaling
 from app.records.handover.notes import Note
 from app.records.handover.notes import add as add_note
 from app.records.handover.rules.shifts import Shift
@@ -55,6 +56,36 @@ def figures(
 ) -> RunFigures:
     counted = stretches(runs, round(start * SECOND), round(end * SECOND), marks or Marks())
     return run_figures(counted, 1, lambda _, raw: raw / 10)
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(1, 40), st.integers(0, 60), st.sampled_from([0, 50, 51]), st.booleans()),
+        min_size=1,
+        max_size=40,
+    ),
+    st.integers(0, 300),
+)
+def test_the_figures_of_minutes_add_up_to_those_of_the_span(
+    steps: list[tuple[int, int, int, bool]], changed: int
+) -> None:
+    scales = Scaling([0, changed * SECOND], [LinearScale(per=10), LinearScale(per=100)])
+    runs, at = [], 0
+    for gap, length, actual, is_at_speed in steps:
+        at += gap
+        until = min(at + length, at // 60 * 60 + 59)
+        inputs = ON | (AT_SPEED if is_at_speed else 0)
+        runs.append(run(at, until, actual, inputs=inputs))
+        at = until
+    marks = Marks(lost=[runs[len(runs) // 2].until + SECOND // 2])
+    counted = stretches(runs, 0, 1 << 60, marks)
+    total = run_figures(counted, 1, lambda at, raw: scales.at(at).apply(raw))
+    minutes = minute_figures(runs, marks, scales)
+    assert sum(each.known for each in minutes.values()) == total.known
+    assert sum(each.running for each in minutes.values()) == total.running
+    assert sum(each.at_speed for each in minutes.values()) == total.at_speed
+    assert sum(each.travel for each in minutes.values()) == pytest.approx(total.travel)
+    assert all(minute % MINUTE == 0 and each.known <= MINUTE for minute, each in minutes.items())
 
 
 def test_it_runs_while_its_speed_is_not_zero_and_each_stop_has_its_cause() -> None:

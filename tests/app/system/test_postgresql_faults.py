@@ -14,9 +14,8 @@ from pydantic import ValidationError
 from app.cli.findings import check
 from app.core.database import Database
 from app.core.web.admission.access import Role
-from app.system.postgresql.publisher import Publisher
+from app.system.postgresql.publisher import Publisher, PublisherStatus
 from app.system.postgresql.settings import PostgresqlSettings
-from app.system.postgresql.status import PublisherStatus
 from bus.instants import unix_now
 from tests.app.plant_database import published, publishing, rows, write_configuration
 from tests.app.stage import until

@@ -18,12 +18,12 @@ from app.line.history.series.runs import MINUTE, Run, micros
 from app.line.history.series.values import LinearScale, Scaling
 from app.settings import load
 from app.system.postgresql.destination import Destination
-from app.system.postgresql.outbox import Batch
 from app.system.postgresql.rows import (
     ALARM,
     EVENT,
     MINUTE_TABLE,
     READING,
+    Batch,
     Scales,
     alarm_row,
     event_row,

@@ -129,8 +129,8 @@ def _ends(runs: Sequence[Run], marks: Marks) -> list[int]:
 
 
 def minute_figures(runs: Sequence[Run], marks: Marks, scales: Scaling) -> dict[int, RunFigures]:
-    """Return the figures of each minute by its beginning, µs, without stops and the greatest speed. What lasts
-    over the end of a minute is divided."""
+    """Return the figures of each minute by its beginning, µs, without stops and the greatest speed. What
+    lasts over the end of a minute is divided."""
     lasting: defaultdict[tuple[int, int, int, bool], int] = defaultdict(int)
     since = scales.since
     for run, until in zip(runs, _ends(runs, marks), strict=True):
