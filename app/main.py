@@ -33,7 +33,6 @@ from app.line.commands import feature as commands
 from app.line.feed import feature as feed
 from app.line.history import feature as history
 from app.line.live import feature as live
-from app.line.live.browsers import feature as browsers
 from app.people.audit import feature as audit
 from app.people.audit.log import EventLog
 from app.people.auth import feature as auth
@@ -61,7 +60,6 @@ FEATURES = (
     audit.FEATURE,
     server.FEATURE,
     auth.FEATURE,
-    backup.FEATURE,
     configuration.FEATURE,
     live.FEATURE,
     feed.FEATURE,
@@ -74,8 +72,8 @@ FEATURES = (
     reports.FEATURE,
     notification.FEATURE,
     handover.FEATURE,
+    backup.FEATURE,
     peers.FEATURE,
-    browsers.FEATURE,
     postgresql.FEATURE,
     metrics.FEATURE,
 )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 
 from app.core.web.rendering.head_control import BusControl
-from app.line.live.fields import Fields, Translator
-from app.line.live.sources import AlarmChangeSubscriber, Drifted, Sources, UnitSubscriber
+from app.line.live.fields import Translator
+from app.line.live.sources import Drifted, Sources
 from bus.messages import Message
 
 
@@ -27,60 +27,17 @@ class PlayedGuards:
         """As the real ones; no request is open."""
         return BusControl(self._bus, self._controls.get(self._bus, ""))
 
-    def on_control(self, _subscriber: Callable[[], None]) -> None:
-        """A change is seen at the next tick."""
-
-    def on_block(self, _subscriber: UnitSubscriber) -> None:
-        """These never change."""
-
 
 class NoGoldenSets:
     """No unit has a golden set."""
 
+    def of(self, _unit: int) -> list[object]:
+        """Nothing differs."""
+        return []
+
     def summary(self, _unit: int, _translator: Translator, _now: float) -> Drifted:
-        """Nothing."""
+        """Nothing differs."""
         return Drifted()
-
-    def on_change(self, _subscriber: UnitSubscriber) -> None:
-        """Never."""
-
-
-class NoAlarms:
-    """Nothing is wrong."""
-
-    def banner(self, _translator: Translator, _now: float) -> dict[str, str]:
-        """Nothing."""
-        return {}
-
-    def of_unit(self, _bus: str, _unit: int, _translator: Translator, _now: float) -> dict[str, str]:
-        """Nothing."""
-        return {}
-
-    def on_change(self, _subscriber: AlarmChangeSubscriber) -> None:
-        """Never."""
-
-
-class NoLines:
-    """There is no other line."""
-
-    def shown(self, _translator: Translator) -> dict[str, Fields]:
-        """Nothing."""
-        return {}
-
-    def changes(self, _translator: Translator) -> dict[str, Fields]:
-        """Nothing."""
-        return {}
-
-    def forget(self, _tag: str) -> None:
-        """Nothing is kept."""
-
-
-class NoRecipes:
-    """No recipe was loaded."""
-
-    def loaded_words(self, _bus: str) -> None:
-        """Nothing."""
-        return
 
 
 def played_sources(
@@ -90,8 +47,9 @@ def played_sources(
 ) -> Sources:
     """Nothing to show but what the test names."""
     controls, blocks = {} if controls is None else controls, {} if blocks is None else blocks
-    guards = {bus: PlayedGuards(bus, blocks, controls) for bus in buses}
-    drift = {bus: NoGoldenSets() for bus in guards}
+    names = list(buses)
     return Sources(
-        guards, drift, NoRecipes(), NoAlarms(), NoLines(), lambda _translator, _now: "", lambda: None
+        {bus: PlayedGuards(bus, blocks, controls) for bus in names},
+        {bus: NoGoldenSets() for bus in names},
+        {bus: lambda: None for bus in names},
     )

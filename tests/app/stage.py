@@ -71,7 +71,7 @@ from bus.contract import (
 from bus.messages import term
 from bus.settings import BusSettings, UnitSettings
 from tests.app.played_rights import PlayedRights
-from tests.app.played_sources import NoAlarms, NoGoldenSets, NoLines, NoRecipes
+from tests.app.played_sources import NoGoldenSets
 from tests.app.screens import translator
 
 REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
@@ -255,11 +255,8 @@ class Stage:
         sources = Sources(
             {settings.name: self.guards},
             {settings.name: NoGoldenSets()},
-            NoRecipes(),
-            NoAlarms(),
-            NoLines(),
-            lambda _translator, _now: "",
-            lambda: self.history.status.message,
+            {settings.name: lambda: None},
+            history_fault=lambda: self.history.status.message,
         )
         configuration = Settings(site=Site(name="Test line"), bus=(settings,))
         view = LineView(configuration.site.name, self.live, sources, translator())

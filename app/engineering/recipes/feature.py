@@ -12,6 +12,7 @@ from app.engineering.recipes.book import ACTS, RecipeBook, RecipeStore
 from app.feature import Feature, Services
 from app.line.commands.service.command_service import CommandService
 from app.line.live.bus_live import LiveState
+from app.line.live.sources import Sources
 from app.people.audit.log import EventLog
 
 
@@ -19,6 +20,8 @@ def make(services: Services) -> None:
     commands, store = services.of_buses(CommandService), RecipeStore(services[Database])
     recipes = services.add(RecipeBook(services[LiveState], commands, store, services[EventLog]))
     services[Finders].add("find_recipes", partial(find_recipes, store))
+    for name in services.buses:
+        services[Sources].recipes[name] = partial(recipes.loaded_words, name)
     services.lifespan.add("recipes", start=recipes.load_marks)
 
 

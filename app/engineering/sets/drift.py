@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from app.core.lifespan import Background
@@ -12,7 +12,7 @@ from app.engineering.sets.restore_plan import OPERATING_VALUES
 from app.engineering.sets.store import SetStore
 from app.line.live.bus_live import Audience, BusLive
 from app.line.live.fields import Translator
-from app.line.live.sources import Drifted, UnitSubscriber
+from app.line.live.sources import Drifted
 from app.people.audit.log import Event, EventLog
 from app.people.audit.queries import Filter
 from bus.catalogue.parameters import PARAMETERS
@@ -56,10 +56,10 @@ class BusDrift:
         self._golden: dict[int, UnitRows] = {}
         self._found: dict[int, dict[int, DriftedParameter]] = {}
         self.background = Background()
-        self._subscribers: list[UnitSubscriber] = []
+        self._subscribers: list[Callable[[int], None]] = []
         live.subscribe(Audience.DRIFT, self._see)
 
-    def on_change(self, subscriber: UnitSubscriber) -> None:
+    def on_change(self, subscriber: Callable[[int], None]) -> None:
         """Call ``subscriber`` when the departures of a unit have changed."""
         self._subscribers.append(subscriber)
 

@@ -26,6 +26,8 @@ from app.engineering.sets.store import SetStore
 from app.feature import Feature, Services
 from app.line.commands.service.command_service import CommandService
 from app.line.live.bus_live import BusLive
+from app.line.live.hub import Hub
+from app.line.live.sources import Sources
 from app.people.audit.log import EventLog
 from app.people.auth.rights.rights import Rights
 
@@ -46,6 +48,8 @@ def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
     live, commands, events, store = bus[BusLive], bus[CommandService], services[EventLog], services[SetStore]
     reader = bus.add(ParameterReader(live, commands))
     drift = bus.add(BusDrift(live, store, events))
+    drift.on_change(partial(services[Hub].refresh_unit, name))
+    services[Sources].drift[name] = drift
     services.lifespan.add(f"golden sets of {name}", start=drift.load, end=drift.background.close)
     keeper = bus.add(SetKeeper(live, reader, drift, store, events, services[Rights]))
     schedule = bus.add(SetSchedule(live, keeper, events, services.local_time))

@@ -10,27 +10,28 @@ from app.core.find.finders import Finders, FoundPlace, Search, matched
 from app.core.messages import Language
 from app.core.web.rendering.templating import PageHead, Templates
 from app.core.web.services import Registry
-from app.engineering.sets.drift import BusDrift
 from app.feature import Feature, Services
 from app.line.alarms import api, own_alarms, own_pages, pages
 from app.line.alarms.acts import ACTS
 from app.line.alarms.alarm import Alarm
+from app.line.alarms.api import AlarmShown, alarm_json
 from app.line.alarms.bus_alarms import BusAlarms, control_left_by
 from app.line.alarms.journal import AlarmStore
 from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
 from app.line.alarms.own_alarms import OwnAlarmBook
 from app.line.alarms.simulation import Simulator
 from app.line.alarms.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
-from app.line.commands.safeguards import Safeguards
 from app.line.history.service import History
+from app.line.live.api.stream import LineStream
+from app.line.live.api.stream_document import AlarmType
 from app.line.live.bus_live import BusLive
 from app.line.live.fields import Fields, Translator
 from app.line.live.hub import Hub
+from app.line.live.sources import Sources, UnitGuards
 from app.people.audit.anchor import Anchoring
 from app.people.audit.archive import EventArchive
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
-from app.system.backup.service import Backups
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message
 
@@ -67,17 +68,19 @@ def make(services: Services) -> None:
     services[Finders].add("find_alarms", AlarmFinder(alarms))
     services.add(Simulator(services[History]))
     _add_banner(services, AlarmBanner(alarms))
+    services.add(AlarmType(AlarmShown))
+    alarms.subscribe(partial(_stream, services[LineStream], alarms))
 
 
 def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore) -> None:
-    settings, drift = services.settings, bus[BusDrift]
+    settings, sources = services.settings, services[Sources]
     own = [alarm for alarm in settings.alarm if alarm.bus == name]
     alarms = BusAlarms(
         bus[BusLive],
         own,
         store,
-        lambda unit: bool(drift.of(unit)),
-        left_control=partial(_control_left, services, bus[Safeguards]),
+        lambda unit: bool(sources.drift[name].of(unit)),
+        left_control=partial(_control_left, services, sources.guards[name]),
         tuned=settings.built_in_alarm,
     )
     bus.add(alarms)
@@ -96,13 +99,12 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
         lambda: anchoring.status,
         services.add(FailingEndpoints()),
         expiry,
-        lambda: services[Backups].missing,
         lambda: services[EventArchive].failing,
     )
     return SiteAlarms(conditions, store, tuned=settings.built_in_alarm)
 
 
-def _control_left(services: Services, guards: Safeguards) -> Message | None:
+def _control_left(services: Services, guards: UnitGuards) -> Message | None:
     holding = guards.holding()
     if holding is None:
         return None
@@ -115,8 +117,13 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
     def alarms_in(language: Language) -> Fields:
         return banner.banner(Translator(language, templates.formats(language.tag)), unix_now())
 
-    services.add(banner)
+    services[Sources].show_alarms(banner.banner, banner.of_unit)
+    banner.on_change(services[Hub].show_alarm)
     services.add(PageHead(alarms_in))
+
+
+def _stream(stream: LineStream, alarms: LineAlarms, alarm: Alarm) -> None:
+    stream.add("alarm", alarm.definition.bus, partial(alarm_json, alarms, alarm))
 
 
 FEATURE = Feature(

@@ -6,7 +6,7 @@ The alarms in the head of every page and on the tiles, as fields.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AsyncExitStack, suppress
 from typing import NamedTuple
 
@@ -23,7 +23,6 @@ from app.line.alarms.rules.state_machine import NoTransitionError
 from app.line.alarms.site_alarms import SiteAlarms
 from app.line.conditions.condition import PRIORITIES
 from app.line.live.fields import Fields, Translator, name_on_site
-from app.line.live.sources import AlarmChangeSubscriber
 from app.people.audit.log import EventLog
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
@@ -231,12 +230,13 @@ def rank(alarm: Alarm) -> tuple[bool, bool, int, float]:
 
 
 class AlarmBanner:
-    """``changed`` is another text after each change, so that an open summary draws itself again."""
+    """What pages show of the alarms. ``changed`` is another text after each change, so that an open summary
+    draws itself again."""
 
     def __init__(self, alarms: LineAlarms) -> None:
         self._alarms = alarms
         self._changed = 0
-        self._subscribers: list[AlarmChangeSubscriber] = []
+        self._subscribers: list[Callable[[str | None, int | None], None]] = []
         alarms.subscribe(lambda alarm: self._note(alarm.definition.bus, alarm.definition.unit))
 
     def _note(self, bus: str | None, unit: int | None) -> None:
@@ -244,7 +244,7 @@ class AlarmBanner:
         for subscriber in self._subscribers:
             subscriber(bus, unit)
 
-    def on_change(self, subscriber: AlarmChangeSubscriber) -> None:
+    def on_change(self, subscriber: Callable[[str | None, int | None], None]) -> None:
         """Call ``subscriber`` with the place of each alarm that has changed."""
         self._subscribers.append(subscriber)
 

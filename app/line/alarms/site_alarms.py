@@ -15,7 +15,7 @@ from app.line.alarms.alarm import Alarm, built_in, key_of
 from app.line.alarms.alarm_list import AlarmList
 from app.line.alarms.journal import AlarmStore, StoredAlarm
 from app.line.alarms.settings import BuiltInAlarmSettings
-from app.line.conditions import catalogue as of_server
+from app.line.conditions import catalogue
 from app.line.conditions.catalogue import CERTIFICATE_EXPIRING, SERVER_ALARMS, TOKEN_EXPIRING
 from app.line.history.status import HistoryStatus
 from app.people.audit.anchor import AnchorStatus
@@ -101,21 +101,19 @@ def site_conditions(
     anchor: Callable[[], AnchorStatus],
     failing_endpoints: FailingEndpoints,
     expiry: ExpiryWatch,
-    backup_missing: SiteCondition = lambda: None,
     archive_fault: Callable[[], Message | None] = lambda: None,
 ) -> dict[str, SiteCondition]:
     """The condition of each alarm of the site but that of its clock."""
     return {
-        "history_degraded": lambda: of_server.HISTORY_DEGRADED.holds(history().state),
-        "disk_low": lambda: of_server.DISK_LOW.holds(history().state),
-        "audit_degraded": lambda: of_server.AUDIT_DEGRADED.holds(
+        "history_degraded": lambda: catalogue.HISTORY_DEGRADED.holds(history().state),
+        "disk_low": lambda: catalogue.DISK_LOW.holds(history().state),
+        "audit_degraded": lambda: catalogue.AUDIT_DEGRADED.holds(
             anchor() != AnchorStatus(since=anchor().since)
         ),
-        "notification_failed": lambda: of_server.NOTIFICATION_FAILED.holds(failing_endpoints),
+        "notification_failed": lambda: catalogue.NOTIFICATION_FAILED.holds(failing_endpoints),
         "certificate_expiring": lambda: expiry.certificate,
         "token_expiring": lambda: expiry.token,
-        "backup_overdue": backup_missing,
-        "events_not_archived": lambda: of_server.EVENTS_NOT_ARCHIVED.holds(archive_fault()),
+        "events_not_archived": lambda: catalogue.EVENTS_NOT_ARCHIVED.holds(archive_fault()),
     }
 
 
@@ -171,5 +169,5 @@ class SiteAlarms:
         if step_s:
             self.list.clock_stepped(step_s)
             step = Message.of("alarm_clock_step", seconds=number(Decimal(f"{step_s:.1f}")))
-            self._about[of_server.CLOCK_STEPPED.code] = step
-        self._observe(of_server.CLOCK_STEPPED.code, of_server.CLOCK_STEPPED.holds(step_s), now)
+            self._about[catalogue.CLOCK_STEPPED.code] = step
+        self._observe(catalogue.CLOCK_STEPPED.code, catalogue.CLOCK_STEPPED.holds(step_s), now)

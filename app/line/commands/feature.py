@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from app.core.database import Database
 from app.core.find.finders import Finders
 from app.core.web.rendering.head_control import HeadControl
@@ -28,6 +30,8 @@ from app.line.commands.service.idempotency import IdempotencyCache
 from app.line.commands.service.record import CommandRecord
 from app.line.feed.channel import Channel
 from app.line.live.bus_live import BusLive, LiveState
+from app.line.live.hub import Hub
+from app.line.live.sources import Sources
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
 from app.people.auth.rights.rights import Rights
@@ -37,7 +41,7 @@ from bus.instants import unix_now
 def make(services: Services) -> None:
     services[Templates].permit(ROLES_BY_COMMAND)
     services[Finders].add("find_parameters", ParameterFinder(services[LiveState]))
-    database, events, rights = services[Database], services[EventLog], services[Rights]
+    database, events, rights, hub = services[Database], services[EventLog], services[Rights], services[Hub]
     record, idempotency = CommandRecord(events, database, unix_now), IdempotencyCache()
     for name, of_bus in services.buses.items():
         guards = Safeguards(
@@ -49,6 +53,9 @@ def make(services: Services) -> None:
             find=services[Accounts].find,
             rights=rights,
         )
+        guards.on_block(partial(hub.refresh_unit, name))
+        guards.on_control(hub.show_control)
+        services[Sources].guards[name] = guards
         services.lifespan.add(f"safeguards of {name}", start=of_bus.add(guards).load)
         live, channel = of_bus[BusLive], of_bus[Channel]
         of_bus.add(CommandService(live, channel, record, idempotency, guards, rights))

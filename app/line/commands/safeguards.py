@@ -14,7 +14,6 @@ from app.core.web.rendering.head_control import BusControl
 from app.errors import Problem
 from app.line.commands.control import Control, Holding, controlled
 from app.line.commands.limits import CommandBlock, Limits, ReadOnly, Restrictions
-from app.line.live.sources import UnitSubscriber
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from app.people.auth.rights.rights import Rights
@@ -70,7 +69,7 @@ class Safeguards:
         self._rights = rights
         self.restrictions = Restrictions(database, bus)
         self.control = Control(required=control_required)
-        self._block_subscribers: list[UnitSubscriber] = []
+        self._block_subscribers: list[Callable[[int], None]] = []
         self._control_subscribers: list[Callable[[], None]] = []
         self._read_only_ends: asyncio.TimerHandle | None = None
         self._requests: defaultdict[str, Bucket] = defaultdict(
@@ -84,7 +83,7 @@ class Safeguards:
         await self.restrictions.load(unix_now(), monotonic_now())
         self._publish_read_only()
 
-    def on_block(self, subscriber: UnitSubscriber) -> None:
+    def on_block(self, subscriber: Callable[[int], None]) -> None:
         """Call ``subscriber`` when a unit was blocked or freed."""
         self._block_subscribers.append(subscriber)
 

@@ -11,6 +11,7 @@ from app.line.feed.workers import Workers
 from app.line.history.service import History
 from app.line.live.bus_live import BusLive
 from app.line.live.change_recorder import ChangeRecorder
+from app.line.live.hub import Hub
 from app.line.pipeline import Pipeline
 
 
@@ -24,6 +25,7 @@ def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
     history = services[History]
     pipeline = bus.add(Pipeline(bus[BusLive], history, bus[ChangeRecorder]))
     feed = bus.add(BusFeed(bus.add(Channel()), pipeline))
+    services[Hub].watchers[name] = feed.watch
     services.lifespan.add(f"feed of {name}", start=lambda: feed.load(history.newest(name)))
 
 

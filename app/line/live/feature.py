@@ -1,17 +1,29 @@
-"""The present state of every unit, and the record of its changes."""
+"""Makes the present state of every unit, the record of its changes, and what sends them to browsers."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import partial
 
+from app.core.database.files import Reserve
 from app.core.find.finders import Finders, FoundPlace, Search, matched
+from app.core.messages import DEFAULT
+from app.core.web.rendering.templating import Templates
 from app.core.web.services import Registry
 from app.feature import Feature, Services
-from app.line.history.service import History
-from app.line.live.api import routes
+from app.line.history.service import History, status_words
+from app.line.history.status import store_notice
+from app.line.live import pages, socket
+from app.line.live.api import routes, stream_document
+from app.line.live.api.stream import LineStream
+from app.line.live.api.view import LineView
 from app.line.live.bus_live import BusLive, LiveState, UnitLive
 from app.line.live.change_recorder import ChangeRecorder, LineEvent
-from app.line.live.fields import unit_key
+from app.line.live.fields import Translator, unit_key
+from app.line.live.hub import Hub
+from app.line.live.onset_lookup import OnsetLookup
+from app.line.live.sources import Notice, Sources
+from app.people.audit.anchor import Anchoring, anchor_notice
 from app.people.audit.log import EventLog
 from bus.instants import unix_now
 
@@ -41,19 +53,45 @@ def _found(search: Search, bus: BusLive, unit: UnitLive) -> Iterator[FoundPlace]
 def make(services: Services) -> None:
     live = services.add(LiveState(services.settings.bus, unix_now()))
     services[Finders].add("find_units", UnitFinder(live))
-    recorder = _make_recorder(services, services, None)
-    services[History].on_fault(lambda kind, what, at: recorder.note(LineEvent(kind, None, at, what, "", "")))
+    history, recorder = services[History], _make_recorder(services, services, None)
+    history.on_fault(lambda kind, what, at: recorder.note(LineEvent(kind, None, at, what, "", "")))
     for name, bus in services.buses.items():
         bus.add(live.buses[name])
         _make_recorder(services, bus, name)
+    _make_screens(services, live, services.add(_sources_of_records(services)))
 
 
 def _make_recorder(services: Services, owner: Registry, bus: str | None) -> ChangeRecorder:
-    """``owner``: the site, or one bus."""
+    """Make the recorder of the site, or of one bus, which is its ``owner``."""
     recorder = owner.add(ChangeRecorder(services[EventLog], bus))
     name = f"changes of {bus or 'the site'}"
     services.lifespan.add(name, recorder.follow, finish=recorder.recorded)
     return recorder
 
 
-FEATURE = Feature(make, (routes.router,))
+def _sources_of_records(services: Services) -> Sources:
+    """Return the sources that know what is wrong with the records; later features add theirs."""
+    history, anchoring, reserve = services[History], services[Anchoring], services[Reserve]
+    notices: list[Notice] = [
+        lambda formats, now: store_notice(history.status, formats, now),
+        lambda formats, now: anchor_notice(anchoring.status, formats, now),
+        lambda _formats, _now: reserve.notice,
+    ]
+    return Sources(notices=notices, history_fault=lambda: history.status.message)
+
+
+def _make_screens(services: Services, live: LiveState, sources: Sources) -> None:
+    """Make what sends browsers and programs the changes."""
+    templates, lifespan = services[Templates], services.lifespan
+    english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
+    view = services.add(LineView(services.settings.site.name, live, sources, english))
+    stream = services.add(LineStream(view, unix_now))
+    lifespan.add("stream", stream.follow)
+    hub = services.add(Hub(live, sources, templates, unix_now))
+    lifespan.add("browsers", hub.beat)
+    words = partial(status_words, services[History])
+    onsets = services.add(OnsetLookup(live, words, hub.refresh_unit, unix_now))
+    lifespan.add("onsets", onsets.follow)
+
+
+FEATURE = Feature(make, (routes.router, stream_document.router, socket.router, pages.router))

@@ -43,10 +43,10 @@ from app.line.live.fields import (
 )
 from app.line.live.requests import Admission, key_of
 from app.line.live.screen import ALARM_GROUP, LINE_GROUP, Screen, holders
-from app.line.live.sources import Sources
+from app.line.live.sources import LineFields, Sources
 from bus.bucket import Bucket
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
-from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now
+from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
 
 FLOOD = 60
 WINDOW_S = 0.25
@@ -218,13 +218,14 @@ class Hub:
         live: LiveState,
         sources: Sources,
         templates: Templates,
-        watchers: Mapping[str, Watcher],
         clock: Clock,
     ) -> None:
         self.live = live
         self._sources = sources
         self._templates = templates
-        self._watchers = watchers
+        self.watchers: dict[str, Watcher] = {}
+        """By bus, who is told which of its units the open pages show."""
+        self._lines: LineFields | None = None
         self._clock = clock
         self._monotonic = monotonic_now
         self._broadcasts: dict[str, Broadcast] = {}
@@ -240,10 +241,6 @@ class Hub:
         self._alarmed_units: set[tuple[str, int]] = set()
         for name, bus in live.buses.items():
             bus.subscribe(Audience.BROWSERS, partial(self._on_updates, name))
-            sources.guards[name].on_block(partial(self.refresh_unit, name))
-            sources.guards[name].on_control(self._show_control)
-            sources.drift[name].on_change(partial(self.refresh_unit, name))
-        sources.alarms.on_change(self._on_alarm)
 
     def warn_of_proxy(self) -> None:
         """Log once that a proxy before the server does not pass WebSockets."""
@@ -274,16 +271,10 @@ class Hub:
             # event loop milliseconds, and some hundred may open at once.
             now = self._clock()
             screen.refresh(now)
-            screen.put(LINE_GROUP, self._faults(screen.translator, now))
+            screen.put(LINE_GROUP, {"memory": self._sources.notice(screen.translator, now)})
             self._control(screen)
-            screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
+            screen.put(ALARM_GROUP, self._sources.banner(screen.translator, now))
         return screen
-
-    def _faults(self, translator: Translator, now: UnixTime) -> dict[str, str]:
-        """Faults of the records."""
-        return {
-            "memory": self._sources.notices(translator, now),
-        }
 
     def _new_screen(self, language: str) -> Screen:
         translator = Translator(
@@ -315,9 +306,9 @@ class Hub:
     def follow(self, browser: Browser, keys: tuple[str, ...], trace: str, *, lines: bool = False) -> None:
         """Note the units that a page shows, by their keys, the bus whose trace it follows, and whether it
         shows all lines."""
-        if lines and not browser.lines:
+        if lines and not browser.lines and self._lines is not None:
             translator = self._broadcasts[browser.language].screen.translator
-            browser.show_lines(LinesUpdate(self._sources.lines.shown(translator)))
+            browser.show_lines(LinesUpdate(self._lines.shown(translator)))
         browser.lines = lines
         units, trace = self._pages.known(keys), trace if trace in self.live.buses else ""
         if (units, trace) == (browser.units, browser.trace):
@@ -330,8 +321,8 @@ class Hub:
         """Something that no worker reports has changed, for example a block."""
         self._render(bus, [unit], include_bus=False)
 
-    def _on_alarm(self, bus: str | None, unit: int | None) -> None:
-        """Several that change together, or in a flood, are shown together."""
+    def show_alarm(self, bus: str | None, unit: int | None) -> None:
+        """Show that an alarm has changed; those that change together, or in a flood, are shown together."""
         if bus is not None and unit is not None:
             self._alarmed_units.add((bus, unit))
         if self._alarms_due is None:
@@ -343,13 +334,14 @@ class Hub:
         now = self._clock()
         for broadcast in self._with_pages():
             screen = broadcast.screen
-            groups = screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
+            groups = screen.put(ALARM_GROUP, self._sources.banner(screen.translator, now))
             for bus, unit in units:
-                fields = self._sources.alarms.of_unit(bus, unit, screen.translator, now)
+                fields = self._sources.unit_alarm(bus, unit, screen.translator, now)
                 groups |= screen.put(unit_key(bus, unit), fields)
             broadcast.publish(groups)
 
-    def _show_control(self) -> None:
+    def show_control(self) -> None:
+        """Show who controls each bus now."""
         for broadcast in self._with_pages():
             broadcast.publish(self._control(broadcast.screen))
 
@@ -383,17 +375,23 @@ class Hub:
             self._show_alarms()
         for broadcast in self._with_pages():
             screen = broadcast.screen
-            faults = screen.put(LINE_GROUP, self._faults(screen.translator, now))
+            faults = screen.put(LINE_GROUP, {"memory": self._sources.notice(screen.translator, now)})
             groups = merge_groups(screen.settle(now), faults, self._control(screen))
             broadcast.publish(groups, always=True)
             self._show_lines(broadcast)
 
+    def show_lines(self, lines: LineFields) -> None:
+        """Show these lines, from now on, on the pages that follow all lines."""
+        self._lines = lines
+
     def _show_lines(self, broadcast: Broadcast) -> None:
+        if self._lines is None:
+            return
         followers = [browser for browser in broadcast.browsers if browser.lines]
         translator = broadcast.screen.translator
         if not followers:
-            self._sources.lines.forget(translator.language.tag)
-        elif changed := self._sources.lines.changes(translator):
+            self._lines.forget(translator.language.tag)
+        elif changed := self._lines.changes(translator):
             update = LinesUpdate(changed)
             for browser in followers:
                 browser.show_lines(update)
@@ -477,4 +475,4 @@ class Hub:
             watched = (units, self._pages.is_traced(bus))
             if self._watched.get(bus, ([], False)) != watched:
                 self._watched[bus] = watched
-                self._watchers[bus](*watched)
+                self.watchers[bus](*watched)

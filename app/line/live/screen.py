@@ -286,11 +286,11 @@ class Screen:
             "rung": broken_rung(ladder),
             "blocked": blocked,
             "drift": drifted.key,
-            **self.sources.alarms.of_unit(bus_name, number, self.translator, now),
+            **self.sources.unit_alarm(bus_name, number, self.translator, now),
         }
 
     def _recipe(self, bus_name: str) -> str:
-        loaded = self.sources.recipes.loaded_words(bus_name)
+        loaded = self.sources.recipes[bus_name]()
         if loaded is None:
             return ""
         name, departed = loaded

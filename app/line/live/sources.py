@@ -1,103 +1,102 @@
-"""Data on pages and in the API that no worker reports, by owner."""
+"""What pages and the API show of a line beside what its workers report: who knows it adds it here."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
+from app.core.web.rendering.formats import Formats
 from app.core.web.rendering.head_control import BusControl
 from app.line.live.fields import Fields, Translator
-from bus.instants import UnixTime
+from bus.instants import Monotonic, UnixTime
 from bus.messages import Message
-
-UnitSubscriber = Callable[[int], None]
-"""Called with the address of a unit of a bus of which something changed."""
-
-AlarmChangeSubscriber = Callable[[str | None, int | None], None]
-"""Called with the bus and the unit of an alarm; None: of the site, or of the bus."""
 
 
 class Drifted(NamedTuple):
     """In which parameters a unit departs from its golden set and who did that: ``words`` for the line, and a
-    ``key`` that is another whenever the list on the unit's page is. Both empty where nothing is golden."""
+    ``key`` that changes whenever the list on the unit's page does. Both are empty without a departure."""
 
     words: str = ""
     key: str = ""
+
+
+class HeldControl(Protocol):
+    """Control of a bus that an account holds. ``used_at``: when it last sent a command, monotonic."""
+
+    @property
+    def holder(self) -> str: ...
+    @property
+    def used_at(self) -> Monotonic: ...
 
 
 class UnitGuards(Protocol):
     """Which units of a bus are blocked, and who controls it."""
 
     def block_reason(self, unit: int) -> Message | None:
-        """Why commands to a unit are blocked and by whom; None when they are not."""
+        """Return why commands to a unit are blocked and by whom; None when they are not."""
+
+    def holding(self) -> HeldControl | None:
+        """Return who holds control of the bus; None if it is free."""
 
     def bus_control(self) -> BusControl:
-        """Who controls the bus, and who requests that."""
-
-    def on_control(self, subscriber: Callable[[], None]) -> None:
-        """Call ``subscriber`` when control has another holder, or was requested."""
-
-    def on_block(self, subscriber: UnitSubscriber) -> None:
-        """Call ``subscriber`` when a unit was blocked or released."""
+        """Return who controls the bus, and who requests that."""
 
 
 class GoldenDrift(Protocol):
     """How the units of a bus differ from their golden sets."""
 
+    def of(self, unit: int) -> Sequence[object]:
+        """Return the parameters of a unit that differ."""
+
     def summary(self, unit: int, translator: Translator, now: UnixTime) -> Drifted:
-        """The differences of a unit in the reader's language. ``now``: Unix time in seconds."""
-
-    def on_change(self, subscriber: UnitSubscriber) -> None:
-        """Call ``subscriber`` when the differences of a unit have changed."""
-
-
-class AlarmMarks(Protocol):
-    """What the pages show of the alarms."""
-
-    def banner(self, translator: Translator, now: UnixTime) -> Fields:
-        """The first alarm with its state, in the reader's language. ``now``: Unix time in seconds."""
-
-    def of_unit(self, bus: str, unit: int, translator: Translator, now: UnixTime) -> Fields:
-        """The first alarm of a unit in the reader's language, all empty without one: ``alarm``, its priority,
-        whether it has cleared and whether it waits for an acknowledgement; ``alarm_text``, its name;
-        ``alarm_state``, its state with the time that matters; ``alarm_more``, how many more there are;
-        ``alarm_at``, its page."""
-
-    def on_change(self, subscriber: AlarmChangeSubscriber) -> None:
-        """Call ``subscriber`` when an alarm has changed."""
-
-
-class LoadedRecipes(Protocol):
-    """Which recipe each bus runs."""
-
-    def loaded_words(self, bus: str) -> tuple[str, list[str | Message]] | None:
-        """The recipe loaded last and the names of the units that differ from it since; None without one."""
+        """Return the differences of a unit in the reader's language. ``now``: Unix time in seconds."""
 
 
 class LineFields(Protocol):
-    """All lines as fields in the reader's language."""
+    """All lines, those of other servers too, as fields in the reader's language."""
 
     def shown(self, translator: Translator) -> dict[str, Fields]:
-        """Those of each line now, by its group."""
+        """Return the fields of each line, by its group."""
 
     def changes(self, translator: Translator) -> dict[str, Fields]:
-        """Those that differ from the last call for this language."""
+        """Return the fields that differ from the last call for this language."""
 
     def forget(self, tag: str) -> None:
-        """No page in this language follows them."""
+        """Forget what pages in a language have, as none follows the lines in it."""
 
 
-@dataclass(frozen=True, slots=True)
+AlarmBanner = Callable[[Translator, UnixTime], Fields]
+"""Returns the first alarm with its state, in the reader's language, at a Unix time."""
+UnitAlarm = Callable[[str, int, Translator, UnixTime], Fields]
+"""Returns the first alarm of a unit of a bus in the reader's language, all empty without one: ``alarm``, its
+priority, whether it has cleared and whether it waits for an acknowledgement; ``alarm_text``, its name;
+``alarm_state``, its state with the time that matters; ``alarm_more``, how many more there are; ``alarm_at``,
+its page."""
+LoadedRecipe = Callable[[], tuple[str, list[str | Message]] | None]
+"""Returns the recipe a bus loaded last and the names of the units that differ from it since; None without."""
+Notice = Callable[[Formats, UnixTime], Message | None]
+"""Returns what is wrong with a record that the server keeps, at a Unix time; None while nothing is."""
+
+
+@dataclass(slots=True)
 class Sources:
-    """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
-    language and at a Unix time; empty where there is none; ``history_fault``: why no history
-    is stored, None while it is."""
+    """Whoever knows what is shown: by bus, and of the site. ``history_fault``: why no history is stored, None
+    while it is."""
 
-    guards: Mapping[str, UnitGuards]
-    drift: Mapping[str, GoldenDrift]
-    recipes: LoadedRecipes
-    alarms: AlarmMarks
-    lines: LineFields
-    notices: Callable[[Translator, UnixTime], str]
-    history_fault: Callable[[], Message | None]
+    guards: dict[str, UnitGuards] = field(default_factory=dict)
+    drift: dict[str, GoldenDrift] = field(default_factory=dict)
+    recipes: dict[str, LoadedRecipe] = field(default_factory=dict)
+    banner: AlarmBanner = lambda *_: {}
+    unit_alarm: UnitAlarm = lambda *_: {}
+    notices: list[Notice] = field(default_factory=list)
+    history_fault: Callable[[], Message | None] = lambda: None
+
+    def show_alarms(self, banner: AlarmBanner, unit_alarm: UnitAlarm) -> None:
+        """Show the alarms that these return, from now on."""
+        self.banner, self.unit_alarm = banner, unit_alarm
+
+    def notice(self, translator: Translator, now: UnixTime) -> str:
+        """Return what is wrong with the records of the server, in the reader's language; mostly nothing."""
+        found = (notice(translator.formats, now) for notice in self.notices)
+        return " ".join(translator.t(each) for each in found if each is not None)

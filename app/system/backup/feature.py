@@ -5,6 +5,7 @@ from __future__ import annotations
 from zoneinfo import ZoneInfo
 
 from app.feature import Feature, Services
+from app.line.alarms.site_alarms import SiteAlarms
 from app.people.audit.log import EventLog
 from app.system.backup.service import Backups
 
@@ -13,6 +14,7 @@ def make(services: Services) -> None:
     settings = services.settings
     zone = ZoneInfo(settings.site.zone)
     backups = services.add(Backups(settings.backup, settings._file, zone, services[EventLog]))
+    services[SiteAlarms].watch("backup_overdue", lambda: backups.missing)
     if settings.backup.folder is not None:
         services.lifespan.add("backups", backups.follow)
 

@@ -7,13 +7,12 @@ from functools import partial
 from app.core.messages import DEFAULT
 from app.core.web.rendering.navigation import PageLines
 from app.core.web.rendering.templating import Templates
-from app.engineering.recipes.book import RecipeBook
-from app.engineering.sets.drift import BusDrift
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
-from app.line.commands.safeguards import Safeguards
 from app.line.live.bus_live import LiveState
 from app.line.live.fields import Translator
+from app.line.live.hub import Hub
+from app.line.live.sources import Sources
 from app.people.audit.log import EventLog
 from app.system.peers import pages
 from app.system.peers.board import LineBoard, LineTiles, Peer
@@ -29,15 +28,13 @@ def make(services: Services) -> None:
         settings.site.name,
         services[LiveState],
         services[LineAlarms],
-        services.of_buses(Safeguards),
-        services.of_buses(BusDrift),
-        services[RecipeBook],
+        services[Sources],
         events,
         Translator(templates.languages[DEFAULT], templates.formats(DEFAULT)),
     )
     peers = tuple(Peer(number, peer) for number, peer in enumerate(settings.peer, 1))
     board = LineBoard(own.summaries, peers)
-    services.add(LineTiles(board, unix_now))
+    services[Hub].show_lines(services.add(LineTiles(board, unix_now)))
     services.add(PageLines(has_several=len(services.buses) > 1 or bool(peers), has_own=bool(services.buses)))
     services.lifespan.add("speeds of lines", own.trace)
     services.lifespan.add("last events of lines", events.follow)

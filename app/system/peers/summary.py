@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -30,7 +30,7 @@ from app.line.live.diagnosis import (
 )
 from app.line.live.fields import Translator
 from app.line.live.screen import LEVELS, all_well
-from app.line.live.sources import GoldenDrift, LoadedRecipes, UnitGuards
+from app.line.live.sources import Sources
 from app.line.live.unit_status import Onset
 from app.people.audit.entry import EventKind
 from app.people.audit.log import Event, EventLog
@@ -278,9 +278,7 @@ class OwnLines:
     site: str
     live: LiveState
     alarms: LineAlarms
-    guards: Mapping[str, UnitGuards]
-    drift: Mapping[str, GoldenDrift]
-    recipes: LoadedRecipes
+    sources: Sources
     events: LastEvents
     english: Translator
     clock: Clock = unix_now
@@ -311,7 +309,7 @@ class OwnLines:
 
     def _summary(self, name: str) -> LineSummary:
         bus, now = self.live.buses[name], self.clock()
-        guards, drift = self.guards[name], self.drift[name]
+        guards, drift = self.sources.guards[name], self.sources.drift[name]
         views = [
             view_of(
                 bus,
@@ -328,7 +326,7 @@ class OwnLines:
         return replace(found, recipe=self._recipe(name), event=self.events.of(name))
 
     def _recipe(self, bus: str) -> Message | None:
-        loaded = self.recipes.loaded_words(bus)
+        loaded = self.sources.recipes[bus]()
         if loaded is None:
             return None
         name, departed = loaded

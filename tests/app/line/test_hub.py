@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -11,14 +11,13 @@ from app.core.web.rendering.assets import Assets, static_dir, templates_dir
 from app.core.web.rendering.templating import Templates
 from app.line.live.browser import Browser
 from app.line.live.bus_live import LiveState
-from app.line.live.fields import Translator
 from app.line.live.hub import Hub
 from app.line.live.requests import key_of, new_command_id
 from app.line.live.screen import Screen
 from app.settings import Site
 from bus.contract import BusFigures, Frame, Frames, Progress, UnitFigures
 from bus.messages import term
-from tests.app.played_sources import NoAlarms, played_sources
+from tests.app.played_sources import played_sources
 from tests.app.screens import line, reading
 
 
@@ -28,13 +27,12 @@ class World:
     now: float = 100.0
     watched: list[tuple[str, list[int], bool]] = field(default_factory=list)
     controls: dict[str, str] = field(default_factory=dict)
-    alarms: NoAlarms = field(default_factory=NoAlarms)
 
     def __post_init__(self) -> None:
         templates = Templates(templates_dir(), Assets(static_dir()), Site())
-        sources = replace(played_sources(self.live.buses, controls=self.controls), alarms=self.alarms)
-        watchers = {bus: partial(self.watch, bus) for bus in self.live.buses}
-        self.hub = Hub(self.live, sources, templates, watchers, lambda: self.now)
+        self.sources = played_sources(self.live.buses, controls=self.controls)
+        self.hub = Hub(self.live, self.sources, templates, lambda: self.now)
+        self.hub.watchers |= {bus: partial(self.watch, bus) for bus in self.live.buses}
 
     def watch(self, bus: str, units: list[int], trace: bool) -> None:
         self.watched.append((bus, units, trace))
@@ -219,16 +217,9 @@ async def test_who_holds_control_is_on_every_page(world: World) -> None:
     assert (changed["line_summary"]["holder"], changed["dry"]["held_by"]) == ("ben", "ben")
 
 
-class AlarmOfADay(NoAlarms):
-    """One whose text has the day."""
-
-    def banner(self, _translator: Translator, now: float) -> dict[str, str]:
-        """The number of the day."""
-        return {"state": f"day {now // 86_400:.0f}"}
-
-
 async def test_the_time_of_an_alarm_is_that_of_the_day_on_which_it_is_read() -> None:
-    world = World(alarms=AlarmOfADay())
+    world = World()
+    world.sources.show_alarms(lambda _, now: {"state": f"day {now // 86_400:.0f}"}, lambda *_: {})
     browser = world.join()
     first, _people = await sent(browser)
     assert first["f"]["alarms_present"]["state"] == "day 0"

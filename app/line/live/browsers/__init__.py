@@ -1,1 +1,0 @@
-"""The connected browsers: what each gets, how often, over which socket."""
