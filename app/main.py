@@ -19,8 +19,7 @@ from app.core.server.refusals import SecurityHeaders
 from app.core.web import feature as web
 from app.core.web import problems
 from app.core.web.admission.anonymous import HEALTH, AnonymousLimiter
-from app.core.web.admission.bounds import RequestRules
-from app.core.web.admission.routes import HeadAsGet, guard, refuse_undeclared
+from app.core.web.admission.routes import guard, refuse_undeclared
 from app.core.web.admission.turns import Turns
 from app.core.web.rendering.templating import Templates
 from app.engineering.recipes import feature as recipes
@@ -37,7 +36,7 @@ from app.people.audit import feature as audit
 from app.people.audit.log import EventLog
 from app.people.auth import feature as auth
 from app.people.auth.pages import CALLBACK
-from app.people.auth.rights.access import Identify, RecordRefusals
+from app.people.auth.rights.access import Identify
 from app.people.auth.rights.identity import Identity
 from app.people.auth.rights.rights import Rights
 from app.records.handover import feature as handover
@@ -109,15 +108,22 @@ def create_app(
     for feature in FEATURES:
         services[Templates].permit({act.name: act.role for act in feature.acts})
     problems.install(app)
-    app.add_middleware(HeadAsGet)
     # What waits for the provider of company accounts takes no turn from the login page.
     app.add_middleware(AnonymousLimiter, exempt=(HEALTH, CALLBACK))
-    app.add_middleware(Identify, identity=services[Identity], rights=services[Rights], demo=demo)
-    app.add_middleware(RequestRules, allowed_hosts=settings.server.allowed_hosts)
+    app.add_middleware(
+        Identify,
+        identity=services[Identity],
+        rights=services[Rights],
+        events=services[EventLog],
+        log=services[RefusalLog],
+        allowed_hosts=settings.server.allowed_hosts,
+        demo=demo,
+    )
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)
-    app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
-    app.add_middleware(RecordRefusals, events=services[EventLog], log=services[RefusalLog])
+    app.add_middleware(
+        Forwarded, trusted=settings.server.trusted_proxies, note_refusal=services[RefusalLog].note
+    )
     refuse_undeclared(app)
     guard(app, services[Turns])
     return app

@@ -9,6 +9,7 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
+from copy import copy
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from websockets.exceptions import ConnectionClosed
 
 from app.core.database import Database
 from app.core.web.admission.access import Person, Role, Via
+from app.core.web.admission.routes import guard
 from app.core.web.admission.turns import Turns
 from app.core.web.problems import install
 from app.core.web.rendering.assets import Assets, static_dir, templates_dir
@@ -260,10 +262,11 @@ class Stage:
         )
         configuration = Settings(site=Site(name="Test line"), bus=(settings,))
         view = LineView(configuration.site.name, self.live, sources, translator())
+        turns = Turns()
         self.app.state.services = Registry(
             (
                 *(configuration, _templates(), view),
-                *(self.live, self.workers, self.events, Turns(), ActLimit()),
+                *(self.live, self.workers, self.events, turns, ActLimit()),
             ),
             {settings.name: (bus, self.commands, self.guards)},
         )
@@ -272,7 +275,8 @@ class Stage:
             *(trace_router, feed_router, events_router),
         ):
             # As in `create_app`: rebuilding every route is most of the cost of a stage.
-            self.app.router.routes.extend(router.routes)
+            self.app.router.routes.extend(copy(route) for route in router.routes)
+        guard(self.app, turns)
         install(self.app)
         self.url = ""
         self._people: dict[str, httpx.AsyncClient] = {}

@@ -9,15 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from starlette.types import Message, Receive, Scope, Send
+from fastapi import FastAPI
+from starlette.responses import StreamingResponse
+from starlette.types import Message
 
 from app.core.server.turns import FairQueue
 from app.core.web.admission.access import Person, Role
+from app.core.web.admission.routes import guard
 from app.core.web.admission.turns import (
     MAX_AT_ONCE,
     MAX_READS,
     MAX_WAITING,
-    ReadLimiter,
     Turns,
 )
 from app.line.history.service import History
@@ -150,27 +152,33 @@ async def test_what_an_account_reads_comes_in_turns_and_others_do_not_wait(
 
 
 async def test_a_response_that_is_being_sent_has_no_turn_any_more() -> None:
-    turns: FairQueue[str] = FairQueue(inf, 1, 0)
+    turns, app = Turns(reads=FairQueue(inf, 1, 0)), FastAPI()
     gate, begun = asyncio.Event(), 0
 
-    async def stream(_scope: Scope, _receive: Receive, send: Send) -> None:
-        nonlocal begun
-        begun += 1
-        await send({"type": "http.response.start", "status": 200})
-        await gate.wait()
+    @app.get("/stream")
+    async def stream() -> StreamingResponse:
+        async def pieces() -> AsyncIterator[bytes]:
+            nonlocal begun
+            begun += 1
+            yield b"piece"
+            await gate.wait()
+
+        return StreamingResponse(pieces())
 
     async def ignore(_: Message) -> None:
         return None
 
     async def receive() -> Message:
+        await gate.wait()
         return {"type": "http.disconnect"}
 
-    scope = {"type": "http", "caller": Person("ann", Role.VIEWER, "session")}
-    app = ReadLimiter(stream, turns)
-    sent = [asyncio.create_task(app({**scope}, receive, ignore)) for _ in range(1)]
+    guard(app, turns)
+    scope = {"type": "http", "method": "GET", "path": "/stream", "query_string": b"", "headers": []}
+    scope["caller"] = Person("ann", Role.VIEWER, "session")
+    sent = [asyncio.create_task(app({**scope}, receive, ignore))]
     await until(lambda: begun == 1)
     sent.append(asyncio.create_task(app({**scope}, receive, ignore)))
     await until(lambda: begun == 2)
-    assert not turns.count_of("ann")
+    assert not turns.reads.count_of("ann")
     gate.set()
     await asyncio.gather(*sent)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
@@ -116,12 +116,16 @@ def _last(headers: Headers, name: str) -> str:
 class Forwarded:
     """ASGI middleware that puts the client of a request, and the name by which it called this server, into
     the scope. A proxy's connections carry requests of many, so the requests of each client are counted here
-    as the connections of others are (`app.core.server.connections`).
+    as the connections of others are (`app.core.server.connections`). ``note_refusal`` gets the address, the
+    status and the path of one too many.
     """
 
-    def __init__(self, app: ASGIApp, trusted: Collection[Network]) -> None:
+    def __init__(
+        self, app: ASGIApp, trusted: Collection[Network], note_refusal: Callable[[str, str, str], None]
+    ) -> None:
         self._app = app
         self._trusted = trusted
+        self._note_refusal = note_refusal
         self._under_way: Counter[str] = Counter()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -144,6 +148,7 @@ class Forwarded:
     async def _count(self, source: str, scope: Scope, receive: Receive, send: Send) -> None:
         if self._under_way[source] >= MAX_UNDER_WAY:
             await TOO_MANY_REQUESTS(scope, receive, send)
+            self._note_refusal(source, "429", scope["path"])
             return
         self._under_way[source] += 1
         try:

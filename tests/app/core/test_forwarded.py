@@ -212,7 +212,8 @@ async def test_behind_a_proxy_each_address_has_so_many_requests_under_way() -> N
         if message["type"] == "http.response.start":
             statuses.append(message["status"])
 
-    forwarded = Forwarded(app, PROXIES)
+    noted = list[tuple[str, str, str]]()
+    forwarded = Forwarded(app, PROXIES, lambda *refused: noted.append(refused))
 
     async def request(client: str) -> None:
         headers = [(b"x-forwarded-for", client.encode())]
@@ -223,7 +224,7 @@ async def test_behind_a_proxy_each_address_has_so_many_requests_under_way() -> N
     parsed.append(asyncio.create_task(request("198.51.100.10")))
     while not statuses:  # noqa: ASYNC110
         await asyncio.sleep(0)
-    assert statuses == [429]
+    assert (statuses, noted) == ([429], [("198.51.100.9", "429", "/")])
     gate.set()
     await asyncio.gather(*parsed)
     assert statuses[1:] == [200] * (MAX_UNDER_WAY + 1)

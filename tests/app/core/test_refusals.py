@@ -6,16 +6,15 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from starlette.types import Message, Receive, Scope, Send
+from starlette.types import Message, Scope
 from starlette.websockets import WebSocketDisconnect
 from structlog.testing import capture_logs
 
 from app.core.database import Database
-from app.core.server.refusal_log import RefusalLog
 from app.core.web.admission.access import Role
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
-from app.people.auth.rights.access import RecordRefusals
+from app.people.auth.rights import access
 from tests.administrator import BY
 from tests.app.complete_app import House, complete_app
 
@@ -92,38 +91,31 @@ async def test_a_request_without_sign_in_is_not_recorded(house: House) -> None:
     assert await recorded(house) == []
 
 
-@pytest.mark.parametrize(
-    ("status", "headers", "lines"),
-    [
-        (200, [], 0),
-        (404, [], 0),
-        (401, [], 0),
-        (401, [(b"authorization", b"Bearer guess")], 1),
-        (403, [], 1),
-        (413, [], 1),
-    ],
-)
-async def test_responses_that_refuse_are_noted(
-    house: House, status: int, headers: list[tuple[bytes, bytes]], lines: int
-) -> None:
-    async def app(_scope: Scope, _receive: Receive, send: Send) -> None:
-        await send({"type": "http.response.start", "status": status, "headers": []})
-        await send({"type": "http.response.body", "body": b""})
-
-    async def receive() -> Message:
-        return {"type": "http.disconnect"}
-
-    async def send(_: Message) -> None: ...
-
-    scope: Scope = {"type": "http", "path": "/feed", "headers": headers, "client": ("192.0.2.7", 1)}
+async def test_responses_that_refuse_are_logged_by_address(house: House) -> None:
+    requests = [
+        (None, "GET", "/healthz", 200),
+        (Role.VIEWER, "GET", "/nowhere", 404),
+        (None, "GET", "/api/v1/line", 401),
+        (None, "POST", "/login", 413),
+        (Role.VIEWER, "POST", SPEED, 403),
+    ]
     with capture_logs() as logs:
-        await RecordRefusals(app, house.services[EventLog], RefusalLog())(scope, receive, send)
-    shown = [(entry["address"], entry["reason"], entry["request"]) for entry in logs]
-    assert shown == [("192.0.2.7", str(status), "/feed")] * lines
+        for number, (role, method, path, status) in enumerate(requests):
+            house.address = f"192.0.2.{number}"
+            client = house.client() if role is None else await house.signed_in(role, f"vera{number}")
+            content = b"x" * 100_000 if status == 413 else b""
+            assert (await client.request(method, path, content=content)).status_code == status
+    refused = [entry for entry in logs if entry["event"] == "request refused"]
+    assert [(entry["address"], entry["reason"], entry["request"]) for entry in refused] == [
+        ("192.0.2.3", "413", "/login"),
+        ("192.0.2.4", "403", SPEED),
+    ]
 
 
-async def test_a_client_that_leaves_its_handshake_is_a_refused_request(house: House) -> None:
-    async def app(_scope: Scope, _receive: Receive, _send: Send) -> None:
+async def test_a_client_that_leaves_its_handshake_is_a_refused_request(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def leave(*_: object) -> None:
         raise WebSocketDisconnect(1006)
 
     async def receive() -> Message:
@@ -131,7 +123,8 @@ async def test_a_client_that_leaves_its_handshake_is_a_refused_request(house: Ho
 
     async def send(_: Message) -> None: ...
 
+    monkeypatch.setattr(access, "refuse", leave)
     scope: Scope = {"type": "websocket", "path": "/feed", "headers": [], "client": ("192.0.2.7", 1)}
     with capture_logs() as logs:
-        await RecordRefusals(app, house.services[EventLog], RefusalLog())(scope, receive, send)
+        await house.app(scope | {"query_string": b"", "scheme": "ws"}, receive, send)
     assert [(entry["address"], entry["reason"]) for entry in logs] == [("192.0.2.7", "incomplete")]

@@ -11,7 +11,7 @@ from starlette.types import Message as AsgiMessage
 from app.core.server.addresses import source_of
 from app.core.server.turns import FairQueue, TooManyWaitingError
 from app.core.web.admission.access import address_of, caller_of
-from app.core.web.admission.bounds import MAX_PLAIN_BODY_BYTES, BoundedBody
+from app.core.web.admission.bounds import MAX_PLAIN_BODY_BYTES, bounded
 from app.core.web.admission.security import refuse
 from app.core.web.problems import too_many_requests
 from app.errors import Problem
@@ -35,7 +35,6 @@ class AnonymousLimiter:
     def __init__(self, app: ASGIApp, exempt: Collection[str] = (HEALTH,)) -> None:
         self._app = app
         self._exempt = exempt
-        self._bounded = BoundedBody(self._serve, MAX_PLAIN_BODY_BYTES)
         # Half of what may wait is for known keys, and no address is known.
         self._turns: FairQueue[str] = FairQueue(
             MAX_AT_ONCE, AT_ONCE_OF_ADDRESS, MAX_WAITING_OF_ADDRESS, 2 * MAX_WAITING, REST
@@ -47,7 +46,7 @@ class AnonymousLimiter:
             await self._app(scope, receive, send)
             return
         try:
-            await self._bounded(scope, receive, send)
+            await self._serve(scope, bounded(scope, receive, MAX_PLAIN_BODY_BYTES), send)
         except Problem as problem:
             await refuse(scope, receive, send, problem)
         except TooManyWaitingError:

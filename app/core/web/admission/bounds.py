@@ -12,14 +12,11 @@ from datetime import datetime
 from typing import TypeVar
 
 from starlette.datastructures import Headers
-from starlette.requests import Request
-from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
+from starlette.types import Receive, Scope
 
-from app.core.server.addresses import canonical
-from app.core.web.admission.security import foreign_problem, header_problem, host_problem, refuse
+from app.core.web.admission.security import foreign_problem, header_problem, host_problem
 from app.core.web.api.shape import parse_integer
-from app.core.web.problems import respond
 from app.errors import Problem
 from bus.messages import Message
 
@@ -37,60 +34,34 @@ MAX_CONTENT_TYPE = 200
 """A boundary of a multipart body has at most 70 characters (RFC 2046, 5.1.1)."""
 
 
-class RequestRules:
-    """Refuses a request with ambiguous headers, under another host name, of a foreign page, or with an
-    address, a header or a body larger than anything that the app needs."""
-
-    def __init__(self, app: ASGIApp, allowed_hosts: Collection[str]) -> None:
-        self._app = BoundedBody(app, MAX_BODY_BYTES)
-        self._allowed_hosts = frozenset(canonical(name) for name in allowed_hosts)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        problem = (
-            header_problem(scope)
-            or host_problem(scope, self._allowed_hosts)
-            or foreign_problem(scope)
-            or _out_of_bounds(scope)
-        )
-        if problem is not None:
-            await refuse(scope, receive, send, problem)
-            return
-        scope["headers"] = list(_readable(scope["headers"]))
-        await self._app(scope, receive, send)
+def request_problem(scope: Scope, allowed_hosts: Collection[str]) -> Problem | None:
+    """Return the refusal of a request with ambiguous headers, under another host name, of a foreign page, or
+    with an address or a header longer than anything that the app needs."""
+    return (
+        header_problem(scope)
+        or host_problem(scope, allowed_hosts)
+        or foreign_problem(scope)
+        or _out_of_bounds(scope)
+    )
 
 
-class BoundedBody:
-    """Refuses a body of more than ``most_bytes``, by the length it announces or while it arrives."""
+def bounded(scope: Scope, receive: Receive, most_bytes: int) -> Receive:
+    """Return ``receive`` for a body of at most ``most_bytes``. Raises Problem 413 for one whose length is
+    announced to be more, and in ``receive`` where it turns out to be."""
+    announced = parse_integer(Headers(scope=scope).get("content-length", ""))
+    if announced is not None and announced > most_bytes:
+        raise _too_large(most_bytes)
+    seen = 0
 
-    def __init__(self, app: ASGIApp, most_bytes: int) -> None:
-        self._app = app
-        self._most_bytes = most_bytes
+    async def counting() -> AsgiMessage:
+        nonlocal seen
+        message = await receive()
+        seen += len(message.get("body", b""))
+        if seen > most_bytes:
+            raise _too_large(most_bytes)
+        return message
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        announced = parse_integer(Headers(scope=scope).get("content-length", ""))
-        if announced is not None and announced > self._most_bytes:
-            await respond(Request(scope), _too_large(self._most_bytes))(scope, receive, send)
-            return
-        await self._app(scope, self._counting(receive), send)
-
-    def _counting(self, receive: Receive) -> Receive:
-        seen = 0
-
-        async def counting() -> AsgiMessage:
-            nonlocal seen
-            message = await receive()
-            seen += len(message.get("body", b""))
-            if seen > self._most_bytes:
-                raise _too_large(self._most_bytes)
-            return message
-
-        return counting
+    return counting
 
 
 def _out_of_bounds(scope: Scope) -> Problem | None:
@@ -107,9 +78,9 @@ def _out_of_bounds(scope: Scope) -> Problem | None:
     return None
 
 
-def _readable(headers: list[tuple[bytes, bytes]]) -> Iterator[tuple[bytes, bytes]]:
-    """Headers without the cookies that have a quotation mark. None of ours has, and to unquote one takes n²
-    steps (CVE-2024-7592, Python before 3.11.10)."""
+def readable(headers: list[tuple[bytes, bytes]]) -> Iterator[tuple[bytes, bytes]]:
+    """Yield the headers without the cookies that have a quotation mark. None of ours has, and to unquote one
+    takes n² steps (CVE-2024-7592, Python before 3.11.10)."""
     for name, value in headers:
         if name == b"cookie" and b'"' in value:
             value = b";".join(pair for pair in value.split(b";") if b'"' not in pair)

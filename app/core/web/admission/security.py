@@ -83,7 +83,7 @@ async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -
         await problem_json(problem)(scope, receive, send)
 
 
-FOR_PEOPLE = ("below_a_path", "foreign_origin")
+FOR_PEOPLE = ("below_a_path", "foreign_origin", "too_large")
 """Codes of what a person meets behind a proxy; other refusals show nothing of the site."""
 ONCE = ("host", "authorization", "content-type", "content-encoding", "transfer-encoding", "idempotency-key")
 """Headers that may be there once: of two, a proxy may have believed one and we the other (RFC 9110, 5.3)."""

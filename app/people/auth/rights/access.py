@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Collection, Coroutine
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -17,10 +17,13 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 from starlette.websockets import WebSocketDisconnect
 
+from app.core.server.addresses import canonical
 from app.core.server.connections import Handshakes, client_connection
 from app.core.server.refusal_log import REFUSED, RefusalLog
 from app.core.web.admission.access import Caller, Role, account_shown, address_of, not_signed_in
+from app.core.web.admission.bounds import readable, request_problem
 from app.core.web.admission.cookies import session_name
+from app.core.web.admission.routes import as_get
 from app.core.web.admission.security import LOOPBACK, refuse
 from app.core.web.problems import is_below_a_path, is_fragment, problem_json, respond, wants_json
 from app.errors import Problem, StoreError
@@ -53,14 +56,29 @@ Withdrawal = Callable[[], Coroutine[Any, Any, None]]
 
 
 class Identify:
-    """Puts the ``caller`` into the scope. Only public paths are open without one; a token or a cookie
-    that is not valid is refused even where the demo needs none. A WebSocket or a
-    response in pieces ends with the rights of its person."""
+    """Finds the `Caller` of every request and handshake, or refuses it, and records what was refused.
 
-    def __init__(self, app: ASGIApp, identity: Identity, rights: Rights, *, demo: bool = False) -> None:
+    Only public paths are open without a caller. A token or a cookie that is not valid is refused even where
+    the demo needs none. A WebSocket or a response in pieces ends with the rights of its caller.
+    """
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        identity: Identity,
+        rights: Rights,
+        events: EventLog,
+        log: RefusalLog,
+        *,
+        allowed_hosts: Collection[str] = (),
+        demo: bool = False,
+    ) -> None:
         self._app = app
         self._identity = identity
         self._rights = rights
+        self._events = events
+        self._log = log
+        self._allowed_hosts = frozenset(canonical(name) for name in allowed_hosts)
         self._demo = demo
         self._handshakes = Handshakes()
 
@@ -68,44 +86,73 @@ class Identify:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        connection, seen = HTTPConnection(scope), self._rights.changes
+        status = 0
+
+        async def watching(message: AsgiMessage) -> None:
+            nonlocal status
+            status = message.get("status", status)
+            await send(message)
+
+        respond = await self._response_to(scope, receive)
         try:
-            person = await self._person(connection)
+            await respond(watching)
+        except WebSocketDisconnect:  # before its handshake had a response
+            self._log.note(_address(scope), "incomplete", scope["path"])
+            return
+        await self._record(scope, status)
+
+    async def _response_to(self, scope: Scope, receive: Receive) -> Callable[[Send], Awaitable[None]]:
+        """Return what sends the response: the app, as long as its caller has the right, or a refusal."""
+        seen = self._rights.changes
+        try:
+            caller = await self._identified(scope)
         except Problem as problem:
-            if isinstance(problem, ExpiredTokenError):
-                scope[REFUSED_ACCOUNT] = problem.account
-            await refuse(scope, receive, send, problem)
-            return
-        except StoreError as error:
-            await refuse(scope, receive, send, Problem(503, "store", error.message))
-            return
-        if person is None:
-            path = scope["path"]
-            if path not in PUBLIC_PATHS and not path.startswith(PUBLIC_PREFIX):
-                await _turn_away(connection, receive, send)
-                return
-            await self._app(scope, receive, send)
-            return
-        scope["caller"] = replace(person, address=address_of(connection))
-        client_connection(scope).identify(person.account)
-        is_still = partial(self._is_still, connection, person)
-        withdrawal = partial(self._rights.until_withdrawn, is_still, seen)
+            return partial(refuse, scope, receive, problem=problem)
+        if caller is None and not _is_public(scope["path"]):
+            return partial(_turn_away, HTTPConnection(scope), receive)
+        scope["caller"] = caller
+        run = partial(_run, self._app, scope, receive)
+        if caller is None:
+            return run
+        client_connection(scope).identify(caller.account)
         is_socket = scope["type"] == "websocket"
         if is_socket:
-            await asyncio.sleep(self._handshakes.wait_s(person.account, monotonic_now()))
+            await asyncio.sleep(self._handshakes.wait_s(caller.account, monotonic_now()))
+        is_still = partial(self._is_still, HTTPConnection(scope), caller)
+        withdrawal = partial(self._rights.until_withdrawn, is_still, seen)
         # Returning without the rest makes the server cut the connection, as an incomplete response.
-        await run_while_allowed(partial(self._app, scope, receive), withdrawal, send, is_socket=is_socket)
+        return partial(run_while_allowed, run, withdrawal, is_socket=is_socket)
 
-    async def _is_still(self, connection: HTTPConnection, person: Caller) -> bool:
-        """Whether who opened a connection may have it still; a store that fails ends nothing that runs."""
+    async def _identified(self, scope: Scope) -> Caller | None:
+        """Return the caller; None where the request names none. Raises Problem for a request that breaks the
+        rules of every request, or whose caller cannot be known."""
+        problem = request_problem(scope, self._allowed_hosts)
+        if problem is not None:
+            raise problem
+        scope["headers"] = list(readable(scope["headers"]))
         try:
-            return await self._person(connection, is_use=person.panel) == person
+            return await self._caller(HTTPConnection(scope))
+        except ExpiredTokenError as expired:
+            scope[REFUSED_ACCOUNT] = expired.account
+            raise
+        except StoreError as error:
+            raise Problem(503, "store", error.message) from None
+
+    async def _is_still(self, connection: HTTPConnection, caller: Caller) -> bool:
+        """Whether the caller of an open connection may have it still; a store that fails ends nothing that
+        runs."""
+        try:
+            return await self._caller(connection, is_use=caller.panel) == caller
         except Problem:
             return False
         except StoreError:
             return True
 
-    async def _person(self, connection: HTTPConnection, *, is_use: bool = True) -> Caller | None:
+    async def _caller(self, connection: HTTPConnection, *, is_use: bool = True) -> Caller | None:
+        found = await self._account(connection, is_use=is_use)
+        return found and replace(found, address=address_of(connection))
+
+    async def _account(self, connection: HTTPConnection, *, is_use: bool) -> Caller | None:
         scheme, _, bearer = connection.headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer":
             program = await self._identity.by_token(bearer.strip())
@@ -117,6 +164,32 @@ class Identify:
         if person is None and self._demo and _is_loopback(connection):
             return Caller("demo", Role.ADMIN, "demo")
         return person
+
+    async def _record(self, scope: Scope, status: int) -> None:
+        """Log a refusal by the address of its client, and count each 403, and each 401 for a bearer token, in
+        the events. A page without a sign-in is no attack."""
+        if status not in REFUSED or (status == 401 and not Headers(scope=scope).get("authorization")):
+            return
+        self._log.note(_address(scope), str(status), scope["path"])
+        if status in (401, 403):
+            what, who, requested = _event_of(status, scope)
+            await count_refusal(self._events, "access_refused", what, who, _address(scope), requested)
+
+
+def _run(app: ASGIApp, scope: Scope, receive: Receive, send: Send) -> Awaitable[None]:
+    """Call the app; a HEAD request as the GET that its route knows."""
+    if scope.get("method") == "HEAD":
+        scope, send = as_get(scope, send)
+    return app(scope, receive, send)
+
+
+def _is_public(path: str) -> bool:
+    return path in PUBLIC_PATHS or path.startswith(PUBLIC_PREFIX)
+
+
+def _address(scope: Scope) -> str:
+    address: str = (scope.get("client") or ("", 0))[0]
+    return address
 
 
 async def run_while_allowed(
@@ -211,37 +284,6 @@ def _is_loopback(connection: HTTPConnection) -> bool:
 
 REFUSED_ACCOUNT = "refused_account"
 """Key in the scope: the account of an expired token."""
-
-
-class RecordRefusals:
-    """Logs what was refused, by the address of its client, and counts in the events each 403, and each 401
-    for a bearer token. A page without a sign-in is no attack."""
-
-    def __init__(self, app: ASGIApp, events: EventLog, log: RefusalLog) -> None:
-        self._app = app
-        self._events = events
-        self._log = log
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        status = 0
-
-        async def watching(message: AsgiMessage) -> None:
-            nonlocal status
-            status = message.get("status", status)
-            await send(message)
-
-        address: str = (scope.get("client") or ("", 0))[0]
-        try:
-            await self._app(scope, receive, watching)
-        except WebSocketDisconnect:  # before its handshake had a response
-            self._log.note(address, "incomplete", scope["path"])
-            return
-        if status not in REFUSED or (status == 401 and not Headers(scope=scope).get("authorization")):
-            return
-        self._log.note(address, str(status), scope["path"])
-        if status in (401, 403):
-            what, who, requested = _event_of(status, scope)
-            await count_refusal(self._events, "access_refused", what, who, address, requested)
 
 
 def _event_of(status: int, scope: Scope) -> tuple[Message, str | Message, str]:
