@@ -20,10 +20,9 @@ from app.core.server.settings import SecretFileError, can_others_read, read_secr
 from app.core.web.api.shape import message_shown
 from app.people.auth.oidc.single_sign_on import provider_of, require_package
 from app.people.auth.settings import OidcSettings
-from app.records.notification.rules.delivery import NotDeliveredError
-from app.records.notification.sending import programs
-from app.records.notification.sending.endpoints import NotificationEndpoint, NotificationPlan
-from app.records.notification.sending.mail import MailServer
+from app.records.notification.plan import NotificationEndpoint, NotificationPlan
+from app.records.notification.rules import NotDeliveredError
+from app.records.notification.senders import apprise_service, reach_hook, reach_mail_server
 from app.records.notification.settings import AppriseSettings, NotifySettings, WebhookSettings
 from app.settings import Settings, load
 from bus.errors import LinesideError
@@ -129,7 +128,7 @@ def notification(site: Settings) -> Iterator[Finding]:
     if settings.smtp is not None:
         place = f"{settings.smtp.host}:{settings.smtp.port}"
         reached = Message.of("check_notify_mail", address=place)
-        yield _tried(place, MailServer(settings.smtp).test(), reached)
+        yield _tried(place, reach_mail_server(settings.smtp), reached)
     for endpoint in plan.endpoints.values():
         if endpoint.settings is not None:
             reached = Message.of(f"check_notify_{endpoint.kind}", address=endpoint.address)
@@ -139,9 +138,9 @@ def notification(site: Settings) -> Iterator[Finding]:
 async def _reach(endpoint: NotificationEndpoint) -> None:
     match endpoint.settings:
         case WebhookSettings() as settings:
-            await programs.reach(settings)
+            await reach_hook(settings)
         case AppriseSettings() as settings:
-            programs.apprise_service(settings)
+            apprise_service(settings)
 
 
 def _tried(address: str, attempt: Awaitable[None], reached: Message) -> Finding:

@@ -19,15 +19,17 @@ from app.core.web.api.shape import (
     maybe_shown,
 )
 from app.core.web.services import service
-from app.records.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
-from app.records.notification.maintenance import MAX_MINUTES, RecurringMaintenanceShown
-from app.records.notification.notice import NoticeKind
-from app.records.notification.outbox import MaintenanceShown, NotificationDelivery
-from app.records.notification.rules.delivery import DeliveryState
+from app.records.notification.outbox import MaintenanceShown, NoticeKind, NotificationDelivery
+from app.records.notification.rules import DeliveryState
 from app.records.notification.service import (
+    BEGIN_MAINTENANCE,
+    END_MAINTENANCE,
+    MAX_MINUTES,
+    SEND_TEST,
     Notification,
     NotificationEndpointShown,
     NotificationGroup,
+    RecurringMaintenanceShown,
 )
 from bus.text import OneLine
 
@@ -156,5 +158,5 @@ def _delivery(delivery: NotificationDelivery) -> NotificationDeliveryShown:
         "tried_at": iso(delivery.tried_at) if delivery.attempts else None,
         "result": maybe_shown(delivery.result),
         "kinds": list(dict.fromkeys(item.kind for item in delivery.items)),
-        "alarms": [item.of_alarm.id for item in delivery.items if item.of_alarm is not None],
+        "alarms": [item.alarm_notice.id for item in delivery.items if item.alarm_notice is not None],
     }

@@ -14,14 +14,13 @@ from app.core.web.api.shape import iso, message_shown
 from app.core.web.rendering.formats import Formats
 from app.errors import Problem
 from app.line.conditions.condition import PRIORITIES
-from app.records.notification.notice import Attachment, OutboxItem, ReportNotice
-from app.records.notification.outbox import NotificationDelivery
-from app.records.notification.rules.notices import UNACKNOWLEDGED
-from bus.instants import UnixTime
+from app.records.notification.outbox import Attachment, NotificationDelivery, OutboxItem, ReportNotice
+from app.records.notification.rules import UNACKNOWLEDGED
+from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message, term
 
-LinkMaker = Callable[[str], str]
-"""From the id of an alarm to the link that acknowledges it; empty where no link can be made."""
+PATH = "/notifications/acknowledge"
+VALID_S = 7 * 86_400
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +37,12 @@ class Letter:
 
 @dataclass(frozen=True, slots=True)
 class Composer:
-    """``link``: see LinkMaker."""
+    """Writes letters in the language of the site. ``link``: makes the link to an occurrence, or nothing."""
 
     site: str
     language: Language
     formats: Formats
-    link: LinkMaker
+    link: Callable[[str], str]
 
     def letter(
         self, delivery: NotificationDelivery, now: UnixTime, pages: Sequence[Attachment] = ()
@@ -71,7 +70,7 @@ class Composer:
         return Message.of("notify_subject_digest", site=self.site, n=len(items), urgent=urgent)
 
     def _subject_of(self, item: OutboxItem) -> Message:
-        notice = item.of_alarm
+        notice = item.alarm_notice
         if isinstance(item.notice, ReportNotice):
             return item.notice.name
         if notice is None:
@@ -89,7 +88,7 @@ class Composer:
         return "\n".join(_one_line(self.language.t(line)) for line in lines)
 
     def _lines(self, item: OutboxItem) -> Iterator[Message]:
-        notice = item.of_alarm
+        notice = item.alarm_notice
         if notice is None:
             yield Message.of(f"notify_body_{item.kind}", site=self.site)
             return
@@ -105,7 +104,7 @@ class Composer:
 def hook_body(site: str, delivery: NotificationDelivery, now: UnixTime) -> dict[str, Any]:
     """The body of a webhook; its texts are English, as those of the API."""
     item = delivery.items[0]
-    notice = item.of_alarm
+    notice = item.alarm_notice
     body: dict[str, Any] = {"id": delivery.message_id, "kind": item.kind, "time": iso(now), "site": site}
     if notice is not None:
         text = Message.of("alarm_text", name=notice.name, response=notice.response)
@@ -130,14 +129,14 @@ def hook_body(site: str, delivery: NotificationDelivery, now: UnixTime) -> dict[
 
 def _rank(item: OutboxItem) -> tuple[int, bool, int]:
     """Alarms by priority, then what is about none, then all-clears."""
-    notice = item.of_alarm
+    notice = item.alarm_notice
     priority = len(PRIORITIES) if notice is None else PRIORITIES.index(notice.priority)
     return priority if item.kind != "clear" else len(PRIORITIES) + 1, item.kind == "clear", item.id
 
 
 def _is_urgent(item: OutboxItem) -> bool:
     # The all-clear of an urgent alarm is not urgent.
-    return item.kind == "alarm" and item.of_alarm is not None and item.of_alarm.priority == "urgent"
+    return item.kind == "alarm" and item.alarm_notice is not None and item.alarm_notice.priority == "urgent"
 
 
 def _one_line(text: str) -> str:
@@ -145,24 +144,30 @@ def _one_line(text: str) -> str:
     return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
 
 
-PATH = "/notifications/acknowledge"
-VALID_S = 7 * 86_400
+class AcknowledgeLinks:
+    """Signed links, each to the acknowledgement of one occurrence. A link signs no one in, and opening it
+    changes nothing. ``base``: how people reach the dashboard; None: no link can be made."""
 
+    def __init__(self, base: str | None, clock: Clock = unix_now) -> None:
+        self.key = b""
+        """Signs the links; set before the first one is made."""
+        self._base = base
+        self._clock = clock
 
-def acknowledge_link(base: str, key: bytes, alarm_id: str, now: UnixTime) -> str:
-    """A link for one occurrence. It signs no one in, and opening it changes nothing."""
-    until = int(float(now)) + VALID_S
-    query = {"alarm": alarm_id, "until": until, "signature": _signature(key, alarm_id, until)}
-    return f"{base.rstrip('/')}{PATH}?{urlencode(query)}"
+    def make(self, alarm_id: str) -> str:
+        """Return the link for an occurrence; empty where no link can be made."""
+        if self._base is None:
+            return ""
+        until = int(float(self._clock())) + VALID_S
+        query = {"alarm": alarm_id, "until": until, "signature": self._signature(alarm_id, until)}
+        return f"{self._base.rstrip('/')}{PATH}?{urlencode(query)}"
 
+    def check(self, alarm_id: str, until: int, signature: str) -> None:
+        """Raise Problem 403 for a link that this dashboard did not make, or that has expired."""
+        if not hmac.compare_digest(self._signature(alarm_id, until).encode(), signature.encode()):
+            raise Problem(403, "forbidden", Message("notify_link_invalid"))
+        if float(self._clock()) > until:
+            raise Problem(403, "forbidden", Message("notify_link_expired"))
 
-def check_link(key: bytes, alarm_id: str, until: int, signature: str, now: UnixTime) -> None:
-    """Raises Problem 403 for a link that this dashboard did not make, or that has expired."""
-    if not hmac.compare_digest(_signature(key, alarm_id, until).encode(), signature.encode()):
-        raise Problem(403, "forbidden", Message("notify_link_invalid"))
-    if float(now) > until:
-        raise Problem(403, "forbidden", Message("notify_link_expired"))
-
-
-def _signature(key: bytes, alarm_id: str, until: int) -> str:
-    return hmac.new(key, f"{until} {alarm_id}".encode(), "sha256").hexdigest()
+    def _signature(self, alarm_id: str, until: int) -> str:
+        return hmac.new(self.key, f"{until} {alarm_id}".encode(), "sha256").hexdigest()

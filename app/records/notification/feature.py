@@ -2,40 +2,43 @@
 
 from __future__ import annotations
 
+from zoneinfo import ZoneInfo
+
 from app.core.database import Database
 from app.core.web.rendering.templating import Templates
 from app.feature import Feature, Services
-from app.line.alarms.bus_alarms import BusAlarms
-from app.line.alarms.site_alarms import FailingEndpoints, SiteAlarms
+from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.site_alarms import FailingEndpoints
 from app.people.audit.log import EventLog
 from app.records.notification import api, pages
-from app.records.notification.acts import ACTS
-from app.records.notification.notice import ReportAttachments
+from app.records.notification.compose import AcknowledgeLinks, Composer
+from app.records.notification.dispatcher import Dispatcher
 from app.records.notification.notifier import AlarmNotifier
-from app.records.notification.service import Notification
+from app.records.notification.outbox import NotificationOutbox, ReportAttachments
+from app.records.notification.plan import NotificationPlan
+from app.records.notification.senders import Senders
+from app.records.notification.service import ACTS, Maintenance, Notification
 
 
 def make(services: Services) -> None:
-    database, events, languages = services[Database], services[EventLog], services[Templates].languages
-    failing = services[FailingEndpoints]
-    notification = services.add(
-        Notification(
-            services.settings,
-            database,
-            events,
-            failing,
-            languages,
-            services.local_time,
-            services[ReportAttachments],
-        )
+    settings, events, templates = services.settings, services[EventLog], services[Templates]
+    site, notify = settings.site, settings.notify
+    plan = NotificationPlan(notify, (address for report in settings.report for address in report.to))
+    outbox = NotificationOutbox(services[Database])
+    links = AcknowledgeLinks(notify.dashboard_url)
+    composer = Composer(
+        site.name, templates.languages[site.language], templates.formats(site.language), links.make
     )
-    services.lifespan.add("notification", notification.dispatcher.follow, start=notification.load)
-    for name, bus in services.buses.items():
-        alarms = bus[BusAlarms]
-        notifier = bus.add(AlarmNotifier(notification, name, alarms.list, alarms.place))
-        services.lifespan.add(f"notification of {name}", notifier.follow, start=notifier.load)
-    of_site = AlarmNotifier(notification, None, services[SiteAlarms].list, lambda _: "")
-    services.lifespan.add("notification of the site", of_site.follow, start=of_site.load)
+    senders = Senders(notify.smtp, composer, services[ReportAttachments])
+    dispatcher = Dispatcher(plan, outbox, senders, events, services[FailingEndpoints], services.local_time)
+    buses = [bus.name for bus in settings.bus]
+    maintenance = Maintenance(outbox, events, notify.maintenance, ZoneInfo(site.zone), buses)
+    notification = services.add(Notification(outbox, maintenance, dispatcher, links, services.local_time))
+    services.lifespan.add("notification", dispatcher.follow, start=notification.load)
+    notifier = services.add(
+        AlarmNotifier(services[LineAlarms], outbox, maintenance, dispatcher, services.local_time)
+    )
+    services.lifespan.add("notification of alarms", notifier.follow, start=notifier.load)
 
 
 FEATURE = Feature(make, (api.router, pages.router), ACTS)

@@ -1,31 +1,139 @@
-"""The tables of notification: the outbox with its deliveries, how far the journal of alarms was followed,
-maintenance, and the key of links."""
+"""The tables of notification: the outbox of notices with their deliveries, how far the journal of alarms was
+followed, maintenance, and the key of links."""
 
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, fields
-from typing import Annotated
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass, fields, replace
+from typing import Annotated, Literal
 
 import msgspec
 from pydantic import Field
 
 from app.core.database import Database, StoreConnection
-from app.core.database.connection import upsert
 from app.core.web.api.shape import InstantObject
+from app.line.alarms.alarm import Alarm
 from app.line.alarms.journal import JournalEntry
-from app.records.notification.notice import AlarmNotice, OutboxItem, ReportNotice
-from app.records.notification.rules.delivery import FLOOD_WINDOW_S, DeliveryState, EndpointLoad, Retry
-from app.records.notification.rules.notices import Episode, QuietSpan, opened_by
+from app.line.alarms.rules.state_machine import AlarmState
+from app.line.conditions.condition import AlarmPriority
+from app.records.notification.rules import (
+    FLOOD_WINDOW_S,
+    DeliveryState,
+    EndpointLoad,
+    Episode,
+    QuietSpan,
+    Retry,
+    opened_by,
+)
 from bus.instants import UnixTime
 from bus.messages import Message
 
 MAX_ITEMS = 200
 """Items in one message."""
 MAX_AGE_S = 90 * 86_400.0
+MAX_ENTRIES = 1000
+"""Entries of the journal that are followed in one pass."""
 STANDING = "standing:"
 """Begins the key of an item of an alarm that stood at a start."""
+NoticeKind = Literal["alarm", "clear", "heartbeat", "test", "report"]
+
+
+class AlarmNotice(msgspec.Struct, frozen=True):
+    """An alarm as it was when it was to be notified; times in Unix seconds."""
+
+    id: str
+    code: str
+    name: Message
+    place: str
+    """The name of the unit; empty for an alarm of the site."""
+    bus: str | None
+    unit: int | None
+    priority: AlarmPriority
+    state: AlarmState
+    active: bool
+    at: float
+    cause: Message
+    response: Message
+    escalated: bool = False
+    """Whether the alarm was not acknowledged within the time of a rule."""
+
+
+def notice_of(
+    alarm: Alarm, place: str, at: UnixTime, state: AlarmState, occurrence: int, *, escalated: bool = False
+) -> AlarmNotice:
+    """Make the notice of an alarm in a state."""
+    definition = alarm.definition
+    name = definition.name
+    return AlarmNotice(
+        id=f"{definition.key}.{occurrence}",
+        code=definition.code,
+        name=name if isinstance(name, Message) else Message.of("alarm_own_text", text=name),
+        place=place,
+        bus=definition.bus,
+        unit=definition.unit,
+        priority=definition.priority,
+        state=state,
+        active=state in ("unack_active", "ack_active"),
+        at=float(at),
+        cause=definition.record.cause,
+        response=definition.record.response,
+        escalated=escalated,
+    )
+
+
+class ReportNotice(msgspec.Struct, frozen=True):
+    """A report that is due. ``start`` and ``end`` are in Unix seconds, ``first`` and ``last`` the same by the
+    clock of the site; ``place`` names for people what the report is about; ``bus`` None: the site."""
+
+    every: Literal["shift", "day", "week"]
+    start: float
+    end: float
+    first: str
+    last: str
+    place: str
+    bus: str | None = None
+    unit: int | None = None
+
+    @property
+    def name(self) -> Message:
+        """The title of the report."""
+        return Message.of(f"notify_report_{self.every}", place=self.place, first=self.first, last=self.last)
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A page as a file. ``summary``: lines for the text of the mail."""
+
+    name: str
+    page: str
+    summary: tuple[Message, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ReportAttachments:
+    """``make`` makes the page of a report; it raises LinesideError where it cannot."""
+
+    make: Callable[[ReportNotice], Awaitable[Attachment]]
+
+
+@dataclass(frozen=True, slots=True)
+class OutboxItem:
+    """One notice to one address. ``key`` with ``endpoint`` is in the outbox once, whatever happens."""
+
+    key: str
+    endpoint: str
+    kind: NoticeKind
+    created_at: UnixTime
+    notice: AlarmNotice | ReportNotice | None = None
+    alarm: str = ""
+    occurrence: int = 0
+    id: int = 0
+
+    @property
+    def alarm_notice(self) -> AlarmNotice | None:
+        """The notice, where it is about an alarm."""
+        return self.notice if isinstance(self.notice, AlarmNotice) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,37 +152,44 @@ class NotificationDelivery:
     items: tuple[OutboxItem, ...] = ()
 
 
-_DELIVERY = tuple(field.name for field in fields(NotificationDelivery) if field.name != "items")
-_ITEM = tuple(field.name for field in fields(OutboxItem))
-_VALUES = ":key, :kind, :created_at, :notice, :alarm, :occurrence"
-_INTO = f"INSERT INTO notification_item ({_VALUES.replace(':', '')}, endpoint)"
-_NOTIFIED = "FROM notification_item WHERE alarm = :alarm AND occurrence = :occurrence AND kind = 'alarm'"
-_OF_ENDPOINT = f"{_NOTIFIED} AND endpoint = :endpoint"
-_NEW = "ON CONFLICT DO NOTHING"
-ADD = f"{_INTO} VALUES ({_VALUES}, :endpoint) {_NEW}"
-"""Items that are not there yet."""
-ADD_NEW = f"{_INTO} SELECT {_VALUES}, :endpoint WHERE NOT EXISTS (SELECT 1 {_OF_ENDPOINT}) {_NEW}"
-"""Items for addresses that were not notified of their occurrence yet."""
-ADD_TO_NOTIFIED = f"{_INTO} SELECT {_VALUES}, endpoint {_NOTIFIED} GROUP BY endpoint ORDER BY min(id) {_NEW}"
-"""Items for each address that was notified of their occurrence."""
+@dataclass(frozen=True, slots=True)
+class MaintenanceShown:
+    """A maintenance under way."""
+
+    id: int
+    bus: Annotated[str | None, Field(description="null: all buses and the server.")]
+    since: InstantObject
+    until: InstantObject
+    who: str
+    reason: str
+
+    @property
+    def span(self) -> QuietSpan:
+        return QuietSpan(self.since, self.until, self.bus)
+
+
+_DELIVERY = ", ".join(field.name for field in fields(NotificationDelivery) if field.name != "items")
+_ITEM = ", ".join(field.name for field in fields(OutboxItem))
+_ENTRY = ", ".join(field.name for field in fields(JournalEntry))
+_EPISODE = ", ".join(field.name for field in fields(Episode))
 
 
 class NotificationOutbox:
-    """Access to the tables of the outbox."""
+    """Access to the tables of notification."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
+    # --- items and deliveries -------------------------------------------------------------------------
+
     async def add(self, items: Iterable[OutboxItem]) -> None:
         """Put items into the outbox that are not there yet."""
         several = list(items)
-        await self._database.write(lambda connection: put(connection, ADD, several))
+        await self._database.write(lambda connection: _put(connection, several))
 
     async def interrupted(self, endpoints: Iterable[str], now: UnixTime, gone: Message) -> None:
-        """At start: what was being sent is tried again, and what is for no address that is configured is
-        canceled."""
-        # None is empty; a list of none is no SQL.
-        known = ["", *endpoints]
+        """At start: have what was being sent tried again, and cancel what is for no configured address."""
+        known = ["", *endpoints]  # `IN ()` is not valid SQL
         marks = ", ".join("?" * len(known))
 
         def write(connection: StoreConnection) -> None:
@@ -82,11 +197,10 @@ class NotificationOutbox:
                 "UPDATE notification_delivery SET state = 'retrying', due = ? WHERE state = 'sending'",
                 (float(now),),
             )
-            result = msgspec.json.encode(gone).decode()
             connection.execute(
                 "UPDATE notification_delivery SET state = 'canceled', result = ? "
                 f"WHERE state = 'retrying' AND endpoint NOT IN ({marks})",
-                (result, *known),
+                (_encoded(gone), *known),
             )
             connection.execute(
                 f"DELETE FROM notification_item WHERE delivery IS NULL AND endpoint NOT IN ({marks})", known
@@ -117,8 +231,6 @@ class NotificationOutbox:
                 "WHERE delivery IS NULL AND endpoint = ? ORDER BY stood, id LIMIT ?",
                 (f"{STANDING}%", endpoint, MAX_ITEMS),
             ).fetchall()
-            items = [(id, at) for id, at, stood in waiting if not (stood and collects)]
-            standing = [(id, at) for id, at, stood in waiting if stood and collects]
             retries = connection.execute(
                 "SELECT id, attempts, due FROM notification_delivery "
                 "WHERE state = 'retrying' AND endpoint = ?",
@@ -130,11 +242,11 @@ class NotificationOutbox:
                 (endpoint, float(now - FLOOD_WINDOW_S)),
             )
             return EndpointLoad(
-                items,
-                [Retry(*row) for row in retries],
-                [row["tried_at"] for row in sent],
-                collects,
-                standing,
+                items=[(id, at) for id, at, stood in waiting if not (stood and collects)],
+                retries=[Retry(*row) for row in retries],
+                sent=[row["tried_at"] for row in sent],
+                collects=collects,
+                standing=[id for id, _, stood in waiting if stood and collects],
             )
 
         return await self._database.read(read)
@@ -159,7 +271,7 @@ class NotificationOutbox:
         return await self._database.write(write)
 
     async def resume(self, id: int) -> NotificationDelivery:
-        """Take up a delivery that is to be tried again, as being sent."""
+        """Mark a delivery that is to be tried again as being sent, and return it."""
 
         def write(connection: StoreConnection) -> NotificationDelivery:
             connection.execute(
@@ -172,40 +284,26 @@ class NotificationOutbox:
 
     async def conclude(self, delivery: NotificationDelivery) -> None:
         """Write the result of an attempt."""
-        await self._database.write(self.conclusion(delivery))
-
-    def conclusion(self, delivery: NotificationDelivery) -> Callable[[StoreConnection], None]:
-        """Return what writes the result of an attempt, as a part of another transaction."""
-        result = "" if delivery.result is None else msgspec.json.encode(delivery.result).decode()
-        times = float(delivery.tried_at), float(delivery.due)
-
-        def write(connection: StoreConnection) -> None:
-            connection.execute(
-                "UPDATE notification_delivery SET state = ?, attempts = ?, tried_at = ?, due = ?, result = ? "
-                "WHERE id = ? AND state = 'sending'",
-                (delivery.state, delivery.attempts, *times, result, delivery.id),
-            )
-
-        return write
+        await self._database.write(conclusion(delivery))
 
     async def deliveries(self, limit: int, before: int | None) -> list[NotificationDelivery]:
-        """The newest deliveries first; ``before``: older than this one."""
+        """Return the newest deliveries first; ``before``: those older than this one."""
         return await self._deliveries("id < ?", (before or 2**62,), limit)
 
-    async def of_items(self, key: str) -> list[NotificationDelivery]:
-        """The deliveries that have an item of this key."""
+    async def deliveries_with(self, key: str) -> list[NotificationDelivery]:
+        """Return the deliveries that have an item of this key."""
         where = "id IN (SELECT delivery FROM notification_item WHERE key = ?)"
         return await self._deliveries(where, (key,), 1000)
 
-    async def last_of(self, endpoint: str) -> NotificationDelivery | None:
-        """The delivery to an address that was tried last."""
+    async def last_to(self, endpoint: str) -> NotificationDelivery | None:
+        """Return the delivery to an address that was tried last."""
         where = (
             "id = (SELECT id FROM notification_delivery WHERE endpoint = ? ORDER BY tried_at DESC LIMIT 1)"
         )
         return next(iter(await self._deliveries(where, (endpoint,), 1)), None)
 
     async def waiting(self) -> dict[str, int]:
-        """How many items each address has in no message yet."""
+        """Count the items of each address that are in no message yet."""
         query = "SELECT endpoint, count(*) FROM notification_item WHERE delivery IS NULL GROUP BY endpoint"
         return await self._database.read(lambda connection: dict(connection.execute(query).fetchall()))
 
@@ -214,103 +312,32 @@ class NotificationOutbox:
     ) -> list[NotificationDelivery]:
         return await self._database.read(lambda connection: _select(connection, where, values, limit))
 
+    # --- the journal of alarms, as far as it was followed ----------------------------------------------
 
-def put(connection: StoreConnection, how: str, items: Iterable[OutboxItem]) -> None:
-    """Put items into the outbox; ``how`` is `ADD`, `ADD_NEW` or `ADD_TO_NOTIFIED`."""
-    connection.executemany(how, [_row(item) for item in items])
-
-
-def _row(item: OutboxItem) -> dict[str, object]:
-    notice = None if item.notice is None else msgspec.json.encode(item.notice).decode()
-    return {**asdict(item), "created_at": float(item.created_at), "notice": notice}
-
-
-def _select(
-    connection: StoreConnection, where: str, values: Sequence[object], limit: int
-) -> list[NotificationDelivery]:
-    """The newest deliveries first, with their items."""
-    query = f"SELECT {', '.join(_DELIVERY)} FROM notification_delivery WHERE {where} ORDER BY id DESC LIMIT ?"
-    found = []
-    for row in connection.execute(query, (*values, limit)).fetchall():
-        result = msgspec.json.decode(row["result"], type=Message) if row["result"] else None
-        items = _items_of(connection, row["id"])
-        found.append(NotificationDelivery(**{**dict(row), "result": result, "items": items}))
-    return found
-
-
-def _items_of(connection: StoreConnection, delivery: int) -> tuple[OutboxItem, ...]:
-    query = f"SELECT {', '.join(_ITEM)} FROM notification_item WHERE delivery = ? ORDER BY id"
-    found = []
-    for row in connection.execute(query, (delivery,)):
-        kind: type[AlarmNotice | ReportNotice] = ReportNotice if row["kind"] == "report" else AlarmNotice
-        notice = None if row["notice"] is None else msgspec.json.decode(row["notice"], type=kind)
-        found.append(OutboxItem(**{**dict(row), "notice": notice}))
-    return tuple(found)
-
-
-MAX_ENTRIES = 1000
-"""Entries of the journal that are followed in one pass."""
-_ENTRY = ", ".join(field.name for field in fields(JournalEntry))
-_EPISODE = tuple(field.name for field in fields(Episode))
-
-
-@dataclass(frozen=True, slots=True)
-class MaintenanceShown:
-    """A maintenance under way."""
-
-    id: int
-    bus: Annotated[str | None, Field(description="null: all buses and the server.")]
-    since: InstantObject
-    until: InstantObject
-    who: str
-    reason: str
-
-    @property
-    def span(self) -> QuietSpan:
-        return QuietSpan(self.since, self.until, self.bus)
-
-
-class NotificationStore:
-    """All access to the tables of notification but the outbox."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-
-    async def load(self, source: str) -> tuple[int, dict[str, Episode]]:
-        """How far ``source`` has followed the journal, and its open episodes. Notification that was never on
-        begins with the present."""
+    async def followed(self) -> tuple[int, dict[str, Episode]]:
+        """Return the last entry of the journal that was followed, and the open episodes by alarm.
+        Notification that was never on begins with the present."""
 
         def read(connection: StoreConnection) -> tuple[int, dict[str, Episode]]:
-            row = connection.execute(
-                "SELECT entry FROM notification_cursor WHERE source = ?", (source,)
-            ).fetchone()
-            cursor = _last_entry(connection) if row is None else row["entry"]
-            query = f"SELECT {', '.join(_EPISODE)} FROM notification_episode WHERE source = ?"
-            rows = connection.execute(query, (source,)).fetchall()
+            # Earlier versions followed the journal once for each bus, and stored where each of them was.
+            [(cursor,)] = connection.execute(
+                "SELECT coalesce((SELECT max(entry) FROM notification_cursor), max(id), 0) FROM alarm_journal"
+            )
+            rows = connection.execute(f"SELECT {_EPISODE} FROM notification_episode")
             return cursor, {row["alarm"]: Episode(*row) for row in rows}
 
         return await self._database.read(read)
 
-    async def journal_after(self, bus: str | None, cursor: int) -> tuple[list[JournalEntry], int]:
-        """The transitions of a bus (None: of the site) after an entry, oldest first, and the last entry that
-        was looked at."""
-
-        query = (
-            f"SELECT {_ENTRY} FROM alarm_journal WHERE id > ? AND id <= ? AND bus IS ? ORDER BY id LIMIT ?"
+    async def journal_after(self, cursor: int) -> list[JournalEntry]:
+        """Return the transitions after an entry of the journal, oldest first."""
+        query = f"SELECT {_ENTRY} FROM alarm_journal WHERE id > ? ORDER BY id LIMIT ?"
+        rows = await self._database.read(
+            lambda connection: connection.execute(query, (cursor, MAX_ENTRIES)).fetchall()
         )
-
-        def read(connection: StoreConnection) -> tuple[list[JournalEntry], int]:
-            last = _last_entry(connection)
-            if last <= cursor:
-                return [], cursor
-            rows = connection.execute(query, (cursor, last, bus, MAX_ENTRIES))
-            entries = [JournalEntry(*row) for row in rows]
-            return entries, entries[-1].id if len(entries) == MAX_ENTRIES else last
-
-        return await self._database.read(read)
+        return [JournalEntry(*row) for row in rows]
 
     async def opened(self, alarms: Iterable[str], cursor: int) -> dict[str, Episode]:
-        """The newest episode of each alarm, by its key, that began up to an entry of the journal."""
+        """Return the newest episode of each alarm, by its key, that began up to an entry of the journal."""
         keys = list(alarms)
         query = (
             f"SELECT {_ENTRY} FROM alarm_journal WHERE alarm = ? AND id <= ? "
@@ -327,32 +354,37 @@ class NotificationStore:
 
     async def save(
         self,
-        source: str,
         cursor: int,
         episodes: Mapping[str, Episode],
         items: Sequence[OutboxItem],
-        cleared: Sequence[OutboxItem],
+        cleared: Sequence[OutboxItem] = (),
         standing: Sequence[OutboxItem] = (),
     ) -> None:
-        """Everything that one pass has led to, in one transaction. ``cleared``: for each address that was
-        notified of the occurrence; ``standing``: for each that was not."""
-        rows = [(*astuple(episode), source) for episode in episodes.values()]
-        marks = ", ".join("?" * (len(_EPISODE) + 1))
+        """Store everything that one pass has led to, in one transaction. ``cleared`` go to each address that
+        was notified of their occurrence, ``standing`` only to addresses that were not."""
+        rows = [(*astuple(episode), "") for episode in episodes.values()]
+        marks = ", ".join("?" * (len(fields(Episode)) + 1))
 
         def write(connection: StoreConnection) -> None:
-            connection.execute(upsert("notification_cursor", ("source",), ("entry",)), (source, cursor))
-            connection.execute("DELETE FROM notification_episode WHERE source = ?", (source,))
+            connection.execute("DELETE FROM notification_cursor")
+            connection.execute("INSERT INTO notification_cursor (source, entry) VALUES ('', ?)", (cursor,))
+            connection.execute("DELETE FROM notification_episode")
             connection.executemany(
-                f"INSERT INTO notification_episode ({', '.join(_EPISODE)}, source) VALUES ({marks})", rows
+                f"INSERT INTO notification_episode ({_EPISODE}, source) VALUES ({marks})", rows
             )
-            put(connection, ADD, items)
-            put(connection, ADD_NEW, standing)
-            put(connection, ADD_TO_NOTIFIED, cleared)
+            _put(connection, items)
+            _put(connection, [each for each in standing if each.endpoint not in _notified(connection, each)])
+            _put(
+                connection,
+                [replace(each, endpoint=key) for each in cleared for key in _notified(connection, each)],
+            )
 
         await self._database.write(write)
 
+    # --- maintenance and links -------------------------------------------------------------------------
+
     async def quiet(self, now: UnixTime) -> list[MaintenanceShown]:
-        """Every maintenance whose end an open alarm may still count from."""
+        """Return every maintenance whose end an open alarm may still count from."""
         query = "SELECT id, bus, starts, ends, who, reason FROM notification_quiet WHERE ends > ?"
         rows = await self._database.read(
             lambda connection: connection.execute(query, (float(now - MAX_AGE_S),)).fetchall()
@@ -360,7 +392,7 @@ class NotificationStore:
         return [MaintenanceShown(*row) for row in rows]
 
     async def link_key(self) -> bytes:
-        """The key that signs links; made at its first use."""
+        """Return the key that signs links; it is made at its first use."""
         fresh = secrets.token_bytes(32)
 
         def write(connection: StoreConnection) -> bytes:
@@ -371,6 +403,21 @@ class NotificationStore:
             return bytes(row["key"])
 
         return await self._database.write(write)
+
+
+def conclusion(delivery: NotificationDelivery) -> Callable[[StoreConnection], None]:
+    """Return a function that writes the result of an attempt, as a part of another transaction."""
+    result = "" if delivery.result is None else _encoded(delivery.result)
+    times = float(delivery.tried_at), float(delivery.due)
+
+    def write(connection: StoreConnection) -> None:
+        connection.execute(
+            "UPDATE notification_delivery SET state = ?, attempts = ?, tried_at = ?, due = ?, result = ? "
+            "WHERE id = ? AND state = 'sending'",
+            (delivery.state, delivery.attempts, *times, result, delivery.id),
+        )
+
+    return write
 
 
 def begin_quiet(connection: StoreConnection, span: QuietSpan, who: str, reason: str) -> None:
@@ -385,6 +432,52 @@ def end_quiet(connection: StoreConnection, id: int, now: UnixTime) -> None:
     connection.execute(query, (float(now), id, float(now)))
 
 
-def _last_entry(connection: StoreConnection) -> int:
-    last: int = connection.execute("SELECT coalesce(max(id), 0) FROM alarm_journal").fetchone()[0]
-    return last
+def _put(connection: StoreConnection, items: Iterable[OutboxItem]) -> None:
+    """Put items into the outbox; one that is there already stays as it is."""
+    connection.executemany(
+        "INSERT INTO notification_item (key, endpoint, kind, created_at, notice, alarm, occurrence) "
+        "VALUES (:key, :endpoint, :kind, :created_at, :notice, :alarm, :occurrence) ON CONFLICT DO NOTHING",
+        [_row(item) for item in items],
+    )
+
+
+def _row(item: OutboxItem) -> dict[str, object]:
+    notice = None if item.notice is None else _encoded(item.notice)
+    return {**asdict(item), "created_at": float(item.created_at), "notice": notice}
+
+
+def _notified(connection: StoreConnection, item: OutboxItem) -> list[str]:
+    """Return the addresses that were notified of the occurrence of an item, in that order."""
+    rows = connection.execute(
+        "SELECT endpoint FROM notification_item WHERE alarm = ? AND occurrence = ? AND kind = 'alarm' "
+        "GROUP BY endpoint ORDER BY min(id)",
+        (item.alarm, item.occurrence),
+    )
+    return [row["endpoint"] for row in rows]
+
+
+def _select(
+    connection: StoreConnection, where: str, values: Sequence[object], limit: int
+) -> list[NotificationDelivery]:
+    """Return the newest deliveries first, with their items."""
+    query = f"SELECT {_DELIVERY} FROM notification_delivery WHERE {where} ORDER BY id DESC LIMIT ?"
+    found = []
+    for row in connection.execute(query, (*values, limit)).fetchall():
+        result = msgspec.json.decode(row["result"], type=Message) if row["result"] else None
+        items = _items_of(connection, row["id"])
+        found.append(NotificationDelivery(**{**dict(row), "result": result, "items": items}))
+    return found
+
+
+def _items_of(connection: StoreConnection, delivery: int) -> tuple[OutboxItem, ...]:
+    query = f"SELECT {_ITEM} FROM notification_item WHERE delivery = ? ORDER BY id"
+    found = []
+    for row in connection.execute(query, (delivery,)):
+        kind: type[AlarmNotice | ReportNotice] = ReportNotice if row["kind"] == "report" else AlarmNotice
+        notice = None if row["notice"] is None else msgspec.json.decode(row["notice"], type=kind)
+        found.append(OutboxItem(**{**dict(row), "notice": notice}))
+    return tuple(found)
+
+
+def _encoded(value: Message | AlarmNotice | ReportNotice) -> str:
+    return msgspec.json.encode(value).decode()

@@ -13,10 +13,9 @@ from app.core.web.rendering.templating import render
 from app.errors import Problem
 from app.line.alarms.acts import ACKNOWLEDGE
 from app.line.alarms.api import Alarms
-from app.records.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
 from app.records.notification.api import Notifying
-from app.records.notification.maintenance import MAX_MINUTES
-from app.records.notification.sending.dispatcher import subject_of
+from app.records.notification.dispatcher import subject_of
+from app.records.notification.service import BEGIN_MAINTENANCE, END_MAINTENANCE, MAX_MINUTES, SEND_TEST
 from app.records.notification.settings import DAYS
 from bus.messages import Message
 from bus.text import OneLine
@@ -34,7 +33,7 @@ async def linked_alarm(
     signature: Annotated[str, Query(max_length=100)],
 ) -> str:
     """The id of the alarm of a link. Raises Problem 403 for one that this dashboard did not make."""
-    notification.check_link(alarm, until, signature)
+    notification.links.check(alarm, until, signature)
     return alarm
 
 
@@ -59,7 +58,7 @@ async def notification_page(
         maintenance=notification.maintenance.present(),
         recurring=notification.maintenance.recurring(),
         days={day: Message(f"day_{number}") for number, day in enumerate(DAYS)},
-        buses=notification.buses,
+        buses=notification.maintenance.buses,
         has_url=notification.plan.settings.dashboard_url is not None,
         deliveries=[
             (each, addresses.get(each.endpoint, each.endpoint), subject_of(each))

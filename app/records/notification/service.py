@@ -1,38 +1,53 @@
-"""Notification of a site: its outbox, its dispatcher and its maintenance, and a notifier for each bus."""
+"""Notification of a site: its addresses and groups as they are now, a test message, and maintenance, during
+which nothing is notified."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import date, datetime, timedelta
+from functools import partial
 from typing import Annotated
 from zoneinfo import ZoneInfo
 
 from pydantic import Field
 from typing_extensions import TypeAliasType
 
-from app.core.database import Database
-from app.core.messages.languages import Languages
-from app.core.web.admission.access import Person
+from app.core.web.admission.access import Person, Role
 from app.core.web.api.shape import InstantObject, MessageObject
-from app.core.web.rendering.formats import Formats
+from app.core.web.services import unknown_bus
 from app.errors import Problem
-from app.line.alarms.site_alarms import FailingEndpoints
+from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
-from app.records.notification.acts import SEND_TEST
-from app.records.notification.compose import Composer, acknowledge_link, check_link
-from app.records.notification.maintenance import Maintenance
-from app.records.notification.notice import ReportAttachments
-from app.records.notification.outbox import NotificationDelivery, NotificationOutbox, NotificationStore
-from app.records.notification.rules.notices import QuietSpan
-from app.records.notification.sending.dispatcher import Dispatcher
-from app.records.notification.sending.endpoints import EndpointKind, NotificationPlan
-from app.records.notification.sending.senders import Senders
-from app.settings import Settings
+from app.records.notification.compose import AcknowledgeLinks
+from app.records.notification.dispatcher import Dispatcher
+from app.records.notification.outbox import (
+    MAX_AGE_S,
+    MaintenanceShown,
+    NotificationDelivery,
+    NotificationOutbox,
+    begin_quiet,
+    end_quiet,
+)
+from app.records.notification.plan import EndpointKind
+from app.records.notification.rules import QuietSpan, recurring_spans
+from app.records.notification.settings import DAYS, DayOfWeek, MaintenanceSettings
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
+BEGIN_MAINTENANCE = Act("begin_maintenance", Role.ENGINEER, "notification", "event_maintenance_begun")
+END_MAINTENANCE = Act("end_maintenance", Role.ENGINEER, "notification", "event_maintenance_ended")
+SEND_TEST = Act("send_test_notification", Role.ENGINEER, "notification", "event_notification_delivered")
+"""Recorded as every message is: by the server, once it is delivered or not."""
+ACTS = (BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST)
+
 NotificationEndpointKind = TypeAliasType("NotificationEndpointKind", EndpointKind)
+DayOfWeekShown = TypeAliasType("DayOfWeekShown", DayOfWeek)
+MINUTE_S = 60
+MAX_MINUTES = 1440
+"""A day: whoever still needs a maintenance begins it again."""
+_AHEAD = timedelta(days=14)
+"""Two of each day of the week: one of them may be skipped when the clocks change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,53 +74,147 @@ class NotificationGroup:
     gaps: Annotated[list[MessageObject], Field(description="When no one is on duty.")]
 
 
-class Notification:
-    """``local_time``: of the site, by which duty rosters and the heartbeat go. Call :meth:`load` first."""
+@dataclass(frozen=True, slots=True)
+class RecurringMaintenanceShown:
+    """A recurring maintenance of the configuration; times by the clock of the site."""
+
+    days: Annotated[list[DayOfWeekShown], Field(description="On which it begins.")]
+    starts: Annotated[str, Field(description="Local time, such as 22:00.")]
+    ends: Annotated[str, Field(description="Local time; not after starts: on the next day.")]
+    last_day: Annotated[str, Field(description="The last day on which it begins, ISO 8601.")]
+    buses: Annotated[list[str], Field(description="Empty: all buses and the server.")]
+    reason: str
+    present: Annotated[bool, Field(description="Whether it is under way.")]
+    since: Annotated[InstantObject | None, Field(description="Of the present or next one; null: no more.")]
+    until: Annotated[InstantObject | None, Field(description="Its end, ISO 8601; null: no more.")]
+
+
+class Maintenance:
+    """Maintenance that people begin, and the recurring one of the configuration. ``zone``: of the site, by
+    whose clock the latter recurs; ``buses``: the names of all."""
 
     def __init__(
         self,
-        settings: Settings,
-        database: Database,
+        outbox: NotificationOutbox,
         events: EventLog,
-        failing: FailingEndpoints,
-        languages: Languages,
-        local_time: Callable[[], datetime],
-        reports: ReportAttachments | None = None,
+        recurring: Sequence[MaintenanceSettings],
+        zone: ZoneInfo,
+        buses: Sequence[str],
         clock: Clock = unix_now,
     ) -> None:
-        readers = (address for report in settings.report for address in report.to)
-        self.plan = NotificationPlan(settings.notify, readers)
-        self.store = NotificationStore(database)
-        self.outbox = NotificationOutbox(database)
-        self.buses = [bus.name for bus in settings.bus]
-        zone = ZoneInfo(settings.site.zone)
-        self.maintenance = Maintenance(
-            self.store, events, settings.notify.maintenance, zone, self.buses, clock
-        )
-        self.local_time = local_time
-        self.events = events
+        self.buses = buses
+        self._outbox = outbox
+        self._events = events
+        self._recurring = recurring
+        self._zone = zone
         self._clock = clock
-        self._key = b""
-        language = languages[settings.site.language]
-        formats = Formats(language.locale, settings.site.zone)
-        composer = Composer(settings.site.name, language, formats, self._link)
-        senders = Senders(settings.notify.smtp, composer, reports)
-        self.dispatcher = Dispatcher(self.plan, self.outbox, senders, events, failing, local_time, clock)
+        self._spans_of: tuple[date, list[QuietSpan]] | None = None
+        self._rows: list[MaintenanceShown] = []
+        """Those of the last months: an alarm may count its times from the end of one."""
 
     async def load(self) -> None:
-        """Read the key of links and the maintenance; once at start, before the notifiers."""
-        self._key = await self.store.link_key()
+        """Read the stored maintenance."""
+        self._rows = await self._outbox.quiet(self._clock())
+
+    def spans(self) -> list[QuietSpan]:
+        """Return the times in which nothing is notified."""
+        return [*(row.span for row in self._rows), *self._recurring_spans()]
+
+    def recurring(self) -> list[RecurringMaintenanceShown]:
+        """Return each recurring maintenance with the span that is under way or comes next."""
+        return [self._shown(each, self._clock()) for each in self._recurring]
+
+    def present(self) -> list[MaintenanceShown]:
+        """Return the maintenance under way that people began."""
+        now = self._clock()
+        return [row for row in self._rows if row.since <= now < row.until]
+
+    def _shown(self, recurring: MaintenanceSettings, now: UnixTime) -> RecurringMaintenanceShown:
+        day = self._day(now)
+        spans = recurring_spans(recurring, day - timedelta(days=1), day + _AHEAD, self._zone)
+        span = next((span for span in spans if now < span.ends), None)
+        return RecurringMaintenanceShown(
+            days=[day for day in DAYS if day in recurring.days],
+            starts=recurring.starts,
+            ends=recurring.ends,
+            last_day=recurring.until.isoformat(),
+            buses=list(recurring.buses),
+            reason=recurring.reason,
+            present=span is not None and span.starts <= now,
+            since=None if span is None else span.starts,
+            until=None if span is None else span.ends,
+        )
+
+    def _recurring_spans(self) -> list[QuietSpan]:
+        """Return the spans of the last months. They are found once a day: they are looked at each second."""
+        day = self._day(self._clock())
+        if self._spans_of is None or self._spans_of[0] != day:
+            first = day - timedelta(seconds=MAX_AGE_S)
+            spans = (recurring_spans(each, first, day, self._zone) for each in self._recurring)
+            self._spans_of = day, [span for several in spans for span in several]
+        return self._spans_of[1]
+
+    def _day(self, at: UnixTime) -> date:
+        return datetime.fromtimestamp(float(at), self._zone).date()
+
+    async def begin(self, person: Person, bus: str | None, minutes: int, reason: str) -> None:
+        """Notify nothing from now on, of a bus or (None) of all. Raises Problem 403, 404."""
+        BEGIN_MAINTENANCE.check(person)
+        if bus is not None and bus not in self.buses:
+            raise unknown_bus(bus, self.buses)
+        now = self._clock()
+        span = QuietSpan(now, now + minutes * MINUTE_S, bus)
+        await self._events.record(
+            **BEGIN_MAINTENANCE.by(person, n=minutes),
+            bus=bus,
+            message=reason,
+            also=partial(begin_quiet, span=span, who=person.name, reason=reason),
+        )
+        await self.load()
+
+    async def end(self, person: Person, id: int) -> None:
+        """End a maintenance before its time. Raises Problem 403, 404 for one that is not under way."""
+        END_MAINTENANCE.check(person)
+        row = next((row for row in self.present() if row.id == id), None)
+        if row is None:
+            raise Problem(404, "not_found", Message("maintenance_not_present"))
+        await self._events.record(
+            **END_MAINTENANCE.by(person),
+            bus=row.bus,
+            message=row.reason,
+            also=partial(end_quiet, id=id, now=self._clock()),
+        )
+        await self.load()
+
+
+class Notification:
+    """What pages and the API show of notification. ``local_time``: of the site, by which rosters go."""
+
+    def __init__(
+        self,
+        outbox: NotificationOutbox,
+        maintenance: Maintenance,
+        dispatcher: Dispatcher,
+        links: AcknowledgeLinks,
+        local_time: Callable[[], datetime],
+    ) -> None:
+        self.plan = dispatcher.plan
+        self.outbox = outbox
+        self.maintenance = maintenance
+        self.dispatcher = dispatcher
+        self.links = links
+        self._local_time = local_time
+
+    async def load(self) -> None:
+        """Read the key of links and the maintenance."""
+        self.links.key = await self.outbox.link_key()
         await self.maintenance.load()
 
-    def present(self) -> tuple[list[QuietSpan], UnixTime, datetime]:
-        """When nothing is notified, the present, and the present by the clock of the site."""
-        return self.maintenance.spans(), self._clock(), self.local_time()
-
     async def endpoints(self) -> list[NotificationEndpointShown]:
-        """Each address of the configuration, as it is now."""
+        """Return each address of the configuration with the result of its last attempt."""
         waiting, found = await self.outbox.waiting(), []
         for key, endpoint in self.plan.endpoints.items():
-            last = await self.outbox.last_of(key)
+            last = await self.outbox.last_to(key)
             tried = last if last is not None and last.attempts > 0 else None
             found.append(
                 NotificationEndpointShown(
@@ -121,8 +230,8 @@ class Notification:
         return found
 
     def groups(self) -> list[NotificationGroup]:
-        """Each group of the configuration, as it is now."""
-        local, plan = self.local_time(), self.plan
+        """Return each group of the configuration, and who of it is on duty now."""
+        local, plan = self._local_time(), self.plan
         return [NotificationGroup(name, plan.on_duty(name, local), plan.gaps(name)) for name in plan.rosters]
 
     async def test(self, person: Person, key: str) -> NotificationDelivery | None:
@@ -132,11 +241,3 @@ class Notification:
         if endpoint is None:
             raise Problem(404, "not_found", Message.of("notify_endpoint_unknown", endpoint=key[:200]))
         return await self.dispatcher.test(endpoint)
-
-    def check_link(self, alarm_id: str, until: int, signature: str) -> None:
-        """Raises Problem for a link that this dashboard did not make, or that has expired."""
-        check_link(self._key, alarm_id, until, signature, self._clock())
-
-    def _link(self, alarm_id: str) -> str:
-        base = self.plan.settings.dashboard_url
-        return "" if base is None else acknowledge_link(base, self._key, alarm_id, self._clock())

@@ -16,7 +16,7 @@ from app.core.web.rendering.templating import Templates
 from app.line.alarms.line_alarms import LineAlarms
 from app.records.handover.document import readable
 from app.records.handover.rules.shifts import Scope, Shift
-from app.records.notification.notice import Attachment, ReportNotice
+from app.records.notification.outbox import Attachment, ReportNotice
 from app.records.reports.service import Reports
 from bus.instants import UnixTime
 from bus.messages import Message, term

@@ -9,7 +9,7 @@ from app.core.web.rendering.templating import Templates
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.history.service import History
-from app.records.notification.notice import ReportAttachments
+from app.records.notification.outbox import ReportAttachments
 from app.records.notification.service import Notification
 from app.records.reports import api, pages
 from app.records.reports.document import ReportDocuments

@@ -19,8 +19,8 @@ from app.errors import Problem, StoreError
 from app.line.history.service import History
 from app.line.history.unit_report import UnitReport
 from app.records.handover.rules.shifts import EVERYTHING, Scope, Shift, site_time
-from app.records.notification.notice import OutboxItem, ReportNotice
-from app.records.notification.sending.endpoints import NotificationEndpoint
+from app.records.notification.outbox import OutboxItem, ReportNotice
+from app.records.notification.plan import NotificationEndpoint
 from app.records.reports.report import reported_buses, span_report
 from app.records.reports.rules import SpanName, last_due, named_span, span_fault
 from app.settings import Settings

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from app.records.notification.compose import Letter
-from app.records.notification.rules.delivery import NotDeliveredError
-from app.records.notification.sending.mail import MAIL_PASSWORD_VARIABLE, MailServer
+from app.records.notification.rules import NotDeliveredError
+from app.records.notification.senders import MAIL_PASSWORD_VARIABLE, reach_mail_server, send_mail
 from app.records.notification.settings import SmtpSettings
 from tests.app.notification_servers import PlayedMailServer, certificate, mail_server, server_context
 
@@ -45,12 +45,12 @@ def settings(port: int, authority: Path | None = None, **more: Any) -> SmtpSetti
 
 async def refusal(settings: SmtpSettings, letter: Letter = LETTER) -> str:
     with pytest.raises(NotDeliveredError) as raised:
-        await MailServer(settings).send("duty@plant", letter)
+        await send_mail(settings, "duty@plant", letter)
     return str(raised.value)
 
 
 async def test_a_mail_arrives_encrypted_with_its_id(server: PlayedMailServer, authority: Path) -> None:
-    await MailServer(settings(server.port, authority)).send("duty@plant", LETTER)
+    await send_mail(settings(server.port, authority), "duty@plant", LETTER)
     mail = await server.mail()
     assert server.is_encrypted
     assert server.recipients == ["duty@plant"]
@@ -64,7 +64,7 @@ async def test_a_password_goes_over_the_encrypted_connection_only(
 ) -> None:
     file = tmp_path / "password"
     file.write_text("s3cret\n")
-    await MailServer(settings(server.port, authority, user="u", password_file=file)).test()
+    await reach_mail_server(settings(server.port, authority, user="u", password_file=file))
     words = [command.split()[0].upper() for command in server.commands]
     assert words.index("STARTTLS") < words.index("AUTH")
     assert server.mails == []
@@ -76,7 +76,7 @@ async def test_a_password_of_the_environment(
     monkeypatch.delenv(MAIL_PASSWORD_VARIABLE, raising=False)
     assert MAIL_PASSWORD_VARIABLE in await refusal(settings(server.port, authority, user="u"))
     monkeypatch.setenv(MAIL_PASSWORD_VARIABLE, "s3cret")
-    await MailServer(settings(server.port, authority, user="u")).test()
+    await reach_mail_server(settings(server.port, authority, user="u"))
 
 
 async def test_a_server_without_encryption_gets_nothing(authority: Path) -> None:
@@ -121,14 +121,14 @@ async def test_a_server_that_is_not_there(authority: Path) -> None:
 
 
 async def test_one_that_does_not_respond(authority: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.records.notification.sending.mail.SOCKET_S", 0.2)
+    monkeypatch.setattr("app.records.notification.senders.SOCKET_S", 0.2)
     async with mail_server(greeting="") as server:
         assert "did not respond in time" in await refusal(settings(server.port, authority))
 
 
 async def test_who_waits_may_stop(context: ssl.SSLContext, authority: Path) -> None:
     async with mail_server(context, replies={"RCPT": ""}) as server:
-        sending = asyncio.create_task(MailServer(settings(server.port, authority)).send("duty@plant", LETTER))
+        sending = asyncio.create_task(send_mail(settings(server.port, authority), "duty@plant", LETTER))
         async with asyncio.timeout(60), server.arrived:
             await server.arrived.wait_for(lambda: any("rcpt" in each for each in server.commands))
         sending.cancel()
@@ -140,5 +140,5 @@ async def test_who_waits_may_stop(context: ssl.SSLContext, authority: Path) -> N
 async def test_a_subject_with_a_line_break_is_no_header(server: PlayedMailServer, authority: Path) -> None:
     letter = Letter("1", "a\r\nBcc: evil@example.org", "", LETTER.at)
     with pytest.raises(ValueError, match="linefeed"):
-        await MailServer(settings(server.port, authority)).send("duty@plant", letter)
+        await send_mail(settings(server.port, authority), "duty@plant", letter)
     assert server.mails == []

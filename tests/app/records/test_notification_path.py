@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from app.core.database import Database, StoreConnection
 from app.core.web.admission.access import Person, Role
 from app.errors import StoreError
 from app.line.alarms.acts import ACKNOWLEDGE
@@ -21,9 +22,8 @@ from app.line.alarms.own_alarms import OwnAlarmBook
 from app.line.alarms.site_alarms import FailingEndpoints
 from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
-from app.records.notification.notice import OutboxItem
 from app.records.notification.notifier import AlarmNotifier
-from app.records.notification.outbox import NotificationDelivery, NotificationStore
+from app.records.notification.outbox import NotificationDelivery, NotificationOutbox, OutboxItem
 from app.records.notification.service import Notification
 from app.records.notification.settings import NotifySettings
 from bus.contract import Reading
@@ -55,7 +55,7 @@ class Path_:
     async def advance(self) -> None:
         """Bring the journal to disk and follow it."""
         await self.house.services[LineAlarms].write()
-        await self.house.services.buses[BUS][AlarmNotifier].advance()
+        await self.house.services[AlarmNotifier].advance()
 
     async def events(self, state: str) -> list[dict[str, Any]]:
         found = await self.house.events("notification")
@@ -134,13 +134,13 @@ async def test_an_alarm_reaches_people_and_programs_and_so_does_its_end(path: Pa
 async def test_an_alarm_at_once_after_the_first_start_is_notified(
     tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    load = NotificationStore.load
+    load = NotificationOutbox.followed
 
-    async def load_slowly(store: NotificationStore, source: str) -> Any:
+    async def load_slowly(outbox: NotificationOutbox) -> Any:
         await asyncio.sleep(0.1)
-        return await load(store, source)
+        return await load(outbox)
 
-    monkeypatch.setattr(NotificationStore, "load", load_slowly)
+    monkeypatch.setattr(NotificationOutbox, "followed", load_slowly)
     async with running(tmp_path, *servers) as path:
         path.input(estop=True)
         await path.house.services[LineAlarms].write()
@@ -168,12 +168,34 @@ async def test_nothing_is_notified_twice(path: Path_) -> None:
     for _ in range(3):
         await path.advance()
     await path.ended("delivered", 2)
-    notifier = path.house.services.buses[BUS][AlarmNotifier]
+    notifier = path.house.services[AlarmNotifier]
     await notifier.load()
     notifier._cursor = 0  # as after a crash between reading the journal and writing the outbox
     await notifier.advance()
     assert len(await path.ended("delivered", 2)) == 2
     assert await path.house.services[Notification].outbox.waiting() == {}
+
+
+async def test_the_places_that_an_earlier_version_stored_for_each_bus_are_one(
+    path: Path_,
+) -> None:
+    await path.estop(active=True)
+    await path.ended("delivered", 2)
+    database, notifier = path.house.services[Database], path.house.services[AlarmNotifier]
+
+    def write(connection: StoreConnection) -> None:
+        connection.execute("UPDATE notification_cursor SET source = ?", (BUS,))
+        connection.execute("INSERT INTO notification_cursor VALUES ('_', 0)")
+        connection.execute("UPDATE notification_episode SET source = ?", (BUS,))
+
+    database.write_now(write)
+    await notifier.load()
+    await path.estop(active=True, unit=2)
+    assert [len(await path.ended("delivered", 4)), len(path.mail.mails)] == [4, 2]
+    stored = await database.read(
+        lambda connection: connection.execute("SELECT source FROM notification_cursor").fetchall()
+    )
+    assert [row["source"] for row in stored] == [""]
 
 
 async def test_a_site_in_german_writes_german(tmp_path: Path, servers: Any) -> None:
@@ -188,7 +210,7 @@ async def test_a_site_in_german_writes_german(tmp_path: Path, servers: Any) -> N
 async def test_a_refused_message_is_tried_again_and_fails_as_an_alarm(
     path: Path_, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.records.notification.sending.dispatcher.retry_after_s", lambda _: 0.0)
+    monkeypatch.setattr("app.records.notification.dispatcher.retry_after_s", lambda _: 0.0)
     path.mail.replies["RCPT"] = "451 later"
     await path.estop(active=True)
     site = path.house.services[LineAlarms].site
@@ -228,7 +250,7 @@ async def test_an_attempt_that_a_crash_interrupted_is_repeated_with_its_id(
 async def test_a_result_that_cannot_be_stored_sends_nothing_twice(
     path: Path_, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.records.notification.sending.dispatcher.STORE_RETRY_S", 0.0)
+    monkeypatch.setattr("app.records.notification.dispatcher.STORE_RETRY_S", 0.0)
     record, failures = path.house.services[EventLog].record, [StoreError(Message("store_closed"))] * 3
 
     async def fails_thrice(**event: Any) -> int:
@@ -297,8 +319,8 @@ async def test_each_address_gets_one_heartbeat_a_day(
         checked_again.set()
         return "2026-11-22"
 
-    monkeypatch.setattr("app.records.notification.sending.dispatcher.heartbeat_due", due)
-    monkeypatch.setattr("app.records.notification.sending.dispatcher.HEARTBEAT_CHECK_S", 0.01)
+    monkeypatch.setattr("app.records.notification.dispatcher.heartbeat_due", due)
+    monkeypatch.setattr("app.records.notification.dispatcher.HEARTBEAT_CHECK_S", 0.01)
     async with running(tmp_path, *servers) as path:
         assert (await path.mail.mail())["Subject"] == "Mill 7: notification works"
         assert (await path.hooks.body())["kind"] == "heartbeat"
@@ -362,8 +384,8 @@ async def stand(folder: Path, *, settled: bool = False, **notified: NotifySettin
             await alarms.act(Person("anna", Role.OPERATOR, "session"), ACKNOWLEDGE, f"{BUS}.1.estop_active.1")
             live.apply([Reading(2, time.time(), 0, 0, 0, REMOTE, HEALTHY)])
         await alarms.write()
-        await house.services.buses[BUS][AlarmNotifier].load()
-        await house.services.buses[BUS][AlarmNotifier].advance()
+        await house.services[AlarmNotifier].load()
+        await house.services[AlarmNotifier].advance()
 
 
 @asynccontextmanager
@@ -373,7 +395,7 @@ async def started(
     """The server is started on what stands, and has seen to it."""
     async with complete_app(folder, notify=settings) as house:
         await played_line(house.services, stopped)
-        notifier = house.services.buses[BUS][AlarmNotifier]
+        notifier = house.services[AlarmNotifier]
         await notifier.load()
         await notifier.advance()
         await notifier.notify_standing()

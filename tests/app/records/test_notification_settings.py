@@ -14,7 +14,6 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli.findings import check
-from app.records.notification.sending import mail, programs
 from app.settings import load
 from tests.app.configured import faults_of
 from tests.app.notification_servers import mail_server, receiver
@@ -109,8 +108,7 @@ def test_check_reports_a_path_that_works(tmp_path: Path) -> None:
 def test_check_reports_a_server_that_refuses_and_one_that_hangs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mail, "SOCKET_S", 0.2)
-    monkeypatch.setattr(programs, "SOCKET_S", 0.2)
+    monkeypatch.setattr("app.records.notification.senders.SOCKET_S", 0.2)
     monkeypatch.setitem(sys.modules, "apprise", None)
     (tmp_path / "hook.key").write_text("key")
     with ExitStack() as stack:

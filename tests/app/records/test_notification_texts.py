@@ -13,12 +13,10 @@ import pytest
 from app.core.messages.languages import Languages
 from app.core.web.rendering.formats import Formats
 from app.records.notification.compose import Composer, Letter, hook_body
-from app.records.notification.notice import AlarmNotice, NoticeKind, OutboxItem
-from app.records.notification.outbox import NotificationDelivery
-from app.records.notification.rules.delivery import NotDeliveredError
-from app.records.notification.sending import programs
-from app.records.notification.sending.endpoints import NotificationEndpoint
-from app.records.notification.sending.senders import Senders
+from app.records.notification.outbox import AlarmNotice, NoticeKind, NotificationDelivery, OutboxItem
+from app.records.notification.plan import NotificationEndpoint
+from app.records.notification.rules import NotDeliveredError
+from app.records.notification.senders import Senders, notify_by_apprise
 from app.records.notification.settings import AppriseSettings
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -104,7 +102,7 @@ def settings(tmp_path: Path) -> AppriseSettings:
 async def test_apprise_is_an_extra(settings: AppriseSettings, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "apprise", None)
     with pytest.raises(NotDeliveredError, match="is not installed"):
-        await programs.notify_by_apprise(settings, composer().letter(delivery(item()), NOW))
+        await notify_by_apprise(settings, composer().letter(delivery(item()), NOW))
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the plug-ins of apprise
@@ -112,16 +110,16 @@ async def test_apprise_delivers(settings: AppriseSettings) -> None:
     letter: Letter = composer().letter(delivery(item()), NOW)
     async with receiver() as hooks:
         settings.url_file.write_text(hooks.url.replace("http://", "json://"))
-        await programs.notify_by_apprise(settings, letter)
+        await notify_by_apprise(settings, letter)
         sent = await hooks.body()
     assert (sent["title"], sent["message"]) == (letter.subject, letter.body.rstrip())
     async with receiver(response=b"HTTP/1.1 500 Broken\r\nContent-Length: 0\r\n\r\n") as hooks:
         settings.url_file.write_text(hooks.url.replace("http://", "json://"))
         with pytest.raises(NotDeliveredError, match="did not take the message"):
-            await programs.notify_by_apprise(settings, letter)
+            await notify_by_apprise(settings, letter)
     settings.url_file.write_text("plant")
     with pytest.raises(NotDeliveredError, match="holds no URL that apprise knows"):
-        await programs.notify_by_apprise(settings, letter)
+        await notify_by_apprise(settings, letter)
 
 
 async def test_a_way_that_hangs_or_fails_unexpectedly_ends_in_words(
@@ -134,13 +132,16 @@ async def test_a_way_that_hangs_or_fails_unexpectedly_ends_in_words(
         raise RuntimeError("s3cret")
 
     endpoint = NotificationEndpoint("apprise", "plant", settings)
-    senders = Senders(None, composer(), attempt_s=0.0)
-    monkeypatch.setattr(programs, "notify_by_apprise", hangs)
-    with pytest.raises(NotDeliveredError, match="No result after 0 s"):
-        await senders.send(endpoint, delivery(item()), NOW)
-    monkeypatch.setattr(programs, "notify_by_apprise", fails)
+    way = "app.records.notification.senders.notify_by_apprise"
+    senders = Senders(None, composer())
+    monkeypatch.setattr(way, hangs)
+    with monkeypatch.context() as bounded:
+        bounded.setattr("app.records.notification.senders.ATTEMPT_S", 0.0)
+        with pytest.raises(NotDeliveredError, match="No result after 0 s"):
+            await senders.send(endpoint, delivery(item()), NOW)
+    monkeypatch.setattr(way, fails)
     with pytest.raises(NotDeliveredError) as raised:
-        await Senders(None, composer()).send(endpoint, delivery(item()), NOW)
+        await senders.send(endpoint, delivery(item()), NOW)
     assert "RuntimeError" in str(raised.value)
     assert "s3cret" not in str(raised.value)
     with pytest.raises(NotDeliveredError, match=r"add \[notify\.smtp\]"):

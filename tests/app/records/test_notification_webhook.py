@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from app.records.notification.sending import programs
+from app.records.notification.senders import post_hook
 from app.records.notification.settings import WebhookSettings
 from bus.errors import LinesideError
 from bus.instants import UnixTime
@@ -30,14 +30,14 @@ def key(tmp_path: Path) -> Path:
 
 async def refusal(url: str, key: Path, **more: Any) -> str:
     with pytest.raises(LinesideError) as raised:
-        await programs.post(WebhookSettings(url=url, secret_file=key, **more), BODY, AT)
+        await post_hook(WebhookSettings(url=url, secret_file=key, **more), BODY, AT)
     assert "s3cret" not in str(raised.value)
     return str(raised.value)
 
 
 async def test_a_webhook_is_signed_and_has_its_id(key: Path) -> None:
     async with receiver() as played:
-        await programs.post(WebhookSettings(url=played.url, secret_file=key), BODY, AT)
+        await post_hook(WebhookSettings(url=played.url, secret_file=key), BODY, AT)
         assert await played.body() == BODY
     ((headers, body),) = played.received
     signed = hmac.new(b"k\xff y", b"1700000000." + body, hashlib.sha256).hexdigest()
@@ -50,11 +50,11 @@ async def test_a_url_that_is_a_secret_is_in_a_file(key: Path, tmp_path: Path) ->
     file = tmp_path / "url"
     async with receiver() as played:
         file.write_text(played.url + "\n")
-        await programs.post(WebhookSettings(url_file=file, secret_file=key), BODY, AT)
+        await post_hook(WebhookSettings(url_file=file, secret_file=key), BODY, AT)
         assert await played.body() == BODY
     file.write_text("ftp://plant")
     with pytest.raises(LinesideError, match="holds no URL"):
-        await programs.post(WebhookSettings(url_file=file, secret_file=key), BODY, AT)
+        await post_hook(WebhookSettings(url_file=file, secret_file=key), BODY, AT)
 
 
 @pytest.mark.parametrize(
@@ -82,11 +82,11 @@ async def test_a_response_without_success_is_reported_in_words(
 async def test_a_body_without_end_is_not_read(key: Path) -> None:
     async with receiver(response=b"HTTP/1.1 200 OK\r\nContent-Length: 9000000\r\n\r\nx") as played:
         async with asyncio.timeout(60):
-            await programs.post(WebhookSettings(url=played.url, secret_file=key), BODY, AT)
+            await post_hook(WebhookSettings(url=played.url, secret_file=key), BODY, AT)
 
 
 async def test_a_receiver_that_hangs(key: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(programs, "SOCKET_S", 0.2)
+    monkeypatch.setattr("app.records.notification.senders.SOCKET_S", 0.2)
     async with receiver(response=None) as played:
         assert "did not respond in time" in await refusal(played.url, key)
 
@@ -95,7 +95,7 @@ async def test_a_certificate_is_verified(key: Path, tmp_path: Path) -> None:
     file = certificate(tmp_path)
     async with receiver(server_context(file)) as played:
         assert "self-signed certificate" in await refusal(played.url, key)
-        await programs.post(WebhookSettings(url=played.url, secret_file=key, ca_file=file), BODY, AT)
+        await post_hook(WebhookSettings(url=played.url, secret_file=key, ca_file=file), BODY, AT)
         assert await played.body() == BODY
 
 
@@ -111,5 +111,5 @@ async def test_a_proxy_of_the_environment_is_not_used(key: Path, monkeypatch: py
     monkeypatch.setenv("HTTP_PROXY", "http://127.0.0.1:1")
     monkeypatch.delenv("NO_PROXY", raising=False)
     async with receiver() as played:
-        await programs.post(WebhookSettings(url=played.url, secret_file=key), BODY, AT)
+        await post_hook(WebhookSettings(url=played.url, secret_file=key), BODY, AT)
         assert await played.body() == BODY

@@ -9,8 +9,7 @@ from hashlib import blake2b
 from typing import Literal
 from urllib.parse import urlsplit
 
-from app.records.notification.rules.notices import NotificationRule
-from app.records.notification.rules.roster import MINUTES_OF_DAY, DutyPeriod, DutyRoster
+from app.records.notification.rules import MINUTES_OF_DAY, DutyPeriod, DutyRoster, NotificationRule
 from app.records.notification.settings import (
     DAYS,
     AppriseSettings,

@@ -14,9 +14,9 @@ import structlog
 from app.errors import StoreError
 from app.line.alarms.site_alarms import FailingEndpoints
 from app.people.audit.log import EventLog
-from app.records.notification.notice import OutboxItem
-from app.records.notification.outbox import NotificationDelivery, NotificationOutbox
-from app.records.notification.rules.delivery import (
+from app.records.notification.outbox import NotificationDelivery, NotificationOutbox, OutboxItem, conclusion
+from app.records.notification.plan import NotificationEndpoint, NotificationPlan
+from app.records.notification.rules import (
     FAILING_ATTEMPTS,
     NotDeliveredError,
     heartbeat_due,
@@ -24,8 +24,7 @@ from app.records.notification.rules.delivery import (
     retry_after_s,
     state_after_failure,
 )
-from app.records.notification.sending.endpoints import NotificationEndpoint, NotificationPlan
-from app.records.notification.sending.senders import Senders
+from app.records.notification.senders import Senders
 from app.records.notification.settings import minute_of_day
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
@@ -93,7 +92,7 @@ class Dispatcher:
             async with asyncio.timeout(TEST_S):
                 while True:
                     attempted = self.attempted
-                    found = await self._outbox.of_items(key)
+                    found = await self._outbox.deliveries_with(key)
                     if found and found[0].state != "sending":
                         return found[0]
                     await attempted.wait()
@@ -101,7 +100,7 @@ class Dispatcher:
 
     async def _find_failing(self) -> None:
         for key in self.plan.endpoints:
-            last = await self._outbox.last_of(key)
+            last = await self._outbox.last_to(key)
             is_open = last is not None and last.state not in ("delivered", "canceled")
             self._count_failures(key, last.attempts if last is not None and is_open else 0)
 
@@ -176,7 +175,7 @@ class Dispatcher:
                 f"event_notification_{ended.state}", to=endpoint.address, subject=subject_of(ended)
             ),
             message=ended.result or "",
-            also=self._outbox.conclusion(ended),
+            also=conclusion(ended),
         )
 
     async def _beat(self) -> None:

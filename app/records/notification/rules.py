@@ -1,0 +1,359 @@
+"""The rules of notification: which alarms are notified, who is on duty, when maintenance recurs, and which
+message of an address is next. Pure: transitions, settings and times are passed in.
+
+An episode is the time in which an alarm waits for its acknowledgement; rules are followed within it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import date, datetime, time, timedelta
+from typing import Literal
+from zoneinfo import ZoneInfo
+
+from app.line.alarms.journal import JournalEntry
+from app.line.alarms.rules.state_machine import AlarmState
+from app.line.conditions.condition import AlarmPriority
+from app.records.notification.settings import DAYS, MaintenanceSettings, minute_of_day
+from bus.errors import LinesideError
+from bus.instants import UnixTime
+
+UNACKNOWLEDGED: frozenset[AlarmState] = frozenset(("unack_active", "rtn_unack", "latched_unack"))
+LATE_S = 3600.0
+"""An alarm that came and went longer ago is not notified: the server was off meanwhile."""
+MINUTES_OF_DAY = 24 * 60
+MINUTES_OF_WEEK = 7 * MINUTES_OF_DAY
+_DAY = timedelta(days=1)
+_MINUTE = timedelta(minutes=1)
+DeliveryState = Literal["sending", "retrying", "delivered", "failed", "canceled"]
+"""A delivery begins as ``sending``, on disk before the first byte leaves. Where the server ends in between,
+it is not known whether the message left: the delivery is ``retrying``, with the same id. ``canceled``: its
+address is not configured any more. What is delivered, failed or canceled never leaves again."""
+FIRST_RETRY_S = 5.0
+MAX_RETRY_S = 900.0
+GIVE_UP_S = 86_400.0
+FLOOD_WINDOW_S = 600.0
+FAILING_ATTEMPTS = 2
+"""An address is failing after so many failures without a success between."""
+
+
+# --- who is on duty -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class DutyPeriod:
+    """A time of duty: ``minutes`` from the minute ``starts`` of each of ``days`` (Monday is 0)."""
+
+    days: frozenset[int]
+    starts: int
+    minutes: int
+    to: tuple[str, ...]
+
+    def covers(self, minute: int) -> bool:
+        """Whether the period includes a minute of the week."""
+        return any(
+            (minute - day * MINUTES_OF_DAY - self.starts) % MINUTES_OF_WEEK < self.minutes
+            for day in self.days
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class DutyRoster:
+    """The addresses of a group. ``always``: those that are notified at any time; ``periods``: the others."""
+
+    always: tuple[str, ...] = ()
+    periods: tuple[DutyPeriod, ...] = ()
+
+    def on_duty(self, local: datetime) -> tuple[str, ...]:
+        """Return the addresses at a local time; in a gap all of the group: better too many than none."""
+        minute = minute_of_week(local)
+        present = (*self.always, *(to for each in self.periods if each.covers(minute) for to in each.to))
+        return tuple(dict.fromkeys(present)) or self.addresses()
+
+    def addresses(self) -> tuple[str, ...]:
+        """Return every address of the group."""
+        return tuple(dict.fromkeys((*self.always, *(to for each in self.periods for to in each.to))))
+
+    def gaps(self) -> list[tuple[int, int]]:
+        """Return the spans of a week in which no address is on duty: the first minute, and the first after
+        the gap. A gap over the end of the week is returned in two."""
+        found: list[tuple[int, int]] = []
+        if self.always:
+            return found
+        for minute in range(MINUTES_OF_WEEK):
+            if any(each.covers(minute) for each in self.periods):
+                continue
+            if found and found[-1][1] == minute:
+                found[-1] = (found[-1][0], minute + 1)
+            else:
+                found.append((minute, minute + 1))
+        return found
+
+
+def minute_of_week(local: datetime) -> int:
+    """Return the minute of the week; Monday 00:00 is 0."""
+    return local.weekday() * MINUTES_OF_DAY + local.hour * 60 + local.minute
+
+
+# --- when nothing is notified -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class QuietSpan:
+    """Maintenance: a time in which nothing of a bus, or of all (None), is notified."""
+
+    starts: UnixTime
+    ends: UnixTime
+    bus: str | None = None
+
+    def covers(self, bus: str | None, at: UnixTime) -> bool:
+        """Whether an alarm of ``bus`` (None: of the site) is not notified at ``at``."""
+        return self.bus in (None, bus) and self.starts <= at < self.ends
+
+
+def recurring_spans(
+    maintenance: MaintenanceSettings, first: date, last: date, zone: ZoneInfo
+) -> Iterator[QuietSpan]:
+    """Yield the spans of a recurring maintenance that begin on a day from ``first`` to ``last``, in order.
+
+    Each lasts from the first moment at which the clock of the site shows its start, or goes on after it, to
+    the first at which the clock does so with its end. When the clocks change a span is shorter or longer; one
+    whose start and end are both skipped does not take place."""
+    starts, ends = minute_of_day(maintenance.starts), minute_of_day(maintenance.ends)
+    for number in range((min(last, maintenance.until) - first).days + 1):
+        day = first + number * _DAY
+        if DAYS[day.weekday()] in maintenance.days:
+            begins = first_at(day, starts, zone)
+            over_at = first_at(day + _DAY if ends <= starts else day, ends, zone)
+            if begins < over_at:
+                yield from (QuietSpan(begins, over_at, bus) for bus in maintenance.buses or (None,))
+
+
+def first_at(day: date, minute: int, zone: ZoneInfo) -> UnixTime:
+    """Return the first moment at which the clock shows a minute of a day, or goes on after it where the
+    clocks skip it."""
+    local = datetime.combine(day, time()) + minute * _MINUTE
+    while True:
+        at = local.replace(tzinfo=zone).timestamp()
+        if datetime.fromtimestamp(at, zone).replace(tzinfo=None) == local:
+            return UnixTime(at)
+        local += _MINUTE
+
+
+# --- which alarms are notified ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """A time in which an alarm waits for its acknowledgement; ``entry``: the transition that began it."""
+
+    alarm: str
+    entry: int
+    occurrence: int
+    bus: str | None
+    priority: AlarmPriority
+    at: UnixTime
+    notified_after_s: float = -1.0
+    """The longest ``after_s`` of a rule that has been followed."""
+
+
+@dataclass(frozen=True, slots=True)
+class NotificationRule:
+    """Notifies a roster of addresses. ``buses``: empty for all; ``after_s``: of alarms not acknowledged by
+    then."""
+
+    priorities: Sequence[AlarmPriority]
+    buses: Sequence[str]
+    after_s: float
+    roster: DutyRoster
+
+    def concerns(self, episode: Episode) -> bool:
+        """Whether an alarm of this priority and place is notified."""
+        is_there = not self.buses or (episode.bus is not None and episode.bus in self.buses)
+        return is_there and episode.priority in self.priorities
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedNotice:
+    """One address is to be notified of one episode by the rules of one ``after_s``."""
+
+    episode: Episode
+    after_s: float
+    endpoint: str
+
+
+@dataclass(slots=True)
+class Followed:
+    """What transitions and the time have led to. ``cleared``: transitions whose all-clear goes to the
+    addresses that were notified of the occurrence."""
+
+    open: dict[str, Episode]
+    notices: list[PlannedNotice] = field(default_factory=list)
+    cleared: list[JournalEntry] = field(default_factory=list)
+
+
+def follow(
+    episodes: Mapping[str, Episode],
+    entries: Iterable[JournalEntry],
+    rules: Sequence[NotificationRule],
+    quiet: Sequence[QuietSpan],
+    now: UnixTime,
+    local: datetime,
+) -> Followed:
+    """Follow transitions, in order, and then what is due by ``now``. Where the clock was set back since an
+    episode began, its time counts from ``now`` on."""
+    done = Followed({key: replace(each, at=min(each.at, now)) for key, each in episodes.items()})
+
+    def follow_rules(alarm: str) -> None:
+        done.open[alarm], notices = due(done.open[alarm], rules, quiet, now, local)
+        done.notices += notices
+
+    for entry in entries:
+        if is_ended_by(entry):
+            done.open.pop(entry.alarm, None)
+        if entry.trigger == "clear":
+            done.cleared.append(entry)
+        episode = opened_by(entry)
+        if episode is not None:
+            done.open[entry.alarm] = episode
+            if now - entry.at <= LATE_S:
+                follow_rules(entry.alarm)
+    for alarm in list(done.open):
+        follow_rules(alarm)
+    return done
+
+
+def opened_by(entry: JournalEntry) -> Episode | None:
+    """Return the episode that a transition begins; None where it begins none."""
+    if entry.after not in UNACKNOWLEDGED or entry.trigger in ("clear", "silence"):
+        return None
+    return Episode(entry.alarm, entry.id, entry.occurrence, entry.bus, entry.priority, entry.at)
+
+
+def is_ended_by(entry: JournalEntry) -> bool:
+    """Whether a transition ends the episode of its alarm. A latched alarm waits for its acknowledgement."""
+    if entry.trigger == "clear":
+        return entry.after != "latched_unack"
+    return entry.after not in UNACKNOWLEDGED
+
+
+def due(
+    episode: Episode,
+    rules: Iterable[NotificationRule],
+    quiet: Sequence[QuietSpan],
+    now: UnixTime,
+    local: datetime,
+) -> tuple[Episode, list[PlannedNotice]]:
+    """Return the notices that are due and were not made before, and the episode, which remembers them."""
+    concerned = [rule for rule in rules if rule.concerns(episode) and rule.after_s > episode.notified_after_s]
+    due_now = [rule for rule in concerned if due_at(episode, rule.after_s, quiet) <= now]
+    if not due_now:
+        return episode, []
+    first: dict[str, float] = {}
+    for rule in sorted(due_now, key=lambda rule: rule.after_s):
+        for endpoint in rule.roster.on_duty(local):
+            first.setdefault(endpoint, rule.after_s)
+    notices = [PlannedNotice(episode, after_s, endpoint) for endpoint, after_s in first.items()]
+    return replace(episode, notified_after_s=max(rule.after_s for rule in due_now)), notices
+
+
+def due_at(episode: Episode, after_s: float, quiet: Sequence[QuietSpan]) -> UnixTime:
+    """Return when rules of ``after_s`` are followed. The time counts from the end of a maintenance on."""
+    begins = _first_loud(episode, episode.at, quiet)
+    return _first_loud(episode, begins + after_s, quiet)
+
+
+def _first_loud(episode: Episode, at: UnixTime, quiet: Sequence[QuietSpan]) -> UnixTime:
+    for span in sorted(quiet, key=lambda span: float(span.starts)):
+        if span.covers(episode.bus, at):
+            at = span.ends
+    return at
+
+
+# --- which message of an address is next --------------------------------------------------------------
+
+
+class NotDeliveredError(LinesideError):
+    """The reason why a message was not delivered, without any secret."""
+
+
+@dataclass(frozen=True, slots=True)
+class Retry:
+    """A delivery that is tried again at ``due``."""
+
+    id: int
+    attempts: int
+    due: UnixTime
+
+    def wait_s(self, now: UnixTime) -> float:
+        """Return the time to wait. A wait longer than any backoff comes from a clock that was set back: it is
+        over."""
+        wait_s = self.due - now
+        return wait_s if 0 < wait_s <= MAX_RETRY_S else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class EndpointLoad:
+    """What there is to send to one address. ``items``: those in no message yet, oldest first, each with its
+    time; ``sent``: when the last messages left; ``standing``: items of alarms that stood at a start, which go
+    in one message."""
+
+    items: Sequence[tuple[int, UnixTime]]
+    retries: Sequence[Retry]
+    sent: Sequence[UnixTime]
+    collects: bool = True
+    """Whether several items may be one message: people read a digest, programs want each."""
+    standing: Sequence[int] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class DeliveryTurn:
+    """What follows for an address: ``items`` as one message, else the delivery ``retry``, else a wait."""
+
+    items: tuple[int, ...] = ()
+    retry: int | None = None
+    wait_s: float | None = None
+    """None: until there is something to send."""
+
+
+def next_turn(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) -> DeliveryTurn:
+    """Return what follows for an address. New items go first, so that one refused message delays no other."""
+    waits: list[float] = []
+    if load.items:
+        is_flood, (_, since) = is_flooded(load, flood, now), load.items[0]
+        # Where the clock was set back since the wait began, it is over.
+        wait_s = digest_s - (now - since) if is_flood and now >= since else 0.0
+        if wait_s <= 0:
+            return DeliveryTurn(items=tuple(item for item, _ in (load.items if is_flood else load.items[:1])))
+        waits.append(wait_s)
+    if load.standing:
+        return DeliveryTurn(items=tuple(load.standing))
+    due = [retry for retry in load.retries if not retry.wait_s(now)]
+    if due:
+        return DeliveryTurn(retry=min(due, key=lambda retry: (retry.attempts, retry.id)).id)
+    waits += [retry.wait_s(now) for retry in load.retries]
+    return DeliveryTurn(wait_s=min(waits, default=None))
+
+
+def is_flooded(load: EndpointLoad, flood: int, now: UnixTime) -> bool:
+    """Whether further items are collected: many messages in ten minutes, or an address that is failing."""
+    recent = [at for at in load.sent if 0 <= now - at < FLOOD_WINDOW_S]
+    return load.collects and (len(recent) >= flood or bool(load.retries))
+
+
+def retry_after_s(attempts: int) -> float:
+    """Return the time up to the next attempt after so many: 5, 10, 20 … seconds, at most 15 minutes."""
+    return min(MAX_RETRY_S, FIRST_RETRY_S * 2.0 ** min(attempts - 1, 20))
+
+
+def state_after_failure(created_at: UnixTime, now: UnixTime) -> DeliveryState:
+    """Return the state of a message after a failure: it is given up after a day."""
+    return "failed" if now - created_at >= GIVE_UP_S else "retrying"
+
+
+def heartbeat_due(before: datetime, now: datetime, minute_of_day: int) -> str:
+    """Return the day of the heartbeat, the daily proof that the path works, whose local time has come since
+    ``before``; empty where none has."""
+    at = now.replace(hour=minute_of_day // 60, minute=minute_of_day % 60, second=0, microsecond=0)
+    return now.date().isoformat() if before < at <= now else ""

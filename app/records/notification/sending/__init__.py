@@ -1,1 +1,0 @@
-"""Ways of sending: mail, webhook, apprise."""
