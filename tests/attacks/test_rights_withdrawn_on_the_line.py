@@ -10,7 +10,7 @@ import pytest
 
 from app.core.web.admission.access import Role
 from app.engineering.recipes.book import RecipeBook
-from app.engineering.sets.saving import SERVER, SetSchedule, Takings
+from app.engineering.sets.saving import SetReadings, SetSchedule
 from app.engineering.sets.store import SetStore
 from app.line.commands.safeguards import Safeguards
 from app.people.audit.entry import Event
@@ -90,7 +90,7 @@ async def test_a_schedule_outlives_who_made_it_and_only_reads(
     assert (await client.put(f"/api/v1/buses/{BUS}/set-schedule", json=wanted)).status_code == 200
     await removed(house, tmp_path)
     now = datetime.now().astimezone()
-    await house.services.buses[BUS][SetSchedule].look(SERVER, now - timedelta(days=1), now)
+    await house.services.buses[BUS][SetSchedule].save_due(now - timedelta(days=1), now)
     kept = await house.services[SetStore].summaries(BUS)
     assert {(one.who, one.origin) for one in kept} == {("server", "on schedule")}
     assert (line.written, line.held) == ([], [])
@@ -110,7 +110,7 @@ async def test_a_set_is_not_saved_for_a_user_removed_meanwhile(
     line.before_read = before
     begun = await client.post("/sets/take", data={"bus": BUS, "name": "mine"})
     assert begun.status_code == 303
-    taking = house.services[Takings].get(begun.headers["location"].rpartition("/")[2])
+    taking = house.services[SetReadings].get(begun.headers["location"].rpartition("/")[2])
     assert taking is not None
     await until(lambda: taking.state != "reading", "the end of the reading")
     assert (taking.state, taking.set_id) == ("failed", None)

@@ -1,4 +1,4 @@
-"""Parameter sets over HTTP: taken, listed, compared; with the schemas of them. #21 never leaves here."""
+"""Parameter sets over HTTP: saved, listed, compared; with their schemas. Only an export shows #21."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
 MAX_SETS = 1000
-"""Sets of one response."""
+"""Most sets in one response."""
 DOCUMENT: dict[int | str, dict[str, Any]] = {
     200: {"content": {"application/toml": {"schema": {"type": "string"}}}}
 }
@@ -106,7 +106,7 @@ class GoldenSet(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class DriftRow(ParameterDifference):
-    """A row in which a unit differs from its golden set, and whose change it is."""
+    """A difference of a unit from its golden set, and whose change it is."""
 
     changed_by: Annotated[str | None, Field(description="User or token; null: changed at the panel.")]
     changed_at: MaybeTime
@@ -114,7 +114,7 @@ class DriftRow(ParameterDifference):
 
 
 class DriftShown(TypedDict):
-    """Where a unit as last read differs from its golden set."""
+    """The differences of a unit, as last read, from its golden set."""
 
     golden: Annotated[bool, Field(description="Whether it has a golden set.")]
     unread: Annotated[int, Field(description="How many parameters could not be compared yet, 0 to 40.")]
@@ -172,7 +172,7 @@ async def save_parameter_set(
     units = wanted.units or list(known)
     for unit in units:
         unit_or_404(live, bus, unit)
-    return set_json(await keeper.take(person, units, wanted.name, wanted.comment))
+    return set_json(await keeper.read_and_save(person, units, wanted.name, wanted.comment))
 
 
 @router.get("/sets/{set_id}")
@@ -255,7 +255,7 @@ async def set_save_schedule(
 
 
 def set_json(stored: ParameterSet) -> ParameterSetShown:
-    """A complete set; secrets masked."""
+    """Show a complete set; secrets are masked."""
     head: dict[str, Any] = {each.name: getattr(stored, each.name) for each in fields(SetHead)}
     return ParameterSetShown(**head, units=[_unit_json(rows) for rows in stored.units])
 
@@ -280,7 +280,7 @@ def _unit_json(rows: UnitRows) -> ParameterSetUnit:
 
 
 def departure_json(departure: DriftedParameter) -> DriftRow:
-    """A row of a comparison with the golden set, and whose change it is."""
+    """Show a difference from the golden set, and whose change it is."""
     change = departure.change
     row: dict[str, Any] = {each.name: getattr(departure.row, each.name) for each in fields(departure.row)}
     return DriftRow(

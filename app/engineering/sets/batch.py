@@ -1,7 +1,4 @@
-"""One parameter over many units: reviewed as a table, written unit by unit, a result for each.
-
-The page of a batch edit: choose a parameter, type, review, write, read the result of each unit.
-"""
+"""A batch edit: one parameter of many units, reviewed as a table, written unit by unit; and its page."""
 
 from __future__ import annotations
 
@@ -42,32 +39,35 @@ _LEARN_WITHIN_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class BatchRow:
-    """One unit of a batch. ``wanted`` None: left as it is; ``fault``: why what was typed is refused;
-    ``warning``: what writing it does to the machine now."""
+    """One unit of a batch, with what was ``typed`` for it.
+
+    ``wanted``: the raw value to write, None without one; ``fault``: why the text is refused; ``warning``:
+    what the write does to the machine now.
+    """
 
     unit: int
     name: str
     present: Message
     present_raw: int | None
     reviewed: str = ""
-    """What a form holds of the present value, to see whether it moves: raw, empty where secret or unknown."""
+    """The raw present value in a form, to see whether it moves; empty for a secret or unknown one."""
     typed: str = ""
     wanted: int | None = None
     scale: UnitScale = field(default_factory=dict)
-    """What it was converted with."""
+    """What ``typed`` was converted with."""
     shown: Message | None = None
     fault: Message | None = None
     warning: Message | None = None
 
     @property
     def changes(self) -> bool:
-        """Whether there is something to write: the unit may be so already."""
+        """Tell whether there is something to write; the unit may have the value already."""
         return self.wanted is not None and self.wanted != self.present_raw
 
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """The result at one unit; ``outcome`` as of any command, or the code of the refusal."""
+    """The result at one unit; ``outcome`` is that of the command, or the code of its refusal."""
 
     unit: int
     name: str
@@ -76,7 +76,7 @@ class BatchResult:
 
 
 def rows_of_batch(bus: BusLive, number: int, typed: Mapping[int, str]) -> list[BatchRow]:
-    """Every unit of the bus with its present value, and what was typed for it."""
+    """Return a row for every unit of the bus, with its present value and what was typed for it."""
     return [
         _row(unit, PARAMETERS[number], typed.get(key, "").strip(), status_of(bus, unit))
         for key, unit in bus.units.items()
@@ -84,16 +84,18 @@ def rows_of_batch(bus: BusLive, number: int, typed: Mapping[int, str]) -> list[B
 
 
 def refuse_moved(rows: Iterable[BatchRow], reviewed: Mapping[int, str]) -> None:
-    """Raises Problem 409 where a unit no longer has the value that the review showed. ``reviewed``: by unit
-    what :attr:`BatchRow.reviewed` was then."""
+    """Raise Problem 409 where a unit no longer has the value that the review showed.
+
+    ``reviewed``: by unit what :attr:`BatchRow.reviewed` was then.
+    """
     for row in rows:
         if row.changes and reviewed.get(row.unit, row.reviewed) != row.reviewed:
             raise Problem(409, "moved", Message.of("value_moved", name=row.name))
 
 
 async def learn(commands: CommandService, person: Person, bus: BusLive, number: int) -> None:
-    """Request a parameter that was never read from the units that are online; it stays unknown where a unit
-    does not respond."""
+    """Read a parameter from the online units whose value was never read; a unit that does not respond keeps
+    it unknown."""
 
     async def read(unit: int) -> None:
         action = ReadParameters(unit=unit, numbers=[number], urgent=True)
@@ -109,8 +111,8 @@ async def learn(commands: CommandService, person: Person, bus: BusLive, number: 
 async def write_batch(
     commands: CommandService, person: Person, number: int, rows: list[BatchRow], *, confirm: bool
 ) -> list[BatchResult]:
-    """Write the rows that change something, one after another. A refusal of one unit does not end the rest, a
-    refusal of the person does."""
+    """Write the rows that change something, one after another. A refusal that concerns the person ends it,
+    one that concerns a unit does not."""
     results: list[BatchResult] = []
     stopped_by: Message | None = None
     for row in rows:
@@ -169,7 +171,7 @@ router = APIRouter(include_in_schema=False)
 async def batch_page(
     request: Request, person: ParameterWriter, live: Live, commands: Commands, bus: str, number: int = 6
 ) -> Response:
-    """The present values of one parameter over all units; those never read are requested now."""
+    """Show the values of one parameter in all units; those that were never read are read now."""
     parameter = writable_or_404(number)
     await learn(commands, person, bus_or_404(live, bus), number)
     rows = rows_of_batch(live.buses[bus], number, {})
@@ -181,7 +183,7 @@ async def batch_page(
 
 @router.post("/batch/{bus}/review")
 async def batch_review(request: Request, _: ParameterWriter, live: Live, bus: str) -> Response:
-    """What would be written, row by row; nothing is."""
+    """Show row by row what would be written; nothing is."""
     number, typed = await typed_batch(request)
     parameter = writable_or_404(number)
     rows = rows_of_batch(bus_or_404(live, bus), number, typed)
@@ -207,13 +209,13 @@ async def batch_write(
 
 
 async def typed_batch(request: Request) -> tuple[int, dict[int, str]]:
-    """The number of the parameter, and what was typed for each unit."""
+    """Return the number of the parameter and what was typed for each unit."""
     form = await request.form()
     return parse_integer(str(form.get("number", ""))) or 0, _by_unit(form, "unit-")
 
 
 def _by_unit(form: FormData, prefix: str) -> dict[int, str]:
-    """The fields whose names are ``prefix`` and an address."""
+    """Return the fields whose names are ``prefix`` and an address."""
     return {
         unit: str(value)
         for key, value in form.items()
@@ -222,7 +224,7 @@ def _by_unit(form: FormData, prefix: str) -> dict[int, str]:
 
 
 def writable_or_404(number: int) -> Parameter:
-    """A parameter that can be written over the link. Raises Problem 404."""
+    """Return a parameter that can be written over the bus. Raises Problem 404."""
     parameter = PARAMETERS.get(number)
     if parameter is None or parameter.never_writable:
         raise Problem(404, "unknown_parameter", Message.of("parameter_not_writable", number=number))

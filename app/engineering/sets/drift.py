@@ -1,4 +1,4 @@
-"""The drift of units from their golden sets, and who caused it: a user, or a person at the panel."""
+"""The drift of units from their golden sets, and who caused it: a user, or a person at the keypad."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ from bus.messages import Message, ParamValue, listed
 
 @dataclass(frozen=True, slots=True)
 class DriftedParameter:
-    """One row that differs from the golden set: ``before`` there, ``after`` as last read. ``change``: the
-    command that caused it; None: no command did: it was changed at the panel. ``traced`` False: the events
-    have not been searched yet."""
+    """A parameter that differs from the golden set: ``before`` there, ``after`` as last read.
+
+    ``change`` is the command that caused it, None for a change at the keypad. It counts only once the events
+    have been searched (``traced``).
+    """
 
     row: ParameterDifference
     before: ParameterRow
@@ -35,18 +37,18 @@ class DriftedParameter:
 
     @property
     def key(self) -> str:
-        """A text that changes with the displayed drift."""
+        """A text that changes whenever the displayed drift does."""
         return (
             f"{self.row.number}={self.before.raw}>{self.after.raw}@{self.change['id'] if self.change else ''}"
         )
 
     def is_of_same_value(self, other: DriftedParameter) -> bool:
-        """Whether both state the same difference, regardless of its cause."""
+        """Tell whether both are the same difference, whatever caused it."""
         return (self.row.number, self.after.raw) == (other.row.number, other.after.raw)
 
 
 class BusDrift:
-    """Compares every unit of one bus that has a golden set with it as its parameters are read."""
+    """Compares the units of one bus with their golden sets as parameters are read."""
 
     def __init__(self, live: BusLive, store: SetStore, events: EventLog) -> None:
         self._live = live
@@ -60,64 +62,61 @@ class BusDrift:
         live.subscribe(Audience.DRIFT, self._see)
 
     def on_change(self, subscriber: Callable[[int], None]) -> None:
-        """Call ``subscriber`` when the departures of a unit have changed."""
+        """Call ``subscriber`` when the drift of a unit has changed."""
         self._subscribers.append(subscriber)
 
     async def load(self) -> None:
-        """Read which sets are golden; once at start, and after a mark has moved."""
+        """Load the golden sets, at the start and after another set was marked golden."""
         self._golden = await self._store.golden(self._bus)
         self._found = {}
         for unit in self.marked():
-            self._look(unit, PARAMETERS)
+            self._compare(unit, PARAMETERS)
 
     def marked(self) -> list[int]:
-        """The configured units that have a golden set."""
+        """Return the configured units that have a golden set."""
         return [unit for unit in self._golden if unit in self._live.units]
 
     def has_golden(self, unit: int) -> bool:
-        """Whether a set of this unit is its golden set."""
+        """Tell whether the unit has a golden set."""
         return unit in self._golden
 
-    def of(self, unit: int) -> list[DriftedParameter]:
-        """Rows in which a unit, as last read, departs from its golden set."""
+    def differing(self, unit: int) -> list[DriftedParameter]:
+        """Return the parameters in which a unit, as last read, differs from its golden set."""
         return list(self._found.get(unit, {}).values())
 
     async def traced(self, unit: int) -> list[DriftedParameter]:
-        """The drift, after the events have been searched for every row."""
-        await self._trace(unit, self.of(unit))
-        return self.of(unit)
+        """Return the drift of a unit once the events have been searched for each change."""
+        await self._trace(unit, self.differing(unit))
+        return self.differing(unit)
 
     def unread(self, unit: int) -> int:
-        """How many parameters have not been read from the unit since the server started."""
+        """Count the parameters that were not read from the unit since the server started."""
         known = self._live.units[unit].parameters
         return sum(number not in known for number in PARAMETERS)
 
     def summary(self, unit: int, translator: Translator, now: UnixTime) -> Drifted:
-        """The drift in one line, and a key of what the list on the unit's page shows."""
+        """Describe the drift in one line, with a key of what the list on the unit's page shows."""
         if unit not in self._golden:
             return Drifted()
-        found = self.of(unit)
+        found = self.differing(unit)
         text = translator.t(_summary(found, translator.formats, now)) if found else ""
         return Drifted(text, f"{self.unread(unit)}:{','.join(one.key for one in found)}")
 
     def _see(self, updates: Sequence[Update]) -> None:
-        """Parameters were read: compare now, instead of forty rows at every reading."""
+        """Compare the units of which parameters were read."""
         read: dict[int, set[int]] = {}
         for update in updates:
             if isinstance(update, ParameterValue) and update.unit in self._golden:
                 read.setdefault(update.unit, set()).add(update.number)
         for unit, numbers in read.items():
-            self._look(unit, numbers)
+            self._compare(unit, numbers)
 
-    def _look(self, unit: int, numbers: Iterable[int]) -> None:
-        """Compare again; ``numbers`` were read: their change is searched for again."""
-        known, golden, present = (
-            self._found.get(unit, {}),
-            self._golden[unit],
-            known_rows(self._live.units[unit]),
-        )
+    def _compare(self, unit: int, numbers: Iterable[int]) -> None:
+        """Compare a unit again, and search again for what changed the ``numbers``, which were read now."""
+        known, golden = self._found.get(unit, {}), self._golden[unit]
+        present = known_rows(self._live.units[unit])
         found: dict[int, DriftedParameter] = {}
-        for row in departures_of(golden, present):
+        for row in drift_rows(golden, present):
             one = DriftedParameter(row, golden.rows[row.number], present.rows[row.number])
             earlier = known.get(row.number)
             if earlier is not None and earlier.is_of_same_value(one):
@@ -130,20 +129,20 @@ class BusDrift:
             self.background.begin(self._trace(unit, untraced), f"who changed unit {unit} of {self._bus}")
 
     async def _trace(self, unit: int, departures: list[DriftedParameter]) -> None:
-        before = self.of(unit)
+        before = self.differing(unit)
         for one in departures:
             change = await _command_of(self._events, self._bus, unit, one)
             found = self._found.get(unit, {})
             present = found.get(one.row.number)
             if present is not None and present.is_of_same_value(one):
                 found[one.row.number] = replace(one, change=change, traced=True)
-        if self.of(unit) != before:
+        if self.differing(unit) != before:
             for subscriber in self._subscribers:
                 subscriber(unit)
 
 
-def departures_of(golden: UnitRows, live: UnitRows) -> list[ParameterDifference]:
-    """Rows in which a live unit departs from its golden set; setpoints do not count."""
+def drift_rows(golden: UnitRows, live: UnitRows) -> list[ParameterDifference]:
+    """Return the rows in which a live unit differs from its golden set; setpoints do not count."""
     return [row for row in differences(golden, live) if row.number not in OPERATING_VALUES]
 
 
@@ -168,7 +167,7 @@ def _summary(found: list[DriftedParameter], formats: Formats, now: UnixTime) -> 
 
 
 def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
-    """The last change of every person, newest first, and how many rows are theirs."""
+    """Return the last change of every person, newest first, and how many rows they changed."""
     by_person: dict[str, list[Event]] = {}
     for one in found:
         if one.change is not None:
@@ -186,8 +185,8 @@ MAX_EVENTS = 20
 
 
 async def _command_of(events: EventLog, bus: str, unit: int, one: DriftedParameter) -> Event | None:
-    """The event of our write, later than the reading of the golden set, that left the value as it is; None
-    when it was changed at the panel."""
+    """Find the write, later than the golden set, that left the value as it is; None for a change at the
+    keypad."""
     at_unit = Filter(kind="command", bus=bus, unit=unit, since=one.before.read_at)
     wanted = replace(at_unit, code="event_write_parameter", number=one.row.number)
     for event in (await events.page(wanted, MAX_EVENTS))[0]:

@@ -1,4 +1,4 @@
-"""Parameter sets: taken, scheduled, compared, restored."""
+"""Parameter sets: saved, scheduled, compared, restored."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ from app.engineering.sets.saving import (
     MARK_GOLDEN,
     SAVE,
     SCHEDULE,
-    SERVER,
     FirstWrites,
     ParameterReader,
     SetKeeper,
+    SetReadings,
     SetSchedule,
-    Takings,
 )
 from app.engineering.sets.store import SetStore
 from app.feature import Feature, Services
@@ -36,8 +35,8 @@ def make(services: Services) -> None:
     services.add(SetStore(services[Database]))
     for name, bus in services.buses.items():
         _make_of_bus(services, name, bus)
-    takings = services.add(Takings())
-    services.lifespan.add("readings of sets", end=takings.background.close)
+    readings = services.add(SetReadings())
+    services.lifespan.add("readings of sets", end=readings.background.close)
     readers, commands = services.of_buses(ParameterReader), services.of_buses(CommandService)
     store = RestoreStore(services[Database])
     restores = services.add(RestoreService(readers, commands, services[EventLog], store))
@@ -54,8 +53,9 @@ def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
     keeper = bus.add(SetKeeper(live, reader, drift, store, events, services[Rights]))
     schedule = bus.add(SetSchedule(live, keeper, events, services.local_time))
     first_writes = bus.add(FirstWrites(live, commands, keeper, services.local_time))
-    works = (partial(schedule.follow, SERVER), partial(keeper.learn_marked, SERVER))
-    services.lifespan.add(f"sets of {name}", *works, end=first_writes.background.close)
+    services.lifespan.add(
+        f"sets of {name}", schedule.follow, keeper.read_marked, end=first_writes.background.close
+    )
 
 
 FEATURE = Feature(

@@ -1,9 +1,7 @@
-"""Finds what a request or form names (sets, rows, restores, files), or refuses it with a Problem.
+"""Finds the sets, rows, restores and files that a request or form names, or refuses it with a Problem.
 
-The two sides of a comparison as an address can name them, and those that a unit can be restored from.
-
-``set:12:3`` is unit 3 of set 12, ``golden:dry-end:3`` the golden set of unit 3, ``live:dry-end:3`` its values
-as last read.
+A side of a comparison has a text in addresses and forms: ``set:12:3`` is unit 3 of set 12,
+``golden:dry-end:3`` the golden set of unit 3, ``live:dry-end:3`` its values as last read.
 """
 
 from __future__ import annotations
@@ -26,27 +24,16 @@ from app.errors import Problem, or_404
 from app.line.live.bus_live import LiveState
 from app.line.live.requests import unit_or_404
 from bus.instants import UnixTime
-from bus.messages import Message, term
+from bus.messages import Message
 
 Sets = Annotated[SetStore, service(SetStore)]
 Restores = Annotated[RestoreService, service(RestoreService)]
 
 
-async def wanted_rows(
-    store: SetStore, unit: int, set_id: int | None, document_text: str | None, from_unit: int | None
-) -> UnitRows:
-    """What the unit shall become. Raises Problem 422 or 404 in words."""
-    if (set_id is None) == (document_text is None):
-        raise Problem(422, "invalid", Message("set_or_document"))
-    if set_id is not None:
-        return unit_rows_or_404(await set_or_404(store, set_id), from_unit or unit)
-    return await document_rows(document_text or "", term("the document"), unit, from_unit)
-
-
 async def document_rows(
     text: str, source: str | Message, unit: int, from_unit: int | None = None
 ) -> UnitRows:
-    """The rows of a TOML file meant for a unit: of ``from_unit`` where given, its own, or the only ones.
+    """Read the rows of a TOML file meant for a unit: of ``from_unit`` if given, its own, or the only ones.
 
     Raises DocumentError, or Problem 422 where the file has no such unit.
     """
@@ -67,13 +54,13 @@ StoredSet = Annotated[ParameterSet, Depends(set_or_404)]
 
 
 def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:
-    """The rows of one unit of a set."""
+    """Return the rows of one unit of a set. Raises Problem 404."""
     lacks = Message.of("set_lacks_unit", set=stored.id, unit=unit)
     return or_404(stored.unit(unit), "unknown_unit", lacks)
 
 
 async def restore_or_404(restores: Restores, restore_id: str) -> Restore:
-    """A restore that was begun, or a plan of this run of the server."""
+    """Return a restore that was begun, or a plan made since the server started. Raises Problem 404."""
     return or_404(await restores.find(restore_id), "unknown_restore", Message("no_such_restore"))
 
 
@@ -83,14 +70,13 @@ KnownRestore = Annotated[Restore, Depends(restore_or_404)]
 
 @dataclass(frozen=True, slots=True)
 class FormSource:
-    """One side of a comparison: ``text`` as :mod:`app.engineering.sets.lookup` names it,
-    ``file`` None if none was uploaded."""
+    """What a form chooses: the ``text`` of a side, or an uploaded ``file``."""
 
     text: str
     file: UploadFile | None
 
     async def uploaded(self, unit: int) -> UnitRows | None:
-        """The rows of the file for ``unit``, None without one. Raises DocumentError or Problem 422."""
+        """Read the rows of the file for ``unit``, None without one. Raises DocumentError or Problem 422."""
         if self.file is None:
             return None
         name = self.file.filename or THE_FILE
@@ -105,23 +91,21 @@ class FormSource:
 
 
 async def form_source(source: Annotated[str, Form()] = "", file: UploadFile | None = None) -> FormSource:
-    """Reads the form. A browser sends a file field that was left empty without a name."""
+    """Read the form. A browser sends a file field that was left empty without a name."""
     return FormSource(source, file if file is not None and file.filename else None)
 
 
 Chosen = Annotated[FormSource, Depends(form_source)]
-
-
 FILE_FORM: dict[str, Any] = {
     "max_body_size": MAX_BODY_BYTES,
     "form_limits": {"max_files": 1, "max_fields": 100},
 }
-"""Options of the route of such a form: room for one file."""
+"""Options of a route whose form has room for one file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One side. ``kind``: set, golden or live; ``of``: the set's number or the bus."""
+    """One side of a comparison. ``kind``: set, golden or live; ``of``: number of the set, or bus."""
 
     kind: str
     of: str
@@ -131,8 +115,11 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class SideOption:
-    """A side that can be chosen: ``text`` as an address names it, ``name`` and ``group`` of its section,
-    empty and None where it is not configured. What a stored set has is None or empty of the live unit."""
+    """A side that can be chosen, by its ``text``.
+
+    ``name`` and ``group`` are those of the section, empty and None where it is not configured. ``taken_at``
+    is None for a live unit, and ``title`` and ``origin`` are empty.
+    """
 
     text: str
     bus: str
@@ -146,7 +133,7 @@ class SideOption:
 
 
 def choices(live: LiveState, sets: Sequence[ParameterSetSummary]) -> list[SideOption]:
-    """Every unit as last read, then every unit of every stored set, newest first."""
+    """List every unit as last read, then every unit of every stored set, newest first."""
     units = {
         (bus, unit): one.settings for bus, line in live.buses.items() for unit, one in line.units.items()
     }
@@ -164,7 +151,7 @@ def choices(live: LiveState, sets: Sequence[ParameterSetSummary]) -> list[SideOp
 
 
 async def side(text: str, store: SetStore, live: LiveState) -> Side:
-    """Find what ``text`` names. Raises Problem 404 or 422 in words."""
+    """Find the side that ``text`` names. Raises Problem 404 or 422."""
     kind, _, rest = text.partition(":")
     of, _, number = rest.rpartition(":")
     unit = parse_integer(number)
@@ -188,8 +175,11 @@ async def _rows(kind: str, of: str, unit: int, store: SetStore, live: LiveState)
 
 @dataclass(frozen=True, slots=True)
 class Offers:
-    """``own``: sets of the unit, newest first; ``sisters``: the newest and the golden set of every other
-    unit, those of the same group first; ``neighbours``: the other units as they are now."""
+    """Sides that a unit can be restored from.
+
+    ``own``: its sets, newest first; ``sisters``: the newest and the golden set of every other unit, those of
+    the same group first; ``neighbours``: the other units as they are now.
+    """
 
     own: list[SideOption]
     sisters: list[SideOption]
@@ -197,17 +187,17 @@ class Offers:
 
     @property
     def golden(self) -> str:
-        """The golden set of the unit; empty where it has none."""
+        """The golden set of the unit; empty without one."""
         return next((choice.text for choice in self.own if choice.golden), "")
 
     @property
     def best(self) -> str:
-        """The reference of the unit: its golden set, else its newest; empty where it has none."""
+        """The golden set of the unit, else its newest; empty without any."""
         return self.golden or next((choice.text for choice in self.own), "")
 
 
 def offers(live: LiveState, sets: Sequence[ParameterSetSummary], bus: str, unit: int) -> Offers:
-    """Everything that helps ``unit``; ``sets`` newest first."""
+    """Find what ``unit`` can be restored from; ``sets`` newest first."""
     group = live.buses[bus].units[unit].settings.group
     every = choices(live, sets)
     own = [one for one in every if one.taken_at is not None and (one.bus, one.unit) == (bus, unit)]

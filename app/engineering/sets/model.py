@@ -1,7 +1,4 @@
-"""What a parameter set is: the parameters of one or several units, as they were read.
-
-Set with set, set with live unit, unit with unit: row by row, with what a difference means.
-"""
+"""Parameter sets: the parameters of one or several units as they were read, and how two of them differ."""
 
 from __future__ import annotations
 
@@ -41,10 +38,10 @@ SetOrigin = Literal[
 
 @dataclass(frozen=True, slots=True)
 class ParameterRow:
-    """One parameter as a unit gave it: ``raw`` on the wire, when it was read, by which frame.
+    """One parameter as a unit gave it: ``raw`` on the wire, when it was read, in which frame.
 
-    ``raw`` None with ``available`` False: the unit does not have it. ``raw`` None otherwise: not
-    known here (never read, or masked because it is secret).
+    ``raw`` is None where the unit does not have it (``available`` False), and where it was never read or is
+    masked as a secret.
     """
 
     number: int
@@ -56,21 +53,21 @@ class ParameterRow:
 
 @dataclass(frozen=True, slots=True)
 class UnitRows:
-    """The rows of one unit; ``unit`` is its address (#17), ``name`` its section."""
+    """The parameters of one unit by number; ``unit`` is its address (#17), ``name`` its section."""
 
     unit: int
     name: str
     rows: Mapping[int, ParameterRow]
 
     def raw(self, number: int) -> int | None:
-        """The raw value of one parameter, None when it is not known or not there."""
+        """Return the raw value of one parameter, None where it is not known or not available."""
         row = self.rows.get(number)
         return None if row is None else row.raw
 
 
 @dataclass(frozen=True, slots=True)
 class SetHead:
-    """The first members of a stored set, without its values."""
+    """The description of a stored set, without its units."""
 
     id: int
     bus: str
@@ -93,7 +90,7 @@ class ParameterSetSummary(SetHead):
 
 @dataclass(frozen=True, slots=True)
 class ParameterSet:
-    """Immutable once stored; ``id`` 0 before that. ``taken_at`` seconds since the epoch."""
+    """The parameters of units, saved together. It never changes once it is stored; ``id`` is 0 before."""
 
     bus: str
     taken_at: UnixTime
@@ -106,7 +103,7 @@ class ParameterSet:
     golden_for: tuple[int, ...] = ()
 
     def unit(self, unit: int) -> UnitRows | None:
-        """The rows of one unit of the set."""
+        """Return the rows of one unit, None where the set lacks it."""
         return next((rows for rows in self.units if rows.unit == unit), None)
 
 
@@ -131,7 +128,7 @@ _DIFFERENCES: dict[int, str] = {
 
 @dataclass(frozen=True, slots=True)
 class ParameterDifference:
-    """One row of a comparison, as shown to people and raw."""
+    """One row of a comparison, as text and raw."""
 
     number: Number
     name: str
@@ -146,7 +143,7 @@ class ParameterDifference:
 
 
 def rows_of(values: Iterable[ParameterValue]) -> dict[int, ParameterRow]:
-    """Values of responses, by parameter number."""
+    """Convert the values of responses to rows by number."""
     return {
         value.number: ParameterRow(value.number, value.raw, value.available, value.at, value.frame)
         for value in values
@@ -154,24 +151,24 @@ def rows_of(values: Iterable[ParameterValue]) -> dict[int, ParameterRow]:
 
 
 def known_rows(unit: UnitLive) -> UnitRows:
-    """The known values of a live unit without a request, each row with the time it was read."""
+    """Return the values of a live unit as last read, each with the time of its reading."""
     return UnitRows(unit.settings.id, unit.settings.name, rows_of(unit.parameters.values()))
 
 
 def status_of(bus: BusLive, unit: UnitLive) -> StatusBits | None:
-    """The inputs and the mode of a unit as last read; None for one that does not respond."""
+    """Return the inputs and the mode of a unit as last read; None for one that does not respond."""
     if unit.reading is None or unit.link.link in ("unknown", "offline"):
         return None
     return status_bits(unit.reading.outputs, unit.reading.inputs, bus.settings.estop_healthy)
 
 
 def compare(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[ParameterDifference]:
-    """All 40 rows; ``left`` is the reference. ``tolerance``: raw counts that still pass as equal."""
+    """Compare all 40 rows; ``left`` is the reference. ``tolerance``: raw counts that still pass as equal."""
     return [_compare_row(parameter, left, right, tolerance) for parameter in PARAMETERS.values()]
 
 
 def differences(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[ParameterDifference]:
-    """Only the rows known to differ; one that only one of the two has is a difference too."""
+    """Return the rows that are known to differ, including those that only one of the two has."""
     return [row for row in compare(left, right, tolerance) if row.kind in ("differs", "unavailable")]
 
 
@@ -190,7 +187,7 @@ def _compare_row(
 
 
 def meaning(number: int, old: Message, new: Message) -> Message:
-    """What it means that a parameter is ``new`` instead of ``old``."""
+    """State what it means that a parameter is ``new`` instead of ``old``."""
     if PARAMETERS[number].secret:
         return Message("differs_secret")
     return Message(_DIFFERENCES.get(number, "differs"), {"old": old, "new": new})
@@ -207,7 +204,7 @@ def _kind(left: ParameterRow | None, right: ParameterRow | None, tolerance: int)
 
 
 def row_message(parameter: Parameter, rows: UnitRows) -> Message:
-    """A row as shown to people: in its unit, a secret masked, a missing one marked."""
+    """Show a row in its unit of measure, a secret masked, a missing one marked."""
     row = rows.rows.get(parameter.number)
     if row is not None and not row.available:
         return Message("value_not_in_unit")
@@ -219,7 +216,7 @@ def row_message(parameter: Parameter, rows: UnitRows) -> Message:
 
 
 def with_unit(parameter: Parameter, raw: int, rows: UnitRows) -> Message:
-    """``50`` of #6 → ``5.0 s``, by the decimals (#3) and the mode (#8) that ``rows`` hold."""
+    """Show a raw value by the decimals (#3) and the mode (#8) in ``rows``: ``50`` of #6 is ``5.0 s``."""
     if raw in parameter.choices:
         return term(parameter.choices[raw])
     follower, unit = is_follower(rows.raw(FOLLOWER_MODE)), parameter_unit(parameter)

@@ -1,7 +1,4 @@
-"""The pages of parameter sets: list, one set, comparison.
-
-Units in as few words as possible: of 40 neighbors the first and the last one.
-"""
+"""The pages of parameter sets: the list, one set, a comparison, and the drift of a unit."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from app.core.web.services import bus_service_of, service
 from app.engineering.sets.api import Drift
 from app.engineering.sets.lookup import Sets, StoredSet, choices, side
 from app.engineering.sets.model import compare, row_message
-from app.engineering.sets.saving import MARK_GOLDEN, SAVE, SCHEDULE, SetKeeper, SetSchedule, Takings
+from app.engineering.sets.saving import MARK_GOLDEN, SAVE, SCHEDULE, SetKeeper, SetReadings, SetSchedule
 from app.errors import or_404
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import LiveState
@@ -29,9 +26,7 @@ from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(include_in_schema=False)
-
-
-Readings = Annotated[Takings, service(Takings)]
+Readings = Annotated[SetReadings, service(SetReadings)]
 
 MAX_LISTED = 100
 """Sets on one page of the list; each day of a line with a schedule adds some."""
@@ -47,7 +42,7 @@ async def list_page(
     unit: int | None = None,
     before: int | None = None,
 ) -> Response:
-    """The newest sets, or those before one, filtered by bus and unit, and the form to save one."""
+    """List the newest sets, or those before one, filtered by bus and unit, with the form to save one."""
     found = await sets.summaries(bus or None, unit, before=before, limit=MAX_LISTED + 1)
     return render(
         request,
@@ -64,7 +59,7 @@ async def list_page(
 
 
 def _ranges(live: LiveState, bus: str, units: Iterable[int]) -> str:
-    """The units of a set with the names that they have now."""
+    """Name the units of a set as they are called now."""
     known = live.buses[bus].settings.unit if bus in live.buses else []
     return ", ".join(unit_ranges(units, {unit.id: unit.name for unit in known}))
 
@@ -81,7 +76,7 @@ async def take(
     comment: Annotated[Lines, Form(max_length=1000)] = "",
     golden: Annotated[bool, Form()] = False,
 ) -> Response:
-    """Begin to read the units, all of the bus when none is named."""
+    """Begin to read the units, or all of the bus if none is chosen."""
     units = unit or list(bus_or_404(live, bus).units)
     for number in units:
         unit_or_404(live, bus, number)
@@ -94,7 +89,7 @@ async def take(
 async def taking_page(
     request: Request, _: Viewer, readings: Readings, live: Live, taking_id: str
 ) -> Response:
-    """How far a reading is, by values, and the result of each unit."""
+    """Show how many values were read, and the result of each unit."""
     taking = or_404(readings.get(taking_id), "unknown_taking", Message("no_such_taking"))
     return render(
         request,
@@ -113,7 +108,7 @@ async def set_schedule(
     bus: Annotated[str, Form()],
     at: Annotated[str, Form(pattern=r"^([01]\d|2[0-3]):[0-5]\d$|^$")] = "",
 ) -> Response:
-    """Read a bus daily at a time of the day, or no longer (empty)."""
+    """Save a bus daily at a time of the day, or no longer (empty)."""
     hour, _, minute = at.partition(":")
     schedule = bus_service_of(request, bus, SetSchedule)
     await schedule.set(person, int(hour) * 60 + int(minute) if at else None)
@@ -131,7 +126,7 @@ async def compare_page(
     tolerance: int = 0,
     everything: bool = False,
 ) -> Response:
-    """Two sides row by row, equal rows only on request; and the choice of both sides."""
+    """Compare two sides row by row, with equal rows on request, and offer the sides."""
     one = await side(left, sets, live) if left else None
     other = await side(right, sets, live) if right else None
     rows = compare(one.rows, other.rows, max(0, tolerance)) if one and other else []
@@ -153,7 +148,7 @@ async def compare_page(
 
 @router.get("/sets/{set_id}")
 async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, stored: StoredSet) -> Response:
-    """A stored set, each value with its evidence."""
+    """Show a stored set, each value with its evidence."""
     others = await sets.summaries(stored.bus)
     return render(
         request,
@@ -173,7 +168,7 @@ async def golden(
     stored: StoredSet,
     unit: Annotated[int, Form()],
 ) -> Response:
-    """Mark it as what the unit ought to be."""
+    """Make the set the golden set of a unit."""
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, [unit])
     return RedirectResponse(f"/sets/{stored.id}", 303)
 
@@ -182,7 +177,7 @@ async def golden(
 async def drift_fragment(
     request: Request, _: Viewer, drift: Drift, live: Live, bus: str, unit: int
 ) -> Response:
-    """Where the unit departs from its golden set, and who changed it."""
+    """Show where the unit differs from its golden set, and who changed it."""
     unit_or_404(live, bus, unit)
     return render(
         request,
@@ -196,16 +191,17 @@ async def drift_fragment(
     )
 
 
-TO = "\N{EN DASH}"
+_TO = "\N{EN DASH}"
 
 
 def unit_ranges(units: Iterable[int], names: Mapping[int, str]) -> list[str]:
-    """``["1 Unwind", "4-11 Dryer 1-8"]``, with longer dashes; of a removed unit the address."""
+    """Name units by ranges, as in ``["1 Unwind", "4-11 Dryer 1-8"]``, with en dashes; a removed unit has its
+    address only."""
     return [_range_text(first, last, names) for first, last in _runs(sorted(units))]
 
 
 def _runs(units: list[int]) -> Iterator[tuple[int, int]]:
-    """First and last of each run of addresses."""
+    """Return the first and the last address of each run."""
     starts = [unit for at, unit in enumerate(units) if at == 0 or units[at - 1] != unit - 1]
     ends = [unit for at, unit in enumerate(units) if at == len(units) - 1 or units[at + 1] != unit + 1]
     return zip(starts, ends, strict=True)
@@ -215,13 +211,13 @@ def _range_text(first: int, last: int, names: Mapping[int, str]) -> str:
     begin, end = names.get(first, ""), names.get(last, "")
     if first == last:
         return f"{first} {begin}".strip()
-    return f"{first}{TO}{last} {_joined(begin, end, last - first)}".strip()
+    return f"{first}{_TO}{last} {_joined(begin, end, last - first)}".strip()
 
 
 def _joined(begin: str, end: str, apart: int) -> str:
-    """Of two names whose numbers are as far apart as their addresses, the words once."""
+    """Join two names; if their numbers are as far apart as their addresses, with the words once."""
     if not begin or not end:
         return ""
     (word, _, low), (other, _, high) = begin.rpartition(" "), end.rpartition(" ")
     numbered = word == other and low.isdecimal() and high.isdecimal() and int(high) - int(low) == apart
-    return f"{begin}{TO}{high}" if numbered else f"{begin} {TO} {end}"
+    return f"{begin}{_TO}{high}" if numbered else f"{begin} {_TO} {end}"

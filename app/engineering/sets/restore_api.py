@@ -1,7 +1,4 @@
-"""Restores as pages and programs see them. #21 never leaves here.
-
-Restores over HTTP: planned, started, followed.
-"""
+"""Restores over HTTP: planned, started, followed; with their schemas. The value of #21 is never shown."""
 
 from __future__ import annotations
 
@@ -17,7 +14,14 @@ from app.core.web.admission.bounds import MAX_BODY_BYTES
 from app.core.web.api.route import ApiRoute
 from app.core.web.api.schema import problems
 from app.core.web.api.shape import MessageObject, Numbers, StrictBody
-from app.engineering.sets.lookup import KnownRestore, Restores, Sets, wanted_rows
+from app.engineering.sets.lookup import (
+    KnownRestore,
+    Restores,
+    Sets,
+    document_rows,
+    set_or_404,
+    unit_rows_or_404,
+)
 from app.engineering.sets.model import Number, ParameterDifference, StoredRaw, UnitRows, meaning, with_unit
 from app.engineering.sets.restore_plan import (
     EFFECTS,
@@ -31,12 +35,13 @@ from app.engineering.sets.restore_plan import (
     warning_of,
 )
 from app.engineering.sets.restore_service import CANCEL, PLAN, START
+from app.errors import Problem
 from app.line.live.api.routes import Live
 from app.line.live.api.schemas import UnitAddress
 from app.line.live.requests import unit_or_404
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Outcome
-from bus.messages import Message
+from bus.messages import Message, term
 
 MaybeReason = Annotated[
     Reason | None, Field(description="The reason, for programs; null: none, or noted by an earlier version.")
@@ -46,7 +51,7 @@ MaybeValue = Annotated[MessageObject | None, Field(description="As shown to peop
 
 @dataclass(frozen=True, slots=True)
 class RestoreValues:
-    """A row as the unit has it and as the set has it."""
+    """The values of a parameter in the unit and in the set."""
 
     number: Number
     name: str
@@ -112,7 +117,7 @@ class RestoreShown(TypedDict):
 
 
 def rows_to_write(restore: Restore) -> list[RestoreRow]:
-    """The rows that are written; of a plan those that can still be chosen too."""
+    """Show the rows that are written and, in a plan, those that can still be chosen."""
     offered = restore.offered if restore.state == "planned" else []
     chosen = [_row(restore, row, None) for row in restore.rows]
     return chosen + [_row(restore, RowResult(write), left) for write, left in offered]
@@ -233,7 +238,7 @@ async def plan_restore(
     """Read the unit and list the rows that a restore would write. Nothing is written."""
     unit_or_404(live, bus, unit)
     selection = Selection(frozenset(wanted.include), frozenset(wanted.exclude), frozenset(wanted.ticked))
-    rows = await wanted_rows(sets, unit, wanted.set, wanted.document, wanted.from_unit)
+    rows = await _wanted_rows(sets, unit, wanted)
     return restore_json(await restores.plan(person, bus, unit, rows, selection))
 
 
@@ -267,3 +272,12 @@ async def cancel_restore(
 async def get_restore(_: Viewer, restore: KnownRestore) -> RestoreShown:
     """Progress of the restore, row by row."""
     return restore_json(restore)
+
+
+async def _wanted_rows(sets: Sets, unit: int, wanted: RestoreRequest) -> UnitRows:
+    """Return the rows that the unit shall have. Raises Problem 422 or 404."""
+    if (wanted.set is None) == (wanted.document is None):
+        raise Problem(422, "invalid", Message("set_or_document"))
+    if wanted.set is not None:
+        return unit_rows_or_404(await set_or_404(sets, wanted.set), wanted.from_unit or unit)
+    return await document_rows(wanted.document or "", term("the document"), unit, wanted.from_unit)

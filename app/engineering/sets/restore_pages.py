@@ -1,4 +1,4 @@
-"""The pages of a restore: choose a set, review every row, follow it, read the proof."""
+"""The pages of a restore: choose a set, review each row, follow the writes, read what a full read found."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Ticks = Annotated[list[int] | None, Form()]
 async def restore_page(
     request: Request, _: Planner, sets: Sets, restores: Restores, live: Live, bus: str, unit: int
 ) -> Response:
-    """Choose what the unit shall become; and the results of earlier restores of it."""
+    """Offer the sets that the unit can be restored from, and its earlier restores."""
     live_unit = unit_or_404(live, bus, unit)
     return render(
         request,
@@ -46,7 +46,7 @@ async def restore_page(
 async def plan_page(
     person: Planner, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, chosen: Chosen
 ) -> Response:
-    """Read the unit and plan a restore. Nothing is written."""
+    """Read the unit and plan a restore; nothing is written."""
     unit_or_404(live, bus, unit)
     rows = await chosen.uploaded(unit)
     if rows is None:
@@ -59,7 +59,7 @@ async def plan_page(
 
 @router.get("/restores/{restore_id}")
 async def restore_progress(request: Request, _: Planner, restore: KnownRestore) -> Response:
-    """The review before, the progress during, the proof after."""
+    """Show the review before the start, then the progress, then the result."""
     template = "sets/_restore.html" if request.headers.get("hx-request") else "sets/restoring.html"
     dangerous = {left.number for left in restore.left_out if PARAMETERS[left.number].dangerous}
     response = render(
@@ -89,7 +89,7 @@ async def confirm_dangerous(
 
 @router.post("/restores/{restore_id}/again")
 async def plan_again(person: Planner, restores: Restores, live: Live, old: KnownRestore) -> Response:
-    """Plan a restore again: done rows are found equal, the rest is reviewed."""
+    """Plan a restore again: the done rows are equal now, the rest is reviewed."""
     deselected = frozenset(left.number for left in old.left_out if left.reason == "deselected")
     return await _planned_again(person, restores, live, old, Selection(exclude=deselected))
 
@@ -122,8 +122,8 @@ async def cancel(
 
 
 def ticked(restore: Restore, rows: frozenset[int]) -> Selection:
-    """The rows that a person has chosen in a review. Raises Problem 422 for no row at all, and for one that
-    was not in the review."""
+    """Return the choice that a person made in a review. Raises Problem 422 for no row, and for a row that was
+    not in the review."""
     reviewed = frozenset(write.number for write in restore.plan.writes)
     reviewed |= frozenset(write.number for write, _ in restore.offered)
     if not rows:

@@ -1,14 +1,9 @@
-"""What writing a parameter does to a machine that runs. Pure.
+"""A restore of one unit: what it writes, in which order, what that does to the machine, how it went. Pure.
 
-Orders the rows of a restore so that no intermediate state is worse than its start or end. Pure.
-
-Each row takes effect at once, so a unit runs for a moment on a mixture of old and new values. Bounds are
-widened before the values that they bound and narrowed after them. What slows a running unit comes before
-what makes it faster: on the way it is never faster than before or afterwards.
-
-Plans a restore: which rows it writes, in which order, and what it leaves out. Pure.
-
-One restore of one unit: its risks, what each row became, and what a full read found. Pure.
+The rows are ordered so that no state on the way is worse than the first or the last. Each row takes effect
+at once, so a unit runs for a moment on a mixture of old and new values. Bounds are widened before the values
+that they bound, and narrowed after them. What slows a running unit comes before what makes it faster: on the
+way it is never faster than before or afterwards.
 """
 
 from __future__ import annotations
@@ -34,8 +29,8 @@ Effect = Literal[
 ]
 
 OPERATING_VALUES = frozenset({numbers.SPEED_SETPOINT, numbers.RATIO_SETPOINT})
-"""The setpoints. Operators change them every shift: they are no drift, and a restore writes one only when
-it was selected by name."""
+"""The setpoints. Operators change them every shift: they are no drift, and a restore writes one only when it
+is selected by name."""
 
 _PARAMETERS: Mapping[Effect, Collection[int]] = {
     "setpoint": OPERATING_VALUES,
@@ -56,7 +51,7 @@ _PARAMETERS: Mapping[Effect, Collection[int]] = {
 EFFECTS: Mapping[int, Effect] = {
     number: effect for effect, affecting in _PARAMETERS.items() for number in affecting
 }
-"""By number the effect on a running unit; a parameter that is not listed changes nothing at the machine."""
+"""The effect on a running unit by number; a parameter that is not listed changes nothing at the machine."""
 
 NO_RAMP = Message("effect_no_ramp")
 
@@ -66,9 +61,9 @@ def effect_message(effect: Effect) -> Message:
 
 
 def warning_of(number: int, raw: int, *, running: bool | None) -> Message | None:
-    """What a person must know before ``raw`` is written; None where there is nothing to fear at the machine.
+    """Return what a person must know before ``raw`` is written, if it affects the machine.
 
-    ``running``: the Run input of the unit (None: not known, taken as running).
+    ``running``: the Run input of the unit; None, where it is not known, counts as running.
     """
     effect = EFFECTS.get(number)
     if effect == "ramp" and raw == 0:
@@ -79,7 +74,7 @@ def warning_of(number: int, raw: int, *, running: bool | None) -> Message | None
 
 
 INVERSE_FOLLOWER = 2
-"""#8 of a unit that slows down as its ratio goes up (manual, 4.0)."""
+"""Value of #8 of a unit that slows down as its ratio goes up (manual, 4.0)."""
 _MEANING = (numbers.DECIMALS, numbers.FOLLOWER_MODE)
 _MAXIMA, _MINIMA = frozenset({numbers.MAX_DISPLAY, numbers.MAX_RATIO}), frozenset({numbers.MIN_RATIO})
 _FASTER_UPWARD = frozenset(
@@ -97,9 +92,9 @@ _SLOWER_UPWARD = frozenset({numbers.JUMP_DOWN})
 """The motor speed is the setpoint * #1 / #2 by the pulses of #5; in a follower that of the master * #4 * #37.
 #2 is among the bounds. #9 to #11 take the place of the setpoint, or move it, while their inputs are on."""
 _ENDS_TALK = (numbers.PASSWORD, numbers.PROTOCOL, numbers.BAUD_RATE, numbers.CONTROL_MODE)
-"""What may end the conversation comes when everything else is done."""
+"""Rows after which the unit may not respond any more; they come last."""
 _BOUNDS = ((numbers.ANALOG_IN_LOW, numbers.ANALOG_IN_HIGH), (numbers.ANALOG_OUT_LOW, numbers.ANALOG_OUT_HIGH))
-"""(low, high) pairs whose ends bound each other and nothing else."""
+"""Pairs (low, high) that bound each other and nothing else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +107,7 @@ class Write:
 
     @property
     def up(self) -> bool:
-        """Whether the value grows."""
+        """Tell whether the value grows."""
         return self.wanted > self.present
 
 
@@ -129,7 +124,7 @@ class _Step(IntEnum):
 
 
 def in_order(writes: Iterable[Write], *, mode: int | None) -> tuple[Write, ...]:
-    """``mode``: #8 of the unit as it is now, None where not known."""
+    """Order the writes. ``mode``: #8 of the unit now, None where it is not known."""
     ordered = sorted(writes, key=lambda write: _rank(write, mode))
     for low, high in _BOUNDS:
         _widen_first(ordered, low, high)
@@ -160,7 +155,7 @@ def _step(write: Write, mode: int | None) -> _Step:
 
 
 def _widen_first(ordered: list[Write], low: int, high: int) -> None:
-    """Exchange the two where the present order would lead to low > high on the way."""
+    """Exchange the two where low would be above high between them."""
     at = {write.number: index for index, write in enumerate(ordered) if write.number in (low, high)}
     if len(at) < 2:
         return
@@ -173,10 +168,10 @@ def _widen_first(ordered: list[Write], low: int, high: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The selected rows, by number. ``include``: rows that are left out unless named; ``exclude``:
-    rows not to write; ``confirmed``: dangerous rows to write, each confirmed separately.
+    """The rows that a person selected, by number.
 
-    Raises Problem 422 for a row that is both named and excluded.
+    ``include``: rows that are left out unless named; ``exclude``: rows not to write; ``confirmed``: dangerous
+    rows to write, each confirmed separately. Raises Problem 422 for a row that is both named and excluded.
     """
 
     include: frozenset[int] = frozenset()
@@ -189,16 +184,15 @@ class Selection:
             raise Problem(422, "invalid", Message.of("row_included_and_excluded", number=both[0]))
 
     def choosing(self, include: frozenset[int], exclude: frozenset[int]) -> Selection:
-        """Another choice of rows; what was confirmed stays so unless it is excluded now."""
+        """Return another choice of rows; confirmed rows stay confirmed unless they are excluded now."""
         return replace(self, include=include, exclude=exclude, confirmed=self.confirmed - exclude)
 
 
 EVERYTHING_HARMLESS = Selection()
-"""The rows written without a selection: all but setpoints and dangerous ones."""
-
+"""All rows but setpoints and dangerous ones."""
 
 _REMOTE = 1
-"""#19 of a unit that takes writes (manual, 4.0)."""
+"""Value of #19 of a unit that takes writes (manual, 4.0)."""
 
 Reason = Literal[
     "address",
@@ -215,13 +209,13 @@ Reason = Literal[
 ]
 """Why a row is left out, for programs."""
 CHOSEN: frozenset[Reason] = frozenset({"operating_value", "deselected"})
-"""Rows that would be written had a person chosen so."""
+"""Reasons that a person can change by choosing the row."""
 
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """One row that differs or may differ and is not written; ``text`` is the reason. ``reason`` None: it was
-    left out by a version that did not store the reason."""
+    """A row that differs or may differ and is not written; ``text`` says why. ``reason`` is None in a restore
+    that a former version stored."""
 
     number: int
     reason: Reason | None
@@ -229,13 +223,13 @@ class LeftOut:
 
     @property
     def later(self) -> bool:
-        """Whether the same restore writes it once a person has set the unit to REMOTE at its panel."""
+        """Tell whether the same restore writes it once a person has set the unit to REMOTE at its keypad."""
         return self.reason == "not_in_remote"
 
 
 @dataclass(frozen=True, slots=True)
 class RestorePlan:
-    """``writes`` in order, ``left_out`` with reasons, ``equal`` rows that need nothing."""
+    """The rows that a restore writes, in order, those that it leaves out, and the number of equal rows."""
 
     writes: tuple[Write, ...]
     left_out: tuple[LeftOut, ...]
@@ -250,9 +244,10 @@ def plan_restore(
     remote: bool | None = None,
     selection: Selection = EVERYTHING_HARMLESS,
 ) -> RestorePlan:
-    """``running``: the Run input of the unit (None: not known, taken as running).
+    """Plan the writes that make ``present`` equal ``wanted``.
 
-    ``remote``: whether its status is REMOTE (None: not known; then its #19 alone decides).
+    ``running``: the Run input of the unit; None, where it is not known, counts as running. ``remote``:
+    whether its status is REMOTE; None, where it is not known, leaves it to #19.
     """
     writes: list[Write] = []
     left_out: list[LeftOut] = []
@@ -275,8 +270,10 @@ def plan_restore(
 
 
 def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
-    """Raises Problem 409 ``dangerous`` or 422 ``invalid`` for a row that was selected and cannot be
-    written. A unit that is not in REMOTE refuses every row, and the plan states it."""
+    """Raise Problem 409 ``dangerous`` or 422 ``invalid`` for a row that was selected and cannot be written.
+
+    A unit that is not in REMOTE refuses every row; the plan says so instead.
+    """
     for left in plan.left_out:
         if left.number not in selection.include or left.later:
             continue
@@ -287,7 +284,7 @@ def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
 
 
 def _why_not(number: int, wanted: UnitRows, present: UnitRows, *, running: bool) -> LeftOut | None:
-    """Why a row that differs cannot be written, even if selected."""
+    """Return the reason why a row that differs cannot be written, even if selected."""
     parameter = PARAMETERS[number]
     there, target = present.rows.get(number), wanted.rows.get(number)
     if parameter.never_writable:
@@ -349,9 +346,11 @@ class RowResult:
 
 @dataclass(slots=True)
 class Restore:
-    """``wanted``: the requested rows; ``before``: the unit's values; ``proven``: those of a full read
-    afterwards (None until that read). ``running``, ``remote``: the Run input and REMOTE when it was planned,
-    None where not known. ``cause``, ``cause_code``: why it stopped, for people and programs.
+    """A restore from its plan to its end.
+
+    ``wanted``: the requested rows; ``before``: the unit's values; ``proven``: those of the full read at the
+    end. ``running``, ``remote``: the Run input and REMOTE when it was planned, None where not known.
+    ``cause``, ``cause_code``: why it stopped, for people and programs.
     """
 
     id: str
@@ -373,16 +372,16 @@ class Restore:
     cancelled_by: str = ""
     """The user who stopped it after the current row."""
     for_swap: bool = False
-    """Whether it makes a spare of the unit."""
+    """Whether the unit is a spare that replaces another."""
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """Rows named beforehand as not written."""
+        """The rows that are not written, with the reasons."""
         return self.plan.left_out
 
     @property
     def offered(self) -> list[tuple[Write, LeftOut]]:
-        """Rows that a person may still choose to write, with the reason why they are left out."""
+        """The rows that a person may still choose to write, with the reason why they are left out."""
         return [
             (Write(left.number, present, wanted), left)
             for left in self.left_out
@@ -402,19 +401,19 @@ class Restore:
 
     @property
     def remaining(self) -> list[ParameterDifference] | None:
-        """What the full read still finds different, without what can never be written here."""
+        """The rows that still differ by the full read, without those that cannot be written at all."""
         if self.proven is None:
             return None
         never = {left.number for left in self.left_out if not left.later}
         return [row for row in differences(self.wanted, self.proven) if row.number not in never]
 
     def stop(self, code: str, cause: Message) -> None:
-        """End it before its time: every row without an outcome was not sent."""
+        """End the restore early: every row without an outcome was not sent."""
         self.state, self.cause_code, self.cause = "stopped", code, cause
         self.rows = [row if row.outcome else replace(row, outcome="not_sent") for row in self.rows]
 
     def account(self) -> Message | None:
-        """Which rows were written and verified, which are unverified or refused, which were not tried."""
+        """List the rows that were verified, that are in doubt or refused, and that were not tried."""
         return joined(
             Message(code, {"rows": listed([parameter_name(number) for number in numbers])})
             for code, outcomes in _ACCOUNT.items()
@@ -429,8 +428,10 @@ MAY_RUN = Message("restore_may_run")
 def remarks(
     wanted: UnitRows, present: UnitRows, *, running: bool | None, writes: Iterable[Write]
 ) -> list[Message]:
-    """Whether the machine runs, whose set it is, and of what kind. ``running``: the Run input of the unit,
-    None where not known."""
+    """Warn of a machine that runs, and of a set from another unit or another type of section.
+
+    ``running``: the Run input of the unit, None where it is not known.
+    """
     found: list[Message] = []
     warnings = (warning_of(write.number, write.wanted, running=running) for write in writes)
     if running is not False and any(warnings):

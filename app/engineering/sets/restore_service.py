@@ -1,11 +1,7 @@
-"""Stores restores: the state of each before a row is sent, and again with the outcome of the row.
+"""Restores: planned, reviewed, started, and stored with the outcome of each row.
 
-One restore from start to end: the review checked, each row verified, all verified by a full read.
-
-Restores: planned, reviewed, started, and stored with the outcome of each row.
-
-Nothing is written before a person has seen the plan. However it is stopped, the rows state
-exactly what was done; the same restore again finds the done rows equal and finishes the rest.
+Nothing is written before a person has seen the plan. However a restore is stopped, its rows state what was
+done; the same restore again finds the done rows equal and writes the rest.
 """
 
 from __future__ import annotations
@@ -13,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import Awaitable, Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import msgspec
 import structlog
@@ -51,27 +47,29 @@ from bus.messages import Message, joined, term
 PLAN = Act("plan_restore", WRITE_PARAMETER.role, "restore", "event_restored")
 START = Act("start_restore", WRITE_PARAMETER.role, "restore", "event_restored")
 CANCEL = Act("cancel_restore", WRITE_PARAMETER.role, "restore", "event_restored")
-"""A restore writes parameters, whose role it needs; it is recorded once, when it has ended."""
-
+"""A restore writes parameters and needs the role for that; it is recorded once, when it has ended."""
 NOT_KEPT = -1
-"""Stands for a secret (#21), which is kept in parameter sets alone: no raw value is negative."""
+"""Takes the place of a secret (#21), which only parameter sets hold: no raw value is negative."""
 MAX_OF_UNIT = 20
+"""Earlier restores that the page of a unit lists."""
+MAX_ENDED = 50
+"""Plans and ended restores that are kept in memory."""
 _SAVE = upsert("restore", ("id",), ("bus", "unit", "planned_at", "state", "content"))
 _DECODER = msgspec.json.Decoder(Restore)
 
 
 class RestoreStore(Tables):
-    """All access to the table of restores. Only what was begun is kept; a plan writes nothing."""
+    """The table of restores, each without secrets. A plan that was not begun is not stored."""
 
     async def save(self, restore: Restore) -> None:
-        """Store its present state in place of the earlier one, without secrets."""
-        one, content = restore, msgspec.json.encode(_without_secrets(restore)).decode()
-        row = (one.id, one.bus, one.unit, one.planned_at, one.state, content)
+        """Store the present state of a restore in place of the earlier one."""
+        content = msgspec.json.encode(_without_secrets(restore)).decode()
+        row = (restore.id, restore.bus, restore.unit, restore.planned_at, restore.state, content)
         await self.database.write(lambda connection: connection.execute(_SAVE, row))
 
     @reading
     def load(self, connection: StoreConnection, restore_id: str) -> Restore | None:
-        """A restore that was begun, None when there is no such."""
+        """Return a restore that was begun, if it exists."""
         return next(_select(connection, "id = ?", restore_id), None)
 
     @reading
@@ -82,13 +80,13 @@ class RestoreStore(Tables):
 
     @reading
     def of_unit(self, connection: StoreConnection, bus: str, unit: int) -> list[Restore]:
-        """The last restores of a unit, newest first."""
+        """Return the last restores of a unit, newest first."""
         newest = "bus = ? AND unit = ? ORDER BY planned_at DESC LIMIT ?"
         return list(_select(connection, newest, bus, unit, MAX_OF_UNIT))
 
 
 def _select(connection: StoreConnection, which: str, *values: str | int) -> Iterator[Restore]:
-    """Content that cannot be read, which nothing here writes, is left out."""
+    """Decode the stored restores; content that cannot be read, which nothing here writes, is left out."""
     for (content,) in connection.execute(f"SELECT content FROM restore WHERE {which}", values).fetchall():
         try:
             yield _DECODER.decode(content)
@@ -116,7 +114,7 @@ def _row_without_secret(row: RowResult) -> RowResult:
 
 
 def _values_without_secrets(values: UnitRows) -> UnitRows:
-    """The frames, which hold the values too, are left out."""
+    """Leave out secrets, and the frames, which hold them too."""
     rows = {
         number: replace(row, raw=None if PARAMETERS[number].secret else row.raw, frame=b"")
         for number, row in values.rows.items()
@@ -124,110 +122,14 @@ def _values_without_secrets(values: UnitRows) -> UnitRows:
     return replace(values, rows=rows)
 
 
-ENDED_MEANWHILE = Message("row_in_doubt")
-_STOPS = frozenset({"unverified", "not_sent", "bus_closed"})
-"""Outcomes of a row after which the others cannot be expected to do better."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RestoreRun:
-    """Carries out what was reviewed, for ``person``. Raises Problem for whatever stops it."""
-
-    _reader: ParameterReader
-    _commands: CommandService
-    _store: RestoreStore
-    _person: Person
-    _restore: Restore
-
-    async def run(self) -> None:
-        """Leaves the restore ``equal`` or ``different``."""
-        restore = self._restore
-        await self._store.save(restore)
-        await self._check_review()
-        await self._write_rows()
-        restore.state = "proving"
-        restore.proven = await self._reader.read_unit(self._person, restore.unit, urgent=True)
-        restore.state = "different" if restore.remaining else "equal"
-
-    async def _check_review(self) -> None:
-        """Plan again with the unit's present values: a review of other rows or values does not count."""
-        restore = self._restore
-        if not restore.rows:
-            return
-        before = await self._reader.read_unit(self._person, restore.unit, urgent=True)
-        running, remote = self._reader.motion(restore.unit)
-        now = plan_restore(
-            restore.wanted, before, running=running, remote=remote, selection=restore.selection
-        )
-        if now.writes != restore.plan.writes:
-            raise Problem(409, "moved", Message("unit_changed_since_review"))
-
-    async def _write_rows(self) -> None:
-        restore = self._restore
-        for place, row in enumerate(restore.rows):
-            if restore.cancelled_by:
-                who, done, n = restore.cancelled_by, restore.done, len(restore.rows)
-                raise Problem(409, "cancelled", Message.of("restore_left_off", who=who, done=done, n=n))
-            if self._would_surprise(row):
-                raise Problem(409, "moved", Message("unit_started_since_review"))
-            unverified = replace(row, outcome="unverified", message=ENDED_MEANWHILE)
-            # Should nothing more be stored, the row counts as unverified.
-            await self._store.save(
-                replace(restore, rows=[*restore.rows[:place], unverified, *restore.rows[place + 1 :]])
-            )
-            try:
-                restore.rows[place] = await self._write(row)
-            except asyncio.CancelledError:
-                restore.rows[place] = unverified
-                raise
-            except Problem as problem:
-                restore.rows[place] = replace(row, outcome="not_sent", message=problem.message)
-                raise
-            finally:
-                await self._store.save(restore)
-            _go_on_or_raise(restore.rows[place])
-
-    async def _write(self, row: RowResult) -> RowResult:
-        restore, write = self._restore, row.write
-        action = WriteParameter(unit=restore.unit, number=write.number, raw=write.wanted)
-        try:
-            result = await self._commands.send(self._person, action, confirm=True, origin="restore")
-        except Problem as problem:
-            # Any other refusal concerns the other rows too.
-            if problem.code != "invalid":
-                raise
-            return replace(row, outcome="invalid", message=problem.message)
-        message = result.message
-        if result.outcome == "refused" and result.unit_error is not None:
-            message = Message.of("row_refused", error=unit_error(result.unit_error))
-        return replace(row, outcome=result.outcome, message=message, read_back=result.read_back)
-
-    def _would_surprise(self, row: RowResult) -> bool:
-        """Whether this row changes what a unit does that runs now and did not when it was reviewed."""
-        runs, _ = self._reader.motion(self._restore.unit)
-        if not runs or self._restore.running is not False:
-            return False
-        return warning_of(row.write.number, row.write.wanted, running=True) is not None
-
-
-def _go_on_or_raise(row: RowResult) -> None:
-    if row.outcome is None or row.outcome not in _STOPS:
-        return
-    status = 504 if row.outcome == "unverified" else 503
-    why = row.message or Message("nothing_more_sent")
-    raise Problem(status, row.outcome, Message.of("at_row", number=row.write.number, why=why))
-
-
 EndSubscriber = Callable[[Restore], Awaitable[None]]
-
+_STOPS = frozenset({"unverified", "not_sent", "bus_closed"})
+"""Outcomes of a row after which the next rows cannot be expected to do better."""
 _log = structlog.get_logger(__name__)
-
-MAX_ENDED = 50
-"""Plans and ended restores that are kept in memory."""
 
 
 class RestoreService:
-    """Plans restores, runs them one at a time per unit, and remembers how they went, also on disk."""
+    """Plans restores, runs them one at a time for each unit, and remembers how they went, also on disk."""
 
     def __init__(
         self,
@@ -249,11 +151,11 @@ class RestoreService:
         self._end_subscribers.append(subscriber)
 
     async def find(self, restore_id: str) -> Restore | None:
-        """A restore planned since the server started, or begun at any time."""
+        """Return a restore that was begun at any time, or planned since the server started."""
         return self._restores.get(restore_id) or await self._store.load(restore_id)
 
     async def of_unit(self, bus: str, unit: int) -> list[Restore]:
-        """The last restores of a unit that were begun, newest first."""
+        """Return the last restores of a unit that were begun, newest first."""
         return [self._restores.get(begun.id, begun) for begun in await self._store.of_unit(bus, unit)]
 
     async def load(self) -> None:
@@ -273,7 +175,7 @@ class RestoreService:
         *,
         for_swap: bool = False,
     ) -> Restore:
-        """Read the unit now and plan the writes; nothing is written. ``for_swap``: to a spare.
+        """Read the unit now and plan the writes; nothing is written. ``for_swap``: the unit is a spare.
 
         Raises Problem 503 or 504 when the unit cannot be read, 409 ``dangerous`` or 422 ``invalid`` for a row
         that the selection includes and that cannot be written.
@@ -317,14 +219,13 @@ class RestoreService:
         self.background.begin(self._run(person, restore), f"restore {restore.id}")
 
     def cancel(self, person: Person, restore: Restore) -> None:
-        """Stop it after the current row."""
+        """Stop a restore after the current row."""
         CANCEL.check(person)
         restore.cancelled_by = person.name
 
     async def _run(self, person: Person, restore: Restore) -> None:
         try:
-            reader, commands = self._readers[restore.bus], self._commands[restore.bus]
-            await RestoreRun(reader, commands, self._store, person, restore).run()
+            await self._carry_out(person, restore)
         except Problem as problem:
             restore.stop(problem.code, problem.message)
         except StoreError as error:
@@ -337,6 +238,74 @@ class RestoreService:
             restore.stop("failed", Message("restore_failed"))
         finally:
             await self._end(restore)
+
+    async def _carry_out(self, person: Person, restore: Restore) -> None:
+        """Write the reviewed rows and compare a full read with the set. Raises Problem for what stops it."""
+        await self._store.save(restore)
+        reader = self._readers[restore.bus]
+        await self._check_review(person, restore)
+        for place in range(len(restore.rows)):
+            await self._write_row(person, restore, place)
+        restore.state = "proving"
+        restore.proven = await reader.read_unit(person, restore.unit, urgent=True)
+        restore.state = "different" if restore.remaining else "equal"
+
+    async def _check_review(self, person: Person, restore: Restore) -> None:
+        """Raise Problem where a plan with the present values of the unit has other rows than the review."""
+        if not restore.rows:
+            return
+        reader = self._readers[restore.bus]
+        before = await reader.read_unit(person, restore.unit, urgent=True)
+        running, remote = reader.motion(restore.unit)
+        now = plan_restore(
+            restore.wanted, before, running=running, remote=remote, selection=restore.selection
+        )
+        if now.writes != restore.plan.writes:
+            raise Problem(409, "moved", Message("unit_changed_since_review"))
+
+    async def _write_row(self, person: Person, restore: Restore, place: int) -> None:
+        """Write one row and store its outcome. Raises Problem for what stops the restore."""
+        rows, row = restore.rows, restore.rows[place]
+        if restore.cancelled_by:
+            who, done = restore.cancelled_by, restore.done
+            raise Problem(409, "cancelled", Message.of("restore_left_off", who=who, done=done, n=len(rows)))
+        if self._would_surprise(restore, row.write):
+            raise Problem(409, "moved", Message("unit_started_since_review"))
+        unverified = replace(row, outcome="unverified", message=Message("row_in_doubt"))
+        # Should nothing more be stored, the row counts as unverified.
+        await self._store.save(replace(restore, rows=[*rows[:place], unverified, *rows[place + 1 :]]))
+        try:
+            rows[place] = await self._send(person, restore, row)
+        except asyncio.CancelledError:
+            rows[place] = unverified
+            raise
+        except Problem as problem:
+            rows[place] = replace(row, outcome="not_sent", message=problem.message)
+            raise
+        finally:
+            await self._store.save(restore)
+        _refuse_next(rows[place])
+
+    async def _send(self, person: Person, restore: Restore, row: RowResult) -> RowResult:
+        action = WriteParameter(unit=restore.unit, number=row.write.number, raw=row.write.wanted)
+        try:
+            result = await self._commands[restore.bus].send(person, action, confirm=True, origin="restore")
+        except Problem as problem:
+            # Any other refusal concerns the other rows too.
+            if problem.code != "invalid":
+                raise
+            return replace(row, outcome="invalid", message=problem.message)
+        message = result.message
+        if result.outcome == "refused" and result.unit_error is not None:
+            message = Message.of("row_refused", error=unit_error(result.unit_error))
+        return replace(row, outcome=result.outcome, message=message, read_back=result.read_back)
+
+    def _would_surprise(self, restore: Restore, write: Write) -> bool:
+        """Tell whether a row changes what the unit does, which runs now and did not when it was reviewed."""
+        runs, _ = self._readers[restore.bus].motion(restore.unit)
+        if not runs or restore.running is not False:
+            return False
+        return warning_of(write.number, write.wanted, running=True) is not None
 
     async def _end(self, restore: Restore) -> None:
         try:
@@ -378,3 +347,12 @@ def _choose(restore: Restore, selection: Selection) -> None:
 def _refuse_begun(restore: Restore) -> None:
     if restore.state != "planned":
         raise Problem(409, "already_started", Message.of("restore_has_begun", state=term(restore.state)))
+
+
+def _refuse_next(row: RowResult) -> None:
+    """Raise Problem 503 or 504 where the outcome of a row stops the restore."""
+    if row.outcome is None or row.outcome not in _STOPS:
+        return
+    status = 504 if row.outcome == "unverified" else 503
+    why = row.message or Message("nothing_more_sent")
+    raise Problem(status, row.outcome, Message.of("at_row", number=row.write.number, why=why))

@@ -1,4 +1,4 @@
-"""Stores parameter sets, which never change, and which set of a unit is golden."""
+"""Stores parameter sets, which never change, the marks of golden sets, and the daily schedule."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _HEAD = "bus, name, comment, taken_at, who, origin"
 
 
 class SetStore(Tables):
-    """All access to the tables of parameter sets."""
+    """The tables of parameter sets."""
 
     @writing
     def save(self, connection: StoreConnection, parameter_set: ParameterSet) -> ParameterSet:
-        """Store a new set; returns it with its id."""
+        """Store a new set and return it with its id."""
         one = parameter_set
         [(set_id,)] = connection.execute(
             f"INSERT INTO parameter_set ({_HEAD}) VALUES (?, ?, ?, ?, ?, ?) RETURNING id",
@@ -43,7 +43,7 @@ class SetStore(Tables):
 
     @reading
     def load(self, connection: StoreConnection, set_id: int) -> ParameterSet | None:
-        """A complete set; None where there is none."""
+        """Return a complete set, if it exists."""
         head = connection.execute(f"SELECT {_HEAD} FROM parameter_set WHERE id = ?", (set_id,)).fetchone()
         if head is None:
             return None
@@ -66,7 +66,7 @@ class SetStore(Tables):
         before: int | None = None,
         limit: int = MAX_SETS,
     ) -> list[ParameterSetSummary]:
-        """Newest first, filtered by bus or unit; at most so many, of those stored before one."""
+        """Return the newest sets, filtered by bus or unit, of those stored before the set ``before``."""
         found = connection.execute(
             f"SELECT id, {_HEAD},"
             " (SELECT group_concat(unit) FROM parameter_set_unit WHERE set_id = id),"
@@ -93,7 +93,7 @@ class SetStore(Tables):
         who: str,
         now: UnixTime,
     ) -> None:
-        """From now on this set is what each of the units ought to be. ``now``: seconds since the epoch."""
+        """Make a set the golden set of the units. ``now``: seconds since the epoch."""
         for unit in units:
             connection.execute(
                 upsert("golden_set", ("bus", "unit"), ("set_id", "marked_by", "marked_at")),
@@ -102,7 +102,7 @@ class SetStore(Tables):
 
     @reading
     def golden(self, connection: StoreConnection, bus: str) -> dict[int, UnitRows]:
-        """The golden rows of every unit of a bus that has some, by its address."""
+        """Return the golden rows of the units of a bus by address."""
         marks = connection.execute(
             "SELECT golden_set.unit, golden_set.set_id, parameter_set_unit.name FROM golden_set"
             " JOIN parameter_set_unit USING (set_id, unit) WHERE golden_set.bus = ?",
@@ -119,8 +119,7 @@ class SetStore(Tables):
         since: UnixTime,
         origin: SetOrigin | None = None,
     ) -> bool:
-        """Whether a set of this unit, of this origin if given, was stored at or after ``since`` (seconds
-        since the epoch)."""
+        """Tell whether a set of this unit, of this origin if given, was stored at or after ``since``."""
         found = connection.execute(
             "SELECT 1 FROM parameter_set JOIN parameter_set_unit ON id = set_id"
             " WHERE bus = ?1 AND unit = ?2 AND taken_at >= ?3 AND origin = coalesce(?4, origin) LIMIT 1",
@@ -130,12 +129,12 @@ class SetStore(Tables):
 
     @reading
     def schedule(self, connection: StoreConnection) -> dict[str, int]:
-        """Bus → minute of the local day at which its sets are taken."""
+        """Return by bus the minute of the local day at which its units are saved."""
         return dict(connection.execute("SELECT bus, minute_of_day FROM set_schedule"))
 
     @writing
     def set_schedule(self, connection: StoreConnection, bus: str, minute_of_day: int | None) -> None:
-        """Take the sets of a bus daily at a minute of the day; None ends it."""
+        """Save the units of a bus daily at a minute of the day; None ends it."""
         connection.execute("DELETE FROM set_schedule WHERE bus = ?", (bus,))
         if minute_of_day is not None:
             connection.execute("INSERT INTO set_schedule VALUES (?, ?)", (bus, minute_of_day))

@@ -160,7 +160,7 @@ async def save_entered(
     unit_or_404(live, swap.bus, swap.unit)
     if swap.source is not None:
         raise Problem(409, "not_in_state", Message("swap_with_set"))
-    kept = await keeper.take(person, [swap.unit], "", "", "from the sheet")
+    kept = await keeper.read_and_save(person, [swap.unit], origin="from the sheet")
     await swaps.save_entered(person, swap, kept)
     return RedirectResponse(f"/sets/{kept.id}", 303)
 

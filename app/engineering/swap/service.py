@@ -407,7 +407,7 @@ async def source_of(
     BEGIN.check(person)
     if form.file and (rows := await form.uploaded(unit)):
         name = (form.file.filename or "")[:80]
-        kept = await keepers(bus).keep(person, [rows], name, "", "from a file")
+        kept = await keepers(bus).save(person, [rows], "from a file", name)
         return SwapSource(kept.id, rows.unit)
     if form.text == SHEET:
         return None
@@ -416,5 +416,5 @@ async def source_of(
     chosen = await side(form.text, sets, live)
     if chosen.kind == "set":
         return SwapSource(int(chosen.of), chosen.unit)
-    kept = await keepers(chosen.of).take(person, [chosen.unit], "", "", "for a unit swap")
+    kept = await keepers(chosen.of).read_and_save(person, [chosen.unit], origin="for a unit swap")
     return SwapSource(kept.id, chosen.unit)

@@ -79,7 +79,7 @@ def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore
         bus[BusLive],
         own,
         store,
-        lambda unit: bool(sources.drift[name].of(unit)),
+        lambda unit: bool(sources.drift[name].differing(unit)),
         left_control=partial(_control_left, services, sources.guards[name]),
         tuned=settings.built_in_alarm,
     )

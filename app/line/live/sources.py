@@ -46,7 +46,7 @@ class UnitGuards(Protocol):
 class GoldenDrift(Protocol):
     """How the units of a bus differ from their golden sets."""
 
-    def of(self, unit: int) -> Sequence[object]:
+    def differing(self, unit: int) -> Sequence[object]:
         """Return the parameters of a unit that differ."""
 
     def summary(self, unit: int, translator: Translator, now: UnixTime) -> Drifted:

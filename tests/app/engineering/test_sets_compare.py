@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.core.messages import Languages
-from app.engineering.sets.drift import departures_of
+from app.engineering.sets.drift import drift_rows
 from app.engineering.sets.model import ParameterRow, UnitRows, compare, differences
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message, number
@@ -53,6 +53,5 @@ def test_a_parameter_that_only_one_of_them_has_is_a_difference() -> None:
 
 def test_a_changed_setpoint_is_no_drift() -> None:
     assert [
-        row.number
-        for row in departures_of(unit({20: 100, 37: 9000, 6: 50}), unit({20: 200, 37: 9500, 6: 60}))
+        row.number for row in drift_rows(unit({20: 100, 37: 9000, 6: 50}), unit({20: 200, 37: 9500, 6: 60}))
     ] == [6]

@@ -85,7 +85,7 @@ async def test_a_setpoint_waits_for_nothing_and_saves_every_completely_known_uni
 
 
 async def test_a_new_day_saves_again_and_one_set_a_day_is_enough(scene: Scene) -> None:
-    await scene.keeper.take(ANNA, [1], "", "")
+    await scene.keeper.read_and_save(ANNA, [1])
     scene.report(1, *range(1, 41))
     await scene.first.before(ANNA, [1], parameters=True)
     assert await scene.kept(1) == ["by hand"]
@@ -98,14 +98,14 @@ async def test_due_units_are_saved_as_one_set_and_once(scene: Scene) -> None:
     await scene.schedule.set(ANNA, 0)
     for unit in (1, 2):
         scene.link(unit, "online")
-    await scene.schedule.look(ANNA, MIDNIGHT, NOON)
+    await scene.schedule.save_due(MIDNIGHT, NOON)
     assert await scene.kept(1) == []
     before = MIDNIGHT - timedelta(minutes=1)
-    await scene.schedule.look(ANNA, before, NOON)
-    await scene.schedule.look(ANNA, NOON, NOON)
+    await scene.schedule.save_due(before, NOON)
+    await scene.schedule.save_due(NOON, NOON)
     (summary,) = await scene.store.summaries("dry-end")
     assert (summary.origin, summary.units) == ("on schedule", (1, 2))
-    await scene.schedule.look(ANNA, before, NOON)
+    await scene.schedule.save_due(before, NOON)
     assert await scene.kept(1) == ["on schedule"]
 
 
@@ -115,16 +115,16 @@ async def test_a_unit_without_response_at_its_minute_is_reported_once_and_saved_
     await scene.schedule.set(ANNA, 0)
     scene.link(1, "online")
     scene.link(2, "offline")
-    await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
+    await scene.schedule.save_due(MIDNIGHT - timedelta(minutes=1), NOON)
     assert (await scene.kept(1), await scene.kept(2)) == (["on schedule"], [])
     assert scene.schedule.overdue() == {}
     for _ in range(2):
-        await scene.schedule.look(ANNA, NOON, NOON + REPORT_AFTER)
+        await scene.schedule.save_due(NOON, NOON + REPORT_AFTER)
     missed = [event for event in scene.events.events if "not saved on schedule" in event["what"]]
     assert [(event["unit"], event["message"]) for event in missed] == [(2, ("the unit does not respond"))]
     assert list(scene.schedule.overdue()) == [2]
     scene.link(2, "online")
-    await scene.schedule.look(ANNA, NOON, NOON + REPORT_AFTER)
+    await scene.schedule.save_due(NOON, NOON + REPORT_AFTER)
     assert (await scene.kept(2), scene.schedule.overdue()) == (["on schedule"], {})
 
 
@@ -132,10 +132,10 @@ async def test_a_unit_that_stops_responding_while_it_is_read_stays_overdue(scene
     await scene.schedule.set(ANNA, 0)
     scene.link(1, "online")
     scene.commands.timeout_after = 0
-    await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
+    await scene.schedule.save_due(MIDNIGHT - timedelta(minutes=1), NOON)
     assert str(scene.schedule.overdue()[1].why) == "no response"
     scene.commands.timeout_after = None
-    await scene.schedule.look(ANNA, NOON, NOON)
+    await scene.schedule.save_due(NOON, NOON)
     assert await scene.kept(1) == ["on schedule"]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.engineering.sets.pages import TO, unit_ranges
+from app.engineering.sets.pages import unit_ranges
 
 NAMES = {1: "Unwind", 2: "Infeed nip", 4: "Dryer 1", 5: "Dryer 2", 6: "Dryer 3", 7: "Dryer 9", 9: "Rewind"}
 
@@ -24,4 +24,4 @@ NAMES = {1: "Unwind", 2: "Infeed nip", 4: "Dryer 1", 5: "Dryer 2", 6: "Dryer 3",
     ],
 )
 def test_neighbors_are_a_range(units: tuple[int, ...], text: list[str]) -> None:
-    assert [each.replace(TO, "-") for each in unit_ranges(units, NAMES)] == text
+    assert [each.replace("\N{EN DASH}", "-") for each in unit_ranges(units, NAMES)] == text
