@@ -164,7 +164,7 @@ async def test_the_restore_of_a_swap_stops_and_the_swap_is_not_verified(
     end = await ended(house, restore)
     assert (end["state"], end["cause_code"]) == ("stopped", "rights_withdrawn")
     assert [row["outcome"] for row in end["rows"]] == ["verified", "not_sent"]
-    swap = house.services[SwapService].of(BUS, 2)
+    swap = house.services[SwapService].find(BUS, 2)
     assert swap is not None
     assert not swap.proven
 
@@ -181,7 +181,7 @@ async def test_a_swap_from_the_sheet_is_not_verified_for_a_user_removed_meanwhil
     line.before_read = before
     response = await client.post(f"/swap/{BUS}/2/entered")
     assert response.status_code == 403
-    swap = house.services[SwapService].of(BUS, 2)
+    swap = house.services[SwapService].find(BUS, 2)
     assert swap is not None
     assert not swap.proven
     assert await house.services[SetStore].summaries(BUS, 2) == []

@@ -1,7 +1,4 @@
-"""Recipes over HTTP: listed, saved as versions, tried out, loaded; with the schemas of them.
-
-When a recipe ran: from when it was loaded until the next one was, as the event log has it.
-"""
+"""Recipes over HTTP: listed, saved as versions, tried out, loaded, with their runs; and their schemas."""
 
 from __future__ import annotations
 
@@ -212,7 +209,7 @@ async def delete_recipe(person: Annotated[Person, DELETE.permitted], book: Book,
 
 
 def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
-    """One version; setpoints also as their units show them, where the unit is configured."""
+    """Show one version, with its setpoints as configured units show them."""
     return {
         "id": recipe.id,
         "bus": recipe.bus,
@@ -235,7 +232,7 @@ def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
 
 
 def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
-    """Keys of JSON are text; raises Problem 422 for one that is no address."""
+    """Convert the keys of JSON to addresses. Raises Problem 422 for a key that is none."""
     wrong = next((key for key in given if not 1 <= (parse_integer(key) or 0) <= 255), None)
     if wrong is not None:
         raise Problem(422, "invalid", Message.of("not_a_unit_address", text=wrong))
@@ -243,8 +240,10 @@ def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
 
 
 def runs_of(loads: Sequence[Event]) -> RecipeRuns | None:
-    """The run that the newest of these loads is in, and the one of the same recipe before it. ``loads``:
-    newest first; a recipe that was loaded again while it ran is one run. None where none was loaded."""
+    """Find the newest run of a recipe in these loads, newest first, and the run of the same recipe before it.
+
+    A run lasts until another recipe is loaded: one that is loaded again while it runs is still the same run.
+    """
     runs = [
         (name, min(load["time"] for load in run))
         for name, run in groupby(loads, lambda load: str(load["messages"]["what"].params["name"]))

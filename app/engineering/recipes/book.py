@@ -1,9 +1,4 @@
-"""What people do with a recipe.
-
-Stores recipes: every version, and which one a bus was loaded with last.
-
-The recipes of the app: saved, checked against the line as it is, loaded as one change.
-"""
+"""The recipes of the site: stored, checked against the line as it is now, loaded as one change."""
 
 from __future__ import annotations
 
@@ -40,13 +35,13 @@ from bus.messages import Message
 SAVE = Act("save_recipe", Role.ENGINEER, "recipe", "event_recipe_saved")
 DELETE = Act("delete_recipe", Role.ENGINEER, "recipe", "event_recipe_retired")
 LOAD = Act("load_recipe", SET_LINE.role, "recipe", "event_recipe_loaded")
-"""A command to the units, whose role it needs; this is recorded when it is verified."""
+"""Needs the role of the command to the units; recorded when that is verified."""
 ACTS = (SAVE, DELETE, LOAD)
 
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """Which recipe a bus was loaded with, by whom and when (seconds since the epoch)."""
+    """The recipe that a bus was loaded with last."""
 
     recipe: Recipe
     who: str
@@ -54,11 +49,11 @@ class Loaded:
 
 
 class RecipeStore(Tables):
-    """All access to the tables of recipes."""
+    """The tables of recipes, with every version, and of the recipe that each bus was loaded with last."""
 
     @writing
     def save(self, connection: StoreConnection, recipe: Recipe) -> Recipe:
-        """Store a new version (one above the highest of that name); returns it with id and version."""
+        """Store a new version, one above the highest of that name; return it with id and version."""
         (version,) = connection.execute(
             "SELECT coalesce(max(version), 0) + 1 FROM recipe WHERE bus = ? AND name = ?",
             (recipe.bus, recipe.name),
@@ -76,12 +71,12 @@ class RecipeStore(Tables):
 
     @reading
     def load(self, connection: StoreConnection, recipe_id: int) -> Recipe | None:
-        """One version, None when there is no such."""
+        """Return one version, if it exists."""
         return next(_recipes(connection, [recipe_id]), None)
 
     @reading
     def newest(self, connection: StoreConnection, bus: str | None = None) -> list[Recipe]:
-        """The newest version of every recipe in use, by name."""
+        """Return the newest version of every recipe in use, by name."""
         found = connection.execute(
             "SELECT id FROM recipe AS mine WHERE retired = 0 AND (bus = :bus OR :bus IS NULL) AND version ="
             " (SELECT max(version) FROM recipe AS other WHERE other.bus = mine.bus"
@@ -92,7 +87,7 @@ class RecipeStore(Tables):
 
     @reading
     def is_full(self, connection: StoreConnection, bus: str, name: str, most: int) -> bool:
-        """Whether one of this name would be more than so many in use."""
+        """Tell whether a recipe of this name would be more than ``most`` in use."""
         count, is_there = connection.execute(
             "SELECT count(DISTINCT name), coalesce(max(CASE WHEN name = ? THEN 1 END), 0)"
             " FROM recipe WHERE bus = ? AND retired = 0",
@@ -102,7 +97,7 @@ class RecipeStore(Tables):
 
     @reading
     def versions(self, connection: StoreConnection, bus: str, name: str) -> list[Recipe]:
-        """All versions of one recipe, newest first."""
+        """Return all versions of one recipe, newest first."""
         found = connection.execute(
             "SELECT id FROM recipe WHERE bus = ? AND name = ? ORDER BY version DESC", (bus, name)
         )
@@ -125,7 +120,7 @@ class RecipeStore(Tables):
 
     @reading
     def loaded(self, connection: StoreConnection) -> dict[str, Loaded]:
-        """Bus → the recipe it was loaded with last."""
+        """Return by bus the recipe that it was loaded with last."""
         marks = connection.execute("SELECT bus, recipe_id, who, loaded_at FROM loaded_recipe").fetchall()
         return {
             bus: Loaded(recipe, who, at)
@@ -135,7 +130,7 @@ class RecipeStore(Tables):
 
 
 def _recipes(connection: StoreConnection, ids: Iterable[int]) -> Iterator[Recipe]:
-    """Those that there are of these versions."""
+    """Yield the versions of these ids that exist."""
     for recipe_id in ids:
         heads = connection.execute(
             "SELECT bus, name, comment, who, saved_at, version FROM recipe WHERE id = ?", (recipe_id,)
@@ -149,11 +144,11 @@ def _recipes(connection: StoreConnection, ids: Iterable[int]) -> Iterator[Recipe
 
 
 MAX_RECIPES = 1000
-"""In use on one bus; a list of them is not paged."""
+"""Most recipes in use on one bus; their list is not paged."""
 
 
 class RecipeBook:
-    """One for the app."""
+    """Saves, tries out and loads recipes, and knows which one each bus was loaded with."""
 
     def __init__(
         self, state: LiveState, commands: Mapping[str, CommandService], store: RecipeStore, events: EventLog
@@ -164,32 +159,30 @@ class RecipeBook:
         self._events = events
         self._loaded: dict[str, Loaded] = {}
         self._under_way: set[tuple[str, str | None]] = set()
-        """The loads that are being sent, each by its sender and id."""
+        """Loads that are being sent, by sender and command id."""
 
     async def load_marks(self) -> None:
         """Read from the store which recipe each bus was loaded with last."""
         self._loaded = await self.store.loaded()
 
     def loaded(self, bus: str) -> Loaded | None:
-        """The recipe that a bus was loaded with last."""
+        """Return the recipe that a bus was loaded with last."""
         return self._loaded.get(bus)
 
     def departed(self, bus: str) -> list[RecipeDeparture]:
-        """What has left the loaded recipe since."""
+        """Return the units that have left the loaded recipe since."""
         loaded = self._loaded.get(bus)
-        return (
-            rules.departures(loaded.recipe, self._state.buses[bus], loaded.at) if loaded is not None else []
-        )
+        return rules.departures(loaded.recipe, self._state.buses[bus], loaded.at) if loaded else []
 
     def loaded_words(self, bus: str) -> tuple[str, list[str | Message]] | None:
-        """Name of the loaded recipe and of the units that have departed from it; None without one."""
+        """Return the names of the loaded recipe and of the units that have left it; None without one."""
         loaded = self._loaded.get(bus)
         return None if loaded is None else (loaded.recipe.name, [one.name for one in self.departed(bus)])
 
     async def save(
         self, person: Person, bus: str, name: str, comment: str, setpoints: Mapping[int, int]
     ) -> Recipe:
-        """A new version. ``setpoints``: unit → raw. Raises Problem 403, 422 or 404."""
+        """Save a new version. ``setpoints``: raw by unit. Raises Problem 403 or 422."""
         SAVE.check(person)
         live = self._state.buses[bus]
         if await self.store.is_full(bus, name, MAX_RECIPES):
@@ -209,7 +202,7 @@ class RecipeBook:
         await self._record(DELETE, person, versions[0])
 
     def try_out(self, person: Person, recipe: Recipe) -> RecipeDryRun:
-        """What loading it now would do; nothing is sent."""
+        """Find out what loading the recipe now would do; nothing is sent."""
         refusal = partial(self._refusal, person, recipe.bus)
         return rules.dry_run(recipe, self._bus(recipe), refusal, unix_now())
 
@@ -224,12 +217,13 @@ class RecipeBook:
         left_out: Collection[int] = (),
         scales: Scales | None = None,
     ) -> Result:
-        """Load it as one change: staged, broadcast, read back. ``left_out``: the units that keep their
-        present setpoint. ``scales``: what its review was made with; None: there was none. With a
-        ``command_id`` that this person has used the result of that load is given again: neither is the line
-        judged as it is now, nor is the recipe noted as loaded a second time.
+        """Load a recipe as one change: staged, broadcast, read back.
 
-        Raises Problem 409 where another unit cannot take it, 422 where all are left out.
+        ``left_out``: units that keep their present setpoint; ``scales``: what the review was made with, None
+        without a review. A ``command_id`` that this person has used gives the result of that load again: the
+        line is not judged as it is now, and the recipe is not recorded as loaded a second time.
+
+        Raises Problem 409 where a unit that is not left out cannot take its setpoint, 422 where all are.
         """
         steps = self.try_out(person, recipe).steps
         taking = [step for step in steps if step.unit not in left_out]
@@ -274,7 +268,7 @@ class RecipeBook:
         )
 
     async def _mark(self, person: Person, recipe: Recipe, left_out: Sequence[str | Message]) -> None:
-        """Note that it is the loaded one of its bus; ``left_out``: the names of units."""
+        """Record a recipe as the loaded one of its bus; ``left_out``: names of units."""
         loaded = self._loaded[recipe.bus] = Loaded(recipe, person.name, unix_now())
         await self.store.mark_loaded(recipe.bus, recipe.id, loaded.who, loaded.at)
         await self._record(
@@ -282,7 +276,7 @@ class RecipeBook:
         )
 
     def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> Message | None:
-        """Why this setpoint would be refused now, confirmed as it will be; None when it would not."""
+        """Return the reason why this setpoint, confirmed, would be refused now, if any."""
         try:
             self._commands[bus].check(person, SetSpeed(unit=unit, raw=raw), confirm=True)
         except Problem as problem:
@@ -303,7 +297,7 @@ class RecipeBook:
 
 
 def _refuse_obstacles(recipe: Recipe, steps: Sequence[RecipeDryRunStep]) -> None:
-    """Raises Problem 409 where a unit cannot take its setpoint now."""
+    """Raise Problem 409 where a unit cannot take its setpoint now."""
     why = [Message.of("of_unit", name=step.name, reason=step.obstacle) for step in steps if step.obstacle]
     if why:
         raise Problem(409, "not_loadable", Message.of("recipe_not_loadable", name=recipe.name, why=why))

@@ -33,7 +33,7 @@ router = APIRouter(include_in_schema=False)
 
 @router.get("/recipes")
 async def list_page(request: Request, _: Viewer, book: Book, live: Live) -> Response:
-    """Every recipe in use, which one is loaded, and the form to save the line as it is."""
+    """List the recipes in use and the loaded ones, with the form to save the line as it is."""
     return render(
         request,
         "recipes/page.html",
@@ -54,7 +54,7 @@ async def save(
     name: Annotated[OneLine, Form()] = "",
     comment: Annotated[Lines, Form()] = "",
 ) -> Response:
-    """A new version with the typed setpoints; a unit left empty is not part of it."""
+    """Save a new version with the typed setpoints; a unit left empty is not part of it."""
     form = await request.form()
     bus = bus_or_404(live, str(form.get("bus", "")))
     name = name.strip()
@@ -70,7 +70,7 @@ async def save(
 
 @router.get("/recipes/{recipe_id}")
 async def one_page(request: Request, person: Viewer, book: Book, recipe: KnownRecipe) -> Response:
-    """One version, what loading it now would do, and its other versions."""
+    """Show one version, what loading it now would do, and the other versions."""
     return render(
         request,
         "recipes/one.html",
@@ -84,7 +84,7 @@ async def one_page(request: Request, person: Viewer, book: Book, recipe: KnownRe
 async def review(
     person: Annotated[Person, permitted(SET_LINE)], page: Page, book: Book, recipe: KnownRecipe
 ) -> Response:
-    """The second step before loading."""
+    """Review what loading the recipe will do."""
     of_bus = page.of_bus(recipe.bus)
     bus = of_bus.bus
     await of_bus.know_ramps([one.unit for one in recipe.setpoints if one.unit in bus.units])
@@ -157,7 +157,7 @@ async def retire(
 
 
 def _present(bus: BusLive) -> dict[int, str]:
-    """The present setpoint of each unit as it shows it; empty where it is not known."""
+    """Return the present setpoint of each unit as it shows it; empty where it is not known."""
     known = {
         one.unit: setpoint_text(bus.units[one.unit], one.raw, one.kind)
         for one in setpoints_now(bus.units.values())

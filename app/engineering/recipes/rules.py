@@ -1,4 +1,4 @@
-"""What a recipe is, whether it can be loaded now, what loading it will do, what departed from it since."""
+"""What a recipe is, whether it can be loaded now, what that would do, and which units left it since. Pure."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ NOT_CONFIGURED = Message("unit_not_configured")
 
 @dataclass(frozen=True, slots=True)
 class RecipeSetpoint:
-    """``raw``: display units of the unit, or ratio times 10000 for a follower. ``scale``: what it was shown
-    with when it was saved, as the form of a review holds it; empty where that is not known."""
+    """The setpoint of one unit. ``raw``: in display units, or ratio times 10000 for a follower. ``scale``:
+    what it was shown with when it was saved, as text; empty where that is not known."""
 
     unit: int
     raw: int
@@ -102,13 +102,13 @@ class RecipeDeparture:
 
 
 def setpoint_kind(unit: UnitLive) -> SetpointKind | None:
-    """What a setpoint of this unit is: by #8, None while that has not been read."""
+    """Tell by #8 what a setpoint of this unit is; None while #8 was not read."""
     return None if follower(unit) is None else kind_of(unit)
 
 
 def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: UnixTime) -> RecipeDryRun:
-    """``refusal(unit, raw)`` returns why a setpoint would be refused now, None when it would not.
-    ``now``: seconds since the epoch."""
+    """Find out what loading a recipe would do. ``refusal(unit, raw)`` returns why a setpoint would be refused
+    now, if it would."""
     steps = tuple(_step(setpoint, bus, refusal, now) for setpoint in recipe.setpoints)
     ramps = [step.ramp_s for step in steps if step.ramp_s is not None]
     loadable = not any(step.obstacle for step in steps)
@@ -116,7 +116,7 @@ def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: UnixTim
 
 
 def departures(recipe: Recipe, bus: BusLive, since: UnixTime = UnixTime(0.0)) -> list[RecipeDeparture]:
-    """Units whose command no longer equals the recipe. ``since``: when it was loaded."""
+    """Return the units whose setpoint no longer equals the recipe. ``since``: when it was loaded."""
     found = (_departure(setpoint, bus.units.get(setpoint.unit), since) for setpoint in recipe.setpoints)
     return [departure for departure in found if departure is not None]
 
@@ -158,7 +158,7 @@ def _step(
 
 
 def _effect(setpoint: RecipeSetpoint, present: int | None, ramp_s: float | None) -> str:
-    """The code of what will happen to a unit whose setpoint is ``present``."""
+    """Return the code of what will happen to a unit whose setpoint is ``present``."""
     if present is None:
         return "recipe_sets"
     if present == setpoint.raw:
@@ -175,7 +175,7 @@ def _obstacle(setpoint: RecipeSetpoint, bus: BusLive, unit: UnitLive, now: UnixT
 
 
 def why_not_setpoint(setpoint: RecipeSetpoint, bus: BusLive) -> Message | None:
-    """Why it is no setpoint of a unit of the bus, whatever the unit takes now; None where it is one."""
+    """Return the reason why a setpoint does not fit its unit, whatever that takes now, if it does not."""
     unit = bus.units.get(setpoint.unit)
     if unit is None:
         return NOT_CONFIGURED
@@ -190,7 +190,7 @@ def why_not_setpoint(setpoint: RecipeSetpoint, bus: BusLive) -> Message | None:
 
 
 def present_raw(unit: UnitLive, kind: SetpointKind) -> int | None:
-    """The present command of the unit: CS of its last response, or #37 for a ratio."""
+    """Return the present setpoint of the unit: CS of its last response, or #37 for a ratio."""
     if kind == "ratio":
         return unit.parameter_raw(RATIO_SETPOINT)
     return unit.reading.commanded if unit.reading is not None else None
@@ -210,7 +210,7 @@ def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: UnixTime)
 
 
 def _commanded_since(unit: UnitLive, kind: SetpointKind, moment: UnixTime) -> bool:
-    """#37 is read in the slow scan: a value from before the recipe was loaded does not count."""
+    """Tell whether the setpoint was read after ``moment``; #37 is read in the slow scan only."""
     if kind == "speed":
         return unit.reading is not None
     read = unit.parameters.get(RATIO_SETPOINT)
@@ -218,7 +218,7 @@ def _commanded_since(unit: UnitLive, kind: SetpointKind, moment: UnixTime) -> bo
 
 
 def setpoints_now(units: Iterable[UnitLive]) -> tuple[RecipeSetpoint, ...]:
-    """The present setpoints of units that have reported theirs, to begin a recipe from."""
+    """Return the known present setpoints of units, to begin a recipe from."""
     return tuple(
         RecipeSetpoint(unit.settings.id, raw, kind, scale_text(setpoint_scale(unit, raw)))
         for unit in units

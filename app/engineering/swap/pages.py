@@ -1,8 +1,7 @@
-"""The guided path of a unit swap."""
+"""The page that leads a person through the replacement of a unit."""
 
 from __future__ import annotations
 
-from functools import partial
 from time import time
 from typing import Annotated
 
@@ -11,7 +10,7 @@ from starlette.responses import RedirectResponse
 
 from app.core.web.admission.access import Person
 from app.core.web.rendering.templating import render
-from app.core.web.services import bus_service_of, service
+from app.core.web.services import service
 from app.engineering.sets.api import ParameterSets
 from app.engineering.sets.lookup import (
     FILE_FORM,
@@ -23,7 +22,6 @@ from app.engineering.sets.lookup import (
     unit_rows_or_404,
 )
 from app.engineering.sets.restore_api import RestoreOmission, rows_left_out
-from app.engineering.sets.saving import SetKeeper
 from app.engineering.swap.rules import PROVEN, STEPS, Advice, advice, done_steps
 from app.engineering.swap.service import (
     BEGIN,
@@ -33,13 +31,9 @@ from app.engineering.swap.service import (
     SAVE_ENTERED,
     Swap,
     SwapService,
-    look,
-    source_of,
     step_text,
 )
 from app.errors import Problem
-from app.line.commands.service.command_service import CommandService
-from app.line.commands.service.writer import Commands
 from app.line.live.api.routes import Live
 from app.line.live.requests import unit_or_404
 from bus.messages import Message
@@ -54,35 +48,26 @@ Beginner = Annotated[Person, BEGIN.permitted]
 async def swap_page(
     request: Request, _: Beginner, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
-    """What the spare shall become, then the path."""
+    """Offer what the spare can equal or, once the swap is begun, show the steps."""
     found = unit_or_404(live, bus, unit)
     found_offers = offers(live, await sets.summaries(), bus, unit)
     return render(
-        request, "swap/page.html", bus=bus, unit=found, offers=found_offers, swap=swaps.of(bus, unit)
+        request, "swap/page.html", bus=bus, unit=found, offers=found_offers, swap=swaps.find(bus, unit)
     )
 
 
 @router.post("/swap/{bus}/{unit}", **FILE_FORM)
-async def begin(
-    request: Request,
-    person: Beginner,
-    sets: Sets,
-    live: Live,
-    swaps: Swaps,
-    bus: str,
-    unit: int,
-    chosen: Chosen,
-) -> Response:
-    """Begin it; units are only read."""
+async def begin(person: Beginner, live: Live, swaps: Swaps, bus: str, unit: int, chosen: Chosen) -> Response:
+    """Begin the swap; units are only read."""
     unit_or_404(live, bus, unit)
-    keepers = partial(bus_service_of, request, kind=SetKeeper)
-    source = await source_of(person, keepers, sets, live, bus, unit, chosen)
+    source = await swaps.source_of(person, bus, unit, chosen)
     await swaps.begin(person, bus, unit, source)
     return RedirectResponse(f"/swap/{bus}/{unit}", 303)
 
 
-async def swap_or_404(swaps: Swaps, bus: str, unit: int) -> Swap:
-    return swaps.of_or_404(bus, unit)
+async def swap_or_404(live: Live, swaps: Swaps, bus: str, unit: int) -> Swap:
+    unit_or_404(live, bus, unit)
+    return swaps.find_or_404(bus, unit)
 
 
 SwapOfUnit = Annotated[Swap, Depends(swap_or_404)]
@@ -90,11 +75,9 @@ SwapOfUnit = Annotated[Swap, Depends(swap_or_404)]
 
 
 @router.get("/swap/{bus}/{unit}/look")
-async def look_again(
-    request: Request, person: Beginner, live: Live, swaps: Swaps, commands: Commands, swap: SwapOfUnit
-) -> Response:
-    """Read the wire; return the state of the swap and the next step."""
-    now = PROVEN if swap.proven else await _advice(person, live, swaps, commands, swap)
+async def look_again(request: Request, person: Beginner, swaps: Swaps, swap: SwapOfUnit) -> Response:
+    """Read the wire; show the state of the swap and the next step."""
+    now = PROVEN if swap.proven else await _advice(person, swaps, swap)
     return render(
         request,
         "swap/_steps.html",
@@ -110,11 +93,9 @@ async def look_again(
     )
 
 
-async def _advice(
-    person: Person, live: Live, swaps: SwapService, commands: CommandService, swap: Swap
-) -> Advice:
+async def _advice(person: Person, swaps: SwapService, swap: Swap) -> Advice:
     try:
-        state = await swaps.look(swap, lambda: look(commands, live, person, swap))
+        state = await swaps.look(person, swap)
     except Problem as problem:
         return Advice("find", problem.message, at_panel=False)
     return Advice("find", Message("swap_reading"), at_panel=False) if state is None else advice(state)
@@ -124,7 +105,7 @@ async def _advice(
 async def confirm_spare(
     person: Annotated[Person, CONFIRM_SPARE.permitted], swaps: Swaps, swap: SwapOfUnit
 ) -> Response:
-    """A person confirmed that the unit at the section's address is the spare."""
+    """Confirm that the unit at the section's address is the spare."""
     await swaps.confirm_spare(person, swap)
     return RedirectResponse(f"/swap/{swap.bus}/{swap.unit}", 303)
 
@@ -134,12 +115,10 @@ async def restore_spare(
     person: Annotated[Person, RESTORE_SPARE.permitted],
     sets: Sets,
     restores: Restores,
-    live: Live,
     swaps: Swaps,
     swap: SwapOfUnit,
 ) -> Response:
-    """Plan the restore of the spare; the review of it comes next."""
-    unit_or_404(live, swap.bus, swap.unit)
+    """Plan the restore of the spare and go to its review."""
     if swap.source is None:
         raise Problem(409, "no_set", Message("swap_without_set"))
     rows = unit_rows_or_404(await set_or_404(sets, swap.source.set), swap.source.unit)
@@ -152,12 +131,10 @@ async def restore_spare(
 async def save_entered(
     person: Annotated[Person, SAVE_ENTERED.permitted],
     keeper: ParameterSets,
-    live: Live,
     swaps: Swaps,
     swap: SwapOfUnit,
 ) -> Response:
-    """Everything is entered from the sheet: read the complete unit and save it as a set."""
-    unit_or_404(live, swap.bus, swap.unit)
+    """Read the unit, which was entered from the sheet, and save it as a set."""
     if swap.source is not None:
         raise Problem(409, "not_in_state", Message("swap_with_set"))
     kept = await keeper.read_and_save(person, [swap.unit], origin="from the sheet")
@@ -167,13 +144,13 @@ async def save_entered(
 
 @router.post("/swap/{bus}/{unit}/give-up")
 async def cancel(person: Annotated[Person, CANCEL.permitted], swaps: Swaps, swap: SwapOfUnit) -> Response:
-    """Leave it; whatever was done at the unit stays."""
+    """Close the swap; whatever was done at the unit stays."""
     await swaps.cancel(person, swap)
     return RedirectResponse(f"/units/{swap.bus}/{swap.unit}", 303)
 
 
 def _setpoints_left(swap: Swap) -> list[RestoreOmission]:
-    """The setpoints that the spare does not have from the old unit, as they were not selected."""
+    """Return the setpoints of the old unit that were not selected for the spare."""
     if swap.restore is None or not swap.proven:
         return []
     return [row for row in rows_left_out(swap.restore) if row.reason_code == "operating_value"]

@@ -1,4 +1,4 @@
-"""The state of a swap and the next step for a person, from the findings on the wire. Pure."""
+"""The next step of a swap for a person, by what the wire shows. Pure."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Literal
 from bus.messages import Message, ParamValue
 
 FACTORY_ADDRESS = 1
-"""#17 of a unit as it comes out of its box (manual, 1.0)."""
+"""Value of #17 of a unit as it comes out of its box (manual, 1.0)."""
 FACTORY_BAUD = 9600
-"""Its #18 then, in bits a second."""
+"""Bit rate of such a unit (#18), in bits a second."""
 
 ProbeFinding = Literal["silent", "digimax", "garbled", "foreign", "late"]
 StepName = Literal["find", "address", "remote", "restore", "proven"]
@@ -20,15 +20,18 @@ STEPS: tuple[StepName, ...] = ("find", "address", "remote", "restore", "proven")
 
 @dataclass(frozen=True, slots=True)
 class SwapState:
-    """Findings on the wire for a swap. ``at_target``: the unit at the section's address; ``at_factory``: at
-    address 1. ``is_new``: that unit is the spare, not the old unit that is still on the cable. ``equal``:
-    whether it equals the set, by the last full read. ``remote`` and ``equal`` None: not known yet."""
+    """What the wire shows for a swap.
+
+    ``at_target``: what responds at the section's address; ``at_factory``: at address 1. ``is_new``: the unit
+    at the section's address is the spare, not the old unit that is still on the cable. ``equal``: it equals
+    the set, by the last full read. ``remote`` and ``equal`` are None where they are not known yet.
+    """
 
     target: int
     at_target: ProbeFinding
     at_factory: ProbeFinding
     remote: bool | None
-    equal: bool | None
+    equal: bool | None = None
     is_new: bool = True
     configured: frozenset[int] = frozenset()
     baud: int = FACTORY_BAUD
@@ -36,8 +39,8 @@ class SwapState:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """The step at hand, and what to do now. ``at_panel``: only a person at the unit can do it;
-    ``confirms_spare``: to confirm that it is the spare."""
+    """The present step and what to do. ``at_panel``: only a person at the unit can do it; ``confirms_spare``:
+    a person may confirm that the unit is the spare."""
 
     step: StepName
     text: Message
@@ -49,7 +52,7 @@ PROVEN = Advice("proven", Message("swap_proven"), at_panel=False)
 
 
 def advice(state: SwapState) -> Advice:
-    """What to do now."""
+    """Advise what to do now."""
     if state.at_target == "late":
         return Advice("find", Message.of("swap_late", target=state.target), at_panel=False)
     if state.at_target in ("garbled", "foreign"):
@@ -79,7 +82,7 @@ def _nothing_at_target(state: SwapState) -> Advice:
 
 
 def finding(state: SwapState) -> Message:
-    """What the wire shows, for the record of the swap."""
+    """Describe what the wire shows, for the record of the swap."""
     if state.at_target == "digimax" and state.remote is not None:
         code = "swap_found_remote" if state.remote else "swap_found_local"
         return Message.of(code, address=state.target)
@@ -91,5 +94,5 @@ def finding(state: SwapState) -> Message:
 
 
 def done_steps(now: StepName) -> Collection[StepName]:
-    """The steps that lie behind."""
+    """Return the steps that are done."""
     return STEPS[: STEPS.index(now)] if now != "proven" else STEPS

@@ -1,20 +1,13 @@
-"""What people do to replace a unit. Its restore writes parameters, whose role each step needs.
+"""Replacing a unit by a spare: its parameters, what the wire shows, the restore, the event at the end.
 
-One swap: who began it, what the spare shall become, what was seen since, the restore it led to.
-
-Stores the swap of each section, so that it continues after a restart.
-
-Unit replacement: choosing what the spare becomes, probing the wire, restoring, and the event at the end.
-
-Swaps continue after a restart. Units are only read here; a restore writes.
+Swaps are stored and continue after a restart. Units are only read here; a restore writes.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from app.core.database import StoreConnection
 from app.core.database.connection import upsert
@@ -26,17 +19,17 @@ from app.engineering.sets.model import ParameterSet, status_of
 from app.engineering.sets.restore_plan import Restore
 from app.engineering.sets.restore_service import RestoreService
 from app.engineering.sets.saving import SetKeeper
-from app.engineering.sets.store import SetStore
 from app.engineering.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, SwapState, finding
-from app.errors import Problem, StoreError
+from app.errors import Problem, StoreError, or_404
 from app.line.commands.api.responses import outcome_message
 from app.line.commands.catalogue import WRITE_PARAMETER
 from app.line.commands.service.command_service import CommandService
 from app.line.live.bus_live import LiveState
+from app.line.live.requests import unit_or_404
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from bus.contract import ScanBus
-from bus.instants import Clock, UnixTime
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message, joined, listed, parameter_name
 
 BEGIN = Act("begin_swap", WRITE_PARAMETER.role, "swap", "event_swap_begun")
@@ -46,17 +39,26 @@ RESTORE_SPARE = Act("restore_spare", WRITE_PARAMETER.role, "swap", "event_swap_p
 SAVE_ENTERED = Act("save_entered_spare", WRITE_PARAMETER.role, "swap", "event_swap_kept")
 CANCEL = Act("cancel_swap", WRITE_PARAMETER.role, "swap", "event_swap_given_up")
 ACTS = (BEGIN, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED, CANCEL)
+"""Each step needs the role for writing parameters, as the restore does."""
+
+SHEET = "sheet"
+"""Source in the form where no set is stored: a person enters the values of the parameter sheet."""
+PROBE_WAIT_S = 2.0
+"""How long a page waits for a probe before it shows the previous finding."""
+PROBE_TIMEOUT_S = 30.0
+MAX_PROBES = 4
+"""Attempts at an address whose unit still responds to the scan."""
 
 
 @dataclass(frozen=True, slots=True)
 class SwapSource:
-    """The unit of a stored set that the spare shall become: mostly the section's own, or a sister's."""
+    """The unit of a stored set that the spare shall equal: mostly the section's own, or a sister's."""
 
     set: int
     unit: int
 
     def message(self, unit: int) -> Message:
-        """Which set, and of which unit where that is another than ``unit``."""
+        """Name the set, and its unit if that is not ``unit``."""
         if self.unit == unit:
             return Message.of("set_numbered", set=self.set)
         return Message.of("set_of_unit", set=self.set, unit=self.unit)
@@ -64,9 +66,12 @@ class SwapSource:
 
 @dataclass(slots=True)
 class Swap:
-    """``source`` None: nothing is stored, the spare is entered from the sheet. ``is_new``: the unit at
-    the section's address is the spare, as the address was empty at the beginning or a person confirmed it.
-    ``seen``: findings on the wire, each once, in order."""
+    """The replacement of the unit of a section.
+
+    ``source`` is None where nothing is stored and the spare is entered from the sheet. ``is_new``: the unit
+    at the section's address is the spare, as nothing responded there for a while or a person confirmed it.
+    ``seen``: findings on the wire, each once, in order.
+    """
 
     bus: str
     unit: int
@@ -78,11 +83,11 @@ class Swap:
     restore: Restore | None = None
     proven: bool = False
     state: SwapState | None = None
-    """What the last look showed."""
-    look: asyncio.Task[SwapState] | None = None
+    """The finding of the last probe."""
+    probe: asyncio.Task[SwapState] | None = None
 
     def saw(self, state: SwapState) -> bool:
-        """The wire was looked at; whether it showed anything new."""
+        """Note the finding of a probe; return whether it was new."""
         self.state = state
         before = self.is_new, len(self.seen)
         if state.at_target == "silent":
@@ -103,7 +108,7 @@ class Swap:
 
     @property
     def not_restored(self) -> list[int]:
-        """The rows of the set that the spare was not given, as it lacks them or they were not chosen."""
+        """The rows of the set that were not written, as the spare lacks them or nobody chose them."""
         restore = self.restore
         if restore is None:
             return []
@@ -115,12 +120,12 @@ class Swap:
 
     @property
     def source_message(self) -> Message:
-        """Where its parameters come from."""
+        """Where the parameters come from."""
         return Message("swap_sheet") if self.source is None else self.source.message(self.unit)
 
     @property
     def story(self) -> Message:
-        """What was seen, in order."""
+        """What was seen on the wire, in order."""
         return Message.of("swap_seen", findings=listed(self.seen))
 
 
@@ -129,7 +134,7 @@ FindRestore = Callable[[str], Awaitable[Restore | None]]
 
 
 class SwapStore(Tables):
-    """All access to the table of swaps."""
+    """The table of swaps."""
 
     @writing
     def save(self, connection: StoreConnection, swap: Swap) -> None:
@@ -182,52 +187,77 @@ def _select(connection: StoreConnection) -> list[tuple[Swap, str | None]]:
     ]
 
 
-LOOK_WAIT_S = 2.0
-"""How long a page waits for a probe before it shows the previous finding."""
-
-
 class SwapService:
-    """Keeps the swap of each unit, until it is ended or another of the unit begins."""
+    """Keeps the swap of each unit until it is closed or another one of the unit begins."""
 
-    def __init__(self, events: EventLog, store: SwapStore, restores: RestoreService, clock: Clock) -> None:
-        self._events = events
-        self._store = store
-        self._clock = clock
-        self._swaps: dict[tuple[str, int], Swap] = {}
+    def __init__(
+        self,
+        live: LiveState,
+        commands: Mapping[str, CommandService],
+        keepers: Mapping[str, SetKeeper],
+        restores: RestoreService,
+        store: SwapStore,
+        events: EventLog,
+    ) -> None:
+        self._live = live
+        self._commands = commands
+        self._keepers = keepers
         self._restores = restores
+        self._store = store
+        self._events = events
+        self._swaps: dict[tuple[str, int], Swap] = {}
         restores.on_end(self.on_restore_end)
 
     async def load(self) -> None:
         """Take up, after the restores, the swaps that were under way when the server ended."""
         self._swaps = {(swap.bus, swap.unit): swap for swap in await self._store.load(self._restores.find)}
 
-    def of(self, bus: str, unit: int) -> Swap | None:
-        """The swap of a section, under way or just ended."""
+    def find(self, bus: str, unit: int) -> Swap | None:
+        """Return the swap of a section, under way or just ended."""
         return self._swaps.get((bus, unit))
 
-    def of_or_404(self, bus: str, unit: int) -> Swap:
-        """The swap of a section. Raises Problem 404 where none is begun."""
-        swap = self.of(bus, unit)
-        if swap is None:
-            raise _not_begun(unit)
-        return swap
+    def find_or_404(self, bus: str, unit: int) -> Swap:
+        """Return the swap of a section. Raises Problem 404 where none is begun."""
+        return or_404(self.find(bus, unit), "unknown_swap", Message.of("swap_not_begun", unit=unit))
 
     def _refuse_closed(self, swap: Swap) -> None:
         """Raise Problem 404 where it was closed while its unit was read: another may have begun since."""
-        if self.of(swap.bus, swap.unit) is not swap:
-            raise _not_begun(swap.unit)
+        is_open = self.find(swap.bus, swap.unit) is swap
+        or_404(swap if is_open else None, "unknown_swap", Message.of("swap_not_begun", unit=swap.unit))
 
-    async def begin(self, person: Person, bus: str, unit: int, source: SwapSource | None) -> Swap:
-        """Begin the swap of a section's unit; ``source`` is what the spare shall become.
+    async def source_of(self, person: Person, bus: str, unit: int, form: FormSource) -> SwapSource | None:
+        """Return what a form chooses as a stored set; None for the sheet.
 
-        Raises Problem 409 where another swap of it is under way.
+        A neighbor is read and saved now, a file is saved. Raises Problem 403, 404, 422 or 504.
         """
         BEGIN.check(person)
-        under_way = self.of(bus, unit)
+        if form.file and (rows := await form.uploaded(unit)):
+            name = (form.file.filename or "")[:80]
+            kept = await self._keepers[bus].save(person, [rows], "from a file", name)
+            return SwapSource(kept.id, rows.unit)
+        if form.text == SHEET:
+            return None
+        if not form.text:
+            raise Problem(422, "invalid", Message("spare_not_chosen"))
+        chosen = await side(form.text, self._keepers[bus].store, self._live)
+        if chosen.kind == "set":
+            return SwapSource(int(chosen.of), chosen.unit)
+        unit_or_404(self._live, chosen.of, chosen.unit)
+        keeper = self._keepers[chosen.of]
+        kept = await keeper.read_and_save(person, [chosen.unit], origin="for a unit swap")
+        return SwapSource(kept.id, chosen.unit)
+
+    async def begin(self, person: Person, bus: str, unit: int, source: SwapSource | None) -> Swap:
+        """Begin the swap of a section's unit; ``source`` is what the spare shall equal.
+
+        Raises Problem 409 where another swap of the unit is under way.
+        """
+        BEGIN.check(person)
+        under_way = self.find(bus, unit)
         if under_way is not None and not under_way.proven:
             other = Message.of("swap_under_way", who=account_shown(under_way.who), unit=unit)
             raise Problem(409, "busy", other)
-        swap = Swap(bus, unit, person.name, source, self._clock())
+        swap = Swap(bus, unit, person.name, source, unix_now())
         # Before the wait for the store: of two who begin at once, one is refused.
         self._swaps[bus, unit] = swap
         try:
@@ -239,26 +269,26 @@ class SwapService:
         await self._events.record(**performed, bus=bus, unit=unit)
         return swap
 
-    async def look(self, swap: Swap, look: Callable[[], Coroutine[Any, Any, SwapState]]) -> SwapState | None:
-        """The finding on the wire, or the previous one where a probe takes long; None before the first.
+    async def look(self, person: Person, swap: Swap) -> SwapState | None:
+        """Return what the wire shows or, where a probe takes long, what it showed before, if anything.
 
-        One probe at a time: it takes the gaps of the scan, and a page that is reloaded must not pile up more.
+        One probe at a time: it takes the gaps of the scan, and a page that is reloaded must not add more.
         Raises the Problem that ended the probe.
         """
-        running = swap.look = swap.look or asyncio.create_task(
-            look(), name=f"look for the spare of {swap.unit}"
+        running = swap.probe = swap.probe or asyncio.create_task(
+            self._probe_line(person, swap), name=f"look for the spare of {swap.unit}"
         )
-        done, _ = await asyncio.wait({running}, timeout=LOOK_WAIT_S)
-        if done and swap.look is running:
-            swap.look = None
-            if swap.saw(running.result()) and self.of(swap.bus, swap.unit) is swap:
+        done, _ = await asyncio.wait({running}, timeout=PROBE_WAIT_S)
+        if done and swap.probe is running:
+            swap.probe = None
+            if swap.saw(running.result()) and self.find(swap.bus, swap.unit) is swap:
                 await self._store.save(swap)
         if swap.state is None:
             return None
         return replace(swap.state, is_new=swap.is_new, equal=swap.equal)
 
     async def confirm_spare(self, person: Person, swap: Swap) -> None:
-        """A person confirmed that the unit at the section's address is the spare."""
+        """Note that a person confirmed the unit at the section's address as the spare."""
         CONFIRM_SPARE.check(person)
         self._refuse_closed(swap)
         swap.is_new = True
@@ -266,7 +296,7 @@ class SwapService:
         await self._store.save(swap)
 
     async def begin_restore(self, person: Person, swap: Swap, restore: Restore) -> None:
-        """The restore of it has been planned."""
+        """Note the planned restore of the spare."""
         RESTORE_SPARE.check(person)
         self._refuse_closed(swap)
         swap.restore = restore
@@ -283,9 +313,9 @@ class SwapService:
             await self._events.record(**performed, bus=swap.bus, unit=swap.unit, message=swap.story)
 
     async def on_restore_end(self, restore: Restore) -> None:
-        """A restore is over: where it belongs to a swap and the full read was equal, so is the swap. What a
-        restore of another set finds equal is nothing about the set of the swap."""
-        swap = self.of(restore.bus, restore.unit)
+        """End the swap that a restore belongs to where the full read was equal. A restore of another set says
+        nothing about the swap."""
+        swap = self.find(restore.bus, restore.unit)
         if swap is None or not restore.for_swap or restore.planned_at < swap.began_at or swap.proven:
             return
         swap.restore = restore
@@ -312,7 +342,7 @@ class SwapService:
         )
 
     async def save_entered(self, person: Person, swap: Swap, kept: ParameterSet) -> None:
-        """Everything was entered from the sheet, and the complete unit was read and saved as ``kept``."""
+        """End a swap whose values a person entered from the sheet; the unit was saved as ``kept``."""
         SAVE_ENTERED.check(person)
         self._refuse_closed(swap)
         swap.proven = True
@@ -322,13 +352,41 @@ class SwapService:
             **SAVE_ENTERED.by(person), bus=swap.bus, unit=swap.unit, message=story or "", outcome="verified"
         )
 
+    async def _probe_line(self, person: Person, swap: Swap) -> SwapState:
+        """Probe the wire. Raises Problem 503 where it cannot: the bus is closed, or too busy."""
+        line, target = self._live.buses[swap.bus], swap.unit
+        unit = line.units[target]
+        at_target = await self._probe(person, swap.bus, target)
+        for _ in range(MAX_PROBES - 1):
+            # One lost response must not let the old unit, still on the cable, pass for the spare.
+            if at_target != "silent" or unit.link.link != "online":
+                break
+            at_target = await self._probe(person, swap.bus, target)
+        at_factory: ProbeFinding = "silent"
+        if at_target == "silent" and target != FACTORY_ADDRESS:
+            at_factory = await self._probe(person, swap.bus, FACTORY_ADDRESS)
+        # REMOTE counts as the unit reported it since it came back.
+        is_back = at_target == "digimax" and unit.link.link == "online"
+        status = status_of(line, unit) if is_back else None
+        return SwapState(
+            target=target,
+            at_target=at_target,
+            at_factory=at_factory,
+            remote=None if status is None else status.remote,
+            configured=frozenset(line.units),
+            baud=line.baud,
+        )
 
-def _not_begun(unit: int) -> Problem:
-    return Problem(404, "unknown_swap", Message.of("swap_not_begun", unit=unit))
+    async def _probe(self, person: Person, bus: str, address: int) -> ProbeFinding:
+        action = ScanBus(first=address, last=address)
+        result = await self._commands[bus].send(person, action, timeout_s=PROBE_TIMEOUT_S, origin="unit swap")
+        if result.outcome != "verified":
+            raise Problem(503, "not_looked", outcome_message(result))
+        return next((found.kind for found in result.found if found.unit == address), "silent")
 
 
 def step_text(advice: Advice, swap: Swap) -> Message:
-    """What to do; of a restore that was tried how it ended, of a sheet what to do with it."""
+    """Say what to do in a step; after a restore how it ended, with a sheet what to do with it."""
     if swap.source is None and advice.step == "restore":
         return Message("swap_enter_sheet")
     if swap.source is None and advice.step == "proven":
@@ -338,83 +396,3 @@ def step_text(advice: Advice, swap: Swap) -> Message:
     if advice.step == "restore" and swap.restore is not None and swap.equal is False:
         return Message("swap_restore_unfinished")
     return advice.text
-
-
-LOOK_TIMEOUT_S = 30.0
-MAX_PROBES = 4
-"""Attempts at an address whose unit still responds to the scan."""
-
-
-async def look(commands: CommandService, live: LiveState, person: Person, swap: Swap) -> SwapState:
-    """Probe the wire. Raises Problem 503 where it cannot: the bus is closed, or too busy."""
-    bus, target = swap.bus, swap.unit
-    at_target = await _at_section(commands, live, person, bus, target)
-    at_factory: ProbeFinding = "silent"
-    if at_target == "silent" and target != FACTORY_ADDRESS:
-        at_factory = await _probe(commands, person, FACTORY_ADDRESS)
-    line, unit = live.buses[bus], live.buses[bus].units[target]
-    # REMOTE counts as the unit reported it since it came back.
-    is_back = at_target == "digimax" and unit.link.link == "online"
-    status = status_of(line, unit) if is_back else None
-    return SwapState(
-        target=target,
-        at_target=at_target,
-        at_factory=at_factory,
-        remote=None if status is None else status.remote,
-        equal=swap.equal,
-        is_new=swap.is_new,
-        configured=frozenset(line.units),
-        baud=line.baud,
-    )
-
-
-async def _at_section(
-    commands: CommandService, live: LiveState, person: Person, bus: str, unit: int
-) -> ProbeFinding:
-    """One lost response is no absence: it would let the old unit, still on the cable, pass for the spare."""
-    for _ in range(MAX_PROBES):
-        kind = await _probe(commands, person, unit)
-        if kind != "silent" or live.buses[bus].units[unit].link.link != "online":
-            return kind
-    return "silent"
-
-
-async def _probe(commands: CommandService, person: Person, address: int) -> ProbeFinding:
-    action = ScanBus(first=address, last=address)
-    result = await commands.send(person, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
-    if result.outcome != "verified":
-        raise Problem(503, "not_looked", outcome_message(result))
-    return next((found.kind for found in result.found if found.unit == address), "silent")
-
-
-SHEET = "sheet"
-"""Nothing is stored: a person enters the values."""
-
-
-async def source_of(
-    person: Person,
-    keepers: Callable[[str], SetKeeper],
-    sets: SetStore,
-    live: LiveState,
-    bus: str,
-    unit: int,
-    form: FormSource,
-) -> SwapSource | None:
-    """What the form chooses, as a stored set: a neighbor is read now, a file is kept. None: the sheet.
-
-    ``keepers``: by bus. Raises Problem 403, 404, 422 or 504.
-    """
-    BEGIN.check(person)
-    if form.file and (rows := await form.uploaded(unit)):
-        name = (form.file.filename or "")[:80]
-        kept = await keepers(bus).save(person, [rows], "from a file", name)
-        return SwapSource(kept.id, rows.unit)
-    if form.text == SHEET:
-        return None
-    if not form.text:
-        raise Problem(422, "invalid", Message("spare_not_chosen"))
-    chosen = await side(form.text, sets, live)
-    if chosen.kind == "set":
-        return SwapSource(int(chosen.of), chosen.unit)
-    kept = await keepers(chosen.of).read_and_save(person, [chosen.unit], origin="for a unit swap")
-    return SwapSource(kept.id, chosen.unit)

@@ -1,4 +1,4 @@
-"""The change tray: what a person gathers for each bus, and sends as one change."""
+"""The change tray: changes that a person gathers for each bus and sends together."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def make(services: Services) -> None:
 
     def counted(person: Caller) -> list[TrayCount]:
         now = monotonic_now()
-        held = {name: trays.of(person.sender, now) for name, trays in trays_of.items()}
+        held = {name: trays.changes(person.sender, now) for name, trays in trays_of.items()}
         return [
             TrayCount(name, len(changes), len({place.unit for place in changes}))
             for name, changes in held.items()

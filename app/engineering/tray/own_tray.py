@@ -1,8 +1,4 @@
-"""The change tray of the person of a request: its changes, what may be added, how each is now.
-
-Sends what was reviewed of a change tray: all setpoints of the bus as one change, then the rest one by one.
-A failure stops what follows.
-"""
+"""The change tray of the person of a request: adding to it, judging its changes, sending them."""
 
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ from dataclasses import dataclass
 from app.core.web.admission.access import Person
 from app.core.web.admission.arrival import Deadline
 from app.core.web.services import bus_service_of
-from app.engineering.tray.contents import Judge, PlaceScales, TrayRow, Trays, steps_of
+from app.engineering.tray.contents import PlaceScales, TrayRow, Trays, setpoint_row, steps_of, value_row
 from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command
 from app.line.commands.forms.page_context import BusPage
@@ -24,7 +20,7 @@ from app.line.commands.undo.changes import ValuePlace, Values, action_for
 from app.line.commands.values import Scales, differs, scales_of
 from app.line.live.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import Action, Result, UnitOutcome
+from bus.contract import Result, UnitOutcome, UnitScale
 from bus.instants import Monotonic, monotonic_now
 from bus.messages import Message
 
@@ -38,20 +34,22 @@ class OwnTray:
 
     @property
     def changes(self) -> Values:
-        """Its content, of units that are configured still."""
-        held = self._trays.of(self.page.person.sender, monotonic_now())
+        """The changes of units that are still configured."""
+        held = self._trays.changes(self.page.person.sender, monotonic_now())
         return {place: raw for place, raw in held.items() if place.unit in self.page.bus.units}
 
     @property
     def scales(self) -> PlaceScales:
-        """What its changes were shown with when they were added."""
-        return self._trays.scales_of(self.page.person.sender)
+        """What the changes were shown with when they were added."""
+        return self._trays.scales(self.page.person.sender)
 
     async def add(
         self, changes: Values, deadline: Deadline | None = None, scales: Scales | None = None
     ) -> None:
-        """Add changes, all of them or none. ``scales``: by unit what they were converted with, where it was
-        not just now. Raises Problem for one that could never be sent by this person."""
+        """Add all changes or none. ``scales``: by unit what they were converted with, unless that was now.
+
+        Raises Problem for a change that this person could never send.
+        """
         deadline = deadline or self.page.deadline()
         given = scales or {}
         shown_with = {
@@ -66,19 +64,16 @@ class OwnTray:
         self._trays.add(self.page.person.sender, changes, monotonic_now(), shown_with)
 
     def remove(self, changes: Values) -> None:
-        """Remove changes; one that has another value by now stays."""
+        """Remove changes, unless they have another value by now."""
         self._trays.remove(self.page.person.sender, changes)
 
     def rows(self) -> list[TrayRow]:
-        """Every change as it stands now."""
-        changes, page = self.changes, self.page
-        values = page.commands.undo.values_now(changes)
-        judge = Judge(page.bus, values, page.change, page.obstacle, self._refusal, self._other_scale)
-        return judge.rows(changes)
+        """Judge every change as its unit is now."""
+        return tray_rows(self.page, self.changes, self.scales)
 
     async def learn(self) -> None:
-        """Read what the keypads may have changed of the parameters, and the ramps that were never read, of
-        the units that take commands now."""
+        """Read the parameters that keypads may have changed, and the ramps that were never read, of the units
+        that take commands now."""
         places = [place for place in self.changes if self.page.obstacle(place.unit) is None]
         numbers: dict[int, list[int]] = {}
         for place in places:
@@ -95,18 +90,36 @@ class OwnTray:
             with suppress(Problem):
                 await self.page.commands.read(self.page.person, unit, those, deadline)
 
-    def _other_scale(self, place: ValuePlace) -> Message | None:
-        """Why a change is another value now than when it was added; None where it is the same."""
-        added_with = self.scales.get(place, {})
-        return Message("tray_other_scale") if differs(added_with, self.page.bus.units[place.unit]) else None
 
-    def _refusal(self, action: Action) -> Message | None:
-        """Why this command would be refused now, confirmed as it will be."""
-        try:
-            self.page.check(action)
-        except Problem as problem:
-            return reason_of(problem)
-        return None
+def tray_rows(page: BusPage, changes: Values, scales: PlaceScales) -> list[TrayRow]:
+    """Judge changes as their units are now, in the order of sending, setpoints in floor order.
+
+    ``scales``: what they were shown with when they were added.
+    """
+    floor = {unit: at for at, unit in enumerate(page.bus.units)}
+    values, rows = page.commands.undo.values_now(changes), list[TrayRow]()
+    for step in steps_of(changes):
+        for place, raw in sorted(step.items(), key=lambda change: floor[change[0].unit]):
+            refusal = _refusal(page, place, raw, scales.get(place, {}))
+            if place.kind == "setpoint":
+                change, unit = page.change(place.unit, raw), page.bus.units[place.unit]
+                rows.append(setpoint_row(place, raw, change, unit, refusal))
+            else:
+                rows.append(value_row(place, raw, values[place], page.bus, refusal))
+    return rows
+
+
+def _refusal(page: BusPage, place: ValuePlace, raw: int, added_with: UnitScale) -> Message | None:
+    """Return the reason why a change, confirmed, would be refused now, if any."""
+    if (obstacle := page.obstacle(place.unit)) is not None:
+        return obstacle
+    if differs(added_with, page.bus.units[place.unit]):
+        return Message("tray_other_scale")
+    try:
+        page.check(action_for({place: raw}))
+    except Problem as problem:
+        return reason_of(problem)
+    return None
 
 
 _DONE = ("verified", "acknowledged")
@@ -114,8 +127,7 @@ _DONE = ("verified", "acknowledged")
 
 @dataclass(frozen=True, slots=True)
 class TrayResult:
-    """What became of one change. ``id``: of its command; ``part``: its result, or the reason why it was not
-    sent."""
+    """What became of one change. ``id``: of its command; ``part``: the result, or why nothing was sent."""
 
     place: ValuePlace
     raw: int
@@ -124,12 +136,12 @@ class TrayResult:
 
     @property
     def is_done(self) -> bool:
-        """Whether the unit has taken it, so that it leaves the tray."""
+        """Tell whether the unit has taken the change, which then leaves the tray."""
         return not isinstance(self.part, Message) and self.part.outcome in _DONE
 
 
 def first_id(id: str) -> str:
-    """The id of the first command of a change."""
+    """Return the id of the first command of a tray that is sent with this id."""
     return f"{id}-0"
 
 
@@ -142,9 +154,12 @@ async def send_changes(
     made_at: Monotonic,
     scales: PlaceScales,
 ) -> list[TrayResult]:
-    """The result of each change, in the order in which they were sent. ``id``: of the change; sent again, it
-    gives the same results. ``made_at``: when the person confirmed it, from which the time of the first
-    command counts. ``scales``: what they were shown with."""
+    """Send changes: all setpoints as one command, then the rest one by one, until one fails.
+
+    Returns the result of each in that order. ``id``: of the form; sent again, it gives the same results.
+    ``made_at``: when the person confirmed, from which the deadline of the first command counts. ``scales``:
+    what the changes were shown with.
+    """
     results: list[TrayResult] = []
     failed = False
     for step, values in enumerate(steps_of(changes)):

@@ -1,7 +1,4 @@
-"""The change tray of a person: the strip on every page, its page, the review, sending and the results.
-
-Adding to the change tray: beside each way to set a value, with the same checks and the same refusals.
-"""
+"""The pages of the change tray: adding beside each way to set a value, the review, sending, the results."""
 
 from __future__ import annotations
 
@@ -61,7 +58,7 @@ class ReviewedRow(NamedTuple):
 
 
 class ShownResult(NamedTuple):
-    """A change with what became of it; ``undo`` is that of its command, with the first change of it."""
+    """A change and its result. ``undo`` is that of its command, at the first change of the command."""
 
     row: TrayRow
     outcome: OutcomeText
@@ -70,7 +67,7 @@ class ShownResult(NamedTuple):
 
 @router.get("/tray", dependencies=GATHERS)
 async def tray_page(page: Page) -> Response:
-    """What the person has gathered, for each bus."""
+    """Show what the person has gathered for each bus."""
     trays = [OwnTray(bus) for bus in page.buses()]
     buses = [(tray.page.name, rows) for tray in trays if (rows := tray.rows())]
     return page.render("tray/page.html", buses=buses)
@@ -78,13 +75,13 @@ async def tray_page(page: Page) -> Response:
 
 @router.get("/tray/strip", dependencies=GATHERS)
 async def tray_strip(page: Page) -> Response:
-    """How much is in it, for the open page."""
+    """Show how much is in the tray, at the edge of the open page."""
     return page.render("tray/_strip.html")
 
 
 @router.get("/bus/{bus}/tray/review", dependencies=GATHERS)
 async def review_tray(page: OfBus) -> Response:
-    """Every change as it stands now, to be confirmed."""
+    """Show every change as it is now, to be confirmed."""
     tray = OwnTray(page)
     try:
         _refuse_without_control(page)
@@ -96,7 +93,7 @@ async def review_tray(page: OfBus) -> Response:
 
 @router.post("/bus/{bus}/tray/remove", dependencies=GATHERS)
 async def remove_from_tray(page: OfBus, place: Annotated[str, Form(max_length=40)] = "") -> Response:
-    """Remove one change or, without a place, all of this bus."""
+    """Remove one change or, without a place, all changes of the bus."""
     tray = OwnTray(page)
     held, named = tray.changes, place_of(place)
     tray.remove({each: raw for each, raw in held.items() if not place or each == named})
@@ -126,7 +123,7 @@ def _review(page: BusPage, tray: OwnTray) -> Response:
 
 
 def _refuse_without_control(page: BusPage) -> None:
-    """Raises Problem 409, beside which a page offers control."""
+    """Raise Problem 409, beside which a page offers control."""
     objection = page.guards.objection(page.person.account)
     if objection is not None:
         raise controlled(Message.of("nothing_sent", reason=objection), page.name)
@@ -145,8 +142,8 @@ async def send_tray(
     row: Annotated[list[str] | None, Form(max_length=512)] = None,
     typed: Annotated[str, Form(max_length=20)] = "",
 ) -> Response:
-    """Send what was reviewed, but for the units that the person leaves out; nothing where anything differs
-    from the review."""
+    """Send what was reviewed, without the units that the person leaves out; nothing if anything differs from
+    the review."""
     tray, left_out = OwnTray(page), left_out_of(await request.form())
     try:
         if await page.has_sent(first_id(confirmed.id)):
@@ -167,7 +164,7 @@ async def send_tray(
 
 
 def _reviewed(rows: list[str]) -> Mapping[ValuePlace, ReviewedRow]:
-    """Raises Problem 422 for what no review holds."""
+    """Parse the rows of a review. Raises Problem 422 for a text that no review holds."""
     reviewed = {}
     for text in rows:
         found = _REVIEWED.fullmatch(text)
@@ -181,8 +178,11 @@ def _reviewed(rows: list[str]) -> Mapping[ValuePlace, ReviewedRow]:
 def _confirmed_rows(
     tray: OwnTray, reviewed: Mapping[ValuePlace, ReviewedRow], left_out: set[int]
 ) -> list[TrayRow]:
-    """The changes to send. Raises Problem 409 where the tray is another than was reviewed, a value has moved,
-    or a unit that is not left out cannot take its change: all or none."""
+    """Return the changes to send: all or none.
+
+    Raises Problem 409 where the tray or a value has changed since the review, or a unit that is not left out
+    cannot take its change.
+    """
     if tray.changes != {place: row.raw for place, row in reviewed.items()}:
         raise Problem(409, "moved", Message("tray_changed"))
     rows = [row for row in tray.rows() if row.place.unit not in left_out]
@@ -242,14 +242,14 @@ def _outcome(page: BusPage, result: TrayResult) -> OutcomeText:
 
 
 def _refused(page: BusPage, problem: Problem) -> Response:
-    """The end of a review that sent nothing. Raises Problem for a browser without scripts."""
+    """End a review without sending. Raises Problem for a browser without scripts."""
     if not _is_in_page(page):
         raise problem
     return page.refused(problem, page.translator.t(TITLE))
 
 
 def _shown(page: BusPage, template: str, **context: Any) -> Response:
-    """A part of the open page or, for a browser without scripts, a page around it."""
+    """Render a part of the open page or, for a browser without scripts, a page around it."""
     context = {"bus": page.name, "part": template, "is_alone": not _is_in_page(page), **context}
     return page.review(template if _is_in_page(page) else "tray/alone.html", **context)
 
@@ -274,7 +274,7 @@ def _setpoints(raw: Mapping[int, int]) -> Values:
 
 @router.post("/units/{bus}/{unit:int}/tray/setpoint", dependencies=[permitted(SET_SPEED)])
 async def add_setpoint(page: OfUnit, value: TypedText = "") -> Response:
-    """A setpoint, as typed."""
+    """Add a setpoint, as typed."""
     try:
         return await _added(page, _setpoints({page.id: await page.typed(page.id).setpoint(value)}))
     except (CallerError, Problem) as error:
@@ -283,7 +283,7 @@ async def add_setpoint(page: OfUnit, value: TypedText = "") -> Response:
 
 @router.post("/units/{bus}/{unit:int}/tray/outputs/{number:int}", dependencies=[permitted(WRITE_OUTPUT)])
 async def add_output(page: OfUnit, number: OutputPath, on: Annotated[bool, Form()]) -> Response:
-    """A state of an output."""
+    """Add a state of an output."""
     try:
         return await _added(page, {ValuePlace("output", page.id, number): int(on)})
     except Problem as problem:
@@ -292,7 +292,7 @@ async def add_output(page: OfUnit, number: OutputPath, on: Annotated[bool, Form(
 
 @router.post("/units/{bus}/{unit:int}/tray/analog-output", dependencies=[permitted(WRITE_ANALOG_OUTPUT)])
 async def add_analog(page: OfUnit, value: TypedText = "") -> Response:
-    """A value of the analog output, as typed."""
+    """Add a value of the analog output, as typed."""
     try:
         return await _added(page, {ValuePlace("analog", page.id): typed_analog(value)})
     except (CallerError, Problem) as error:
@@ -307,7 +307,7 @@ async def add_parameter(
     raw: Annotated[int, Form(ge=0)],
     scale: ReviewedScale,
 ) -> Response:
-    """A value of a parameter, from its review."""
+    """Add a value of a parameter from its review."""
     try:
         return await _added(page, {ValuePlace("parameter", page.id, number): raw}, scales={page.id: scale})
     except Problem as problem:
@@ -316,7 +316,7 @@ async def add_parameter(
 
 @router.post("/bus/{bus}/tray/setpoints", dependencies=[permitted(SET_LINE)])
 async def add_setpoints(request: Request, page: OfBus) -> Response:
-    """Every setpoint that was typed."""
+    """Add every setpoint that was typed for a bus."""
     try:
         setpoints, scales = await typed_setpoints(page, await request.form())
         return await _added(page, _setpoints(setpoints), page.deadline(len(setpoints)), scales)
@@ -326,7 +326,7 @@ async def add_setpoints(request: Request, page: OfBus) -> Response:
 
 @router.post("/recipes/{recipe_id}/tray", dependencies=[permitted(SET_LINE)])
 async def add_recipe(page: Page, recipe: KnownRecipe) -> Response:
-    """Every setpoint of a recipe."""
+    """Add every setpoint of a recipe."""
     of_bus = page.of_bus(recipe.bus)
     try:
         for setpoint in recipe.setpoints:
@@ -342,7 +342,7 @@ async def add_recipe(page: Page, recipe: KnownRecipe) -> Response:
 
 @router.post("/batch/{bus}/tray")
 async def add_batch(request: Request, _: ParameterWriter, page: OfBus) -> Response:
-    """Every value of a batch edit that differs from that of its unit."""
+    """Add every value of a batch edit that differs from that of its unit."""
     number, typed = await typed_batch(request)
     writable_or_404(number)
     rows = rows_of_batch(page.bus, number, typed)
@@ -366,14 +366,14 @@ async def add_batch(request: Request, _: ParameterWriter, page: OfBus) -> Respon
 async def add_restore(
     person: ParameterWriter, page: Page, restores: Restores, restore: KnownRestore, row: Ticks = None
 ) -> Response:
-    """The rows of a restore that are ticked, in the order of its plan."""
+    """Add the ticked rows of a restore, in the order of its plan."""
     of_bus = page.of_bus(restore.bus)
     try:
         restores.select(person, restore, ticked(restore, frozenset(row or ())))
         changes = {
             ValuePlace("parameter", restore.unit, write.number): write.wanted for write in restore.plan.writes
         }
-        # Of a stored set: its values are raw, and an earlier row may be the scale of a later one.
+        # The values of a set are raw, and an earlier row may change the scale of a later one.
         return await _added(of_bus, changes, scales={restore.unit: {}})
     except Problem as problem:
         return page.explain(problem, "#restore-error")

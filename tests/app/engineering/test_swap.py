@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,15 +19,14 @@ from app.engineering.sets.restore_plan import LeftOut, Restore, RestorePlan, Res
 from app.engineering.sets.restore_service import EndSubscriber
 from app.engineering.sets.store import SetStore
 from app.engineering.swap.rules import PROVEN, STEPS, ProbeFinding, SwapState, advice, done_steps
-from app.engineering.swap.service import MAX_PROBES, Swap, SwapService, SwapSource, SwapStore, look, step_text
+from app.engineering.swap.service import MAX_PROBES, Swap, SwapService, SwapSource, SwapStore, step_text
 from app.errors import Problem
 from app.line.live.bus_live import LiveState
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
 from bus.instants import UnixTime
 from bus.messages import Message, term
 from bus.settings import BusSettings
-from tests.app.played_commands import ANNA, Noted
-from tests.app.screens import line
+from tests.app.played_commands import ANNA, Noted, a_bus
 
 
 def state(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: object) -> SwapState:
@@ -68,6 +68,23 @@ def test_another_baud_than_that_of_the_box_is_named() -> None:
     assert text == Message.of("swap_nothing_new_other_baud", target=5, baud=4800, hundreds=48)
 
 
+@dataclass
+class Wire:
+    """A command service whose scans return, after ``before``, one of ``seen`` after the other."""
+
+    seen: list[ProbeFinding] = field(default_factory=list)
+    outcome: Outcome = "verified"
+    before: Callable[[], Awaitable[object]] | None = None
+
+    async def send(self, _who: Person, action: Action, **_: Any) -> Result:
+        assert isinstance(action, ScanBus)
+        if self.before is not None:
+            await self.before()
+        kind = self.seen.pop(0)
+        found = [] if kind == "silent" else [FoundUnit(action.first, 9600, kind)]
+        return Result(id="x", at=1.0, outcome=self.outcome, message=term("no link"), found=found)
+
+
 class Scene:
     """A swap service on a store that holds one set of unit 2."""
 
@@ -76,11 +93,13 @@ class Scene:
         self.database = Database(folder / "store.db")
         self.store = SwapStore(self.database)
         self.restores: dict[str, Restore] = {}
+        self.live, self.wire = a_bus(), Wire()
         self.swaps = self.another()
 
     def another(self) -> SwapService:
         """Return the swap service of a server that was restarted."""
-        return SwapService(self.events, self.store, self, lambda: 100.0)  # type: ignore[arg-type]
+        commands = {"dry-end": self.wire}
+        return SwapService(self.live, commands, {}, self, self.store, self.events)  # type: ignore[arg-type]
 
     async def find(self, restore_id: str) -> Restore | None:
         """Find a restore, as the restore service does."""
@@ -89,11 +108,16 @@ class Scene:
     def on_end(self, _subscriber: EndSubscriber) -> None:
         """Do nothing: the test itself reports the end of a restore."""
 
-    async def begin(self, unit: int = 2) -> Swap:
+    async def look(self, swap: Swap, *seen: ProbeFinding) -> SwapState | None:
+        """Look at the wire, whose next probes find ``seen``."""
+        self.wire.seen = list(seen)
+        return await self.swaps.look(ANNA, swap)
+
+    async def begin(self) -> Swap:
         kept = await SetStore(self.database).save(
             ParameterSet("dry-end", 1.0, "anna", "by hand", (UnitRows(2, "Nip", {}),))
         )
-        return await self.swaps.begin(ANNA, "dry-end", unit, SwapSource(kept.id, 2))
+        return await self.swaps.begin(ANNA, "dry-end", 2, SwapSource(kept.id, 2))
 
 
 @pytest.fixture
@@ -148,7 +172,7 @@ async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: R
             await step
         assert (refused.value.status, refused.value.code) == (403, "forbidden")
     assert (swap.is_new, swap.restore, swap.proven, swap.seen) == (False, None, False, [])
-    assert (swaps.of("dry-end", 1), swaps.of("dry-end", 2)) == (None, swap)
+    assert (swaps.find("dry-end", 1), swaps.find("dry-end", 2)) == (None, swap)
     assert len(scene.events.events) == 1
 
 
@@ -181,7 +205,7 @@ def test_what_the_spare_was_not_given_is_named_with_the_result() -> None:
 async def test_of_two_who_begin_at_once_one_is_refused(scene: Scene) -> None:
     begun = await asyncio.gather(scene.begin(), scene.begin(), return_exceptions=True)
     assert [type(each) for each in begun] == [Swap, Problem]
-    assert scene.swaps.of("dry-end", 2) is begun[0]
+    assert scene.swaps.find("dry-end", 2) is begun[0]
     assert len(scene.events.events) == 1
 
 
@@ -189,11 +213,8 @@ async def test_a_closed_swap_stays_closed_while_its_unit_is_read(scene: Scene) -
     """Another person cancels it, and perhaps begins another, while the requests of the first still read."""
     swap = await scene.begin()
 
-    async def late() -> SwapState:
-        await scene.swaps.cancel(ANNA, swap)
-        return state("silent")
-
-    await scene.swaps.look(swap, late)
+    scene.wire.before = partial(scene.swaps.cancel, ANNA, swap)
+    await scene.look(swap, "digimax")
     kept = ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9)
     for step in (
         scene.swaps.begin_restore(ANNA, swap, a_restore(state="planned")),
@@ -206,28 +227,28 @@ async def test_a_closed_swap_stays_closed_while_its_unit_is_read(scene: Scene) -
         assert refused.value.status == 404
     later = scene.another()
     await later.load()
-    assert (later.of("dry-end", 2), swap.proven) == (None, False)
+    assert (later.find("dry-end", 2), swap.proven) == (None, False)
     assert [event["what"] for event in scene.events.events][-1] == "unit replacement canceled"
 
 
 async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     swap, restore = await scene.begin(), a_restore(state="different")
-    await scene.swaps.look(swap, lambda: shown(state("silent")))
-    await scene.swaps.look(swap, lambda: shown(state("digimax", remote=True)))
+    await scene.look(swap, "silent", "silent")
+    await scene.look(swap, "digimax")
     await scene.swaps.on_restore_end(restore)
 
     scene.restores[restore.id] = restore
     again = scene.another()
     await again.load()
-    known = again.of_or_404("dry-end", 2)
-    assert (known.who, known.began_at, known.source) == ("anna", 100.0, SwapSource(1, 2))
+    known = again.find_or_404("dry-end", 2)
+    assert (known.who, known.began_at, known.source) == ("anna", swap.began_at, SwapSource(1, 2))
     assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
     with pytest.raises(Problem, match="anna has already started a replacement of unit 2"):
         await again.begin(ANNA, "dry-end", 2, None)
     await again.cancel(ANNA, known)
     later = scene.another()
     await later.load()
-    assert later.of("dry-end", 2) is None
+    assert later.find("dry-end", 2) is None
 
 
 async def test_without_a_set_the_sheet_is_entered_and_the_unit_kept(scene: Scene) -> None:
@@ -266,24 +287,6 @@ def test_a_unit_without_a_set_is_offered_those_of_its_group_first() -> None:
     assert offers(live, sets, "dry-end", 2).best == "set:2:2"
 
 
-async def shown(seen: SwapState) -> SwapState:
-    return seen
-
-
-@dataclass
-class Wire:
-    """A command service on which each scan of an address returns the next of ``seen``."""
-
-    seen: list[ProbeFinding]
-    outcome: Outcome = "verified"
-
-    async def send(self, _who: Person, action: Action, **_: Any) -> Result:
-        assert isinstance(action, ScanBus)
-        kind = self.seen.pop(0)
-        found = [] if kind == "silent" else [FoundUnit(action.first, 9600, kind)]
-        return Result(id="x", at=1.0, outcome=self.outcome, message=term("no link"), found=found)
-
-
 @pytest.mark.parametrize(
     ("link", "seen", "at_target"),
     [
@@ -296,22 +299,22 @@ class Wire:
 async def test_one_lost_response_of_an_online_unit_is_no_loss(
     scene: Scene, link: Literal["online", "offline"], seen: list[ProbeFinding], at_target: ProbeFinding
 ) -> None:
-    swap, live, wire = await scene.begin(), line(2), Wire(seen)
-    swap.bus = "dry"
-    live.buses["dry"].apply([UnitLink(unit=2, at=101.0, link=link)])
-    shown_now = await look(wire, live, ANNA, swap)  # type: ignore[arg-type]
-    assert (shown_now.at_target, wire.seen) == (at_target, [])
+    swap = await scene.begin()
+    scene.live.buses["dry-end"].apply([UnitLink(unit=2, at=101.0, link=link)])
+    shown = await scene.look(swap, *seen)
+    assert shown is not None
+    assert (shown.at_target, scene.wire.seen) == (at_target, [])
 
 
 async def test_a_look_that_came_to_no_end_shows_nothing(scene: Scene) -> None:
-    swap, live = await scene.begin(), line(2)
-    swap.bus = "dry"
+    swap = await scene.begin()
+    scene.wire.outcome = "unverified"
     with pytest.raises(Problem, match="no link"):
-        await look(Wire(["silent"], "unverified"), live, ANNA, swap)  # type: ignore[arg-type]
+        await scene.look(swap, "silent")
     assert not swap.is_new
 
 
-def a_restore(state: RestoreState, planned_at: float = 101.0, *, for_swap: bool = True) -> Restore:
+def a_restore(state: RestoreState, planned_at: float = 1e12, *, for_swap: bool = True) -> Restore:
     write = Write(6, present=100, wanted=50)
     plan = RestorePlan((write,), (LeftOut(17, "address", Message("row_address")),), equal=38)
     empty = UnitRows(2, "Nip", {})
@@ -327,17 +330,11 @@ def test_all_steps_are_done_only_when_it_is_verified() -> None:
 async def test_repeated_page_requests_do_not_pile_up_scans(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.engineering.swap.service.LOOK_WAIT_S", 0.01)
-    swap = await scene.begin(5)
-    begun, seen = [], asyncio.Event()
-
-    async def look() -> SwapState:
-        begun.append(1)
-        await seen.wait()
-        return state("silent")
-
-    assert [await scene.swaps.look(swap, look) for _ in range(3)] == [None] * 3
-    assert len(begun) == 1
-    seen.set()
-    assert (await scene.swaps.look(swap, look)) == state("silent", equal=None)
-    assert swap.is_new
+    monkeypatch.setattr("app.engineering.swap.service.PROBE_WAIT_S", 0.01)
+    swap, responds = await scene.begin(), asyncio.Event()
+    scene.wire.before, scene.wire.seen = responds.wait, ["digimax"]
+    assert [await scene.swaps.look(ANNA, swap) for _ in range(3)] == [None] * 3
+    responds.set()
+    shown = await scene.swaps.look(ANNA, swap)
+    assert shown is not None
+    assert (shown.at_target, scene.wire.seen) == ("digimax", [])

@@ -38,7 +38,7 @@ async def test_a_stored_set(house: House, client: httpx.AsyncClient) -> None:
     number = await stored(client)
     begun = await client.post(SWAP, data={"source": f"set:{number}:2"})
     assert (begun.status_code, begun.headers["location"]) == (303, SWAP)
-    swap = house.services[SwapService].of_or_404(BUS, 2)
+    swap = house.services[SwapService].find_or_404(BUS, 2)
     assert swap.source is not None
     assert swap.source.set == number
 
@@ -49,7 +49,7 @@ async def test_a_file_replaces_the_selection(house: House, client: httpx.AsyncCl
     data = {"source": f"set:{number}:2"}
     begun = await client.post(SWAP, data=data, files={"file": ("nip.toml", document)})
     assert begun.status_code == 303
-    source = house.services[SwapService].of_or_404(BUS, 2).source
+    source = house.services[SwapService].find_or_404(BUS, 2).source
     assert source is not None
     kept = await house.services[SetStore].load(source.set)
     assert kept is not None
@@ -60,7 +60,7 @@ async def test_the_sheet(house: House, client: httpx.AsyncClient) -> None:
     # As a browser does: the field of a file that was not chosen is sent, empty.
     begun = await client.post(SWAP, data={"source": "sheet"}, files={"file": ("", b"")})
     assert begun.status_code == 303
-    assert house.services[SwapService].of_or_404(BUS, 2).source is None
+    assert house.services[SwapService].find_or_404(BUS, 2).source is None
 
 
 @pytest.mark.parametrize("source", ["", "set:99:2", "set:1", "nonsense"])
@@ -69,7 +69,7 @@ async def test_what_names_no_source_begins_nothing(
 ) -> None:
     refused = await client.post(SWAP, data={"source": source})
     assert refused.status_code in (404, 422)
-    assert house.services[SwapService].of(BUS, 2) is None
+    assert house.services[SwapService].find(BUS, 2) is None
 
 
 async def test_the_restore_of_a_spare_leads_back_to_the_swap_and_no_other_does(
@@ -95,4 +95,4 @@ async def test_a_spare_with_a_set_is_not_called_verified_by_the_sheet(
     await client.post(SWAP, data={"source": f"set:{await stored(client)}:2"})
     refused = await client.post(f"{SWAP}/entered", headers={"accept": "application/json"})
     assert (refused.status_code, refused.json()["code"]) == (409, "not_in_state")
-    assert not house.services[SwapService].of_or_404(BUS, 2).proven
+    assert not house.services[SwapService].find_or_404(BUS, 2).proven

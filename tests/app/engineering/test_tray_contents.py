@@ -51,7 +51,7 @@ def test_a_tray_is_bounded_and_too_much_adds_nothing() -> None:
     trays.add("anna", dict.fromkeys(full, 1), START, {})
     with pytest.raises(Problem, match="at most 512 changes"):
         trays.add("anna", {SPEED_1: 10}, START, {})
-    assert trays.of("anna", START) == dict.fromkeys(full, 1)
+    assert trays.changes("anna", START) == dict.fromkeys(full, 1)
 
 
 def test_of_too_many_trays_the_oldest_is_emptied() -> None:
@@ -60,9 +60,9 @@ def test_of_too_many_trays_the_oldest_is_emptied() -> None:
         trays.add(f"person {number}", {SPEED_1: number}, START, {})
     trays.add("person 0", {SPEED_2: 0}, START, {})
     trays.add("anna", {SPEED_1: 10}, START, {})
-    assert trays.of("person 1", START) == {}
-    assert trays.of("person 0", START) == {SPEED_1: 0, SPEED_2: 0}
-    assert trays.of("anna", START) == {SPEED_1: 10}
+    assert trays.changes("person 1", START) == {}
+    assert trays.changes("person 0", START) == {SPEED_1: 0, SPEED_2: 0}
+    assert trays.changes("anna", START) == {SPEED_1: 10}
 
 
 class TrayModel(RuleBasedStateMachine):
@@ -109,7 +109,7 @@ class TrayModel(RuleBasedStateMachine):
     @invariant()
     def holds_the_newest_value_of_each_place(self) -> None:
         for who in ("anna", "ben"):
-            held = self.trays.of(who, Monotonic(self.now))
+            held = self.trays.changes(who, Monotonic(self.now))
             assert list(held.items()) == list(self.expected(who).items())
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 
 import pytest
 
-from app.engineering.tray.contents import Judge, TrayRow, Unable, unable_units
+from app.engineering.tray.contents import TrayRow, Unable, unable_units
+from app.engineering.tray.own_tray import tray_rows
+from app.errors import Problem
 from app.line.commands.limits import NO_LIMITS
 from app.line.commands.review import change_of
-from app.line.commands.undo.changes import ValuePlace, value_now
+from app.line.commands.undo.changes import ValuePlace, Values, value_now
 from app.line.live.bus_live import BusLive
 from bus.contract import Action, ParameterValue, WriteParameter
 from bus.messages import Message, in_english
@@ -37,17 +40,21 @@ def bus() -> BusLive:
 def rows(bus: BusLive, changes: dict[ValuePlace, int], *, local: int = 0) -> list[TrayRow]:
     """Unit ``local`` is in LOCAL; a write of #8 is refused."""
 
-    def refusal(action: Action) -> Message | None:
-        return REFUSED if isinstance(action, WriteParameter) and action.number == 8 else None
+    def values_now(changes: Values) -> dict[ValuePlace, int | None]:
+        return {place: value_now(place, bus, {2: 5}) for place in changes}
 
-    return Judge(
-        bus,
-        {place: value_now(place, bus, {2: 5}) for place in changes},
-        lambda unit, raw: change_of(bus, bus.units[unit], raw, NO_LIMITS, time.time()),
-        lambda unit: LOCAL if unit == local else None,
-        refusal,
-        lambda _: None,
-    ).rows(changes)
+    def check(action: Action) -> None:
+        if isinstance(action, WriteParameter) and action.number == 8:
+            raise Problem(409, "invalid", REFUSED)
+
+    page = SimpleNamespace(
+        bus=bus,
+        commands=SimpleNamespace(undo=SimpleNamespace(values_now=values_now)),
+        change=lambda unit, raw: change_of(bus, bus.units[unit], raw, NO_LIMITS, time.time()),
+        obstacle=lambda unit: LOCAL if unit == local else None,
+        check=check,
+    )
+    return tray_rows(page, changes, {})  # type: ignore[arg-type]
 
 
 def words(row: TrayRow) -> tuple[str, str, str, str, str, str]:
