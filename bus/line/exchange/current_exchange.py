@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import msgspec
 
 from bus.instants import Monotonic
@@ -19,9 +21,8 @@ class CurrentExchange(msgspec.Struct):
     """When the request's last byte has left."""
     last_moment: Monotonic
     """No response can come later, whenever this process receives it."""
-    ended: Monotonic = Monotonic(0.0)
-    is_ordinary: bool = False
-    """Whether the response came alone, at a time at which it is expected."""
+    ending: asyncio.Future[ExchangeResult]
+    """How it ended, once it has."""
     garbled: bool = False
     unexpected: bool = False
     unrequested: bool = False
@@ -34,16 +35,17 @@ class CurrentExchange(msgspec.Struct):
         """Whether anything came in beside the response."""
         return self.garbled or self.unexpected or self.late > 0
 
-    def result(self, clock: LineClock) -> ExchangeResult:
+    def result(self, clock: LineClock, ended: Monotonic) -> ExchangeResult:
+        """Return how the exchange ended at ``ended``."""
         exchange = self.exchange
-        responded_at = clock.epoch(min(self.ended, self.last_moment)) if exchange.reply is not None else None
+        responded_at = clock.epoch(min(ended, self.last_moment)) if exchange.reply is not None else None
         # Bytes that never became a frame are noise too: two units at one address may sound like that.
         garbled = self.garbled or (exchange.reply is None and exchange.first_byte_at is not None)
         return ExchangeResult(
             exchange.request,
             exchange.reply,
             self.began,
-            self.ended,
+            ended,
             clock.epoch(self.ends_sending),
             responded_at,
             b"" if exchange.secret else exchange.frame,
