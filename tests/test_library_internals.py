@@ -59,7 +59,7 @@ def test_dropped_members_of_babel_exist() -> None:
 def test_overridden_members_of_serialx_exist() -> None:
     names = ["_data_received", "_negotiate", "_send_and_wait", "_send_command"]
     gone = [name for name in names if not callable(getattr(RFC2217SerialTransport, name, None))]
-    assert gone == [], f"RFC2217SerialTransport has no {', '.join(gone)} any more: bus/line/port/rfc2217.py"
+    assert gone == [], f"RFC2217SerialTransport has no {', '.join(gone)} any more: bus/line/device_server.py"
 
 
 async def test_used_and_replaced_members_of_serialx_exist() -> None:
@@ -70,7 +70,7 @@ async def test_used_and_replaced_members_of_serialx_exist() -> None:
         "_engine": RFC2217Serial(path="rfc2217://h:1"),
     }
     gone = [name for name, owner in parts.items() if not hasattr(owner, name)]
-    assert gone == [], f"serialx has no {', '.join(gone)} any more: bus/line/port/rfc2217.py"
+    assert gone == [], f"serialx has no {', '.join(gone)} any more: bus/line/device_server.py"
     assert callable(getattr(parts["_engine"]._engine, "feed", None)), (
         "the parser of serialx has no feed any more"
     )

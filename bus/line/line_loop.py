@@ -1,6 +1,6 @@
 """The loop of one bus: next request → exchange → settle. One exchange at a time, in one coroutine.
 
-``bus.line.schedule.arbiter`` decides whose request is next, ``bus.line.exchange.link`` carries out the
+``bus.line.arbiter`` decides whose request is next, ``bus.line.link`` carries out the
 exchange.
 
 The next request leaves as soon as the response before it is settled. What that led to is reported while the
@@ -18,9 +18,9 @@ from bus.catalogue.numbers import SETPOINTS
 from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Update
 from bus.errors import CallerError, WireError
 from bus.instants import Monotonic
-from bus.line.clock import NEVER, LineClock
-from bus.line.commands.command_run import CommandRun
+from bus.line.arbiter import Arbiter, NextRequest
 from bus.line.commands.procedure import (
+    CommandRun,
     ExpectBaud,
     LineEffect,
     NoteStagedScale,
@@ -29,15 +29,14 @@ from bus.line.commands.procedure import (
     Retune,
     Unstage,
 )
-from bus.line.exchange.link import Link
-from bus.line.exchange.send import ExchangeResult
-from bus.line.port.port import OpenPort
+from bus.line.diagnosis import Figures
+from bus.line.link import Link
+from bus.line.poll_schedule import BaudSearch, PollSchedule
+from bus.line.port import OpenPort
 from bus.line.roster import Roster
-from bus.line.schedule.arbiter import Arbiter, NextRequest
-from bus.line.schedule.baud_search import BaudSearch
-from bus.line.schedule.poll_schedule import PollSchedule
-from bus.line.statistics.figures import Figures
-from bus.line.statistics.trace import Trace
+from bus.line.send import ExchangeResult
+from bus.line.timing import NEVER, LineClock
+from bus.line.trace import Trace
 from bus.messages import Message
 from bus.settings import BusSettings, wire_seconds
 from bus.wire.commands import (

@@ -12,9 +12,8 @@ import structlog
 from bus.errors import WireError
 from bus.instants import Monotonic
 from bus.line.line_loop import LineLoop
-from bus.line.port.open_error import is_device, programs_of, users_of
-from bus.line.port.open_port import open_port
-from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
+from bus.line.open_port import open_port
+from bus.line.port import EndedWhileOpening, OpenPort, Receiver, is_device, programs_of, users_of
 from bus.messages import Message
 from bus.reconnect_delay import STABLE_S, ReconnectDelay, is_worth_logging
 

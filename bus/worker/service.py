@@ -29,11 +29,11 @@ from bus.contract import (
 )
 from bus.contract.clock_offset import ClockOffset
 from bus.instants import UnixTime
-from bus.line.clock import LineClock, RealClock
 from bus.line.commands.catalogue import command_run_of
 from bus.line.line_loop import LineLoop
+from bus.line.open_port import open_port
 from bus.line.opener import Opener, OpenFunction
-from bus.line.port.open_port import open_port
+from bus.line.timing import LineClock, RealClock
 from bus.messages import Message, in_english
 from bus.settings import BusSettings
 from bus.worker.addresses import is_encrypted

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from bus.contract import Frames, ReadTrace, Result, Update
 from bus.instants import Clock
-from bus.line.statistics.trace import Interpreter, Trace, TracedFrame
+from bus.line.trace import Interpreter, Trace, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect
 

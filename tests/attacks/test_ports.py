@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 
 from bus.errors import WireError
-from bus.line.port.open_port import open_port
-from bus.line.port.port import EndedWhileOpening, OpenPort, PortUnavailable
+from bus.line.open_port import open_port
+from bus.line.port import EndedWhileOpening, OpenPort, PortUnavailable
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort

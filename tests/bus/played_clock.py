@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bus.line.clock import Timer
+from bus.line.timing import Timer
 
 Entry = tuple[float, Callable[[], None]]
 

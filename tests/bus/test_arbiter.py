@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from bus.line.commands.command_run import CommandRun, Priority
-from bus.line.commands.procedure import CommandContext, Procedure, ProcedureResult
-from bus.line.exchange.send import ExchangeResult, Send
-from bus.line.schedule.arbiter import Arbiter, NextRequest
-from bus.line.schedule.poll_schedule import PollSchedule
+from bus.line.arbiter import Arbiter, NextRequest
+from bus.line.commands.procedure import CommandContext, CommandRun, Priority, Procedure, ProcedureResult
+from bus.line.poll_schedule import PollSchedule
+from bus.line.send import ExchangeResult, Send
 from bus.settings import Dialect
 from bus.wire.commands import Ack, ReadStatusRequest, Reply, Request, SetAndExecuteSpeedRequest, StatusReply
 from bus.wire.fence import PendingResponses

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bus.line.schedule.baud_search import LOOK_ELSEWHERE_S, BaudSearch
+from bus.line.poll_schedule import LOOK_ELSEWHERE_S, BaudSearch
 
 LONG = LOOK_ELSEWHERE_S + 0.1
 

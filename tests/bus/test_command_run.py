@@ -5,11 +5,17 @@ from __future__ import annotations
 from typing import Never
 
 from bus.contract import FoundUnit, Progress, Update
-from bus.line.clock import RealClock
-from bus.line.commands.command_run import NO_UNIT, CommandRun, Priority
-from bus.line.commands.procedure import CommandContext, ProcedureResult, ReportProgress
+from bus.line.commands.procedure import (
+    NO_UNIT,
+    CommandContext,
+    CommandRun,
+    Priority,
+    ProcedureResult,
+    ReportProgress,
+)
 from bus.line.line_loop import LineLoop
-from bus.line.statistics.trace import TracedFrame
+from bus.line.timing import RealClock
+from bus.line.trace import TracedFrame
 from bus.messages import Message
 from bus.settings import BusSettings, Dialect
 

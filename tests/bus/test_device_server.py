@@ -12,8 +12,8 @@ import pytest
 
 from bus.contract import BusLink, SetSpeed
 from bus.line import opener
-from bus.line.port.open_port import open_port
-from bus.line.port.tcp import TCP_LOST_AFTER_MS
+from bus.line.device_server import TCP_LOST_AFTER_MS
+from bus.line.open_port import open_port
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line

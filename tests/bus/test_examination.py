@@ -8,10 +8,17 @@ from itertools import pairwise
 
 import pytest
 
-from bus.line.exchange.send import LineNoise
-from bus.line.scan.examination import Examination, Probe, ProbeOutcome, number_for_checksum_10h
-from bus.line.scan.found import Found, conclude, settings_seen
-from bus.line.scan.passes import no_response_s
+from bus.line.examination import (
+    Examination,
+    Found,
+    Probe,
+    ProbeOutcome,
+    conclude,
+    no_response_s,
+    number_for_checksum_10h,
+    settings_seen,
+)
+from bus.line.send import LineNoise
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import encode_request

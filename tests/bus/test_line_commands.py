@@ -22,10 +22,10 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.line.clock import RealClock
 from bus.line.commands.catalogue import command_run_of
-from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, Priority
+from bus.line.commands.procedure import EVERY_UNIT, NO_UNIT, Priority
 from bus.line.line_loop import LineLoop
+from bus.line.timing import RealClock
 from bus.settings import BusSettings, UnitSettings
 
 ONE = frozenset({1})

@@ -28,9 +28,9 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.line.port.port import OpenPort, Receiver
-from bus.line.schedule.arbiter import RESERVED_S
-from bus.line.schedule.baud_search import LOOK_ELSEWHERE_S
+from bus.line.arbiter import RESERVED_S
+from bus.line.poll_schedule import LOOK_ELSEWHERE_S
+from bus.line.port import OpenPort, Receiver
 from bus.messages import Message, parameter_name
 from bus.simulator.faults import FaultKind
 from bus.simulator.record import WireEventKind

@@ -11,12 +11,12 @@ from msgspec.structs import replace
 
 from bus.contract import MAX_FRAME, MAX_MEANINGS
 from bus.errors import WireError
-from bus.line.exchange.link import SECRET_LINGERS_S, Link
-from bus.line.exchange.send import ExchangeResult
-from bus.line.exchange.window import MARGIN_S, PortPace
-from bus.line.port.port import PartlySent
+from bus.line.link import SECRET_LINGERS_S, Link
+from bus.line.port import PartlySent
 from bus.line.roster import Roster
-from bus.line.statistics.trace import HIDDEN, Interpreter, Trace, TracedFrame
+from bus.line.send import ExchangeResult
+from bus.line.timing import MARGIN_S, PortPace
+from bus.line.trace import HIDDEN, Interpreter, Trace, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import encode_reply

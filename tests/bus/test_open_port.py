@@ -20,10 +20,9 @@ import serial
 import uvloop
 
 from bus.errors import WireError
-from bus.line.port import tcp
-from bus.line.port.open_error import users_of, why_not
-from bus.line.port.open_port import open_port
-from bus.line.port.port import OpenPort, PartlySent, PortUnavailable
+from bus.line import device_server as tcp
+from bus.line.open_port import open_port
+from bus.line.port import OpenPort, PartlySent, PortUnavailable, users_of, why_not
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.simulator.demo import demo_line

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.line.scan.passes import PASSES, Passes
+from bus.line.examination import PASSES, Passes
 
 
 def requested(addresses: range, responses: dict[int, int]) -> tuple[list[int], list[int]]:

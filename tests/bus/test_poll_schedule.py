@@ -12,16 +12,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.catalogue.parameters import NEEDED_TO_SHOW, PARAMETERS
-from bus.line.schedule.parameter_queue import ParameterQueue
-from bus.line.schedule.poll_schedule import (
+from bus.line.poll_schedule import (
+    ALONE_STEP_S,
+    JITTER,
     MIN_SHARE_OF_A_TURN,
+    STEPS_S,
     WATCHED_HZ,
+    ParameterQueue,
     PollOrder,
     PollSchedule,
+    ProbeBackoff,
     Task,
     TaskKind,
+    WireShare,
 )
-from bus.line.schedule.probe_backoff import ALONE_STEP_S, JITTER, STEPS_S, ProbeBackoff, WireShare
 
 POLL_S = 0.026
 PARAMETER_S = 0.020

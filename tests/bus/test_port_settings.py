@@ -18,8 +18,7 @@ import pytest
 from app.line.live.change_recorder import Changes
 from bus.contract import BusFigures, BusLink
 from bus.line import opener
-from bus.line.port.device import open_device
-from bus.line.port.port_settings import PortSettings, differences
+from bus.line.device import PortSettings, differences, open_device
 from bus.messages import Message
 from bus.settings import BusSettings, Dialect, UnitSettings
 from bus.simulator.demo import demo_line

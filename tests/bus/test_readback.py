@@ -17,8 +17,8 @@ from bus.contract import (
 )
 from bus.line.commands.procedure import CommandContext, Procedure, Wait
 from bus.line.commands.writes import write_to_unit
-from bus.line.exchange.send import ExchangeResult, Send, SendAttempts, SendResult, SendStatus
 from bus.line.roster import Roster, UnitRecord
+from bus.line.send import ExchangeResult, Send, SendAttempts, SendResult, SendStatus
 from bus.settings import Dialect
 from bus.wire.commands import (
     Ack,

@@ -13,7 +13,7 @@ from structlog.testing import capture_logs
 from bus.contract.clock_offset import ClockOffset
 from bus.errors import WireError
 from bus.line.opener import Opener
-from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
+from bus.line.port import EndedWhileOpening, OpenPort, Receiver
 from bus.messages import Message
 from bus.reconnect_delay import (
     JITTER,

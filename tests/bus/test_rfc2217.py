@@ -9,8 +9,8 @@ import pytest
 
 from bus.contract import Reading, SetSpeed
 from bus.errors import WireError
-from bus.line.port.open_port import open_port
-from bus.line.port.port import PortUnavailable
+from bus.line.open_port import open_port
+from bus.line.port import PortUnavailable
 from bus.settings import BusSettings, Dialect, UnitSettings
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine

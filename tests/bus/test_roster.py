@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.contract import ParameterValue, Reading, Staged, UnitLink
-from bus.line.roster import Roster
-from bus.line.statistics.counters import ResponseTimes
+from bus.line.roster import ResponseTimes, Roster
 from bus.messages import Message
 from bus.wire.commands import (
     Ack,

@@ -8,9 +8,8 @@ import pytest
 
 from bus.catalogue import numbers
 from bus.contract import Result, ScanBus
-from bus.line.scan.found import LATE, Found
-from bus.line.scan.scan_port import ScanPort
-from bus.line.scan.scanner import BaudScan, scan_addresses
+from bus.line.examination import LATE, Found
+from bus.line.scanner import BaudScan, ScanPort, scan_addresses
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults
 from bus.simulator.line import SimulatedLine

@@ -6,7 +6,7 @@ import asyncio
 
 from bus.contract import BusFigures, SetLine, SetSpeed
 from bus.instants import Monotonic
-from bus.line.statistics.second_master import (
+from bus.line.diagnosis import (
     CLEAR_AFTER_S,
     LATE_WITHIN_S,
     MAX_OUTSTANDING,

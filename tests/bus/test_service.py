@@ -23,7 +23,7 @@ from bus.contract import (
     Watch,
     encode,
 )
-from bus.line.statistics.figures import UnitSymptoms, diagnose, responds_for_all
+from bus.line.diagnosis import UnitSymptoms, diagnose, responds_for_all
 from bus.messages import Message
 from bus.simulator.faults import FaultKind
 from tests import fork_server

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.line.exchange.window import LATE_S, MIN_FRAME_GAP_S, RECHECK_S, Window
+from bus.line.timing import LATE_S, MIN_FRAME_GAP_S, RECHECK_S, Window
 from tests.bus.played_clock import PlayedClock
 
 BYTE_S = 0.001

@@ -23,8 +23,8 @@ from bus.contract import (
     Update,
 )
 from bus.errors import WireError
-from bus.line.clock import Timer
-from bus.line.port.open_port import OpenPort, Receiver
+from bus.line.open_port import OpenPort, Receiver
+from bus.line.timing import Timer
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line

@@ -23,7 +23,7 @@ from app.core.database.migration import presence_of, refuse_newer
 from app.errors import StoreError
 from app.people.audit.anchor import anchor_file
 from app.settings import LOCK_FILE, ServerSettings, Settings
-from bus.line.port.open_error import used_by, users_of
+from bus.line.port import used_by, users_of
 from bus.messages import Message, ParamValue, number
 from bus.settings import BusSettings
 
@@ -152,7 +152,7 @@ def _server(bus: BusSettings, *, runs: bool) -> Finding:
 
 def _opened(bus: BusSettings, code: str) -> Finding:
     # Not imported with the commands that open no port.
-    from bus.line.port.trial import port_fault
+    from bus.line.open_port import port_fault
 
     reason = port_fault(bus.port)
     if bus.has_local_port and not Path(bus.port).exists():

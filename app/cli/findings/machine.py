@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 from app.cli.serving.listening import ListenError, listen
 from app.cli.setup.service_unit import UNIT_FILE
 from app.settings import Settings
-from bus.line.port.open_error import why_not
+from bus.line.port import why_not
 from bus.messages import Message, ParamValue
 from bus.settings import BusSettings
 

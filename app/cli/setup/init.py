@@ -140,7 +140,7 @@ def _scanned(port: str) -> str:
     """Return the bus with the units that respond; empty where there is none, or no port, which it prints."""
     # The scanner is the bus worker's: a file without a scan does not need it.
     from app.cli.wire.scan import allowed_ms, bauds_to_try, bus_table, scan_bauds, units_of
-    from bus.line.scan.scanner import BaudScan
+    from bus.line.scanner import BaudScan
 
     scans: list[BaudScan] = []
     try:

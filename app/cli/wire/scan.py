@@ -15,9 +15,8 @@ from app.cli.ending import complain, report, wrong_option
 from app.cli.options import ADDRESS, json_option
 from app.core.web.api.shape import maybe_shown, message_shown
 from bus.errors import LinesideError
-from bus.line.scan.found import Found, conclude, settings_seen
-from bus.line.scan.passes import PASSES, no_response_s
-from bus.line.scan.scanner import BaudScan, scan_baud
+from bus.line.examination import PASSES, Found, conclude, no_response_s, settings_seen
+from bus.line.scanner import BaudScan, scan_baud
 from bus.messages import Message, listed, number
 from bus.settings import BAUDS, check_port
 from bus.text import without_credentials

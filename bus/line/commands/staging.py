@@ -33,18 +33,21 @@ from bus.line.commands.procedure import (
     Unstage,
     send,
 )
-from bus.line.commands.readback import ScaleReading, present_setpoint, verify_speed, verify_unchanged
 from bus.line.commands.writes import (
     SUCCEEDED,
+    ScaleReading,
     not_sent,
     outcome_before_write,
     outcome_in_scale,
     outcome_of,
     outcome_with_readback,
     outcome_without_readback,
+    present_setpoint,
+    verify_speed,
+    verify_unchanged,
 )
-from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import Roster, UnitRecord
+from bus.line.send import Send, SendResult, SendStatus
 from bus.messages import Message, joined
 from bus.wire.commands import ExecuteSpeedRequest, StageSpeedRequest
 

@@ -6,7 +6,7 @@ import tomllib
 
 from app.cli.wire.scan import bus_table
 from app.settings import Settings
-from bus.line.scan.found import Found
+from bus.line.examination import Found
 
 
 def found(unit: int, baud: int = 9600, kind: str = "digimax", **more: object) -> Found:

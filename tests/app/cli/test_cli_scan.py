@@ -17,8 +17,8 @@ from app.cli.wire import scan
 from app.cli.wire.scan import announcement, bauds_to_try
 from bus.catalogue import numbers
 from bus.errors import WireError
-from bus.line.scan.found import Found
-from bus.line.scan.scanner import Prober
+from bus.line.examination import Found
+from bus.line.scanner import Prober
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.simulator.faults import FaultKind, Faults

@@ -17,7 +17,7 @@ import pytest
 from app.cli.findings import live as port_findings
 from app.cli.findings.live import is_connected_to, is_worker_of
 from app.settings import LOCK_FILE
-from bus.line.port.trial import port_fault
+from bus.line.open_port import port_fault
 from tests.app.live_check import bus, check_live, everything_in, pseudo_terminal, run
 from tests.free_port import free_port
 
@@ -76,7 +76,7 @@ def test_the_program_that_has_a_port_is_named_and_it_is_not_opened(
     config: Path, terminal: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, path = terminal
-    monkeypatch.setattr("bus.line.port.trial.port_fault", lambda _: pytest.fail("opened"))
+    monkeypatch.setattr("bus.line.open_port.port_fault", lambda _: pytest.fail("opened"))
     with held(path) as pid:
         result = run(config, bus(path))
         assert result.exit_code == 1

@@ -1,4 +1,4 @@
-"""Examines an address of a scan by reads only. Pure: requests out, outcomes in.
+"""Examines the addresses of a scan by reads only. Pure: requests out, outcomes in.
 
 An address is sent 81h. A timeout ends it there, which makes a scan as fast as the wire allows. A device that
 responds is read further, always 81h and 85h in turn, so that no late or duplicate response can pass for
@@ -9,17 +9,19 @@ that turns at speed meanwhile shows its healthy e-stop level.
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import status_bits
-from bus.line.exchange.send import NO_NOISE, LineNoise
-from bus.line.scan.found import STRANGE, TWO_UNITS, TWO_UNITS_OR_ELSE, Checksum10h, Found, remarks_on
+from bus.line.send import NO_NOISE, LineNoise
+from bus.line.timing import MARGIN_S
 from bus.messages import Message
-from bus.settings import Dialect
+from bus.settings import Dialect, wire_seconds
+from bus.wire.bodies import encode_request
 from bus.wire.commands import (
     Nak,
     ParameterReply,
@@ -30,6 +32,99 @@ from bus.wire.commands import (
     StatusReply,
 )
 from bus.wire.framing import DLE, checksum
+
+Checksum10h = Literal["once", "twice"]
+Setting = int | float | str | None
+
+TWO_UNITS = Message("found_two_units")
+TWO_UNITS_OR_ELSE = Message("found_garbled")
+LATE = Message("found_late")
+STRANGE = Message("found_strange")
+_HIGHEST = max(PARAMETERS)
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The device at one address. ``own_address``: the value of its #17, None where it was not read."""
+
+    unit: int
+    baud: int
+    kind: Literal["digimax", "garbled", "foreign", "late"]
+    parameters: tuple[int, ...] = ()
+    remarks: tuple[Message, ...] = ()
+    remote: bool | None = None
+    own_address: int | None = None
+    counts_in_bcd: bool = False
+    checksum_10h: Checksum10h | None = None
+    reply_bytes: tuple[int, ...] = ()
+    estop_healthy: Literal[0, 1] | None = None
+    """Its e-stop bit while it turns at speed; None where it never did."""
+    responds_within_s: float | None = None
+    late: bool = False
+    """Whether some of its responses came after their window."""
+
+
+def remarks_on(one: Found, *, garbled: int, requests: int, uncertain: bool) -> tuple[Message, ...]:
+    """Remarks about a DIGIMAX IV; of ``requests``, ``garbled`` had noise, some (``uncertain``) nothing."""
+    remarks = _on_its_address(one)
+    last = len(one.parameters)
+    if last < _HIGHEST:
+        remarks.append(Message.of("found_parameters", last=last) if last else Message("found_no_parameter"))
+    if uncertain:
+        remarks.append(Message("found_uncertain"))
+    if garbled:
+        remarks.append(Message.of("found_noise", n=garbled, all=requests))
+    if one.checksum_10h == "twice":
+        remarks.append(Message("found_checksum_twice"))
+    if one.estop_healthy == 0:
+        remarks.append(Message("found_estop_low"))
+    return tuple(remarks)
+
+
+def _on_its_address(one: Found) -> list[Message]:
+    if one.counts_in_bcd:
+        return [Message("found_bcd")]
+    if one.own_address is None:
+        return [Message("found_no_address")]
+    if one.own_address == one.unit:
+        return []
+    return [Message.of("found_other_address", own=one.own_address, unit=one.unit)]
+
+
+def conclude(found: Sequence[Found]) -> list[Message]:
+    """What only all addresses together show."""
+    remarks = [LATE] if any(one.late for one in found) else []
+    owners = [one.own_address for one in found if one.own_address not in (None, one.unit)]
+    for owner in sorted({owner for owner in owners if owner is not None}):
+        if owners.count(owner) > 1:
+            remarks.append(Message.of("found_many_addresses", unit=owner, count=owners.count(owner)))
+    differ = [name for name, values in _seen(found).items() if len(values) > 1]
+    if differ:
+        remarks.append(Message.of("found_settings_differ", settings=differ))
+    return remarks
+
+
+def settings_seen(found: Sequence[Found]) -> dict[str, Setting]:
+    """The keys of ``[[bus]]`` as these units want them; None where nothing showed it, or units differ."""
+    return {name: values.pop() if len(values) == 1 else None for name, values in _seen(found).items()}
+
+
+def _seen(found: Sequence[Found]) -> dict[str, set[Setting]]:
+    units = [one for one in found if one.kind == "digimax"]
+    return {
+        "checksum_10h": {one.checksum_10h for one in units if one.checksum_10h is not None},
+        "parameter_numbers": {
+            "bcd" if one.counts_in_bcd else "binary"
+            for one in units
+            if one.counts_in_bcd or one.own_address == one.unit
+        },
+        # 0 where a value is as wide as its type.
+        "parameter_reply_bytes": {
+            one.reply_bytes[0] if len(one.reply_bytes) == 1 else 0 for one in units if one.reply_bytes
+        },
+        "estop_healthy": {one.estop_healthy for one in units if one.estop_healthy is not None},
+    }
+
 
 STATUS_READS = 4
 """How often an address is read that responds, but not as a unit does."""
@@ -242,3 +337,57 @@ def _number_byte(number: int, in_bcd: bool) -> int:
 def number_for_checksum_10h(unit: int) -> int:
     """Return the PRM byte that gives an 85h to ``unit`` the checksum 10h; 0, unreadable, for unit 107."""
     return (checksum(bytes((unit, ReadParameterRequest.COMMAND))) - DLE) & 0xFF
+
+
+PASSES = 2
+MAX_PASSES = 4
+
+
+def no_response_s(baud: int, turnaround_s: float) -> float:
+    """Return the cost of an address without a response: the request, the turnaround, one byte, the margin."""
+    request = encode_request(ReadStatusRequest(1), Dialect())
+    return wire_seconds(len(request) + 1, baud) + turnaround_s + MARGIN_S
+
+
+class Passes:
+    """Iterates over addresses; ``note`` is called with the result of each before the next one.
+
+    A response may get lost, so addresses without a response get a second request after all had one, and
+    further ones as long as that finds a unit.
+    """
+
+    def __init__(self, addresses: Iterable[int]) -> None:
+        self._remaining = deque(addresses)
+        self._without_response: deque[int] = deque()
+        self._addresses = len(self._remaining)
+        self._found = 0
+        self._done = 0
+        """Complete passes."""
+
+    @property
+    def settled(self) -> int:
+        """Return how many requests are done or no longer needed."""
+        without_response = min(self._done + 1, PASSES) * len(self._without_response)
+        return PASSES * self._found + without_response + min(self._done, PASSES) * len(self._remaining)
+
+    @property
+    def done(self) -> int:
+        """Return the same in complete addresses."""
+        return self.settled // PASSES
+
+    def __iter__(self) -> Iterator[int]:
+        while self._remaining:
+            found_before = self._found
+            while self._remaining:
+                yield self._remaining[0]
+            self._done += 1
+            if self._done < (MAX_PASSES if self._found > found_before else PASSES):
+                self._remaining, self._without_response = self._without_response, deque()
+
+    def note(self, *, found: bool) -> None:
+        """Note whether the address that was given last responded."""
+        unit = self._remaining.popleft()
+        if found:
+            self._found += 1
+        else:
+            self._without_response.append(unit)

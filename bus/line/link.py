@@ -1,10 +1,8 @@
-"""One exchange at a time over an open port: deadlines, windows, and what else comes in.
+"""One exchange at a time over an open port: its deadlines, and what else comes in.
 
-The window of a response (``bus.line.exchange.window``) begins when the request's last byte has left the wire,
-which is computed, not waited for.
-
-On a port that is as slow as its baud rate a frame that is complete before the response can be is a leftover
-of an earlier exchange (``PortPace``).
+The window of a response (``bus.line.timing``) begins when the request's last byte has left the wire, which is
+computed, not waited for. On a port that is as slow as its baud rate, a frame that is complete before the
+response can be is a leftover of an earlier exchange (``PortPace``).
 """
 
 from __future__ import annotations
@@ -12,18 +10,17 @@ from __future__ import annotations
 import asyncio
 import math
 
+import msgspec
+
 from bus.contract import Direction
 from bus.errors import WireError
 from bus.instants import Monotonic
-from bus.line.clock import LineClock
-from bus.line.exchange.current_exchange import CurrentExchange
-from bus.line.exchange.send import ExchangeResult
-from bus.line.exchange.window import MARGIN_S, QUIET_BYTES, PortPace, Window
-from bus.line.port.port import OpenPort, PartlySent
-from bus.line.roster import Roster
-from bus.line.statistics.counters import WireCounts
-from bus.line.statistics.second_master import SecondMaster
-from bus.line.statistics.trace import Trace, TracedFrame
+from bus.line.diagnosis import SecondMaster
+from bus.line.port import OpenPort, PartlySent
+from bus.line.roster import Roster, WireCounts
+from bus.line.send import NO_NOISE, ExchangeResult, LineNoise
+from bus.line.timing import MARGIN_S, QUIET_BYTES, LineClock, PortPace, Window
+from bus.line.trace import Trace, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import Request
@@ -31,6 +28,50 @@ from bus.wire.exchange import Duplicate, Echo, Exchange, ExchangeEvent, Foreign,
 from bus.wire.fence import PendingByUnit, PendingResponses
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
 from bus.wire.lengths import longest_reply_bytes
+
+
+class CurrentExchange(msgspec.Struct):
+    """Times are the line's own, in seconds."""
+
+    exchange: Exchange
+    began: Monotonic
+    ends_sending: Monotonic
+    """When the request's last byte has left."""
+    last_moment: Monotonic
+    """No response can come later, whenever this process receives it."""
+    ending: asyncio.Future[ExchangeResult]
+    """How it ended, once it has."""
+    garbled: bool = False
+    unexpected: bool = False
+    unrequested: bool = False
+    """Whether a unit responded to what this host has not requested."""
+    late: int = 0
+    overdue: tuple[int, ...] = ()
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether anything came in beside the response."""
+        return self.garbled or self.unexpected or self.late > 0
+
+    def result(self, clock: LineClock, ended: Monotonic) -> ExchangeResult:
+        """Return how the exchange ended at ``ended``."""
+        exchange = self.exchange
+        responded_at = clock.epoch(min(ended, self.last_moment)) if exchange.reply is not None else None
+        # Bytes that never became a frame are noise too: two units at one address may sound like that.
+        garbled = self.garbled or (exchange.reply is None and exchange.first_byte_at is not None)
+        return ExchangeResult(
+            exchange.request,
+            exchange.reply,
+            self.began,
+            ended,
+            clock.epoch(self.ends_sending),
+            responded_at,
+            b"" if exchange.secret else exchange.frame,
+            LineNoise(garbled, self.unexpected, self.late) if garbled or self.has_noise else NO_NOISE,
+            exchange.dialect,
+            self.overdue,
+        )
+
 
 StrayFrame = Echo | Foreign | Duplicate | Late | Unexpected
 

@@ -1,18 +1,21 @@
-"""#18 of every unit as one guarded change. Pure procedures (``bus.line.commands.procedure``).
+"""Commands to a complete bus: a change of its baud rate, and a scan between polls. Pure procedures.
 
-Whether a unit changes its rate at once or at its next power-up is not known (protocol, 4): after the writes
-each unit is polled at both rates. All at the new one: the host stays there. All at the old one: every #18 is
-read back, and the host follows when the units have been switched off and on. Anything else: every unit is
-written its old rate at whichever rate it responds, and where even that fails the result names the panels and
-what to set there.
+Whether a unit changes its rate (#18) at once or at its next power-up is not known (protocol, 4): after the
+writes each unit is polled at both rates. All at the new one: the host stays there. All at the old one: every
+#18 is read back, and the host follows when the units have been switched off and on. Anything else: every unit
+is written its old rate at whichever rate it responds, and where even that fails the result names the panels
+and what to set there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 from bus.catalogue.numbers import BAUD_RATE
-from bus.contract import Outcome, UnitOutcome
+from bus.contract import FoundUnit, Outcome, UnitOutcome
+from bus.contract.durations import POLL_BYTES
 from bus.errors import unit_refused
 from bus.line.commands.procedure import (
     CommandContext,
@@ -22,13 +25,15 @@ from bus.line.commands.procedure import (
     ReportProgress,
     Retune,
     Subprocedure,
+    Wait,
     send,
 )
-from bus.line.commands.readback import read_parameter
-from bus.line.exchange.send import Send, SendResult, SendStatus
+from bus.line.commands.writes import read_parameter
+from bus.line.examination import Examination, Found, Passes, Probe, ProbeOutcome, conclude, no_response_s
 from bus.line.roster import Roster
-from bus.messages import Message
-from bus.settings import BAUDS
+from bus.line.send import Send, SendResult, SendStatus
+from bus.messages import Message, joined
+from bus.settings import BAUDS, wire_seconds
 from bus.wire.commands import ReadStatusRequest, WriteParameterRequest
 
 HUNDREDS = 100
@@ -156,3 +161,88 @@ class _Change:
 
     def _outcomes(self, bad: Sequence[int]) -> list[UnitOutcome]:
         return [UnitOutcome(unit, "unverified" if unit in bad else "verified") for unit in self._units]
+
+
+SHARE = 1 / 3
+"""Of the wire, at most: a unit that is polled keeps two thirds of its rate."""
+OVERDUE = 3
+"""From this many overdue responses on, a garbled one may be one of them beside another unit's."""
+
+
+class ScanPace(NamedTuple):
+    """How fast the line goes, and how much of it a scan may take from the units that are polled."""
+
+    baud: int
+    turnaround_s: float
+
+    def rest_s(self, outcome: ProbeOutcome) -> float:
+        """Return the pause in seconds after a request that ended so."""
+        responds = outcome.reply is not None
+        took_s = wire_seconds(POLL_BYTES, self.baud) if responds else no_response_s(*self)
+        return took_s * (1 / SHARE - 1)
+
+
+class _LinkLostError(Exception):
+    """There is no link to the bus any more."""
+
+
+def survey(first: int, last: int, pace: ScanPace, context: CommandContext) -> Procedure:
+    """Find which of the addresses ``first`` to ``last`` respond at the bus's present rate."""
+    found: list[Found] = []
+    passes = Passes(range(first, last + 1))
+    of = last - first + 1
+    for unit in passes:
+        if context.cancelled:
+            return _result(found, Message.of("scan_canceled", done=passes.done, all=of))
+        yield ReportProgress("searching", unit, passes.done, of)
+        try:
+            one = yield from _examine(unit, pace)
+        except _LinkLostError:
+            return _result(found, Message.of("scan_link_lost", done=passes.done, all=of))
+        passes.note(found=one is not None)
+        if one is not None:
+            found.append(one)
+    if context.overdue.total() >= OVERDUE:
+        found = [_doubted(one) for one in found]
+        known = {one.unit for one in found}
+        late = [unit for unit in range(first, last + 1) if context.overdue[unit] and unit not in known]
+        found += [Found(unit, pace.baud, "late", late=True) for unit in late]
+    return _result(found, None)
+
+
+def _doubted(one: Found) -> Found:
+    """Reduce a finding to what is certain where responses come into the windows of other requests."""
+    if one.kind == "digimax":
+        return replace(one, late=True)
+    return replace(one, kind="late", remarks=(), late=True)
+
+
+def _result(found: list[Found], fault: Message | None) -> ProcedureResult:
+    found.sort(key=lambda one: one.unit)
+    return ProcedureResult(
+        outcome="unverified" if fault else "verified",
+        message=joined([*conclude(found), fault]),
+        found=[
+            FoundUnit(one.unit, one.baud, one.kind, list(one.parameters), list(one.remarks)) for one in found
+        ],
+    )
+
+
+def _examine(unit: int, pace: ScanPace) -> Subprocedure[Found | None]:
+    examination = Examination(unit, pace.baud).run()
+    try:
+        probe = next(examination)
+        while True:
+            outcome = yield from _outcome(probe)
+            yield Wait(pace.rest_s(outcome))
+            probe = examination.send(outcome)
+    except StopIteration as end:
+        found: Found | None = end.value
+        return found
+
+
+def _outcome(probe: Probe) -> Subprocedure[ProbeOutcome]:
+    sent = yield from send(Send(probe.request, max_attempts=1, dialect=probe.dialect))
+    if sent.status is SendStatus.PORT_CLOSED:
+        raise _LinkLostError
+    return ProbeOutcome(sent.reply, sent.noise)

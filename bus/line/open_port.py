@@ -1,7 +1,7 @@
-"""Whether a port can be opened now: it is opened and given back at once, and not a byte is sent.
+"""Opens a port of any kind, or only tries whether it can be opened.
 
-What uses a port must be known before: opening a serial port raises its control lines, and most device servers
-take one connection only.
+A port is single-use: it is opened, used, lost or closed, and then reopened by ``bus.line.opener``. Closing
+never waits: what has not left yet is dropped, so nothing is ever sent late.
 """
 
 from __future__ import annotations
@@ -12,11 +12,21 @@ import os
 import socket
 import termios
 
-from bus.line.port.device import is_claimed
-from bus.line.port.open_error import in_use, why_not
-from bus.line.port.port import PortUnavailable
-from bus.line.port.tcp import CONNECT_TIMEOUT_S, address_of, not_connected
+from bus.line.device import is_claimed, open_device
+from bus.line.device_server import CONNECT_TIMEOUT_S, address_of, not_connected, open_rfc2217, open_socket
+from bus.line.port import OpenPort as OpenPort
+from bus.line.port import PortUnavailable, in_use, why_not
+from bus.line.port import Receiver as Receiver
 from bus.messages import Message
+
+
+async def open_port(port: str, baud: int, receiver: Receiver) -> OpenPort:
+    """Open a device path, ``socket://host:port`` or ``rfc2217://host:port``. Raises PortUnavailable."""
+    if port.startswith("socket://"):
+        return await open_socket(port, receiver)
+    if port.startswith("rfc2217://"):
+        return await open_rfc2217(port, baud, receiver)
+    return await open_device(port, baud, receiver)
 
 
 def port_fault(port: str) -> Message | None:

@@ -1,15 +1,15 @@
-"""The figures of a bus, about once a second, from counters that only grow, with the likely cause of faults.
-Pure.
+"""What the counts of a bus show: its figures, the likely cause of faults, a second master. Pure.
 
-One unit: its drop or its address. All: adapter, main cable or termination. All from one place on: the cable
-there. Damaged bytes at many: shielding. Damaged bytes at one address only: two units may share it. All but
-one respond twice, or damaged: that one responds for the others too. Where it does so for one that is off, no
-frame shows it; only the address that the responding unit reads in #17 does.
+The figures are taken about once a second from counters that only grow. Faults of one unit point to its drop
+or its address; of all, to the adapter, the main cable or the termination; of all from one place on, to the
+cable there. Damaged bytes at many units point to the shielding, at one address to two units that share it.
+Where all but one unit respond twice, or damaged, that one responds for the others too. Where it does so for a
+unit that is off, no frame shows it, only the address that it reads in #17.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,10 +18,74 @@ import msgspec
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.contract import BusFigures, UnitFigures
 from bus.instants import Monotonic, UnixTime
-from bus.line.roster import Roster, UnitRecord
-from bus.line.schedule.poll_schedule import PollSchedule
-from bus.line.statistics.counters import WireCounts
+from bus.line.poll_schedule import PollSchedule
+from bus.line.roster import Roster, UnitRecord, WireCounts
 from bus.messages import Message
+
+MIN_RESPONSES = 3
+"""Fewer are chance."""
+WITHIN_S = 2.0
+CLEAR_AFTER_S = 10.0
+"""After so long without one it writes again."""
+MAX_OUTSTANDING = 16
+LATE_WITHIN_S = 60.0
+"""How many responses of a unit may be late, and by how much. A unit without a response is polled at most ten
+times in a minute, so a connection that stood still as long delivers no response too many."""
+
+
+class SecondMaster:
+    """Notices another host on the wire: ``note`` each unrequested response; ``is_present`` while this host
+    must not write, but for what stops a unit, because two hosts would set each other's speeds.
+
+    A host does not receive the requests of another, only what the units respond to them: frames that come
+    beside the response to its own request, or while it awaits none. A unit with a wrong address responds in
+    the place of the one that was requested. A unit that is late sends as many responses as it had requests,
+    all of them at once where a device server or its network stood still. What a unit sends while it is
+    requested may be its own fault.
+    """
+
+    def __init__(self) -> None:
+        self.noted = 0
+        """Responses that no request of this host explains, since the worker started."""
+        self._noted: deque[Monotonic] = deque(maxlen=MIN_RESPONSES)
+        self._until: Monotonic | None = None
+        self._outstanding: defaultdict[int, deque[Monotonic]] = defaultdict(
+            lambda: deque(maxlen=MAX_OUTSTANDING)
+        )
+        """By unit, when this host sent each request that the unit has not responded to."""
+
+    def requested(self, unit: int, now: Monotonic) -> None:
+        """This host sent a request."""
+        self._outstanding[unit].append(now)
+
+    def responded(self, unit: int) -> None:
+        """A unit responded to the newest request."""
+        if self._outstanding[unit]:
+            self._outstanding[unit].pop()
+
+    def explains(self, unit: int, now: Monotonic) -> bool:
+        """Whether a response of a unit may be one to an earlier request of this host, which it then counts
+        as."""
+        outstanding = self._outstanding[unit]
+        while outstanding and now - outstanding[0] > LATE_WITHIN_S:
+            outstanding.popleft()
+        if outstanding:
+            outstanding.popleft()
+            return True
+        return False
+
+    def note(self, now: Monotonic) -> None:
+        """A unit responded to what this host did not request."""
+        self.noted += 1
+        self._noted.append(now)
+        is_frequent = len(self._noted) == MIN_RESPONSES and now - self._noted[0] <= WITHIN_S
+        if is_frequent or self.is_present(now):
+            self._until = now + CLEAR_AFTER_S
+
+    def is_present(self, now: Monotonic) -> bool:
+        """Whether another host is on the wire."""
+        return self._until is not None and now < self._until
+
 
 WINDOW_S = 10.0
 

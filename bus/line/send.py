@@ -8,7 +8,7 @@ import msgspec
 from msgspec.structs import replace
 
 from bus.instants import Monotonic, UnixTime
-from bus.line.clock import NEVER
+from bus.line.timing import NEVER
 from bus.settings import Dialect
 from bus.wire.commands import Nak, Reply, Request, is_write
 from bus.wire.fence import PendingResponses

@@ -1,1 +1,0 @@
-"""One request and its response: window, late responses, retries."""

@@ -1,1 +1,0 @@
-"""Which addresses respond, found out by reading only."""

@@ -1,1 +1,0 @@
-"""Whose request is next."""

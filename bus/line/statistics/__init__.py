@@ -1,1 +1,0 @@
-"""What passed on the wire, counted, kept and judged."""
