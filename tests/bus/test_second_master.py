@@ -57,9 +57,11 @@ def test_a_response_to_a_request_of_long_ago_is_one_to_another_host() -> None:
 
 
 async def respond_to_another(line: VirtualLine) -> None:
-    """Units respond to another host for a second, beside our polls."""
+    """Units respond to another host for a second, beside our polls and not in the middle of a response."""
     frame = encode_frame(RESPONSE, Dialect())
     for _ in range(10):
+        sent = len(line.written)
+        await line.until(lambda: len(line.written) > sent)  # noqa: B023
         assert line.port is not None
         line.worker.line.link.data_received(frame)
         await asyncio.sleep(0.1)
