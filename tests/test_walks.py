@@ -305,8 +305,8 @@ async def test_a_click_takes_few_calls(tmp_path: Path) -> None:
         await app_calls_of_a_click(house, in_app)
     to_line = OpenCalls("bus.line.line_loop.LineLoop.submit", "bus.")
     await asyncio.to_thread(worker_calls_of_a_click, to_line)
-    loop = ("bus.line.line_loop.", "bus.line.schedule.", "bus.line.commands.")
-    on_line = OpenCalls("bus.line.commands.command_run.CommandRun.next_request", *loop)
+    loop = ("bus.line.line_loop.", "bus.line.arbiter.", "bus.line.commands.")
+    on_line = OpenCalls("bus.line.commands.procedure.CommandRun.next_request", *loop)
     await asyncio.to_thread(worker_calls_of_a_click, on_line)
     calls = [*in_app.open, *to_line.open, *on_line.open]
     assert MIN_CALLS < len(calls) <= MAX_CALLS, calls
