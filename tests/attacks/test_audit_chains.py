@@ -14,8 +14,7 @@ from typing import Any
 import pytest
 
 from app.core.database import Database
-from app.people.audit.chain import KEY_BYTES, KeyOrigin, KeyRing, sealed_entry, sealed_head
-from app.people.audit.former import joined
+from app.people.audit.chain import KEY_BYTES, KeyOrigin, KeyRing, previous_after, sealed_entry, sealed_head
 from app.people.audit.keys import make_key_file, open_keys, owners_of, read_key_file
 from app.people.audit.log import EventLog
 from tests.app.former_log import DRY, SITE, WET, FormerLog
@@ -190,7 +189,7 @@ def test_an_older_key_rewrites_no_former_chain(tmp_path: Path) -> None:
 def test_a_stranger_cannot_join_chains_of_his_own(plant: FormerPlant) -> None:
     stranger = KeyRing((b"s" * KEY_BYTES,))
     rows = plant.rows("SELECT * FROM events WHERE id = 9")
-    fake = sealed_entry(joined({}), rows[0] | {"id": 1, "chain": None}, stranger)
+    fake = sealed_entry(previous_after({}), rows[0] | {"id": 1, "chain": None}, stranger)
     plant.put("events", fake)
     assert plant.found().startswith("1: ")
 

@@ -91,7 +91,9 @@ def _folders(settings: Settings) -> Iterator[Finding]:
     data = settings.server.data
     inner = sorted(_entries(data))
     folders = [data, *(each for each in inner if each.is_dir() and not each.is_symlink())]
-    for folder in dict.fromkeys((*folders, settings.backup.folder, anchor_file(settings).parent)):
+    for folder in dict.fromkeys(
+        (*folders, settings.backup.folder, anchor_file(settings.audit, settings.key_files).parent)
+    ):
         if folder is not None and is_visible(folder) and may_make_files_in(folder):
             free = number(f"{free_bytes(folder) / GB:.1f}")
             yield Finding(Message.of("live_folder", folder=str(folder), user=user(), free=free))

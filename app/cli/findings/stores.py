@@ -109,7 +109,7 @@ def key(settings: Settings) -> Iterator[Finding]:
 
 def anchor(settings: Settings) -> Iterator[Finding]:
     """Whether the anchor can be written. At the default place it is no fault: the start reports it."""
-    path, is_configured = anchor_file(settings), settings.audit.anchor is not None
+    path, is_configured = anchor_file(settings.audit, settings.key_files), settings.audit.anchor is not None
     exists = is_visible(path)
     # Path.is_symlink raises for a name that is too long.
     if os.path.islink(path) or (exists and not path.is_file()):  # noqa: PTH114

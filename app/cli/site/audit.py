@@ -18,8 +18,7 @@ from app.core.web.api.shape import message_shown
 from app.errors import StoreError
 from app.people.audit.anchor import Anchors, anchor_file, read_anchor_file
 from app.people.audit.archive import ArchiveProof, prove_archive
-from app.people.audit.chain import ROTATED, KeyRing, newest_of
-from app.people.audit.former import Ends, origin_of
+from app.people.audit.chain import ROTATED, Ends, KeyRing, newest_of, origin_of
 from app.people.audit.keys import find_key_file, owners_of, read_key_file
 from app.people.audit.proof import AuditVerification, cuts_of, heads_of, prove
 from app.records.handover.signatures import missing_signatures
@@ -124,7 +123,7 @@ def _verdict(
 
 def _anchors(settings: Settings, named: Path | None, ring: KeyRing) -> Anchors:
     """Read the anchors of the file that was named or configured, or beside the key where that exists."""
-    path = named or anchor_file(settings)
+    path = named or anchor_file(settings.audit, settings.key_files)
     if path not in (named, settings.audit.anchor) and not path.exists():
         return Anchors()
     return read_anchor_file(path, ring)

@@ -105,7 +105,7 @@ def restore_store(
             backup,
             server.data,
             settings.key_files,
-            None if anchor else anchor_file(settings),
+            None if anchor else anchor_file(settings.audit, settings.key_files),
             settings.audit.archive,
             begin=begin,
             keep_tokens=keep_tokens,

@@ -1,5 +1,5 @@
 """The acts of people on things other than units: an alarm, a shift, a set, a recipe, an account. Each is an
-event in a log that is kept for good, so an account does it only so often."""
+event in a log that is kept for good, so an account may act only so often."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from bus.instants import Monotonic, monotonic_now
 from bus.messages import TEXTS, Message, ParamValue
 
 MAX_ACTS, ACTS_PER_S = 600, 5.0
-"""At once, and in the long run: more than a program acknowledges in a flood of alarms."""
+"""At once, and in the long run: more than a program needs to acknowledge a flood of alarms."""
 READS = frozenset({"GET", "HEAD"})
 
 
 @dataclass(eq=False)
 class ActLimit:
-    """Counts the acts of each account. Commands are not among them: the wire bounds those."""
+    """Counts the acts of each account. Commands do not count: the wire bounds them."""
 
     _performed: defaultdict[str, Bucket] = field(
         default_factory=lambda: defaultdict(lambda: Bucket(ACTS_PER_S, MAX_ACTS)), init=False
@@ -45,7 +45,7 @@ class ActLimit:
 
 
 class _Performs(Requires):
-    """A dependency that counts the requests it lets in as acts of the account, except those for pages."""
+    """A dependency that counts the requests that it admits as acts of the account, except those for pages."""
 
     async def grant(self, connection: HTTPConnection) -> Person:
         person = await super().grant(connection)
@@ -55,7 +55,7 @@ class _Performs(Requires):
 
 
 class Performed(TypedDict):
-    """What `EventLog.record` takes of an act."""
+    """The arguments of `EventLog.record` for an act."""
 
     kind: EventKind
     who: str | Message
@@ -65,17 +65,17 @@ class Performed(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Act:
-    """``name`` is the operation of the API and the word of ``may("…")`` in templates. ``role`` is checked by
-    the route before it reads the body, and again by the service that does it. ``event`` is the code of the
-    text in the audit log, of kind ``kind``. Raises ValueError for one without a text."""
+    """Something that people do. ``name`` is the operation of the API and the word of ``may("…")`` in
+    templates. ``role`` is checked by the route before it reads the body, and again by the service. ``event``
+    is the code of the text in the audit log, of kind ``kind``. Raises ValueError if that code has no text."""
 
     name: str
     role: Role
     kind: EventKind
     event: str
     counted: bool = field(default=True, kw_only=True)
-    """Whether an account does it only so often; not where something else bounds it, as alarms do their
-    acknowledgement, which nothing may delay."""
+    """Whether it counts for `ActLimit`; not if something else bounds it, as alarms do their acknowledgement,
+    which nothing may delay."""
 
     def __post_init__(self) -> None:
         if self.event not in TEXTS:
@@ -83,15 +83,15 @@ class Act:
 
     @property
     def permitted(self) -> Any:
-        """A dependency of a route: ``Annotated[Person, RETIRE.permitted]``."""
+        """The dependency of a route: ``Annotated[Person, RETIRE.permitted]``."""
         return Depends((_Performs if self.counted else Requires)(self.role, self.name))
 
     def check(self, person: Person) -> None:
-        """Raises Problem 403 ``forbidden`` for a person whose role does not include that of the act."""
+        """Raise Problem 403 ``forbidden`` for a person whose role does not include that of the act."""
         refuse_without(self.role, person)
 
     def by(self, person: Person, **params: ParamValue) -> Performed:
-        """Return what the audit log records of it: ``events.record(**RETIRE.by(person, name=name),
+        """Return the arguments to record the act: ``events.record(**RETIRE.by(person, name=name),
         bus=bus)``."""
         what = Message.of(self.event, **params)
         return {"kind": self.kind, **person.author, "what": what}

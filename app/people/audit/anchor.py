@@ -1,8 +1,8 @@
-"""The anchor: the newest entry of the audit log, noted each minute in a file outside the store.
+"""The anchor: a file outside the store that names the newest entry of the audit log, every minute.
 
-One that is configured is only ever appended to, a line of JSON each time, so that it may be append-only or on
-write-once media. Without one the newest line alone is kept, in a file beside the key. A line of 0.2
-may name the ends of several ``chains``.
+A configured anchor is only ever appended to, a line of JSON each time, so that it may be append-only or on
+write-once media. Without one the newest line alone is kept, in a file beside the key. A line of 0.2 may name
+the ends of several ``chains``.
 
 ``{"id":812,"hash":"3fa9…","time":"2026-11-21T02:01:33Z","key":"91c2…","seal":"77ab…"}``
 """
@@ -14,7 +14,7 @@ import errno
 import os
 import stat
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -32,23 +32,23 @@ from app.people.audit.chain import Head, KeyRing, newest_of
 from app.people.audit.keys import find_key_file
 from app.people.audit.log import EventLog
 from app.people.audit.proof import AuditVerification
-from app.settings import Settings
+from app.people.audit.settings import Audit
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message, joined
 
 EVERY_S = 60.0
 WITHIN_S = 10.0
-"""Time that the medium has for one line, which on a network may be long."""
+"""The time that the medium has for one line, which may be long on a network."""
 AT_END_S = 1.0
-"""Time that it has while the server ends, which takes five seconds in total."""
+"""The time that it has while the server ends, which takes five seconds in total."""
 _TAIL_BYTES = 65_536
-"""Where the newest line is, however long the file is."""
+"""The newest line is within so many bytes at the end of a file."""
 T = TypeVar("T")
 log = structlog.get_logger()
 
 
 class AnchorError(StoreError):
-    """The anchor cannot be read or written; ``reason`` in short."""
+    """The anchor cannot be read or written; ``reason`` says why in short."""
 
     def __init__(self, path: Path, cause: OSError | Message) -> None:
         is_link = isinstance(cause, OSError) and cause.errno == errno.ELOOP
@@ -85,22 +85,24 @@ class _AnchorLine(msgspec.Struct, omit_defaults=True):
 
 @dataclass(frozen=True)
 class Anchors:
-    """The content of a file of anchors. ``hashes``: by entry. ``forged``: the first line that was not written
-    with the key; ``unreadable``: invalid lines, as one that a power failure cut off."""
+    """The content of an anchor. ``hashes``: by entry; ``forged``: the number of the first line that was not
+    written with the key; ``unreadable``: how many lines are invalid, such as one cut off by a power
+    failure."""
 
     hashes: dict[int, str] = field(default_factory=dict)
     forged: int | None = None
     unreadable: int = 0
 
 
-def anchor_file(settings: Settings) -> Path:
-    """Return the file of the anchor of a site: as configured, or beside its key."""
-    key_file = find_key_file(settings.key_files) or settings.key_files[0]
-    return settings.audit.anchor or key_file.with_name(f"{key_file.name}.anchor")
+def anchor_file(settings: Audit, key_files: Sequence[Path]) -> Path:
+    """Return the file of the anchor: as configured, or beside the key, which is the first of ``key_files``
+    that exists."""
+    key_file = find_key_file(key_files) or key_files[0]
+    return settings.anchor or key_file.with_name(f"{key_file.name}.anchor")
 
 
 def anchor_line(head: Head, at: UnixTime, ring: KeyRing) -> bytes:
-    """Return the newest entry, as of an instant, as a line of the file."""
+    """Return the line that names ``head`` as the newest entry at an instant."""
     time_text = datetime.fromtimestamp(float(at), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     line = _AnchorLine(head.id, head.hash, time_text, ring.newest)
     line.seal = ring.seal("anchor", *line.sealed_parts)
@@ -108,7 +110,7 @@ def anchor_line(head: Head, at: UnixTime, ring: KeyRing) -> bytes:
 
 
 def read_anchors(lines: Iterable[bytes], ring: KeyRing) -> Anchors:
-    """Return the content of the lines. Of two different hashes of one entry the second counts as forged."""
+    """Read lines of an anchor. A line with another hash of an entry than an earlier one counts as forged."""
     hashes: dict[int, str] = {}
     unreadable = 0
     for number, text in enumerate(lines, start=1):
@@ -132,8 +134,7 @@ def _decoded(text: bytes) -> _AnchorLine | None:
 
 
 def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
-    """Read the anchors of a file. Raises AnchorError, and StoreError for a line that was not written with the
-    key."""
+    """Read an anchor. Raises AnchorError, and StoreError for a line that was not written with the key."""
     with _in_words(path), path.open("rb") as file:
         anchors = read_anchors(file, ring)
     if anchors.forged is not None:
@@ -142,8 +143,8 @@ def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
 
 
 def newest_anchor(path: Path, ring: KeyRing) -> Head:
-    """Return the entry that a file names last, number 0 where there is no file yet or none in it; the file
-    becomes readable by its user alone. Raises AnchorError."""
+    """Return the entry that a file names last, number 0 if there is none; make the file readable by its user
+    alone. Raises AnchorError."""
     with suppress(OSError, StoreError):
         restrict(path)
     lines = (line for line in _newest_lines(path) if line.is_sealed(ring))
@@ -152,15 +153,15 @@ def newest_anchor(path: Path, ring: KeyRing) -> Head:
 
 
 def is_of_lost_key(path: Path, ring: KeyRing) -> bool:
-    """Whether the newest line of a file names a key that is not in the ring: it cannot be checked any more.
-    Raises AnchorError."""
+    """Whether the newest line of a file was written with a key that is not in the ring. Raises
+    AnchorError."""
     newest = next(_newest_lines(path), None)
     return newest is not None and ring.rank(newest.key) is None
 
 
 def put_aside(path: Path) -> Path | None:
-    """Rename a file of anchors, which stays as evidence; return its new name, None where there is no file.
-    Raises AnchorError."""
+    """Rename an anchor, which stays as evidence; return its new path, None without a file. Raises
+    AnchorError."""
     aside = path.with_name(f"{path.name}.until-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}")
     with _in_words(path), suppress(FileNotFoundError):
         path.rename(aside)
@@ -177,7 +178,8 @@ def _newest_lines(path: Path) -> Iterator[_AnchorLine]:
 
 
 def append_line(path: Path, line: bytes) -> None:
-    """Add a line to the file, made where there is none; on disk when this returns. Raises AnchorError."""
+    """Append a line to a file, which is made if necessary; it is on disk when this returns. Raises
+    AnchorError."""
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
     with _in_words(path), os.fdopen(os.open(path, flags, 0o600), "r+b", buffering=0) as file:
         found = os.fstat(file.fileno())
@@ -193,8 +195,8 @@ def append_line(path: Path, line: bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class AnchorStatus:
-    """``altered``: how the log differs from the anchor, which is reported until the server starts again;
-    ``unwritten``: why the anchor is behind, ``since`` when (Unix time in seconds). Both mostly None."""
+    """The state of the anchor. ``altered``: how the log differs from it, until the server starts again;
+    ``unwritten``: why the anchor is behind, ``since`` when (Unix time in seconds). Both are mostly None."""
 
     altered: Message | None = None
     unwritten: Message | None = None
@@ -202,12 +204,11 @@ class AnchorStatus:
 
 
 class Anchoring:
-    """Notes the newest entry of ``events`` in the file ``path`` once it is in the store: the log may be ahead
-    of the anchor, never behind. Never raises for what the medium does.
+    """Writes the newest entry of ``events`` into the file ``path`` once it is in the store: the log may be
+    ahead of the anchor, never behind. It never raises for a fault of the medium.
 
-    ``is_configured`` False: the file is beside the key. That it cannot be written is an event, and no more;
-    with a new key it begins again.
-    """
+    Without ``is_configured`` the file is the one beside the key: that it cannot be written is only an event,
+    and with a new key it begins again."""
 
     def __init__(
         self, events: EventLog, path: Path, clock: Clock = unix_now, *, is_configured: bool = True
@@ -218,7 +219,7 @@ class Anchoring:
         self._clock = clock
         self._is_configured = is_configured
         self._anchored: Head | None = None
-        """What the file names; None before it was read."""
+        """The entry that the file names; None before it was read."""
         self._is_failing = False
         self._work: asyncio.Future[Any] | None = None
         self._one_at_a_time = asyncio.Lock()
@@ -230,7 +231,7 @@ class Anchoring:
             await asyncio.sleep(EVERY_S)
 
     async def end(self) -> None:
-        """Note where the log ends as the server leaves it, where the medium is quick."""
+        """Export once more as the server ends, if the medium is quick."""
         with suppress(TimeoutError):
             async with asyncio.timeout(AT_END_S):
                 await self.export(AT_END_S)
@@ -241,8 +242,8 @@ class Anchoring:
         return await self._events.proof.verify({named.id: named.hash} if named and named.id else {})
 
     async def export(self, within_s: float = WITHIN_S) -> None:
-        """Note the newest entry where it has changed. A failure is an event and :attr:`status`, and is
-        retried."""
+        """Write the newest entry into the anchor if it has changed. A failure is an event and a
+        :attr:`status`, and is retried."""
         async with self._one_at_a_time:
             try:
                 await self._export(within_s)
@@ -290,8 +291,8 @@ class Anchoring:
                 write_file(self._path, line)
 
     async def _in_thread(self, work: Callable[[], T], within_s: float) -> T:
-        """Run ``work`` once earlier work has ended: a network file system may hang. Raises AnchorError where
-        that takes longer."""
+        """Run ``work`` once earlier work has ended, as a network file system may hang. Raises AnchorError
+        after ``within_s``."""
         try:
             async with asyncio.timeout(within_s):
                 if self._work is not None:
@@ -322,8 +323,7 @@ class Anchoring:
 
 
 def anchor_notice(status: AnchorStatus, formats: Formats, now: UnixTime) -> Message | None:
-    """Return the notice about an anchor that is behind, or a log that was altered. ``now``: Unix time in
-    seconds."""
+    """Return the notice about a log that was altered or an anchor that is behind; mostly None."""
     if status.altered is not None:
         return Message("audit_altered_after_anchor")
     if status.unwritten is not None:

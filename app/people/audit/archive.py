@@ -1,9 +1,8 @@
 """The archive: old months of events as files of JSON lines, verified before they leave the store.
 
-A file is written beside its place and put there once it is on disk and was read back. Then an entry of the
-log names it, and where the log was cut is noted and sealed in the same transaction. Only then entries are
-removed.
-"""
+A file is written under another name, and renamed once it is on disk and was read back. Then an entry of the
+log names it, and the cut of the log is stored and sealed in the same transaction. Only then are entries
+removed."""
 
 from __future__ import annotations
 
@@ -30,26 +29,25 @@ from app.core.database import Database, StoreConnection
 from app.core.database.files import FILE_MODE, sync_folder
 from app.core.server.in_thread import in_thread
 from app.errors import StoreError, system_error
-from app.people.audit.chain import KeyRing
-from app.people.audit.former import Ends
+from app.people.audit.chain import Ends, KeyRing
 from app.people.audit.log import EventLog
 from app.people.audit.proof import CHUNK, Cut, Walk, add_cut, cuts_of, heads_text
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 
 EVERY_S = 3600.0
-"""How often it is looked whether a month is due, the first time so long after the start."""
+"""The time between two looks whether a month is due, and before the first one."""
 STEP_S = 60.0
-"""A clock that was set by more is not trusted for an hour."""
+"""A clock that was changed by more is not trusted for an hour."""
 MAX_REMOVED = 200
-"""Entries that one transaction removes: a few milliseconds, so that no command waits for more."""
+"""Entries that one transaction removes, in a few milliseconds, so that no command waits longer."""
 MAX_SCANNED = 2000
 MAX_LINE = 1024 * 1024
-"""Characters of an entry; the longest has a few hundred frames. A file that was put there in place of ours
-may unpack to one line without an end."""
+"""Characters of an entry, the longest of which has a few hundred frames. A forged file may unpack to one
+endless line."""
 NAME = re.compile(r"events-\d{4}-\d{2}(-[1-9]\d*)?\.jsonl\.gz")
 _STAYS = "id IN (SELECT event FROM shift_signature)"
-"""The sheet of a shift is proven by the entries of its signatures, which therefore stay."""
+"""The entries of signatures prove the sheet of a shift, so they stay in the store."""
 Entry = dict[str, Any]
 log = structlog.get_logger()
 
@@ -76,20 +74,20 @@ class Month(NamedTuple):
 
 
 def month_of(at: UnixTime, zone: ZoneInfo) -> Month:
-    """Return the month in which a time is."""
+    """Return the month of a time."""
     local = datetime.fromtimestamp(float(at), zone)
     return Month(local.year, local.month)
 
 
 def months_due(oldest: UnixTime, now: UnixTime, keep: int, zone: ZoneInfo) -> list[Month]:
-    """Return the months that are over for more than ``keep`` months, from that of the oldest event."""
+    """Return the months from that of the oldest event on that have been over for ``keep`` months or more."""
     kept, first = month_of(now, zone).after(-keep), month_of(oldest, zone)
     over = 12 * (kept.year - first.year) + kept.month - first.month
     return [first.after(months) for months in range(over)]
 
 
 class ArchiveWriter:
-    """Writes one file; ``close`` puts it in its place, ``discard`` leaves nothing of it. Raises OSError."""
+    """Writes one file, which ``close`` puts in its place and ``discard`` removes. Raises OSError."""
 
     def __init__(self, folder: Path, month: Month) -> None:
         if not folder.is_dir():
@@ -109,9 +107,9 @@ class ArchiveWriter:
         self.entries += len(entries)
 
     def close(self) -> tuple[str, str]:
-        """Return the name of the file and its SHA-256, once it is on disk. One with the same content takes
-        its place; no other one is ever replaced: where a store was restored from a backup, and went on
-        otherwise, a month has a second file. Raises EventArchiveError."""
+        """Put the file in its place on disk; return its name and SHA-256. It replaces a file with the same
+        content and no other one: after a restore from a backup a month may have a second file. Raises
+        EventArchiveError."""
         self._packed.close()
         self._file.flush()
         os.fsync(self._file.fileno())
@@ -141,8 +139,8 @@ def digest_of(path: Path) -> str:
 
 
 def entries_in(path: Path) -> Iterator[Entry]:
-    """Return the entries of a file as the store had them, without what they are a part of. Raises
-    EventArchiveError, OSError."""
+    """Yield the entries of a file as the store had them, without ``part_of``. Raises EventArchiveError,
+    OSError."""
     try:
         if not path.is_file():
             raise ValueError("no file")
@@ -164,7 +162,7 @@ def _entry_of(line: str) -> Entry:
 
 @dataclass(frozen=True, slots=True)
 class ArchiveProof:
-    """So many archived ``entries`` are proven. The files that are ``absent`` were not looked at."""
+    """The number of archived ``entries`` that are proven, and the files that are ``absent``."""
 
     entries: int = 0
     absent: tuple[str, ...] = ()
@@ -173,8 +171,8 @@ class ArchiveProof:
 def prove_archive(
     cuts: Sequence[Cut], folder: Path | None, ring: KeyRing, anchors: Mapping[int, str]
 ) -> ArchiveProof:
-    """Verify the files of all cuts that are in a folder: each continues the one before it. Raises
-    EventArchiveError at the first that is not as it was written, OSError for one that cannot be read."""
+    """Verify the files of all cuts that are in a folder, each of which continues the one before it. Raises
+    EventArchiveError for the first that is not as it was written, OSError for one that cannot be read."""
     entries, absent = 0, []
     start: Ends | None = None
     expected = cuts[0].first if cuts else 0
@@ -206,7 +204,7 @@ def _plain(ends: Ends) -> set[tuple[str, int, str]]:
 
 
 class _Due(NamedTuple):
-    """Entries that are to be archived under the name of a month."""
+    """Entries that are to be archived as a month."""
 
     month: Month
     first: int
@@ -227,13 +225,13 @@ class EventArchive:
         monotonic: MonotonicClock = monotonic_now,
     ) -> None:
         self.failing: Message | None = None
-        """Why old events could not be archived at the last attempt; mostly None."""
+        """Why the last attempt to archive old events failed; mostly None."""
         self._database, self._events = database, events
         self._folder, self._keep, self._zone = folder, keep_months, zone
         self._clock, self._monotonic = clock, monotonic
 
     async def follow(self) -> None:
-        """Archive what is due each hour, without end."""
+        """Archive what is due every hour, without end."""
         while True:
             ahead = float(self._clock()) - float(self._monotonic())
             await asyncio.sleep(EVERY_S)
@@ -241,7 +239,7 @@ class EventArchive:
                 await self.archive_due()
 
     async def archive_due(self) -> None:
-        """Archive every month that is due. A failure is an event and :attr:`failing`, and is retried."""
+        """Archive all months that are due. A failure is an event and :attr:`failing`, and is retried."""
         try:
             await self._remove_archived()
             while self._folder is not None and (due := await self._next_due()):
@@ -263,8 +261,8 @@ class EventArchive:
                 log.error("failure of the archive not logged", why=str(error))
 
     async def _next_due(self) -> _Due | None:
-        """Return the next entries to archive. They end before the first entry of a later month, so that the
-        newest ones always stay, and no clock that is ahead archives all."""
+        """Return the next entries to archive. They end before the first entry of a later month, so that a
+        clock that is ahead cannot archive the newest ones."""
         cut = await self._newest_cut()
         now, first, last = self._clock(), None, 0 if cut is None else cut.last
         begin = last + 1
@@ -312,8 +310,7 @@ class EventArchive:
         )
 
     async def _write(self, writer: ArchiveWriter, walk: Walk, due: _Due) -> None:
-        """Write the entries. Raises EventArchiveError where the log was altered: it stays as it is, as
-        evidence."""
+        """Write the entries. Raises EventArchiveError if the log was altered: it then stays as evidence."""
         number = due.first
         while number <= due.last:
             read = partial(_entries_between, first=number, last=due.last)
@@ -327,7 +324,7 @@ class EventArchive:
             number = chunk[-1]["id"] + 1
 
     async def _remove_archived(self) -> None:
-        """Remove what is archived, in transactions between which others write."""
+        """Remove archived entries, in short transactions."""
         if await self._newest_cut() is None:
             return
         while await self._database.write(_remove_some):
@@ -340,8 +337,8 @@ def _times_after(connection: StoreConnection, number: int) -> list[tuple[int, Un
 
 
 def _before_unfinished(connection: StoreConnection, first: int, last: int) -> int:
-    """Return the highest number up to ``last`` at which the log can be cut without parting a command from its
-    result or a change from its parts."""
+    """Return the highest number up to ``last`` after which the log can be cut without separating a command
+    from its result or a change from its parts."""
     while True:
         span = (first, last, last)
         about = "SELECT min(about) FROM events WHERE about >= ? AND about <= ? AND id > ?"
@@ -354,7 +351,7 @@ def _before_unfinished(connection: StoreConnection, first: int, last: int) -> in
 
 
 def _entries_between(connection: StoreConnection, first: int, last: int) -> list[Entry]:
-    """Return entries as they are stored; ``part_of``: the change that one is a part of."""
+    """Return entries as they are stored, each with the change that it is a part of as ``part_of``."""
     query = (
         "SELECT e.*, p.change AS part_of FROM events e LEFT JOIN event_parts p ON p.event = e.id "
         "WHERE e.id >= ? AND e.id <= ? ORDER BY e.id LIMIT ?"
@@ -363,8 +360,8 @@ def _entries_between(connection: StoreConnection, first: int, last: int) -> list
 
 
 def _remove_some(connection: StoreConnection) -> bool:
-    """Remove some of the entries that are archived, the newest first: a result goes before its command.
-    Return whether there may be more."""
+    """Remove some archived entries, the newest first, so that a result goes before its command; return
+    whether there may be more."""
     query = (
         f"SELECT max(id) FROM events WHERE id <= (SELECT max(last) FROM events_archive) AND NOT ({_STAYS})"
     )

@@ -3,14 +3,19 @@
 Entries are numbered without a gap. Each holds the SHA-256 of the entry before it and of all its own fields,
 and a seal over that hash (HMAC-SHA256, FIPS 198-1) with a key that is not in the store. The newest entry is
 noted and sealed apart, so that a log that is cut off at its end is noticed.
-"""
+
+Version 0.2 had a chain for each bus beside that of the site. The column ``chain`` of an entry tells them
+apart: NULL in the one chain of today and of versions before 0.2, "" in that of the site, else the bus.
+Numbers ascend over all of them without a gap. The chain of a bus branches off that of the site: its first
+entry is an entry of both. The first entry of the one chain that follows seals the ends of all former ones:
+its ``previous`` is a hash over them."""
 
 from __future__ import annotations
 
 import hashlib
 import hmac
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -19,7 +24,7 @@ from app.people.audit.entry import messages_of
 from bus.messages import Message
 
 KEY_BYTES = 32
-"""Length of the hash: RFC 2104, 3 discourages shorter keys, and longer ones add nothing."""
+"""The length of the hash: RFC 2104, 3 discourages shorter keys, and longer ones add nothing."""
 BEGINNING = "0" * 64
 """The hash before the first entry of a log."""
 FIELDS = (
@@ -33,7 +38,7 @@ ROTATED = Message("event_audit_key_rotated")
 END_ALTERED = Message("event_audit_end_altered")
 """No failure of the machine causes this: an entry and the seal of the end are written in one transaction."""
 _END_ALTERED_TEXT = "the end of the audit log was altered before this entry"
-"""The text of that remark in an entry of a version that kept texts alone."""
+"""The text of `END_ALTERED` in an entry of a version that kept texts alone."""
 Purpose = Literal["entry", "head", "anchor", "command", "decoy", "cut"]
 """The purpose of a seal. It is part of the sealed data: no seal passes for one of another purpose."""
 canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=str).encode
@@ -42,8 +47,8 @@ _DERIVED = frozenset({"hash", "seal"})
 
 @dataclass(frozen=True)
 class KeyOrigin:
-    """The newest entry of the log when its first key was made; entries up to it have no seal of that key.
-    ``others``: chain, number and hash of the ends of further chains, of a log of 0.2."""
+    """The newest entry of the log when its first key was made; entries up to it have no seal. ``others``:
+    chain, number and hash of the ends of further chains, in a log of 0.2."""
 
     id: int = 0
     hash: str = BEGINNING
@@ -57,7 +62,7 @@ class KeyOrigin:
 
 @dataclass(frozen=True)
 class KeyRing:
-    """Every key that a log was ever sealed with, the newest last; the newest seals new entries."""
+    """All keys with which a log was ever sealed, the newest last, which seals new entries."""
 
     keys: tuple[bytes, ...]
     origin: KeyOrigin = KeyOrigin()
@@ -72,7 +77,7 @@ class KeyRing:
         return _key_id(self.keys[-1])
 
     def rank(self, key_id: str) -> int | None:
-        """Return the place of a key in the order of their making, None for one that is not here."""
+        """Return the place of a key in order of age; None for an unknown one."""
         return self._ranks.get(key_id)
 
     def seal(self, purpose: Purpose, *parts: str) -> str:
@@ -108,8 +113,8 @@ def _equal(seal: str, right: str) -> bool:
 
 @dataclass(frozen=True)
 class Head:
-    """The newest entry of a chain, and its seal as such; ``key`` empty: no key was used yet. ``chain``: the
-    bus of a chain of 0.2; empty: the chain of the site, which goes on as the only one."""
+    """The newest entry of a chain, and its seal as the newest; ``key`` is empty before the first key.
+    ``chain``: the bus of a chain of 0.2; empty for the chain of the site, which goes on as the only one."""
 
     id: int = 0
     hash: str = BEGINNING
@@ -119,15 +124,13 @@ class Head:
 
 
 def newest_of(heads: Iterable[Head]) -> Head:
-    """Return the newest entry of all; number 0 where there is none."""
+    """Return the newest of some entries; number 0 without any."""
     return max(heads, key=lambda head: head.id, default=Head())
 
 
 def entry_hash(previous: str, entry: Mapping[str, Any]) -> str:
-    """Return the SHA-256, in hex, over the previous hash and the entry as JSON with sorted keys.
-
-    An entry with a key is covered in every column that is not NULL, also in those of later versions.
-    """
+    """Return the SHA-256, in hex, over the previous hash and the entry as JSON with sorted keys. Of an entry
+    with a key it covers every column that is not NULL, also those of later versions."""
     covered = {name: value for name, value in entry.items() if value is not None and name not in _DERIVED}
     if not entry.get("key"):
         newer = covered.keys() - {*FIELDS, "previous", "key"}
@@ -136,7 +139,7 @@ def entry_hash(previous: str, entry: Mapping[str, Any]) -> str:
 
 
 def sealed_entry(previous: str, entry: Mapping[str, Any], ring: KeyRing) -> dict[str, Any]:
-    """Return ``entry``, which has its id, chained to the hash before and sealed with the newest key."""
+    """Chain an entry, which has its id, to the hash before it, and seal it with the newest key."""
     sealed = {**entry, "previous": previous, "key": ring.newest}
     sealed["hash"] = digest = entry_hash(previous, sealed)
     sealed["seal"] = ring.seal("entry", digest)
@@ -144,8 +147,8 @@ def sealed_entry(previous: str, entry: Mapping[str, Any], ring: KeyRing) -> dict
 
 
 def is_sound_alone(entry: Mapping[str, Any], ring: KeyRing) -> bool:
-    """Whether an entry is as it was written, whatever was before it; of one that is older than the key only
-    that it fits its hash."""
+    """Whether an entry is as it was written, whatever was before it; one that is older than the first key
+    must only fit its hash."""
     digest = entry_hash(entry.get("previous") or "", entry)
     if entry.get("hash") != digest:
         return False
@@ -154,7 +157,7 @@ def is_sound_alone(entry: Mapping[str, Any], ring: KeyRing) -> bool:
 
 
 def sealed_head(entry: Mapping[str, Any], ring: KeyRing, chain: str = "") -> Head:
-    """Return a sealed entry as the newest of a chain."""
+    """Seal an entry as the newest of a chain."""
     number, digest = entry["id"], entry["hash"]
     return Head(number, digest, ring.newest, ring.seal("head", *_head_parts(number, digest, chain)), chain)
 
@@ -169,8 +172,7 @@ def confirms_head(head: Head, ring: KeyRing) -> bool:
 
 
 def remark_on(head: Head, ring: KeyRing) -> Message | None:
-    """Return what an entry must state of the log itself before anything is added to ``head``; mostly
-    nothing."""
+    """Return what must be recorded about the log itself before anything is added to ``head``; mostly None."""
     if head.id == 0 or confirms_head(head, ring):
         return None
     if not head.key:
@@ -184,3 +186,57 @@ def notes_altered_end(entry: Mapping[str, Any]) -> bool:
         return False
     what = (messages_of(entry.get("messages")) or {}).get("what")
     return entry["what"] == _END_ALTERED_TEXT if what is None else what == END_ALTERED
+
+
+SITE = ""
+"""The chain of the site; where something is kept by chain, also the only chain of today."""
+Ends = Mapping[str, Head]
+"""The last entry of each chain, by chain."""
+JOINED = Message("event_audit_chains_joined")
+
+
+def previous_after(ends: Ends) -> str:
+    """Return the ``previous`` of the entry that continues all chains: of a single chain the hash of its
+    end."""
+    if len(ends) > 1:
+        plain = {chain: (head.id, head.hash) for chain, head in ends.items()}
+        return hashlib.sha256(f"chains\n{canonical(plain)}".encode()).hexdigest()
+    return next((head.hash for head in ends.values()), BEGINNING)
+
+
+def expected_previous(entry: Mapping[str, Any], ends: Ends) -> str:
+    """Return the ``previous`` that an entry must have after chains with these ends."""
+    chain = entry.get("chain")
+    if chain is None:
+        return previous_after(ends)
+    return (ends.get(chain) or ends.get(SITE, Head())).hash
+
+
+def advance(ends: dict[str, Head], entry: Mapping[str, Any]) -> None:
+    """Move the ends of the chains on by an entry."""
+    head, chain = Head(entry["id"], entry["hash"], entry.get("key") or ""), entry.get("chain")
+    if chain is None:
+        ends.clear()
+    if chain is None or chain not in ends:
+        ends[SITE] = head
+    if chain is not None:
+        ends[chain] = head
+
+
+def chains_named(ends: Ends) -> list[Message]:
+    """Return messages about where each chain ended."""
+    return [
+        Message.of("audit_chain_ended", bus=chain, entry=head.id, hash=head.hash)
+        if chain
+        else Message.of("audit_chain_of_site_ended", entry=head.id, hash=head.hash)
+        for chain, head in sorted(ends.items())
+    ]
+
+
+def origin_of(heads: Ends) -> KeyOrigin:
+    """Return the origin of a key that is made now, of a log that ends with ``heads``."""
+    newest = newest_of(heads.values())
+    others: Sequence[tuple[str, int, str]] = [
+        (name, head.id, head.hash) for name, head in sorted(heads.items()) if head is not newest
+    ]
+    return KeyOrigin(newest.id, newest.hash, tuple(others))

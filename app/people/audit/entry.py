@@ -1,8 +1,7 @@
 """An entry of the log as it is stored, and as it is read back. Pure.
 
-Every field has the type in which the store returns it, as the hash covers the written values and is compared
-with one over those read. Whatever a row holds, it can be shown.
-"""
+Every field has the type in which the store returns it, since the hash over the written values is compared
+with one over those read. Any row can be shown, whatever it holds."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ from bus.instants import UnixTime
 from bus.messages import LIST, NUMBER, TERM, TEXTS, Message
 
 Event = dict[str, Any]
-"""One event with its result, as :func:`readable` gives it."""
+"""One event with its result, as :func:`readable` returns it."""
 EventKind = Literal[
     "access_refused",
     "alarm",
@@ -50,10 +49,10 @@ EventKind = Literal[
     "user",
     "worker",
 ]
-"""A filter for another one is refused, instead of returning nothing. A log of 0.2 has events of ``home``."""
+"""A filter for another kind is refused instead of finding nothing. A log of 0.2 has events of ``home``."""
 
 MAX_TIME = 253_370_764_800.0
-"""The year 9999: no date of the screen or of ISO 8601 goes further. Unix time in seconds."""
+"""The year 9999, the last one of dates on the screen and in ISO 8601. Unix time in seconds."""
 _OPTIONAL = ("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome", "count")
 _TEXTS = ("who", "origin", "what", "message")
 MESSAGE_COLUMNS = ("who", "origin", "what", "old", "new", "message")
@@ -61,8 +60,9 @@ MESSAGE_COLUMNS = ("who", "origin", "what", "old", "new", "message")
 
 
 def new_entry(*, kind: str, time: UnixTime, frames: Iterable[Frame] = (), **given: Any) -> dict[str, Any]:
-    """Return all fields of an entry but its id. ``time``: Unix time in seconds; ``frames`` carried the
-    command. Of a message the field has the text in English, and ``messages`` what it is."""
+    """Return all fields of an entry except its id. ``time``: Unix time in seconds; ``frames``: those that
+    carried the command. A field that is a message holds its English text, and ``messages`` has the
+    message."""
     shown = json.dumps([_frame(frame) for frame in frames], separators=(",", ":"), ensure_ascii=False)
     entry = {**dict.fromkeys(_OPTIONAL), **dict.fromkeys(_TEXTS, ""), **given, "kind": kind, "frames": shown}
     messages = {name: _plain(entry[name]) for name in MESSAGE_COLUMNS if isinstance(entry[name], Message)}
@@ -78,7 +78,7 @@ def is_moment(time: UnixTime) -> bool:
 
 
 def _plain(message: Any) -> Any:
-    """Return a message as JSON has it, each text as it is stored."""
+    """Return a message as JSON has it."""
     match message:
         case Message(code, params):
             return {"code": code, "params": {name: _plain(value) for name, value in params.items()}}
@@ -120,8 +120,8 @@ class FrameRecord(msgspec.Struct):
 
 
 def readable(row: Mapping[str, Any]) -> Event:
-    """Return the row as an event. Where its time or its frames are invalid, ``unreadable`` is true, the time
-    0, which no event has, and the frames left out. ``messages``: of its fields, where known."""
+    """Return a row as an event. If its time or its frames are invalid, ``unreadable`` is true, the time is 0,
+    and the frames are left out. ``messages``: those of its fields with a code of this version."""
     has_time, frames = is_moment(row["time"]), frames_of(row["frames"])
     event = {**row, "unreadable": not has_time or frames is None}
     concluded_at = row["concluded_at"]
@@ -141,7 +141,7 @@ def readable(row: Mapping[str, Any]) -> Event:
 
 
 def messages_of(text: str | None) -> dict[str, Message] | None:
-    """Return the messages of an entry's fields, by field, from its JSON; None where it is invalid."""
+    """Return the messages of an entry by field, from its JSON; None if it is invalid."""
     if text is None:
         return {}
     try:
@@ -151,7 +151,7 @@ def messages_of(text: str | None) -> dict[str, Message] | None:
 
 
 def frames_of(text: str) -> list[FrameRecord] | None:
-    """Return the frames in the JSON of an entry; None where they are none."""
+    """Return the frames of an entry from its JSON; None if it is invalid."""
     try:
         frames = msgspec.json.decode(text, type=list[FrameRecord])
     except (msgspec.MsgspecError, UnicodeError, RecursionError):

@@ -18,13 +18,12 @@ import msgspec
 
 from app.core.database.files import fresh_file, sync_folder
 from app.errors import StoreError, system_error
-from app.people.audit.chain import KEY_BYTES, KeyOrigin, KeyRing
-from app.people.audit.former import Ends, origin_of
+from app.people.audit.chain import KEY_BYTES, Ends, KeyOrigin, KeyRing, origin_of
 from bus.messages import Message
 
 
 class Keys:
-    """One for the app. Without a ``path`` the keys end with the process."""
+    """The keys of a log, in a file or, without a ``path``, only in this process."""
 
     def __init__(self, ring: KeyRing, path: Path | None = None, owners: frozenset[int] = frozenset()) -> None:
         self.ring = ring
@@ -33,19 +32,14 @@ class Keys:
 
     def knowing(self, key_id: str) -> KeyRing:
         """Return the ring, with the key of this id if the file has it: another process may have rotated the
-        keys.
-
-        Raises KeyFileError when the file cannot be used any more.
-        """
+        keys. Raises KeyFileError if the file cannot be used any more."""
         if key_id and self.ring.rank(key_id) is None and self.path is not None:
             self.ring = read_key_file(self.path, self._owners) or self.ring
         return self.ring
 
     def rotate(self) -> None:
-        """Make a newer key, which seals new entries; the others still verify the entries they sealed.
-
-        Raises KeyFileError.
-        """
+        """Make a new key, which seals new entries; the others verify the entries that they sealed. Raises
+        KeyFileError."""
         ring = self.ring.with_key(secrets.token_bytes(KEY_BYTES))
         if self.path is not None:
             replace_key_file(self.path, ring)
@@ -59,7 +53,7 @@ def passing_keys() -> Keys:
 
 def open_keys(paths: Sequence[Path], store: Path | None, heads: Ends) -> Keys:
     """Return the keys of the log in the file ``store``, which ends with ``heads``, from the first of the
-    files that is there. Where none is, the first that can be made is made. Raises KeyFileError."""
+    files that exists. Without any, make the first that can be made. Raises KeyFileError."""
     owners = owners_of(store)
     path = find_key_file(paths) or _made(paths, origin_of(heads))
     ring = read_key_file(path, owners)
@@ -69,14 +63,13 @@ def open_keys(paths: Sequence[Path], store: Path | None, heads: Ends) -> Keys:
 
 
 def find_key_file(paths: Sequence[Path]) -> Path | None:
-    """Return the first of the files that there is; a link to nowhere is one, which is refused when it is
-    read."""
+    """Return the first of the files that exists. A link to nowhere counts: reading it is refused."""
     return next((path for path in paths if os.path.lexists(path)), None)
 
 
 def owners_of(store: Path | None) -> frozenset[int]:
-    """Return the users to whom the key of a store may belong: ours, root, and the one whose file the store
-    is."""
+    """Return the users to whom the key of a store may belong: this process's, root, and the owner of the
+    store."""
     owner = os.geteuid() if store is None else store.stat().st_uid
     return frozenset({os.geteuid(), 0, owner})
 
@@ -105,7 +98,8 @@ class _Log(msgspec.Struct):
 
 
 class _Content(msgspec.Struct, omit_defaults=True):
-    """``log``: its newest entry when the first key was made; ``chains``: the last ones of other chains."""
+    """The content of a key file. ``log``: the newest entry when the first key was made; ``chains``: the last
+    entries of other chains."""
 
     log: _Log
     keys: Annotated[list[_Hex], msgspec.Meta(min_length=1)]
@@ -113,8 +107,8 @@ class _Content(msgspec.Struct, omit_defaults=True):
 
 
 def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
-    """Return the keys, None where there is no file. Raises KeyFileError for one that others could have read
-    or made, and for one that holds no keys. ``owners``: the users that it may belong to."""
+    """Return the keys; None without a file. Raises KeyFileError for a file that others could have read or
+    made, and for one without keys. ``owners``: the users to whom it may belong."""
     try:
         # A FIFO or a device would delay the start indefinitely.
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
@@ -129,7 +123,7 @@ def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
 
 
 def make_key_file(path: Path, origin: KeyOrigin) -> None:
-    """Make the file with a first key, for a log that ends at ``origin``, unless another process was faster.
+    """Make the file with a first key, for a log that ends at ``origin``, unless another process has made it.
     Raises KeyFileError."""
     content = _content_of(KeyRing((secrets.token_bytes(KEY_BYTES),), origin))
     try:
@@ -145,7 +139,7 @@ def make_key_file(path: Path, origin: KeyOrigin) -> None:
 
 
 def replace_key_file(path: Path, ring: KeyRing) -> None:
-    """Put a ring with a newer key in the place of the file; its owner stays. Raises KeyFileError."""
+    """Replace the file by one with these keys and the same owner. Raises KeyFileError."""
     try:
         owner = path.stat()
         with fresh_file(path, _content_of(ring)) as fresh:

@@ -1,33 +1,51 @@
-"""The event log: each entry continues the chain, in the transaction of what it is about."""
+"""The event log: each entry continues the chain, in the transaction of what it is about.
+
+Events that strangers can cause are bounded: repetitions are counted and recorded once a minute.
+"""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+import asyncio
+from collections import defaultdict
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Required, TypedDict, Unpack
 
 import structlog
 
 from app.core.database import Database, StoreConnection
-from app.people.audit import former, queries
-from app.people.audit.chain import END_ALTERED, FIELDS, Head, newest_of, remark_on, sealed_entry, sealed_head
+from app.core.server.refusal_log import WINDOW_S, Repeats, Repetition
+from app.errors import StoreError
+from app.people.audit import queries
+from app.people.audit.chain import (
+    END_ALTERED,
+    FIELDS,
+    JOINED,
+    SITE,
+    Head,
+    chains_named,
+    newest_of,
+    previous_after,
+    remark_on,
+    sealed_entry,
+    sealed_head,
+)
 from app.people.audit.entry import Event as Event
 from app.people.audit.entry import EventKind, is_moment, new_entry, readable
-from app.people.audit.former import SITE
 from app.people.audit.keys import Keys, passing_keys
 from app.people.audit.proof import LogProof
 from app.people.audit.queries import Filter
-from app.people.audit.repeated import RepeatedEvents
 from bus.contract import Frame, Outcome
-from bus.instants import Clock, UnixTime, unix_now
+from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, joined
 
 log = structlog.get_logger()
 
 EventSubscriber = Callable[[Event], None]
 Also = Callable[[StoreConnection], object]
-"""Writes something else in the transaction of an event."""
+"""A function that writes something else in the transaction of an event."""
 
 CHUNK = 1000
 ENDED_BEFORE = Message("server_stopped")
@@ -53,8 +71,8 @@ NO_TEXTS: Mapping[Any, Any] = MappingProxyType({})
 
 
 class EventLog:
-    """Append-only. Whatever returns from here is on disk. Without ``keys``, what seals the entries ends
-    with the process: nothing that is kept may be written so."""
+    """An append-only log; what its methods have written is on disk when they return. Without ``keys`` the
+    keys end with the process, so that nothing can verify what was written."""
 
     def __init__(self, database: Database, clock: Clock = unix_now, keys: Keys | None = None) -> None:
         self.keys = keys or passing_keys()
@@ -65,14 +83,16 @@ class EventLog:
         self._subscribers: list[EventSubscriber] = []
 
     def subscribe(self, subscriber: EventSubscriber) -> Callable[[], None]:
-        """Call ``subscriber`` with each event, a command again at its outcome; return what ends it."""
+        """Call ``subscriber`` with each event, and again with the outcome of a command; return a function
+        that ends the subscription."""
         self._subscribers.append(subscriber)
         return lambda: self._subscribers.remove(subscriber)
 
     async def intend_together(
         self, intents: Sequence[Mapping[str, Any]], also: Also | None = None
     ) -> list[int]:
-        """Store commands before they are sent, in one transaction with ``also``; their numbers in order."""
+        """Store commands before they are sent, in one transaction with ``also``; return their numbers in
+        order."""
         return await self._append_all([self._entry("command", **intent) for intent in intents], also)
 
     async def conclude_together(
@@ -80,8 +100,8 @@ class EventLog:
         outcomes: Mapping[int, tuple[Outcome, str | Message]],
         texts: Mapping[int, Mapping[str, Message]] = NO_TEXTS,
     ) -> None:
-        """Store the outcome and message of several commands, by event number, in one transaction. ``texts``:
-        as in :meth:`conclude`."""
+        """Store outcome and message of several commands, by event number, in one transaction. ``texts``: as
+        in :meth:`conclude`."""
         entries = [
             self._entry("fate", about=event, outcome=outcome, message=message, **texts.get(event, {}))
             for event, (outcome, message) in outcomes.items()
@@ -99,8 +119,8 @@ class EventLog:
         also: Also | None = None,
         texts: Mapping[str, Message] = NO_TEXTS,
     ) -> None:
-        """Store the outcome of an intent; ``frames`` carried it. ``also``: in the same transaction.
-        ``texts``: the fields ``old`` and ``new`` where the command has shown that they are others."""
+        """Store the outcome of an intent, which ``frames`` carried, in one transaction with ``also``.
+        ``texts``: ``old`` and ``new`` if the command has shown that they differ from those of the intent."""
         entry = self._entry("fate", about=event, outcome=outcome, message=message, frames=frames, **texts)
         await self._write_all([entry], also)
         await self._publish_stored(event)
@@ -114,15 +134,15 @@ class EventLog:
         also: Also | None = None,
         **fields: Unpack[EventFields],
     ) -> int:
-        """Store a complete event; ``at``: when, if not just now, ``count``: how often, and ``also``
-        what belongs to it, in the same transaction. Returns the event's number."""
+        """Store a complete event, in one transaction with ``also``; return its number. ``at``: when it
+        happened, if not just now; ``count``: how often."""
         time = {} if at is None or not is_moment(at) else {"time": at}
         entry = self._entry(kind, **fields, count=count if count > 1 else None, **time)
         return (await self._append_all([entry], also))[0]
 
     async def close_open_intents(self) -> int:
-        """Note as unverified, at the start, what was open when the last run ended; return how many there
-        were."""
+        """Conclude as unverified, at the start, the commands that were open when the last run ended; return
+        their number."""
         left = await self._database.read(queries.open_intents)
         for first in range(0, len(left), CHUNK):
             chunk = left[first : first + CHUNK]
@@ -137,7 +157,7 @@ class EventLog:
         return found[:limit], found[limit - 1]["id"] if len(found) > limit else None
 
     async def every(self, wanted: Filter) -> AsyncIterator[list[Event]]:
-        """Yield all events that are wanted, newest first, in pieces."""
+        """Yield all events of a filter, newest first, in chunks."""
         while True:
             chunk, after = await self.page(wanted, CHUNK)
             yield chunk
@@ -146,7 +166,7 @@ class EventLog:
             wanted = replace(wanted, before=after)
 
     async def kinds(self) -> list[str]:
-        """Return every kind there is an event of."""
+        """Return the kinds of all events."""
         return await self._database.read_costly(queries.kinds)
 
     async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
@@ -196,8 +216,8 @@ SET id = excluded.id, hash = excluded.hash, key = excluded.key, seal = excluded.
 
 
 def append(connection: StoreConnection, entries: Sequence[Mapping[str, Any]], keys: Keys) -> list[int]:
-    """Add entries without their ids; return the ids. Where the log before them cannot be vouched for, or ends
-    in several chains, entries about that come first."""
+    """Append entries, which have no ids yet; return their ids. If the end of the log is not sealed with a
+    known key or there are several chains, entries about that come first."""
     if not entries:
         return []
     ends, is_altered = _ends(connection)
@@ -208,10 +228,10 @@ def append(connection: StoreConnection, entries: Sequence[Mapping[str, Any]], ke
     if is_altered:
         found = [(END_ALTERED, "")]
     if len(ends) > 1:
-        found.append((former.JOINED, joined(former.named(ends)) or ""))
+        found.append((JOINED, joined(chains_named(ends)) or ""))
     time = entries[0]["time"]
     first = [new_entry(kind="audit", time=time, what=what, message=why) for what, why in found]
-    number, previous, row = last.id, former.joined(ends), {}
+    number, previous, row = last.id, previous_after(ends), {}
     for number, entry in enumerate([*first, *entries], start=last.id + 1):
         # Exactly what the row will hold: the hash of anything else would not be confirmed by it.
         row = {name: entry.get(name) for name in _COLUMNS} | {"id": number}
@@ -224,8 +244,8 @@ def append(connection: StoreConnection, entries: Sequence[Mapping[str, Any]], ke
 
 
 def _ends(connection: StoreConnection) -> tuple[dict[str, Head], bool]:
-    """Return what the next entry continues, by chain, and whether an entry is there behind what was noted as
-    the end, which cannot have been written so."""
+    """Return the end of each chain that the next entry continues, and whether there are entries behind the
+    noted end, which this program cannot have written."""
     last = connection.execute(_LAST).fetchone()
     is_one = last is not None and last["chain"] is None
     rows = connection.execute(f"{_HEADS} WHERE chain = ''" if is_one else _HEADS)
@@ -234,3 +254,65 @@ def _ends(connection: StoreConnection) -> tuple[dict[str, Head], bool]:
         return ends, False
     chain = last["chain"] or SITE
     return {**ends, chain: Head(last["id"], last["hash"], last["key"], chain=chain)}, True
+
+
+MAX_KEYS = 20
+"""The number of places and messages of a group that have separate events in a minute."""
+MANY = Message("many_addresses")
+"""The origin of events of all further places together."""
+_Text = str | Message
+_RepeatedEvent = tuple[EventKind, _Text, _Text, _Text, _Text, UnixTime]
+"""The kind, what, who, origin, message and time of an event."""
+
+
+class RepeatedEvents:
+    """Records the first event of a kind, person, place and message at once, then one a minute with the number
+    of repetitions. Places are kept apart for each person, so that a flood hides nobody who is under attack;
+    there is a bounded number of ``who``. ``record``: `EventLog.record`; ``clock``: Unix time in seconds;
+    ``now`` measures the minutes."""
+
+    def __init__(
+        self, record: Callable[..., Awaitable[object]], clock: Clock, now: MonotonicClock = monotonic_now
+    ) -> None:
+        self._record = record
+        self._clock = clock
+        self._now = now
+        self._groups: dict[tuple[EventKind, _Text], Repeats[_RepeatedEvent]] = defaultdict(
+            partial(Repeats, MAX_KEYS)
+        )
+
+    async def count(
+        self, kind: EventKind, what: _Text, *, who: _Text = "", origin: _Text = "", message: _Text = ""
+    ) -> None:
+        """Count one more event that a stranger can cause as often as they like."""
+        event = (kind, what, who, origin, message, self._clock())
+        first = self._groups[kind, who].note((what, origin, message), event, self._now())
+        if first is not None:
+            await self._record_counted(first)
+
+    async def follow(self) -> None:
+        """Record what was counted in minutes that are over, without end."""
+        while True:
+            await asyncio.sleep(WINDOW_S / 4)
+            await self.record_due()
+
+    async def record_due(self, *, everything: bool = False) -> None:
+        """Record what was counted in minutes that are over, or ``everything`` as the server ends. Raises
+        StoreError once each was tried."""
+        failed: StoreError | None = None
+        now = self._now()
+        for repeats in list(self._groups.values()):
+            for counted in repeats.take_counted(now, everything=everything):
+                try:
+                    await self._record_counted(counted)
+                except StoreError as error:
+                    failed = error
+        if failed is not None:
+            raise failed
+
+    async def _record_counted(self, counted: Repetition[_RepeatedEvent]) -> None:
+        kind, what, who, origin, message, at = counted.item
+        if counted.is_of_others:
+            origin, message = MANY, ""
+        fields = {"what": what, "who": who, "origin": origin, "message": message}
+        await self._record(kind=kind, at=at, count=counted.count, **fields)

@@ -1,4 +1,4 @@
-"""The events page: who did what, filtered and searched; and what the search of all pages finds of it."""
+"""The page of events, filtered and searched, and the events that the search of all pages finds."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from app.people.audit.api import Events
 from app.people.audit.entry import Event
 from app.people.audit.log import EventLog
 from app.people.audit.queries import Filter, UnitPlace
-from app.settings import Settings
 from bus.messages import Message
+from bus.settings import BusSettings
 from bus.text import TypedText
 
 router = APIRouter(include_in_schema=False)
 ON_A_PAGE = 100
 MAX_PARTS = 1000
-"""Parts that one page holds; with more there are fewer rows on it. A change has at most 255."""
+"""Parts on one page; with more of them it has fewer rows. A change has at most 255."""
 FIELDS = ("kind", "bus", "unit", "who", "since", "until", "search")
 
 
@@ -53,11 +53,11 @@ async def events_page(
     until: Annotated[str, Query(max_length=10)] = "",
     search: Annotated[TypedText, Query(max_length=200)] = "",
 ) -> HTMLResponse:
-    """Show the events of a filter. Empty fields of its form do not narrow; days are those of the site."""
+    """Show the events of a filter. Empty fields do not filter; days are those of the site."""
     chosen = dict(zip(FIELDS, (kind, bus, unit, who, since, until, search), strict=True))
     templates = templates_of(request)
     site_zone, formats = templates.site.zone, templates.formats(templates.language_of(request).tag)
-    settings = service_of(request, Settings)
+    finder = service_of(request, EventFinder)
     wanted = Filter(
         before=parse_integer(before),
         kind=kind or None,
@@ -67,14 +67,14 @@ async def events_page(
         since=day_begins(since, site_zone),
         until=day_begins(until, site_zone, timedelta(days=1)),
         search=formats.typed_number(search),
-        named=units_named(settings, search),
+        named=finder.units_named(search),
     )
     rows, after = await page_of(events, wanted, ON_A_PAGE)
     return render(
         request,
         "events/page.html",
         rows=rows,
-        names={(bus.name, unit.id): unit.name for bus in settings.bus for unit in bus.unit},
+        names=finder.names,
         kinds=await events.kinds(),
         chosen=chosen,
         older=_address("/events", chosen | {"before": after}) if after else "",
@@ -104,13 +104,13 @@ class EventRow:
 
     @property
     def outcomes(self) -> list[tuple[str | None, int]]:
-        """How many parts have which outcome, the most frequent first; None while it is not known."""
+        """The number of parts with each outcome, the most frequent first; None while it is not known."""
         return Counter(part["outcome"] for part in self.parts).most_common()
 
 
 async def page_of(events: EventLog, wanted: Filter, limit: int) -> tuple[list[EventRow], int | None]:
-    """Return rows newest first, at most ``limit``, and the number to continue from (None at the end). A part
-    is a row where the filter leaves its group out."""
+    """Return at most ``limit`` rows, newest first, and the number to continue from (None at the end). A part
+    is a row of its own if the filter excludes its change."""
     found, after = await events.page(replace(wanted, folded=True), limit)
     groups = sorted(event["id"] for event in found)
     parts, more = await events.page(Filter(parts_of=tuple(groups)), MAX_PARTS)
@@ -125,41 +125,39 @@ async def page_of(events: EventLog, wanted: Filter, limit: int) -> tuple[list[Ev
 
 
 def _group_of(part: Event, ordered: Sequence[int]) -> int:
-    """Return the number of the change that an event is a part of: its parts follow it."""
+    """Return the number of the change that an event is a part of, which is the last one before it."""
     return ordered[bisect_left(ordered, part["id"]) - 1]
 
 
 SHOWN = 3
-"""Events that are listed; the page of events has the others."""
+"""Events that the search lists; the page of events has the others."""
 MAX_SEARCHED = 10_000
-"""A key press searches so many entries of the log: in a long one a word that is in none takes seconds."""
+"""Entries that a key press searches: a word that is in none would take seconds in a long log."""
 LAST = 100
-"""Their rank: they come after everything that has the name."""
-
-
-def units_named(settings: Settings, typed: str) -> tuple[UnitPlace, ...]:
-    """Return the units with this name."""
-    words = words_of(typed)
-    if not words:
-        return ()
-    return tuple(
-        (bus.name, unit.id)
-        for bus in settings.bus
-        for unit in bus.unit
-        if rank(words, (unit.name, unit.group)) is not None
-    )
+"""The rank of events, after everything that has the name."""
 
 
 class EventFinder:
-    def __init__(self, events: EventLog, settings: Settings) -> None:
+    """Finds events for the search of all pages, also by the names of the units that they are about."""
+
+    def __init__(self, events: EventLog, buses: Iterable[BusSettings]) -> None:
         self._events = events
-        self._settings = settings
-        self._names = {(bus.name, unit.id): unit.name for bus in settings.bus for unit in bus.unit}
+        self._units = {(bus.name, unit.id): unit for bus in buses for unit in bus.unit}
+        self.names = {place: unit.name for place, unit in self._units.items()}
+
+    def units_named(self, typed: str) -> tuple[UnitPlace, ...]:
+        """Return the units with this name."""
+        words = words_of(typed)
+        return tuple(
+            place
+            for place, unit in self._units.items()
+            if words and rank(words, (unit.name, unit.group)) is not None
+        )
 
     async def __call__(self, search: Search) -> Iterable[FoundPlace]:
-        """Return a way to the page of events with this search, and the newest of them."""
+        """Return the newest events of a search, and the page of events with that search."""
         typed = search.formats.typed_number(search.typed)
-        named = units_named(self._settings, search.typed)
+        named = self.units_named(search.typed)
         wanted = Filter(search=typed, named=named, folded=True, newest=MAX_SEARCHED)
         try:
             events, _ = await self._events.page(wanted, SHOWN)
@@ -181,7 +179,7 @@ class EventFinder:
         ]
 
     def _label(self, event: Event, language: Language) -> str:
-        """Return what happened, after the name of the unit that it happened to."""
+        """Return what happened, after the name of the unit."""
         what = language.t(event["messages"].get("what", event["what"]))
-        name = self._names.get((event["bus"] or "", event["unit"] or 0))
+        name = self.names.get((event["bus"] or "", event["unit"] or 0))
         return f"{name} · {what}" if name else what

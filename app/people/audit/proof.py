@@ -1,4 +1,4 @@
-"""Proof that the log of a store is as it was written, from its beginning or from where it was cut."""
+"""The proof that the log of a store is as it was written, from its beginning or from where it was cut."""
 
 from __future__ import annotations
 
@@ -14,29 +14,32 @@ from app.core.database import Database, StoreConnection
 from app.core.database.connection import has_column
 from app.core.web.api.shape import MessageObject
 from app.people.audit.chain import (
+    SITE,
+    Ends,
     Head,
     KeyRing,
+    advance,
     confirms_head,
     entry_hash,
+    expected_previous,
     is_sound_alone,
     newest_of,
     notes_altered_end,
 )
-from app.people.audit.former import SITE, Ends, advance, expected_previous
 from app.people.audit.keys import Keys
 from bus.instants import UnixTime
 from bus.messages import Message
 
 LOWEST_ID = -(2**63)
-"""Where a walk begins: an entry that was added before the first must be seen too."""
+"""A walk begins here, so that it also meets an entry that was added before the first one."""
 CHUNK = 500
-"""Entries that are verified at a stretch: a few milliseconds."""
+"""Entries that are verified at a time, which takes a few milliseconds."""
 
 
 @dataclass(frozen=True)
 class AuditVerification:
-    """Whether the log is intact; ``broken``: the first altered entry; ``fault``: the cause. Entries that are
-    older than the key are verified to be as they were when it was made, and no further back."""
+    """Whether the log is intact. Entries that are older than the key are only verified to be as they were
+    when it was made."""
 
     entries: int
     broken: Annotated[int | None, Field(description="Number of the first broken entry; null: none.")] = None
@@ -51,9 +54,9 @@ class AuditVerification:
 
 
 class Walk:
-    """Follows a log up to its first broken entry, from its beginning or from ends that are known to be good.
-    ``anchors``: hashes that were noted elsewhere, by entry; ``archived``: up to this number the entries are
-    in the archive, and of those that are left each is verified alone. Pure."""
+    """A walk along a log up to its first broken entry, from its beginning or from ends that are known to be
+    good. ``anchors``: hashes that were noted elsewhere, by entry; ``archived``: entries up to this number are
+    in the archive, and each of those that are left in the store is verified by itself. Pure."""
 
     def __init__(
         self,
@@ -72,10 +75,10 @@ class Walk:
         self._rank = max((rank for rank in ranks if rank is not None), default=0)
         self._broken = 0
         self.fault: Message | None = None
-        """Why what was followed so far is not intact; None: it is."""
+        """Why the entries so far are not intact; None if they are."""
 
     def follow(self, entries: Iterable[Mapping[str, Any]]) -> None:
-        """Follow the next entries, in order. Nothing more is looked at after the first broken one."""
+        """Verify the next entries in order, up to the first broken one."""
         for entry in entries:
             if self.fault is not None:
                 return
@@ -93,7 +96,8 @@ class Walk:
                 self._number = number
 
     def end(self, heads: Ends) -> AuditVerification:
-        """Return the verdict once every entry was followed; ``heads``: what was noted apart as the newest."""
+        """Return the result after the last entry; ``heads``: the entries that were noted apart as the
+        newest."""
         if self.fault is None:
             self._check_end(heads)
         if self.fault is not None:
@@ -153,9 +157,9 @@ class Walk:
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """Where the log was cut: entries ``first`` to ``last`` are in ``file`` of the archive, whose SHA-256 is
-    ``digest``. ``heads``: JSON of the ends of the chains at ``last``, from which the entries that stayed go
-    on; ``first_hash``: of the first entry of the log, in a cut of 0.2; ``at``: when it was made."""
+    """A cut of the log: entries ``first`` to ``last`` are in ``file`` of the archive, whose SHA-256 is
+    ``digest``. ``heads``: JSON of the ends of the chains at ``last``, which the entries that stayed continue;
+    ``first_hash``: that of the first entry of the log, in a cut of 0.2; ``at``: when it was made."""
 
     last: int
     first: int
@@ -174,7 +178,7 @@ class Cut:
         return {chain: Head(*end, chain=chain) for chain, end in ends.items()}
 
     def sealed(self, ring: KeyRing) -> Cut:
-        """Return the cut, sealed with the newest key."""
+        """Return this cut sealed with the newest key."""
         return replace(self, key=ring.newest, seal=ring.seal("cut", *self._sealed_parts))
 
     def is_sealed(self, ring: KeyRing) -> bool:
@@ -188,7 +192,7 @@ class Cut:
 
 
 def heads_text(ends: Ends) -> str:
-    """Return the ends of chains as `Cut.heads` has them."""
+    """Return the ends of chains in the form of `Cut.heads`."""
     plain = {chain: (head.id, head.hash, head.key) for chain, head in sorted(ends.items())}
     return msgspec.json.encode(plain).decode()
 
@@ -197,34 +201,34 @@ _CUT = ", ".join(field.name for field in fields(Cut))
 
 
 def cuts_of(connection: StoreConnection) -> list[Cut]:
-    """Return every cut, oldest first; of a store of any version."""
+    """Return all cuts of a store of any version, oldest first."""
     if not has_column(connection, "events_archive", "last"):
         return []
     return [Cut(*row) for row in connection.execute(f"SELECT {_CUT} FROM events_archive ORDER BY last")]
 
 
 def newest_cut(connection: StoreConnection, ring: KeyRing) -> Cut | None:
-    """Return where the log begins; None where nothing was archived. One that was not written with the key
-    counts for nothing: then what is gone is missing."""
+    """Return the cut at which the log begins, None if nothing was archived. A cut that was not written with
+    the key does not count, so that the entries before it are missing."""
     cuts = cuts_of(connection)
     return cuts[-1] if cuts and cuts[-1].is_sealed(ring) else None
 
 
 def add_cut(connection: StoreConnection, cut: Cut) -> None:
-    """Note a cut: from now on what it covers may be removed."""
+    """Store a cut: from now on the entries that it covers may be removed."""
     marks = ", ".join("?" * len(fields(Cut)))
     connection.execute(f"INSERT INTO events_archive ({_CUT}) VALUES ({marks})", astuple(cut))
 
 
 def heads_of(connection: StoreConnection) -> dict[str, Head]:
-    """Return the newest entry as noted apart, of each chain that there ever was; of a store of any
-    version."""
+    """Return the entry of each chain that was noted apart as its newest, of a store of any version."""
     heads, _ = extent(connection)
     return heads
 
 
 def extent(connection: StoreConnection) -> tuple[dict[str, Head], int]:
-    """Return the newest entries as noted apart, and the number of the last one stored, of one instant."""
+    """Return the entries that were noted apart as the newest, and the number of the last stored one, both of
+    one instant."""
     query = "SELECT * FROM (SELECT max(id) AS last FROM events) AS log LEFT JOIN events_head ON 1 = 1"
     rows = [dict(row) for row in connection.execute(query)]
     # A store of an earlier version has one chain, and at first no key and no seal.
@@ -237,7 +241,7 @@ def extent(connection: StoreConnection) -> tuple[dict[str, Head], int]:
 
 
 def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]) -> AuditVerification:
-    """Walk the log, chunk by chunk: entries added in between are left for the next time."""
+    """Verify the log, chunk by chunk, up to the entry that is the last one now."""
     heads, last = extent(connection)
     walk, number = _from_cut(connection, ring, anchors), LOWEST_ID
     while (following := _follow_chunk(connection, walk, number, last)) is not None:
@@ -262,7 +266,8 @@ def _from_known(connection: StoreConnection, ring: KeyRing, known: Head) -> tupl
 
 
 def _follow_chunk(connection: StoreConnection, walk: Walk, number: int, until: int) -> int | None:
-    """Follow at most `CHUNK` entries from ``number`` to ``until``; return the next number or None."""
+    """Verify at most `CHUNK` entries from ``number`` to ``until``; return the next number, None at the
+    end."""
     query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"
     chunk = [dict(row) for row in connection.execute(query, (number, until, CHUNK))]
     walk.follow(chunk)
@@ -270,8 +275,8 @@ def _follow_chunk(connection: StoreConnection, walk: Walk, number: int, until: i
 
 
 class LogProof:
-    """Reads the log of a running server chunk by chunk in a thread: neither the event loop nor the store's
-    checkpoint waits until all of a long log is read."""
+    """Verifies the log of a running server chunk by chunk in a thread, so that neither the event loop nor the
+    store's checkpoint waits for a long log."""
 
     def __init__(self, database: Database, keys: Keys) -> None:
         self._database = database
@@ -279,7 +284,7 @@ class LogProof:
         self._one_at_a_time = asyncio.Lock()
 
     async def verify(self, anchors: Mapping[int, str] | None = None) -> AuditVerification:
-        """Whether the log is intact, and holds the hashes that ``anchors`` names by entry."""
+        """Verify the complete log, and that it has the hashes of ``anchors``, by entry."""
         async with self._one_at_a_time:
             heads, last = await self.extent()
             ring = self._knowing(heads)
@@ -288,7 +293,7 @@ class LogProof:
             return walk.end(heads)
 
     async def since(self, known: Head) -> AuditVerification:
-        """Whether the log holds an entry, which the anchor names, and what follows continues it."""
+        """Verify that the log has the entry ``known``, which the anchor names, and what follows it."""
         heads, last = await self.extent()
         ring = self._knowing(heads)
         walk, number = await self._database.read(lambda connection: _from_known(connection, ring, known))

@@ -32,12 +32,12 @@ WHERE event_parts.event = e.id
 
 @dataclass(frozen=True)
 class Filter:
-    """The events of a query; None or empty does not filter. Times in seconds since the epoch. ``code`` and
-    ``number`` are those of the message in ``what``, which older events do not have.
-    ``named``: units that ``search`` names; what is about them is found too.
-    ``newest``: among so many entries of the log, the newest ones; it bounds what a search costs.
-    ``folded`` leaves out the parts of a change that is in the result, ``parts_of`` all but the parts of
-    these."""
+    """The events of a query; None or empty does not filter. Times are in seconds since the epoch.
+
+    ``code`` and ``number``: those of the message in ``what``, which older events do not have; ``named``:
+    units that ``search`` names, whose events are found too; ``newest``: only so many of the newest entries
+    are searched, which bounds the cost; ``folded``: without the parts of a change that is in the result;
+    ``parts_of``: only the parts of these changes."""
 
     before: int | None = None
     kind: str | None = None
@@ -58,8 +58,8 @@ class Filter:
     newest: int | None = None
 
     def conditions(self, event: str = "e", conclusion: str = "f") -> tuple[str, list[Any]]:
-        """Return SQL to append to a query, with the aliases of the events and their conclusions, and its
-        values."""
+        """Return SQL to append to a query, and its values. ``event``, ``conclusion``: the aliases of the
+        events and of their conclusions in the query."""
         messages = f"{event}.messages"
         number = None if self.number is None else str(self.number)
         given = {
@@ -125,7 +125,7 @@ def one(connection: StoreConnection, number: int) -> dict[str, Any] | None:
 
 
 def kinds(connection: StoreConnection) -> list[str]:
-    """Return every kind there is an event of, each found by one look into the index."""
+    """Return the kinds of all events, each found by one look into the index."""
     query = (
         "WITH RECURSIVE k(kind) AS (SELECT min(kind) FROM events WHERE about IS NULL UNION ALL "
         "SELECT (SELECT min(kind) FROM events WHERE about IS NULL AND kind > k.kind) FROM k "
@@ -144,7 +144,8 @@ def open_intents(connection: StoreConnection) -> list[int]:
 
 
 def link_parts(connection: StoreConnection, count: int) -> None:
-    """Note that the last ``count`` events are parts of the one before; in the transaction that wrote them."""
+    """Note that the last ``count`` events are parts of the one before them, in the transaction that wrote
+    them."""
     [last] = connection.execute("SELECT max(id) FROM events").fetchone()
     rows = [(number, last - count) for number in range(last - count + 1, last + 1)]
     connection.executemany("INSERT INTO event_parts (event, change) VALUES (?, ?)", rows)

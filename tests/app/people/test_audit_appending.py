@@ -16,9 +16,19 @@ from app.core.database.migration import MIGRATIONS
 from app.people.audit import log as appending
 from app.people.audit.anchor import Anchoring, read_anchors
 from app.people.audit.archive import EventArchive, Month, prove_archive
-from app.people.audit.chain import BEGINNING, Head, KeyOrigin, KeyRing, entry_hash, sealed_entry, sealed_head
+from app.people.audit.chain import (
+    BEGINNING,
+    JOINED,
+    SITE,
+    Head,
+    KeyOrigin,
+    KeyRing,
+    entry_hash,
+    origin_of,
+    sealed_entry,
+    sealed_head,
+)
 from app.people.audit.entry import new_entry
-from app.people.audit.former import JOINED, SITE, origin_of
 from app.people.audit.keys import Keys, open_keys, passing_keys
 from app.people.audit.log import EventLog
 from app.people.audit.proof import cuts_of, heads_of, newest_cut, prove

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from app.people.audit.chain import (
     BEGINNING,
     FIELDS,
+    SITE,
     Head,
     KeyOrigin,
     KeyRing,
@@ -19,7 +20,6 @@ from app.people.audit.chain import (
     sealed_head,
 )
 from app.people.audit.entry import new_entry
-from app.people.audit.former import SITE
 from app.people.audit.proof import AuditVerification, Walk
 
 Log = list[dict[str, Any]]

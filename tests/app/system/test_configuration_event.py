@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from app.main import create_app
-from app.people.audit.configuration import FILE, change_since_last, differences
+from app.people.audit.feature import FILE, change_since_last, differences
 from app.people.audit.log import EventLog
 from app.people.audit.queries import Filter
 from tests.app.complete_app import settings_in
