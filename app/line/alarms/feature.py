@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import partial
 
 from app.core.database import Database
@@ -20,7 +20,8 @@ from app.line.alarms.journal import AlarmStore
 from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
 from app.line.alarms.own_alarms import OwnAlarmBook
 from app.line.alarms.simulation import Simulator
-from app.line.alarms.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
+from app.line.alarms.site_alarms import ExpiryWatch, SiteAlarms
+from app.line.conditions.catalogue import AUDIT_DEGRADED, DISK_LOW, EVENTS_NOT_ARCHIVED, HISTORY_DEGRADED
 from app.line.history.service import History
 from app.line.live.api.stream import LineStream
 from app.line.live.api.stream_document import AlarmType
@@ -28,7 +29,7 @@ from app.line.live.bus_live import BusLive
 from app.line.live.fields import Fields, Translator
 from app.line.live.hub import Hub
 from app.line.live.sources import Sources, UnitGuards
-from app.people.audit.anchor import Anchoring
+from app.people.audit.anchor import Anchoring, AnchorStatus
 from app.people.audit.archive import EventArchive
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
@@ -36,20 +37,16 @@ from bus.instants import monotonic_now, unix_now
 from bus.messages import Message
 
 
-class AlarmFinder:
-    def __init__(self, alarms: LineAlarms) -> None:
-        self._alarms = alarms
-
-    async def __call__(self, search: Search) -> Iterable[FoundPlace]:
-        """Each alarm that is not normal."""
-        return [place for alarm in self._alarms.present() for place in self._of_alarm(search, alarm)]
-
-    def _of_alarm(self, search: Search, alarm: Alarm) -> Iterator[FoundPlace]:
-        t, definition = search.language.t, alarm.definition
-        place = self._alarms.place(definition.bus, definition.unit)
+async def _find(alarms: LineAlarms, search: Search) -> Iterable[FoundPlace]:
+    """Find the alarms that are not normal."""
+    found: list[FoundPlace] = []
+    for alarm in alarms.present():
+        definition, t = alarm.definition, search.language.t
+        place = alarms.place(definition.bus, definition.unit)
         name, state = t(definition.name), t(alarm.state_text)
         label = f"{place} · {name}" if place else name
-        yield from matched(search, FoundPlace(label, f"/alarms/{alarm.id}", state), name, place, state)
+        found += matched(search, FoundPlace(label, f"/alarms/{alarm.id}", state), name, place, state)
+    return found
 
 
 def make(services: Services) -> None:
@@ -65,9 +62,11 @@ def make(services: Services) -> None:
     services.lifespan.add("own alarms", start=book.load)
     follow = [of_site.follow, *(of.follow for of in of_buses.values())]
     services.lifespan.add("alarms", *follow, start=alarms.load, end=alarms.write)
-    services[Finders].add("find_alarms", AlarmFinder(alarms))
+    services[Finders].add("find_alarms", partial(_find, alarms))
     services.add(Simulator(services[History]))
     _add_banner(services, AlarmBanner(alarms))
+    hub = services[Hub]
+    alarms.subscribe(lambda alarm: hub.show_alarm(alarm.definition.bus, alarm.definition.unit))
     services.add(AlarmType(AlarmShown))
     alarms.subscribe(partial(_stream, services[LineStream], alarms))
 
@@ -94,14 +93,18 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
         services[Accounts].tokens, authorities, certificates=(tls.certificate,) if tls else ()
     )
     services.lifespan.add("expiry", expiry.follow)
-    conditions = site_conditions(
-        lambda: history.status,
-        lambda: anchoring.status,
-        services.add(FailingEndpoints()),
-        expiry,
-        lambda: services[EventArchive].failing,
-    )
-    return SiteAlarms(conditions, store, tuned=settings.built_in_alarm)
+    site = SiteAlarms(store, tuned=settings.built_in_alarm)
+    site.watch("history_degraded", lambda: HISTORY_DEGRADED.holds(history.status.state))
+    site.watch("disk_low", lambda: DISK_LOW.holds(history.status.state))
+    site.watch("audit_degraded", lambda: _is_degraded(anchoring.status))
+    site.watch("certificate_expiring", lambda: expiry.certificate)
+    site.watch("token_expiring", lambda: expiry.token)
+    site.watch("events_not_archived", lambda: EVENTS_NOT_ARCHIVED.holds(services[EventArchive].failing))
+    return site
+
+
+def _is_degraded(anchor: AnchorStatus) -> bool:
+    return AUDIT_DEGRADED.holds(anchor != AnchorStatus(since=anchor.since))
 
 
 def _control_left(services: Services, guards: UnitGuards) -> Message | None:
@@ -118,7 +121,6 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
         return banner.banner(Translator(language, templates.formats(language.tag)), unix_now())
 
     services[Sources].show_alarms(banner.banner, banner.of_unit)
-    banner.on_change(services[Hub].show_alarm)
     services.add(PageHead(alarms_in))
 
 

@@ -6,7 +6,7 @@ The alarms in the head of every page and on the tiles, as fields.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import AsyncExitStack, suppress
 from typing import NamedTuple
 
@@ -236,17 +236,10 @@ class AlarmBanner:
     def __init__(self, alarms: LineAlarms) -> None:
         self._alarms = alarms
         self._changed = 0
-        self._subscribers: list[Callable[[str | None, int | None], None]] = []
-        alarms.subscribe(lambda alarm: self._note(alarm.definition.bus, alarm.definition.unit))
+        alarms.subscribe(self._note)
 
-    def _note(self, bus: str | None, unit: int | None) -> None:
+    def _note(self, _: Alarm) -> None:
         self._changed += 1
-        for subscriber in self._subscribers:
-            subscriber(bus, unit)
-
-    def on_change(self, subscriber: Callable[[str | None, int | None], None]) -> None:
-        """Call ``subscriber`` with the place of each alarm that has changed."""
-        self._subscribers.append(subscriber)
 
     def banner(self, translator: Translator, now: UnixTime) -> Fields:
         """The first alarm with its state, and how many more there are: of those that are active or, while

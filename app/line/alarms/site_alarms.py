@@ -17,8 +17,6 @@ from app.line.alarms.journal import AlarmStore, StoredAlarm
 from app.line.alarms.settings import BuiltInAlarmSettings
 from app.line.conditions import catalogue
 from app.line.conditions.catalogue import CERTIFICATE_EXPIRING, SERVER_ALARMS, TOKEN_EXPIRING
-from app.line.history.status import HistoryStatus
-from app.people.audit.anchor import AnchorStatus
 from app.people.auth.store import Token
 from bus.certificate import MalformedCertificateError, certificates_in
 from bus.instants import Clock, ClockWatch, MonotonicClock, UnixTime, monotonic_now, unix_now
@@ -89,32 +87,7 @@ def _ending(path: Path, which: Callable[[Iterable[UnixTime]], UnixTime]) -> Expi
 
 
 SiteCondition = Callable[[], Message | bool | None]
-"""Whether it holds, or what it is about where it names one thing; None: not known."""
-
-
-class FailingEndpoints(set[str]):
-    """The addresses of notification that cannot be reached now. Notification keeps it up to date."""
-
-
-def site_conditions(
-    history: Callable[[], HistoryStatus],
-    anchor: Callable[[], AnchorStatus],
-    failing_endpoints: FailingEndpoints,
-    expiry: ExpiryWatch,
-    archive_fault: Callable[[], Message | None] = lambda: None,
-) -> dict[str, SiteCondition]:
-    """The condition of each alarm of the site but that of its clock."""
-    return {
-        "history_degraded": lambda: catalogue.HISTORY_DEGRADED.holds(history().state),
-        "disk_low": lambda: catalogue.DISK_LOW.holds(history().state),
-        "audit_degraded": lambda: catalogue.AUDIT_DEGRADED.holds(
-            anchor() != AnchorStatus(since=anchor().since)
-        ),
-        "notification_failed": lambda: catalogue.NOTIFICATION_FAILED.holds(failing_endpoints),
-        "certificate_expiring": lambda: expiry.certificate,
-        "token_expiring": lambda: expiry.token,
-        "events_not_archived": lambda: catalogue.EVENTS_NOT_ARCHIVED.holds(archive_fault()),
-    }
+"""Returns whether the condition holds, or what it is about where that is one thing; None: not known."""
 
 
 class SiteAlarms:
@@ -122,13 +95,12 @@ class SiteAlarms:
 
     def __init__(
         self,
-        conditions: Mapping[str, SiteCondition],
         store: AlarmStore,
         clock: Clock = unix_now,
         monotonic: MonotonicClock = monotonic_now,
         tuned: Sequence[BuiltInAlarmSettings] = (),
     ) -> None:
-        self._conditions = dict(conditions)
+        self._conditions: dict[str, SiteCondition] = {}
         self._about: dict[str, Message | None] = {}
         """By the code of an alarm, what it is about."""
         self._clock, self._monotonic = clock, monotonic
@@ -136,7 +108,7 @@ class SiteAlarms:
         self.list = AlarmList((built_in(code, None, None, tuned) for code in SERVER_ALARMS), store)
 
     def watch(self, code: str, condition: SiteCondition) -> None:
-        """Observe an alarm whose condition a feature knows that not every site has."""
+        """Observe an alarm by a condition of the feature that knows it."""
         self._conditions[code] = condition
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:

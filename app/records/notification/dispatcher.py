@@ -12,7 +12,6 @@ from datetime import datetime
 import structlog
 
 from app.errors import StoreError
-from app.line.alarms.site_alarms import FailingEndpoints
 from app.people.audit.log import EventLog
 from app.records.notification.outbox import NotificationDelivery, NotificationOutbox, OutboxItem, conclusion
 from app.records.notification.plan import NotificationEndpoint, NotificationPlan
@@ -45,7 +44,6 @@ class Dispatcher:
         outbox: NotificationOutbox,
         senders: Senders,
         events: EventLog,
-        failing: FailingEndpoints,
         local_time: Callable[[], datetime],
         clock: Clock = unix_now,
     ) -> None:
@@ -53,7 +51,8 @@ class Dispatcher:
         self._outbox = outbox
         self._senders = senders
         self._events = events
-        self._failing = failing
+        self.failing: set[str] = set()
+        """The keys of the addresses that cannot be reached now."""
         self._local_time = local_time
         self._clock = clock
         self._failures = dict.fromkeys(plan.endpoints, 0)
@@ -107,9 +106,9 @@ class Dispatcher:
     def _count_failures(self, key: str, failures: int) -> None:
         self._failures[key] = failures
         if failures >= FAILING_ATTEMPTS:
-            self._failing.add(key)
+            self.failing.add(key)
         else:
-            self._failing.discard(key)
+            self.failing.discard(key)
 
     async def _serve(self, endpoint: NotificationEndpoint) -> None:
         while True:

@@ -8,7 +8,8 @@ from app.core.database import Database
 from app.core.web.rendering.templating import Templates
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
-from app.line.alarms.site_alarms import FailingEndpoints
+from app.line.alarms.site_alarms import SiteAlarms
+from app.line.conditions.catalogue import NOTIFICATION_FAILED
 from app.people.audit.log import EventLog
 from app.records.notification import api, pages
 from app.records.notification.compose import AcknowledgeLinks, Composer
@@ -30,7 +31,8 @@ def make(services: Services) -> None:
         site.name, templates.languages[site.language], templates.formats(site.language), links.make
     )
     senders = Senders(notify.smtp, composer, services[ReportAttachments])
-    dispatcher = Dispatcher(plan, outbox, senders, events, services[FailingEndpoints], services.local_time)
+    dispatcher = Dispatcher(plan, outbox, senders, events, services.local_time)
+    services[SiteAlarms].watch("notification_failed", lambda: NOTIFICATION_FAILED.holds(dispatcher.failing))
     buses = [bus.name for bus in settings.bus]
     maintenance = Maintenance(outbox, events, notify.maintenance, ZoneInfo(site.zone), buses)
     notification = services.add(Notification(outbox, maintenance, dispatcher, links, services.local_time))

@@ -38,7 +38,7 @@ class ActiveAlarm:
         self.bus.connect()
         self.alarm = self.bus.alarm("1.estop_active")
         self.events = self.bus.events
-        site = SiteAlarms({}, self.bus.store, lambda: UnixTime(self.bus.now))
+        site = SiteAlarms(self.bus.store, lambda: UnixTime(self.bus.now))
         self.alarms = LineAlarms({BUS: self.bus.alarms}, site, self.bus.store, self.events, self.clock)
         self.bus.now += 1
         self.bus.read(1, inputs=RUN)

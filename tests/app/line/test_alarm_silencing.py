@@ -24,7 +24,7 @@ class StandingAlarms:
     def __init__(self, database: Database) -> None:
         self.bus = AlarmBus(database, units=UNITS)
         self.bus.connect()
-        site = SiteAlarms({}, self.bus.store, lambda: UnixTime(self.bus.now))
+        site = SiteAlarms(self.bus.store, lambda: UnixTime(self.bus.now))
         events = self.bus.events
         self.alarms = LineAlarms(
             {BUS: self.bus.alarms}, site, self.bus.store, events, lambda: UnixTime(self.bus.now)

@@ -12,11 +12,9 @@ from app.core.database import Database
 from app.core.web.admission.access import Role
 from app.line.alarms.bus_alarms import control_left_by
 from app.line.alarms.journal import AlarmStore
-from app.line.alarms.site_alarms import ExpiryWatch, FailingEndpoints, SiteAlarms, site_conditions
+from app.line.alarms.site_alarms import ExpiryWatch, SiteAlarms
 from app.line.conditions.catalogue import CONDITIONS, DAY_S, certificate_expires, token_expires
-from app.line.history.status import HistoryStatus
 from app.line.live.diagnosis import bus_facts
-from app.people.audit.anchor import AnchorStatus
 from app.people.auth.store import Token
 from bus.contract import BusFigures, BusLink, ParameterValue
 from bus.instants import Monotonic, UnixTime
@@ -180,7 +178,6 @@ def test_a_step_of_the_clock_raises_nothing_on_a_bus_and_keeps_every_distance(
 def test_that_the_clock_was_set_is_an_alarm_with_the_step(database: Database) -> None:
     now, step = 1000.0, 0.0
     site = SiteAlarms(
-        {},
         AlarmStore(database),
         lambda: UnixTime(now + step),
         lambda: now,  # type: ignore
@@ -226,8 +223,9 @@ async def test_the_token_and_the_certificate_that_end_first_are_named(
         return tokens
 
     expiry = ExpiryWatch(stored, [certificate(tmp_path), tmp_path / "none.pem"], lambda: now)
-    conditions = site_conditions(lambda: HistoryStatus(), AnchorStatus, FailingEndpoints(), expiry)
-    site = SiteAlarms(conditions, AlarmStore(database))
+    site = SiteAlarms(AlarmStore(database))
+    site.watch("token_expiring", lambda: expiry.token)
+    site.watch("certificate_expiring", lambda: expiry.certificate)
     site.tick()
     token, authority = (site.list.alarms[f"_.{code}"] for code in ("token_expiring", "certificate_expiring"))
     assert (token.holds, authority.holds) == (None, None)

@@ -19,7 +19,6 @@ from app.line.alarms.acts import ACKNOWLEDGE
 from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.own_alarms import OwnAlarmBook
-from app.line.alarms.site_alarms import FailingEndpoints
 from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 from app.records.notification.notifier import AlarmNotifier
@@ -215,7 +214,7 @@ async def test_a_refused_message_is_tried_again_and_fails_as_an_alarm(
     await path.estop(active=True)
     site = path.house.services[LineAlarms].site
     async with asyncio.timeout(LIMIT_S):
-        while not path.house.services[FailingEndpoints]:
+        while not path.house.services[Notification].dispatcher.failing:
             await path.house.services[Notification].dispatcher.attempted.wait()
     site.tick()
     alarm = site.list.alarms["_.notification_failed"]
