@@ -1,19 +1,15 @@
-"""Observes the conditions of one unit, and only what a report can have changed.
-
-The alarms of one bus: from what its worker reports to transitions.
-"""
+"""The alarms of one bus and its units: from what a worker reports to transitions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from functools import cache, partial
 
 from app.core.web.admission.access import account_shown
 from app.line.alarms.alarm import Alarm, AlarmDefinition, built_in, key_of
 from app.line.alarms.alarm_list import AlarmList
 from app.line.alarms.journal import AlarmStore, StoredAlarm
 from app.line.alarms.own_condition import OwnCondition, known_decimals, own_definition
-from app.line.alarms.rules.detection import CountWindow, LimitRule, Suppressors, is_at_rest, limits_of
+from app.line.alarms.rules.detection import CountWindow, Suppressors, is_at_rest, limits_of
 from app.line.alarms.settings import AlarmSettings, BuiltInAlarmSettings, tuning_of
 from app.line.conditions import unit as unit_conditions
 from app.line.conditions.catalogue import (
@@ -42,13 +38,226 @@ from bus.instants import Clock, ClockWatch, Monotonic, MonotonicClock, UnixTime,
 from bus.messages import Message
 
 Observe = Callable[[Alarm, bool | None, UnixTime], None]
-"""Takes an alarm, whether its condition holds, and the time."""
+"""Called with an alarm, whether its condition holds (None: not known), and the time."""
 ObservedOwn = tuple[Alarm, OwnCondition]
 _NEVER = UnixTime(0.0)
 
 
+class BusAlarms:
+    """Detects, suppresses and keeps the alarms of one bus. ``has_drift`` tells whether a unit differs from
+    its golden set, ``left_control`` who has left control without releasing it; ``tuned``: limits and delays
+    of the built-in alarms. Call :meth:`load` before the first update."""
+
+    def __init__(
+        self,
+        live: BusLive,
+        own: Iterable[AlarmSettings],
+        store: AlarmStore,
+        has_drift: Callable[[int], bool],
+        left_control: Callable[[], Message | None] = lambda: None,
+        clock: Clock = unix_now,
+        monotonic: MonotonicClock = monotonic_now,
+        tuned: Sequence[BuiltInAlarmSettings] = (),
+    ) -> None:
+        self.bus = live.settings.name
+        self._live = live
+        self._clock, self._monotonic = clock, monotonic
+        self._unit_names = {number: unit.settings.name for number, unit in live.units.items()}
+        self.list = AlarmList(self._definitions(tuned), store, self.bus)
+        self._monitors = {
+            number: UnitMonitor(live, unit, self.list.alarms, tuned, self._observe, has_drift)
+            for number, unit in live.units.items()
+        }
+        for settings in own:
+            self.add_own(settings, Alarm(own_definition(settings)))
+        self._unrequested = CountWindow()
+        self._second_master, self._control_left = map(self._alarm_of, (SECOND_MASTER.code, CONTROL_LEFT.code))
+        self._estops: set[int] = set()
+        self._lost_alone: set[int] = set()
+        """Lost units. The next response of another unit shows whether the fault is theirs alone."""
+        self._suppressors = Suppressors()
+        self._clock_watch = ClockWatch(clock(), monotonic())
+        self._ages_from = Monotonic(0.0)
+        """Ages mean nothing before this time: the clock was set."""
+        self._left_control = left_control
+        self.list.subscribe(self._on_alarm)
+        live.subscribe(Audience.ALARMS, self._see)
+
+    def _definitions(self, tuned: Sequence[BuiltInAlarmSettings]) -> Iterable[AlarmDefinition]:
+        for bus_code in BUS_ALARMS:
+            yield built_in(bus_code, self.bus, None, tuned)
+        for unit in self._live.units:
+            for code in UNIT_ALARMS:
+                yield built_in(code, self.bus, unit, tuned)
+
+    def _alarm_of(self, code: str) -> Alarm:
+        return self.list.alarms[key_of(self.bus, None, code)]
+
+    def add_own(self, settings: AlarmSettings, alarm: Alarm) -> None:
+        """Observe an alarm of the site from the next reading on."""
+        self.list.put(alarm)
+        self._monitors[settings.unit].add_own(alarm, OwnCondition(settings))
+
+    def end_own(self, alarm: Alarm) -> None:
+        """Observe an alarm of the site no longer; it stays in the list."""
+        self._monitors[alarm.definition.unit or 0].end_own(alarm)
+        alarm.holds = None
+
+    def load(self, stored: Mapping[str, StoredAlarm]) -> None:
+        """Continue from the states that the last run left."""
+        now = self._clock()
+        self.list.load(stored, now)
+        estop_alarms = {unit: key_of(self.bus, unit, ESTOP_ACTIVE.code) for unit in self._monitors}
+        self._estops |= {unit for unit, key in estop_alarms.items() if self.list.alarms[key].facts.active}
+        self._suppressors = self._suppressing()
+        self._suppress(self.list.alarms.values(), now)
+
+    def present(self, alarm: Alarm) -> Message | None:
+        """Return the present value or cause that an alarm is about; None where it is about none."""
+        if alarm is self._control_left:
+            return self._left_control()
+        if alarm.definition.code == "worker_lost":
+            cause = self._live.link.cause
+            return None if self._live.worker_connected or cause == NO_WORKER else cause
+        monitor = self._monitors.get(alarm.definition.unit or 0)
+        return None if monitor is None else monitor.present(alarm)
+
+    def place(self, unit: int | None) -> str:
+        """Return the name of a unit, or (None) of the bus."""
+        return self.bus if unit is None else self._unit_names[unit]
+
+    def unit_names(self) -> Mapping[int, str]:
+        """Return the names that people gave the units, by their addresses."""
+        return self._unit_names
+
+    async def follow(self) -> None:
+        """Observe what time changes, and keep the journal, without end."""
+        await self.list.follow(self.tick, self._clock)
+
+    def tick(self) -> None:
+        """Observe what time alone has changed: links, drift, control and the clock."""
+        now = self._clock()
+        self._notice_step(now)
+        if self._monotonic() >= self._ages_from:
+            self._see_links(now)
+        for monitor in self._monitors.values():
+            monitor.see_drift(now)
+        self._observe(self._control_left, self._left_control() is not None, now)
+        self._suppress_again(now)
+
+    def _notice_step(self, now: UnixTime) -> None:
+        running = self._monotonic()
+        if step_s := self._clock_watch.step(now, running):
+            self._ages_from = running + offline_after_s(scan_s_of(self._live))
+            self.list.clock_stepped(step_s)
+            for monitor in self._monitors.values():
+                monitor.clock_stepped(step_s)
+
+    # --- what the worker reports ----------------------------------------------------------------------
+
+    def _see(self, updates: Sequence[Update]) -> None:
+        now = self._clock()
+        read: set[int] = set()
+        for update in updates:
+            match update:
+                case Reading() if update.unit in self._monitors:
+                    self._monitors[update.unit].see_reading(now)
+                case UnitLink() if update.unit in self._monitors:
+                    self._see_link(update.unit, now, bus_is_readable=self._see_bus(now))
+                case ParameterValue() | Staged() if update.unit in self._monitors:
+                    read.add(update.unit)
+                case BusLink():
+                    self._see_bus(now)
+                case BusFigures():
+                    self._see_figures(update, now)
+        for unit in read:
+            self._monitors[unit].see_parameters(now)
+        if self._lost_alone:
+            self._see_links(now)
+
+    def _observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
+        """Observe a condition. A suppression begins before the alarm rises, so that it is never
+        annunciated."""
+        if holds and not alarm.holds and self._suppresses(alarm):
+            self.list.suppress(alarm, True, now)
+        self.list.observe(alarm, holds, now)
+
+    def _see_bus(self, now: UnixTime) -> bool:
+        """Observe the conditions of the bus, and return whether it can be read."""
+        facts = bus_facts(self._live, now)
+        for row in BY_BUS:
+            self._observe(self._alarm_of(row.code), row.holds(facts), now)
+        return facts.is_readable
+
+    def _see_links(self, now: UnixTime) -> None:
+        is_readable = self._see_bus(now)
+        for unit in self._monitors:
+            self._see_link(unit, now, bus_is_readable=is_readable)
+
+    def _see_link(self, unit: int, now: UnixTime, *, bus_is_readable: bool) -> None:
+        if self._monitors[unit].see_link(now, bus_is_readable=bus_is_readable):
+            self._lost_alone.add(unit)
+        else:
+            self._lost_alone.discard(unit)
+
+    def _see_figures(self, figures: BusFigures, now: UnixTime) -> None:
+        for unit in figures.units:
+            if unit.unit in self._monitors:
+                self._monitors[unit.unit].see_figures(unit, now)
+        self._unrequested.see(0, figures.unrequested, now)
+        is_present = figures.has_second_master or self._unrequested.judged(SECOND_MASTER.holds)
+        self._observe(self._second_master, is_present, now)
+
+    # --- suppression ----------------------------------------------------------------------------------
+
+    def _on_alarm(self, alarm: Alarm) -> None:
+        code, unit = alarm.definition.code, alarm.definition.unit
+        if unit is None and CONDITIONS[code].suppresses:
+            self._suppress_again(self._clock())
+        elif code == ESTOP_ACTIVE.code and unit is not None and alarm.facts.active != (unit in self._estops):
+            self._estops ^= {unit}
+            self._suppress(self._monitors[unit].alarms(), self._clock())
+
+    def _suppress_again(self, now: UnixTime) -> None:
+        """Judge the suppression of every alarm again where what suppresses on the bus has changed."""
+        found = self._suppressing()
+        if found != self._suppressors:
+            self._suppressors = found
+            self._suppress(self.list.alarms.values(), now)
+
+    def _suppress(self, alarms: Iterable[Alarm], now: UnixTime) -> None:
+        """Judge the suppression of alarms, but of those that are neither active nor about to be."""
+        for alarm in alarms:
+            concerned = alarm.facts.suppressed or alarm.facts.active or bool(alarm.holds)
+            self.list.suppress(alarm, concerned and self._suppresses(alarm), now)
+
+    def _suppresses(self, alarm: Alarm) -> bool:
+        definition = alarm.definition
+        return self._suppressors.suppress(definition.group, definition.unit)
+
+    def _suppressing(self) -> Suppressors:
+        readings = (unit.reading for unit in self._live.units.values())
+        holding = [row for row in BY_BUS if self._alarm_of(row.code).facts.active]
+        return Suppressors(
+            groups=frozenset(group for row in holding for group in row.suppresses),
+            at_rest=is_at_rest(None if reading is None else reading.commanded for reading in readings),
+            estops=self._estops,
+        )
+
+
+def control_left_by(
+    holder: str, used_at: Monotonic, present: Collection[str], now: Monotonic
+) -> Message | None:
+    """Return the holder who has left control without releasing it; None while there is no such holder.
+    ``used_at``: when the holder last sent a command; ``present``: the accounts with an open page."""
+    if not CONTROL_LEFT.holds(now - used_at, holder in present):
+        return None
+    return Message.of("alarm_control_left_by", who=account_shown(holder))
+
+
 class UnitMonitor:
-    """Observes one unit. ``alarms``: of its bus, by key; ``tuned``: the limits that the site set."""
+    """Observes the conditions of one unit, and only those that a report can have changed. ``alarms``: those
+    of its bus, by key; ``tuned``: the limits that the site set."""
 
     def __init__(
         self,
@@ -101,11 +310,11 @@ class UnitMonitor:
         self._own_are_new = True
 
     def alarms(self) -> list[Alarm]:
-        """All alarms of the unit."""
+        """Return all alarms of the unit."""
         return [*self._alarms.values(), *(alarm for alarm, _ in self._own.values())]
 
     def present(self, alarm: Alarm) -> Message | None:
-        """The present value of what an alarm is about, where it is about one."""
+        """Return the present value that an alarm is about; None where it is about none."""
         if alarm is self._implausible:
             return unit_conditions.implausible_of(self._unit)
         own = self._own.get(alarm.definition.key)
@@ -113,15 +322,16 @@ class UnitMonitor:
 
     @property
     def is_known(self) -> bool:
-        """Whether the values of the unit are those of now."""
+        """Whether the last values of the unit are current."""
         return self._status is not None
 
     def clock_stepped(self, step_s: float) -> None:
-        """The clock of this machine was set; readings from before it have its former time."""
+        """Move the time of the last reading with the clock of this machine, which was set."""
         self._read_at += step_s
 
     def see_reading(self, now: UnixTime) -> None:
-        """A reading came. One that is late, or repeats one from before, is no evidence of the present."""
+        """Observe the last reading. One that is late, or repeats an earlier one, says nothing of the
+        present."""
         bus, unit, reading = self._bus, self._unit, self._unit.reading
         if reading is None or reading.at <= self._read_at or unit.link.link != "online":
             return
@@ -148,32 +358,29 @@ class UnitMonitor:
         found.append((self._implausible, unit_conditions.VALUE_IMPLAUSIBLE.holds(bus, unit)))
         found.append((self._draw, unit_conditions.DRAW_OUT_OF_BAND.holds(draw_of(bus, unit, now))))
         for alarm, is_held in found:
-            if is_held is not alarm.holds:
-                self._observe(alarm, is_held, now)
+            self._observe(alarm, is_held, now)
 
     def _see_own(
         self, several: Sequence[ObservedOwn], reading: Reading, decimals: int | None, now: UnixTime
     ) -> None:
         bus, unit = self._bus, self._unit
         for alarm, own in several:
-            holds = own.holds(bus, unit, reading, decimals, alarm.facts.active)
-            if holds is not alarm.holds:
-                self._observe(alarm, holds, now)
+            self._observe(alarm, own.holds(bus, unit, reading, decimals, alarm.facts.active), now)
 
     def see_link(self, now: UnixTime, *, bus_is_readable: bool) -> bool:
-        """Time has passed, or the state of the link has changed. Whether the unit is lost, and no other has
-        responded since."""
+        """Observe the link after time has passed, or its state has changed. Return whether the unit is lost
+        and no other has responded since."""
         link = link_facts(self._bus, self._unit, now, bus_is_readable=bus_is_readable)
         self._observe(self._offline, unit_conditions.UNIT_OFFLINE.holds(link), now)
         if link.is_lost or not bus_is_readable:
-            # That is an alarm itself; what was not responded to meanwhile is no poor connection as well.
+            # The loss is an alarm itself: what had no response meanwhile is no poor connection as well.
             self._window.restart()
         if self._status is not None and not link.is_online:
             self._lose_values(now)
         return link.is_alone
 
     def _lose_values(self, now: UnixTime) -> None:
-        """The values of the unit are not those of now any more."""
+        """Observe that the values of the unit are not known any more."""
         self._status = None
         self._observe(self._degraded, None, now)
         self._observe(self._draw, None, now)
@@ -185,7 +392,7 @@ class UnitMonitor:
             self._observe(alarm, None, now)
 
     def see_parameters(self, now: UnixTime) -> None:
-        """Parameters were read, or a setpoint was staged or executed."""
+        """Observe what follows from parameters, or from a setpoint that was staged or executed."""
         for row in unit_conditions.BY_PARAMETER:
             self._observe(self._alarms[row.code], row.holds(self._bus, self._unit), now)
         self.see_drift(now)
@@ -196,234 +403,12 @@ class UnitMonitor:
         self._observe(self._drift, unit_conditions.PARAMETER_DRIFT.holds(drifted), now)
 
     def see_figures(self, figures: UnitFigures, now: UnixTime) -> None:
-        """The counters of the unit."""
+        """Observe the counters of the unit."""
         self._window.see(figures.polls, figures.timeouts + figures.checksum_errors, now)
         if self.is_known:
             self._observe(self._degraded, self._window.judged(unit_conditions.LINK_DEGRADED.holds), now)
 
 
 def _limit_check(alarm: Alarm, tuning: Tuning) -> LimitCheck:
-    """Return the check of a value against the limits of the site, which are computed once for a full
-    scale."""
-    rule = _rules(tuning)
-    return lambda value, full_scale: rule(full_scale).holds(value, alarm.facts.active)
-
-
-@cache
-def _rules(tuning: Tuning) -> Callable[[int], LimitRule]:
-    """Return the rules of a tuning, shared by all units with the same limits: a line has a thousand such
-    alarms."""
-    return cache(partial(limits_of, tuning))
-
-
-class BusAlarms:
-    """Detects, suppresses and keeps the alarms of one bus. ``has_drift``: whether a unit differs from its
-    golden set; ``left_control``: who has left control without releasing it; ``tuned``: limits and delays of
-    the built-in ones. Call :meth:`load` before the first update."""
-
-    def __init__(
-        self,
-        live: BusLive,
-        own: Iterable[AlarmSettings],
-        store: AlarmStore,
-        has_drift: Callable[[int], bool],
-        left_control: Callable[[], Message | None] = lambda: None,
-        clock: Clock = unix_now,
-        monotonic: MonotonicClock = monotonic_now,
-        tuned: Sequence[BuiltInAlarmSettings] = (),
-    ) -> None:
-        self.bus = live.settings.name
-        self._live = live
-        self._clock, self._monotonic = clock, monotonic
-        self._unit_names = {number: unit.settings.name for number, unit in live.units.items()}
-        self.list = AlarmList(self._definitions(tuned), store, self.bus)
-        self._monitors = {
-            number: UnitMonitor(live, unit, self.list.alarms, tuned, self._observe, has_drift)
-            for number, unit in live.units.items()
-        }
-        for settings in own:
-            self.add_own(settings, Alarm(own_definition(settings)))
-        self._unrequested = CountWindow()
-        self._second_master, self._control_left = map(self._alarm_of, (SECOND_MASTER.code, CONTROL_LEFT.code))
-        self._estops: set[int] = set()
-        self._lost_alone: set[int] = set()
-        """Units that are lost, of which the next response of another shows whether each alone is."""
-        self._suppressors = Suppressors()
-        self._clock_watch = ClockWatch(clock(), monotonic())
-        self._ages_from = Monotonic(0.0)
-        """Before it, ages mean nothing: the clock was set."""
-        self._left_control = left_control
-        self.list.subscribe(self._on_alarm)
-        live.subscribe(Audience.ALARMS, self._see)
-
-    def _definitions(self, tuned: Sequence[BuiltInAlarmSettings]) -> Iterable[AlarmDefinition]:
-        for bus_code in BUS_ALARMS:
-            yield built_in(bus_code, self.bus, None, tuned)
-        for unit in self._live.units:
-            for code in UNIT_ALARMS:
-                yield built_in(code, self.bus, unit, tuned)
-
-    def _alarm_of(self, code: str) -> Alarm:
-        """A built-in alarm of the bus itself."""
-        return self.list.alarms[key_of(self.bus, None, code)]
-
-    def add_own(self, settings: AlarmSettings, alarm: Alarm) -> None:
-        """Observe an alarm of the site from the next reading on."""
-        self.list.put(alarm)
-        self._monitors[settings.unit].add_own(alarm, OwnCondition(settings))
-
-    def end_own(self, alarm: Alarm) -> None:
-        """Observe an alarm of the site no longer; it stays in the list."""
-        self._monitors[alarm.definition.unit or 0].end_own(alarm)
-        alarm.holds = None
-
-    def load(self, stored: Mapping[str, StoredAlarm]) -> None:
-        """Take up the states that the last run left."""
-        now = self._clock()
-        self.list.load(stored, now)
-        estop_alarms = {unit: key_of(self.bus, unit, ESTOP_ACTIVE.code) for unit in self._monitors}
-        self._estops |= {unit for unit, key in estop_alarms.items() if self.list.alarms[key].facts.active}
-        self._suppressors = self._suppressing()
-        self._suppress(self.list.alarms.values(), now)
-
-    def present(self, alarm: Alarm) -> Message | None:
-        """The present value of what an alarm is about, where it is about one."""
-        if alarm is self._control_left:
-            return self._left_control()
-        if alarm.definition.code == "worker_lost":
-            cause = self._live.link.cause
-            return None if self._live.worker_connected or cause == NO_WORKER else cause
-        monitor = self._monitors.get(alarm.definition.unit or 0)
-        return None if monitor is None else monitor.present(alarm)
-
-    def place(self, unit: int | None) -> str:
-        """The name of a unit, or (None) of the bus."""
-        return self.bus if unit is None else self._unit_names[unit]
-
-    def unit_names(self) -> Mapping[int, str]:
-        """The name of each unit on the floor."""
-        return self._unit_names
-
-    async def follow(self) -> None:
-        """Run what time brings, and keep the journal, without end."""
-        await self.list.follow(self.tick, self._clock)
-
-    def tick(self) -> None:
-        """Observe what time alone has changed: links, drift, control and the clock."""
-        now = self._clock()
-        self._notice_step(now)
-        if self._monotonic() >= self._ages_from:
-            self._see_links(now)
-        for monitor in self._monitors.values():
-            monitor.see_drift(now)
-        self._observe(self._control_left, self._left_control() is not None, now)
-        self._suppress_again(now)
-
-    def _notice_step(self, now: UnixTime) -> None:
-        running = self._monotonic()
-        if step_s := self._clock_watch.step(now, running):
-            self._ages_from = running + offline_after_s(scan_s_of(self._live))
-            self.list.clock_stepped(step_s)
-            for monitor in self._monitors.values():
-                monitor.clock_stepped(step_s)
-
-    # --- what the worker reports ----------------------------------------------------------------------
-
-    def _see(self, updates: Sequence[Update]) -> None:
-        now = self._clock()
-        read: set[int] = set()
-        for update in updates:
-            match update:
-                case Reading() if update.unit in self._monitors:
-                    self._monitors[update.unit].see_reading(now)
-                case UnitLink() if update.unit in self._monitors:
-                    self._see_link(update.unit, now, bus_is_readable=self._see_bus(now))
-                case ParameterValue() | Staged() if update.unit in self._monitors:
-                    read.add(update.unit)
-                case BusLink():
-                    self._see_bus(now)
-                case BusFigures():
-                    self._see_figures(update, now)
-        for unit in read:
-            self._monitors[unit].see_parameters(now)
-        if self._lost_alone:
-            self._see_links(now)
-
-    def _observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
-        """Observe a condition. A suppression begins before the alarm rises, so that it is never
-        annunciated."""
-        if holds and not alarm.holds and self._suppresses(alarm):
-            self.list.suppress(alarm, True, now)
-        self.list.observe(alarm, holds, now)
-
-    def _see_bus(self, now: UnixTime) -> bool:
-        """Observe the conditions of the bus; whether it can be read."""
-        facts = bus_facts(self._live, now)
-        for row in BY_BUS:
-            self._observe(self._alarm_of(row.code), row.holds(facts), now)
-        return facts.is_readable
-
-    def _see_links(self, now: UnixTime) -> None:
-        is_readable = self._see_bus(now)
-        for unit in self._monitors:
-            self._see_link(unit, now, bus_is_readable=is_readable)
-
-    def _see_link(self, unit: int, now: UnixTime, *, bus_is_readable: bool) -> None:
-        if self._monitors[unit].see_link(now, bus_is_readable=bus_is_readable):
-            self._lost_alone.add(unit)
-        else:
-            self._lost_alone.discard(unit)
-
-    def _see_figures(self, figures: BusFigures, now: UnixTime) -> None:
-        for unit in figures.units:
-            if unit.unit in self._monitors:
-                self._monitors[unit.unit].see_figures(unit, now)
-        self._unrequested.see(0, figures.unrequested, now)
-        is_present = figures.has_second_master or self._unrequested.judged(SECOND_MASTER.holds)
-        self._observe(self._second_master, is_present, now)
-
-    # --- suppression ----------------------------------------------------------------------------------
-
-    def _on_alarm(self, alarm: Alarm) -> None:
-        code, unit = alarm.definition.code, alarm.definition.unit
-        if unit is None and CONDITIONS[code].suppresses:
-            self._suppress_again(self._clock())
-        elif code == ESTOP_ACTIVE.code and unit is not None and alarm.facts.active != (unit in self._estops):
-            self._estops ^= {unit}
-            self._suppress(self._monitors[unit].alarms(), self._clock())
-
-    def _suppress_again(self, now: UnixTime) -> None:
-        """Judge the suppression of every alarm again where what suppresses on the bus has changed."""
-        found = self._suppressing()
-        if found != self._suppressors:
-            self._suppressors = found
-            self._suppress(self.list.alarms.values(), now)
-
-    def _suppress(self, alarms: Iterable[Alarm], now: UnixTime) -> None:
-        """Judge the suppression of alarms. One that is neither active nor about to be is left alone."""
-        for alarm in alarms:
-            concerned = alarm.facts.suppressed or alarm.facts.active or bool(alarm.holds)
-            self.list.suppress(alarm, concerned and self._suppresses(alarm), now)
-
-    def _suppresses(self, alarm: Alarm) -> bool:
-        definition = alarm.definition
-        return self._suppressors.suppress(definition.group, definition.unit)
-
-    def _suppressing(self) -> Suppressors:
-        readings = (unit.reading for unit in self._live.units.values())
-        holding = [row for row in BY_BUS if self._alarm_of(row.code).facts.active]
-        return Suppressors(
-            groups=frozenset(group for row in holding for group in row.suppresses),
-            at_rest=is_at_rest(None if reading is None else reading.commanded for reading in readings),
-            estops=self._estops,
-        )
-
-
-def control_left_by(
-    holder: str, used_at: Monotonic, present: Collection[str], now: Monotonic
-) -> Message | None:
-    """The holder who has left control without releasing it; None while that is not so. ``used_at``: when the
-    holder last sent a command; ``present``: the accounts with an open page."""
-    if not CONTROL_LEFT.holds(now - used_at, holder in present):
-        return None
-    return Message.of("alarm_control_left_by", who=account_shown(holder))
+    """Return a function that checks a value of a full scale against the limits of an alarm."""
+    return lambda value, full_scale: limits_of(tuning, full_scale).holds(value, alarm.facts.active)

@@ -58,8 +58,6 @@ class LineAlarms:
         self._present: dict[str, Alarm] = {}
         self._of_unit: dict[tuple[str, int], dict[str, Alarm]] = {}
         self.rates = AlarmRates()
-        self._annunciated: dict[str, UnixTime | None] = {}
-        """When each alarm was annunciated last."""
         self.subscribe(self._note)
 
     async def load(self) -> None:
@@ -74,9 +72,7 @@ class LineAlarms:
     def _note(self, alarm: Alarm) -> None:
         definition, is_present = alarm.definition, alarm.facts.state != "normal"
         if alarm.facts.state == "unack_active" and alarm.facts.since is not None:
-            if self._annunciated.get(definition.key) != alarm.facts.since:
-                self.rates.note(definition.key, alarm.facts.since)
-            self._annunciated[definition.key] = alarm.facts.since
+            self.rates.note(definition.key, alarm.facts.since)
         indexes = [self._present]
         if definition.bus is not None and definition.unit is not None:
             indexes.append(self._of_unit.setdefault((definition.bus, definition.unit), {}))

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import lru_cache
 
 from app.line.conditions.condition import CountPredicate, SuppressionGroup, Tuning
 from bus.instants import UnixTime
@@ -15,22 +16,24 @@ from bus.instants import UnixTime
 
 @dataclass(frozen=True, slots=True)
 class LimitRule:
-    """``above`` and ``below``: where the condition begins; None: no such limit."""
+    """A limit with a deadband. ``above`` and ``below``: where the condition begins; None: no such limit."""
 
     above: int | None
     below: int | None
     deadband: int = 0
 
     def holds(self, value: int, active: bool) -> bool:
-        """An active condition ends only when the value is back by more than the deadband."""
+        """Whether a value is beyond a limit. An active condition ends only when the value is back by more
+        than the deadband."""
         deadband = self.deadband if active else 0
         if self.above is not None and value > self.above - deadband:
             return True
         return self.below is not None and value < self.below + deadband
 
 
+@lru_cache(1024)  # Decimals cost 4 µs with each value of each unit
 def limits_of(tuning: Tuning, full_scale: int) -> LimitRule:
-    """The limits of an alarm, in the counts of its value."""
+    """Return the limits of an alarm in the counts of its value."""
 
     def raw(percent: Decimal | None) -> int | None:
         return None if percent is None else round(percent * full_scale / 100)
@@ -49,7 +52,7 @@ class ChangeRate:
     _per_s: float | None = None
 
     def see(self, value: int, at: float) -> float | None:
-        """The change per second up to a reading; None while it is not known."""
+        """Return the change per second up to a reading; None while it is not known."""
         if self._at is None or at < self._at:
             self._at, self._value = at, value
         elif at - self._at >= self.SPAN_S:
@@ -67,7 +70,7 @@ COUNTED_S = 60.0
 
 @dataclass(slots=True)
 class CountWindow:
-    """``total`` and ``faults`` of the last complete window; None until one is over."""
+    """Counts a total and its faults in windows of a minute. None until the first window is over."""
 
     total: int | None = None
     faults: int | None = None
@@ -75,7 +78,7 @@ class CountWindow:
     _from: tuple[int, int] = (0, 0)
 
     def judged(self, holds: CountPredicate) -> bool | None:
-        """Whether a condition holds by the last window; None until one is over."""
+        """Return whether a condition holds by the last window; None until one is over."""
         return None if self.total is None or self.faults is None else holds(self.total, self.faults)
 
     def restart(self) -> None:
@@ -83,7 +86,7 @@ class CountWindow:
         self._at = None
 
     def see(self, total: int, faults: int, at: UnixTime) -> None:
-        """Take in the counters. A worker that was started again counts from zero."""
+        """Add the present counters. A worker that was started again counts from zero."""
         is_restarted = total < self._from[0] or faults < self._from[1]
         if self._at is None or is_restarted or at < self._at:
             self._at, self._from = at, (total, faults)
@@ -98,13 +101,14 @@ DISTURBANCE_S = 5.0
 
 @dataclass(slots=True)
 class FirstOut:
-    """The first alarm of a disturbance of one bus. An alarm alone is not marked."""
+    """Finds the first alarm of a disturbance of one bus. An alarm alone is not marked."""
 
     _first: str | None = None
     _at: UnixTime = UnixTime(0.0)
 
     def rise(self, alarm: str, at: UnixTime) -> str | None:
-        """Take in an alarm that is annunciated; return the one that was first, or None while it is alone."""
+        """Add an alarm that is annunciated, and return the first of its disturbance; None while it is
+        alone."""
         if self._first is None or not 0 <= at - self._at <= DISTURBANCE_S:
             self._first, self._at = alarm, at
             return None

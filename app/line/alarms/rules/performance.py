@@ -88,7 +88,7 @@ class AlarmFigure:
 
 
 def judged(code: FigureCode, value: float | None) -> AlarmFigure:
-    """A figure against its target; ``value`` is None where there was nothing to measure."""
+    """Return a figure against its target; ``value`` is None where there was nothing to measure."""
     at_most, at_least = AT_MOST.get(code), AT_LEAST.get(code)
     met = None
     if value is not None and (at_most is not None or at_least is not None):
@@ -98,9 +98,9 @@ def judged(code: FigureCode, value: float | None) -> AlarmFigure:
 
 @dataclass(frozen=True, slots=True)
 class AlarmCounts:
-    """From the journal of a span, of which alarms were observed for ``observed_s``, and the states at
+    """What the journal has of a span in which alarms were observed for ``observed_s``, and the states at
     present. ``in_windows``: alarms annunciated in each window of ten minutes that has any; ``top_ten``: how
-    often the ten most frequent came."""
+    often the ten most frequent alarms came."""
 
     observed_s: float
     in_windows: Mapping[int, int]
@@ -113,8 +113,8 @@ class AlarmCounts:
 
 
 def figures(measured: AlarmCounts) -> list[AlarmFigure]:
-    """Every figure, in the order in which they are shown. Before ten minutes were observed the journal gives
-    none: that no alarm came while none was looked for meets no target."""
+    """Return every figure, in the order in which they are shown. Before ten minutes were observed the journal
+    gives none: that no alarm came while none was looked for meets no target."""
     found = _measured(measured)
     if measured.observed_s < WINDOW_S:
         found = {**dict.fromkeys(found), **measured.now}
@@ -145,7 +145,7 @@ def _measured(measured: AlarmCounts) -> dict[FigureCode, float | None]:
 
 
 def flooded(in_windows: Mapping[int, int]) -> Iterator[int]:
-    """The windows of each flood: from more than ten alarms in one to before the next with fewer than five."""
+    """Yield the windows of each flood: from one with more than ten alarms until one has fewer than five."""
     last = None
     for window in sorted(in_windows):
         count = in_windows[window]
@@ -161,7 +161,7 @@ def _share(part: int, total: int) -> float | None:
 
 RISES_OF_CHATTER = 3
 MAX_COUNTED = 1000
-"""The most alarms that the count of ten minutes takes; the oldest beyond it are left out."""
+"""The most alarms that are counted in ten minutes; the oldest beyond it are left out."""
 
 
 class AlarmRates:
@@ -173,13 +173,16 @@ class AlarmRates:
         self._is_flood = False
 
     def note(self, alarm: str, at: UnixTime) -> None:
-        """An alarm, by its key, was annunciated."""
+        """Count the annunciation of an alarm, by its key; one that was counted already counts once."""
+        rises = self._of_alarm.setdefault(alarm, deque(maxlen=RISES_OF_CHATTER))
+        if rises and rises[-1] == at:
+            return
+        rises.append(at)
         self._came.append(at)
-        self._of_alarm.setdefault(alarm, deque(maxlen=RISES_OF_CHATTER)).append(at)
         self.count(at)
 
     def count(self, now: UnixTime) -> int:
-        """How many were annunciated in the last ten minutes. A clock that was set back forgets them."""
+        """Count the alarms annunciated in the last ten minutes. A clock that was set back forgets them."""
         while self._came and not 0 <= now - self._came[0] < WINDOW_S:
             self._came.popleft()
         found = len(self._came)
@@ -187,13 +190,13 @@ class AlarmRates:
         return found
 
     def flood(self, now: UnixTime) -> int:
-        """How many came in the last ten minutes while that is a flood: from more than ten on, until there are
-        fewer than five; 0 while it is none."""
+        """Count the alarms of the last ten minutes in a flood: from more than ten on, until there are fewer
+        than five. 0 where there is no flood."""
         count = self.count(now)
         return count if self._is_flood else 0
 
     def chatters(self, alarm: str, now: UnixTime) -> bool:
-        """Whether it came three times within a minute, lately."""
+        """Whether an alarm came three times within a minute, lately."""
         rises = self._of_alarm.get(alarm)
         if rises is None or len(rises) < RISES_OF_CHATTER or not 0 <= now - rises[-1] < WINDOW_S:
             return False
@@ -201,18 +204,18 @@ class AlarmRates:
 
 
 MAX_GAP_S = 60.0
-"""The engine looks every second. After a longer gap it stood still, or the clock was set."""
+"""Conditions are observed every second. After a longer gap the server stood still, or the clock was set."""
 
 
 class ObservedSpan(NamedTuple):
-    """Alarms were observed from ``start`` to ``end``."""
+    """A time in which alarms were observed."""
 
     start: UnixTime
     end: UnixTime
 
 
 def observed_until(now: UnixTime, former: ObservedSpan | None) -> ObservedSpan:
-    """The former span with the time up to ``now``; another one, where ``now`` does not follow it."""
+    """Return the former span extended to ``now``; a new one where ``now`` does not follow the former."""
     if former is None or not 0 <= now - former.end <= MAX_GAP_S:
         return ObservedSpan(now, now)
     return former._replace(end=now)
