@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
-from pathlib import Path
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import httpx
@@ -15,7 +14,7 @@ from app.engineering.recipes.book import RecipeBook
 from app.engineering.recipes.rules import Recipe
 from bus.contract import BusLink, ExecuteAll, ExecuteSpeed, ParameterValue, SetLine, Staged, UnitLink
 from bus.instants import unix_now
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House
 from tests.app.played_commands import ANNA
 from tests.app.played_line import BUS, PlayedLine, played_line
 from tests.app.stage import until
@@ -23,12 +22,6 @@ from tests.app.stage import until
 API = "/api/v1"
 KEY = {"Idempotency-Key": "mine-1"}
 Sends = Callable[[], Awaitable[httpx.Response]]
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 @pytest.fixture

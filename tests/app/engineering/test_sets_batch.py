@@ -1,4 +1,4 @@
-"""One parameter over many units: the review's remarks about the machine, and what ends the writing."""
+"""A batch edit: what its review warns of, and what ends the writing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The TOML file of a parameter set: round trip, masks, and clear words for every kind of nonsense."""
+"""The TOML file of a parameter set: round trip, masks, and refusals of every kind of nonsense."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why a unit departed from its golden set: a command from here, or a change at the panel."""
+"""The difference of two sets, the drift of units and who caused it, and how a list names many units."""
 
 from __future__ import annotations
 
@@ -8,19 +8,70 @@ from typing import Any
 import pytest
 
 from app.core.database import Database
-from app.engineering.sets.drift import BusDrift
-from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows
+from app.core.messages import Languages
+from app.engineering.sets.drift import BusDrift, drift_rows
+from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows, compare, differences
+from app.engineering.sets.pages import unit_ranges
 from app.engineering.sets.store import SetStore
 from app.line.live.sources import Drifted
 from app.people.audit.log import EventLog
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
-from bus.messages import Message
+from bus.messages import Message, number
 from tests.app.played_commands import a_bus
 from tests.app.screens import translator
 
+
+def unit(values: dict[int, int | None]) -> UnitRows:
+    return UnitRows(1, "Nip", {number: ParameterRow(number, raw) for number, raw in values.items()})
+
+
+def test_all_forty_rows_are_there_and_unread_ones_are_marked() -> None:
+    compared = compare(unit({6: 50}), unit({}))
+    assert [row.number for row in compared] == list(PARAMETERS)
+    assert {row.kind for row in compared} == {"unknown"}
+    assert next(row for row in compared if row.number == 6).right == Message("value_not_known")
+
+
+def test_a_ramp_explains_what_the_machine_will_do() -> None:
+    (row,) = differences(unit({6: 50}), unit({6: 30}))
+    assert row.meaning is not None
+    assert row.meaning.code == "differs_acceleration"
+    assert str(row.meaning) == "accelerates in 3.0 s instead of 5.0 s"
+    assert Languages()["de"].t(row.meaning) == "fährt in 3,0 s statt 5,0 s hoch"
+
+
+def test_each_side_shows_speeds_with_its_decimals() -> None:
+    row = next(row for row in differences(unit({3: 1, 9: 1000}), unit({3: 2, 9: 2000})) if row.number == 9)
+    assert (row.left, row.right) == (number("100.0"), number("20.00"))
+
+
+def test_tolerance_in_raw_counts() -> None:
+    assert differences(unit({9: 1000}), unit({9: 1002}), tolerance=2) == []
+    assert len(differences(unit({9: 1000}), unit({9: 1003}), tolerance=2)) == 1
+
+
+def test_the_password_is_compared_but_never_shown() -> None:
+    (row,) = differences(unit({21: 4711}), unit({21: 815}))
+    assert "4711" not in f"{row.left}{row.right}{row.meaning}"
+    assert "815" not in f"{row.left}{row.right}{row.meaning}"
+
+
+def test_a_parameter_that_only_one_of_them_has_is_a_difference() -> None:
+    lacking = UnitRows(1, "Nip", {40: ParameterRow(40, None, available=False)})
+    (row,) = differences(unit({40: 1}), lacking)
+    assert (row.kind, row.right) == ("unavailable", Message("value_not_in_unit"))
+    assert differences(lacking, lacking) == []
+
+
+def test_a_changed_setpoint_is_no_drift() -> None:
+    assert [
+        row.number for row in drift_rows(unit({20: 100, 37: 9000, 6: 50}), unit({20: 200, 37: 9500, 6: 60}))
+    ] == [6]
+
+
 GOLDEN_READ, NOW = 1000.0, 51_600.0
-"""1970-01-01 14:20 UTC is ``NOW``."""
+"""``NOW`` is 1970-01-01 14:20 UTC."""
 
 
 class Scene:
@@ -64,7 +115,7 @@ async def scene(tmp_path: Path) -> Scene:
     return made
 
 
-async def test_a_command_is_named_with_its_hour_and_a_hand_at_the_panel_too(scene: Scene) -> None:
+async def test_drift_names_the_command_that_caused_it_and_counts_changes_at_the_keypad(scene: Scene) -> None:
     assert await scene.text() == ""
     await scene.sent("anna", 12, 21)
     scene.reads(12, 21)
@@ -87,7 +138,7 @@ async def test_a_command_is_named_with_its_hour_and_a_hand_at_the_panel_too(scen
     assert 1 in scene.notified
 
 
-async def test_the_hand_that_came_after_the_command_is_the_one(scene: Scene) -> None:
+async def test_a_change_at_the_keypad_after_a_command_is_the_cause(scene: Scene) -> None:
     await scene.sent("anna", 12, 21)
     scene.reads(12, 21)
     scene.reads(12, 22)
@@ -116,7 +167,7 @@ async def test_a_command_that_was_not_carried_out_changed_nothing(scene: Scene, 
     )
 
 
-async def test_number_1_is_not_number_12_and_a_command_older_than_the_set_is_none(scene: Scene) -> None:
+async def test_a_command_for_another_parameter_or_before_the_golden_set_is_no_cause(scene: Scene) -> None:
     await scene.sent("anna", 12, 21)
     scene.now = GOLDEN_READ - 1
     await scene.sent("anna", 1, 21)
@@ -143,7 +194,7 @@ async def test_the_last_write_of_the_operator_password_is_named_unseen(
 
 
 @pytest.mark.parametrize(("old_raw", "is_named"), [(0, True), (5, False), (None, False)])
-async def test_an_event_without_messages_is_known_by_its_values_not_by_its_text(
+async def test_an_event_of_a_former_version_is_known_by_its_values(
     scene: Scene, old_raw: int | None, is_named: bool
 ) -> None:
     fields: dict[str, Any] = {
@@ -174,8 +225,8 @@ async def test_after_a_restart_the_events_still_show_the_cause(scene: Scene) -> 
 
 async def test_the_list_on_the_units_page_has_another_key_when_its_text_changes(scene: Scene) -> None:
     keys = [scene.key()]
-    for number, raw in ((7, 0), (7, 61), (7, 62), (12, 5)):
-        scene.reads(number, raw)
+    for changed, raw in ((7, 0), (7, 61), (7, 62), (12, 5)):
+        scene.reads(changed, raw)
         keys.append(scene.key())
     await scene.sent("erik", 12, 5)
     await scene.text()
@@ -185,3 +236,24 @@ async def test_the_list_on_the_units_page_has_another_key_when_its_text_changes(
     await scene.text()
     assert scene.key() == keys[-1]
     assert scene.drift.summary(2, translator(), NOW) == Drifted()
+
+
+NAMES = {1: "Unwind", 2: "Infeed nip", 4: "Dryer 1", 5: "Dryer 2", 6: "Dryer 3", 7: "Dryer 9", 9: "Rewind"}
+
+
+@pytest.mark.parametrize(
+    ("units", "text"),
+    [
+        ((), []),
+        ((1,), ["1 Unwind"]),
+        ((1, 2), ["1-2 Unwind - Infeed nip"]),
+        ((6, 4, 5), ["4-6 Dryer 1-3"]),
+        ((1, 2, 4, 5, 9), ["1-2 Unwind - Infeed nip", "4-5 Dryer 1-2", "9 Rewind"]),
+        ((4, 5, 6, 7), ["4-7 Dryer 1 - Dryer 9"]),
+        ((9, 200), ["9 Rewind", "200"]),
+        ((199, 200), ["199-200"]),
+        (range(1, 10), ["1-9 Unwind - Rewind"]),
+    ],
+)
+def test_neighbors_are_a_range(units: tuple[int, ...], text: list[str]) -> None:
+    assert [each.replace("\N{EN DASH}", "-") for each in unit_ranges(units, NAMES)] == text

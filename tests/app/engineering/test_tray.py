@@ -1,0 +1,378 @@
+"""The change tray: what it holds (by a model, too), what its review shows, and how it is sent."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
+from app.core.web.admission.access import Person, Role
+from app.engineering.tray.contents import (
+    LASTS_S,
+    MAX_CHANGES,
+    MAX_TRAYS,
+    TrayRow,
+    Trays,
+    Unable,
+    key_of,
+    place_of,
+    steps_of,
+    unable_units,
+)
+from app.engineering.tray.own_tray import TrayResult, send_changes, tray_rows
+from app.errors import Problem
+from app.line.commands.limits import NO_LIMITS
+from app.line.commands.review import change_of
+from app.line.commands.undo.changes import ValuePlace, Values, value_now, values_set
+from app.line.live.bus_live import BusLive
+from app.people.audit.queries import Filter
+from bus.contract import (
+    Action,
+    Command,
+    ParameterValue,
+    SetLine,
+    SetSpeed,
+    UnitOutcome,
+    Update,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.instants import Monotonic, monotonic_now
+from bus.messages import Message, in_english
+from bus.settings import UnitLabels
+from tests.app.played_commands import a_bus, responding
+from tests.app.stage import PlayedWorker, Stage, reading, result_of
+
+SPEED_1, SPEED_2 = ValuePlace("setpoint", 1), ValuePlace("setpoint", 2)
+OUTPUT, ANALOG = ValuePlace("output", 1, 3), ValuePlace("analog", 2)
+RAMP_UP, RAMP_DOWN = ValuePlace("parameter", 2, 6), ValuePlace("parameter", 2, 7)
+ALL = (SPEED_1, SPEED_2, OUTPUT, ANALOG, RAMP_UP, RAMP_DOWN)
+START = Monotonic(100.0)
+
+
+@pytest.mark.parametrize("place", ALL)
+def test_a_place_has_a_key(place: ValuePlace) -> None:
+    assert place_of(key_of(place)) == place
+
+
+@pytest.mark.parametrize(
+    "key", ["", "setpoint", "setpoint-1", "valve-1-0", "setpoint-1-0-0", "output-\u0661-3", "output-1-333"]
+)
+def test_another_text_is_no_key(key: str) -> None:
+    assert place_of(key) is None
+
+
+def test_setpoints_are_sent_together_and_the_rest_one_by_one_as_it_was_added() -> None:
+    changes = {RAMP_DOWN: 5, SPEED_2: 20, ANALOG: 7, RAMP_UP: 6, OUTPUT: 1, SPEED_1: 10}
+    assert steps_of(changes) == [
+        {SPEED_2: 20, SPEED_1: 10},
+        {OUTPUT: 1},
+        {ANALOG: 7},
+        {RAMP_DOWN: 5},
+        {RAMP_UP: 6},
+    ]
+    assert steps_of({OUTPUT: 0}) == [{OUTPUT: 0}]
+    assert steps_of({}) == []
+
+
+def test_a_tray_is_bounded_and_too_much_adds_nothing() -> None:
+    trays = Trays()
+    full = {ValuePlace("parameter", unit, number): 0 for unit in range(1, 33) for number in range(1, 17)}
+    assert len(full) == MAX_CHANGES
+    trays.add("anna", full, START, {})
+    trays.add("anna", dict.fromkeys(full, 1), START, {})
+    with pytest.raises(Problem, match="at most 512 changes"):
+        trays.add("anna", {SPEED_1: 10}, START, {})
+    assert trays.changes("anna", START) == dict.fromkeys(full, 1)
+
+
+def test_of_too_many_trays_the_oldest_is_emptied() -> None:
+    trays = Trays()
+    for number in range(MAX_TRAYS):
+        trays.add(f"person {number}", {SPEED_1: number}, START, {})
+    trays.add("person 0", {SPEED_2: 0}, START, {})
+    trays.add("anna", {SPEED_1: 10}, START, {})
+    assert trays.changes("person 1", START) == {}
+    assert trays.changes("person 0", START) == {SPEED_1: 0, SPEED_2: 0}
+    assert trays.changes("anna", START) == {SPEED_1: 10}
+
+
+class TrayModel(RuleBasedStateMachine):
+    """``self.log``: when, who, and each place with its new value, or None where it was removed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now = 0.0
+        self.log: list[tuple[float, str, ValuePlace, int | None]] = []
+        self.trays = Trays()
+
+    def expected(self, who: str) -> dict[ValuePlace, int]:
+        """What this person's entries of the log come down to."""
+        found: dict[ValuePlace, int] = {}
+        added = 0.0
+        for at, _, place, raw in [entry for entry in self.log if entry[1] == who]:
+            if raw is None:
+                found.pop(place, None)
+                continue
+            if at - added >= LASTS_S:
+                found = {}
+            found[place], added = raw, at
+        return found if self.now - added < LASTS_S else {}
+
+    @rule(seconds=st.sampled_from([1.0, LASTS_S / 2, LASTS_S - 1]))
+    def time_passes(self, seconds: float) -> None:
+        self.now += seconds
+
+    @rule(
+        who=st.sampled_from(["anna", "ben"]),
+        places=st.lists(st.sampled_from(ALL), min_size=1, max_size=3),
+        raw=st.integers(0, 2),
+    )
+    def add(self, who: str, places: list[ValuePlace], raw: int) -> None:
+        self.trays.add(who, dict.fromkeys(places, raw), Monotonic(self.now), {})
+        self.log += [(self.now, who, place, raw) for place in places]
+
+    @rule(who=st.sampled_from(["anna", "ben"]), place=st.sampled_from(ALL), raw=st.integers(0, 2))
+    def remove(self, who: str, place: ValuePlace, raw: int) -> None:
+        if self.expected(who).get(place) == raw:
+            self.log.append((self.now, who, place, None))
+        self.trays.remove(who, {place: raw})
+
+    @invariant()
+    def holds_the_newest_value_of_each_place(self) -> None:
+        for who in ("anna", "ben"):
+            held = self.trays.changes(who, Monotonic(self.now))
+            assert list(held.items()) == list(self.expected(who).items())
+
+
+TestTray = TrayModel.TestCase
+
+
+RAMP, MODE, BAUD = (ValuePlace("parameter", 1, number) for number in (6, 8, 18))
+LOCAL = Message("obstacle_not_in_remote")
+REFUSED = Message("no_such_parameter")
+REACTS = "The equipment on this output reacts immediately."
+UNREAD = "The unit acknowledges it; it cannot be read back."
+
+
+@pytest.fixture
+def bus() -> BusLive:
+    live = a_bus()
+    responding(live, run=True)
+    bus = live.buses["dry-end"]
+    object.__setattr__(bus.units[1].settings, "labels", UnitLabels(unit="m/min", output={3: "Fan"}))
+    return bus
+
+
+def rows(bus: BusLive, changes: dict[ValuePlace, int], *, local: int = 0) -> list[TrayRow]:
+    """Unit ``local`` is in LOCAL; a write of #8 is refused."""
+
+    def values_now(changes: Values) -> dict[ValuePlace, int | None]:
+        return {place: value_now(place, bus, {2: 5}) for place in changes}
+
+    def check(action: Action) -> None:
+        if isinstance(action, WriteParameter) and action.number == 8:
+            raise Problem(409, "invalid", REFUSED)
+
+    page = SimpleNamespace(
+        bus=bus,
+        commands=SimpleNamespace(undo=SimpleNamespace(values_now=values_now)),
+        change=lambda unit, raw: change_of(bus, bus.units[unit], raw, NO_LIMITS, time.time()),
+        obstacle=lambda unit: LOCAL if unit == local else None,
+        check=check,
+    )
+    return tray_rows(page, changes, {})  # type: ignore[arg-type]
+
+
+def words(row: TrayRow) -> tuple[str, str, str, str, str, str]:
+    texts = (row.what, row.old, row.new, row.measure, row.effect)
+    return (row.name, *(in_english(text) for text in texts))
+
+
+@pytest.mark.parametrize(
+    ("place", "raw", "expected"),
+    [
+        (SPEED_1, 1500, ("Unwind", "Setpoint", "100.0", "150.0", "m/min", "ramp of about 0.2 s")),
+        (SPEED_1, 1000, ("Unwind", "Setpoint", "100.0", "100.0", "m/min", "no change")),
+        (SPEED_2, 1500, ("Nip", "Setpoint", "100.0", "150.0", "", "ramp of about 0.2 s")),
+        (
+            OUTPUT,
+            1,
+            ("Unwind", "Output 3 (Fan)", "off", "on", "", REACTS),
+        ),
+        (
+            ValuePlace("output", 2, 3),
+            0,
+            ("Nip", "Output 3", "off", "off", "", REACTS),
+        ),
+        (
+            ANALOG,
+            7,
+            ("Nip", "Analog output", "5", "7", "", UNREAD),
+        ),
+        (
+            RAMP,
+            75,
+            (
+                "Unwind",
+                "Acceleration Ramp Rate (parameter 6)",
+                "10.0",
+                "7.5",
+                "s",
+                "Time to accelerate over the full speed range.",
+            ),
+        ),
+    ],
+)
+def test_a_row_has_what_changes_from_which_value_to_which(
+    bus: BusLive, place: ValuePlace, raw: int, expected: tuple[str, ...]
+) -> None:
+    [row] = rows(bus, {place: raw})
+    assert words(row) == expected
+    assert row.reviewed == f"{row.key}:{raw}:{row.was}"
+    assert row.refusal is None
+
+
+def test_an_unknown_value_is_empty(bus: BusLive) -> None:
+    object.__setattr__(bus.units[2], "reading", None)
+    unknown = {
+        ValuePlace("output", 2, 1): 1,
+        ValuePlace("analog", 1): 7,
+        ValuePlace("parameter", 2, 12): 30,
+    }
+    for row in rows(bus, unknown):
+        assert (row.was, row.old, row.was_text) == (None, "", "")
+        assert row.reviewed.endswith(":")
+
+
+def test_an_unknown_ramp_and_a_follower_have_their_effect(bus: BusLive) -> None:
+    bus.apply([ParameterValue(unit=1, number=6, at=1.0, raw=None, available=False)])
+    bus.apply([ParameterValue(unit=2, number=8, at=1.0, raw=1)])
+    first, second = rows(bus, {SPEED_1: 1500, SPEED_2: 5000})
+    assert in_english(first.effect) == "with the unit's own ramp; duration unknown"
+    assert [in_english(text) for text in (second.what, second.new, second.effect)] == [
+        "Ratio",
+        "0.5000",
+        "follows its master",
+    ]
+
+
+def test_setpoints_come_first_in_floor_order(bus: BusLive) -> None:
+    changes = {RAMP: 75, SPEED_2: 10, OUTPUT: 1, SPEED_1: 10}
+    assert [row.place for row in rows(bus, changes)] == [SPEED_1, SPEED_2, OUTPUT, RAMP]
+
+
+def test_what_a_person_must_know_is_a_warning_or_a_danger(bus: BusLive) -> None:
+    ramp, baud = rows(bus, {RAMP: 0, BAUD: 24})
+    assert ([warning.code for warning in ramp.warnings], ramp.danger) == (["effect_no_ramp"], "")
+    assert baud.danger
+
+
+def test_a_unit_that_cannot_take_one_of_its_changes_is_named_with_the_first_reason(bus: BusLive) -> None:
+    changes = {SPEED_1: 10, SPEED_2: 10, RAMP: 75, MODE: 1}
+    assert unable_units(rows(bus, changes)) == {1: Unable(1, "Unwind", REFUSED)}
+    both = unable_units(rows(bus, changes, local=2))
+    assert both == {1: Unable(1, "Unwind", REFUSED), 2: Unable(2, "Nip", LOCAL)}
+    assert unable_units(rows(bus, changes, local=1)) == {1: Unable(1, "Unwind", LOCAL)}
+
+
+ANNA = Person("anna", Role.ENGINEER, "session")
+BEN = Person("ben", Role.OPERATOR, "session")
+WINDOW = ValuePlace("parameter", 2, 12)
+CHANGES = {WINDOW: 30, OUTPUT: 1, SPEED_1: 1100, ANALOG: 300, SPEED_2: 1200}
+SENT: list[Action] = [
+    SetLine(setpoints={1: 1100, 2: 1200}),
+    WriteOutput(unit=1, number=3, on=True),
+    WriteAnalogOutput(unit=2, raw=300),
+    WriteParameter(unit=2, number=12, raw=30),
+]
+
+
+def playing(worker: PlayedWorker, result: Callable[[Command], Update]) -> None:
+    async def play(command: Command) -> Sequence[Update]:
+        return [result(command)]
+
+    worker.play = play
+
+
+def verified(command: Command) -> Update:
+    return result_of(command, "acknowledged" if isinstance(command.action, WriteAnalogOutput) else "verified")
+
+
+async def send(stage: Stage, changes: Values, person: Person = ANNA) -> list[TrayResult]:
+    return await send_changes(
+        stage.commands, person, stage.live.buses["dry-end"], changes, "a-tray", monotonic_now(), {}
+    )
+
+
+async def test_each_change_is_sent_once_in_order(stage: Stage, worker: PlayedWorker) -> None:
+    playing(worker, verified)
+    results = await send(stage, CHANGES)
+    assert [command.action for command in worker.commands] == SENT
+    assert {result.place: result.raw for result in results} == CHANGES
+    assert all(result.is_done for result in results)
+    again = await send(stage, CHANGES)
+    assert [result.id for result in again] == [result.id for result in results]
+    assert len(worker.commands) == len(SENT)
+
+
+async def test_one_setpoint_is_set_alone(stage: Stage, worker: PlayedWorker) -> None:
+    playing(worker, verified)
+    await send(stage, {SPEED_2: 1200})
+    assert [command.action for command in worker.commands] == [SetSpeed(unit=2, raw=1200)]
+
+
+async def test_after_a_failure_nothing_more_is_sent(stage: Stage, worker: PlayedWorker) -> None:
+    playing(
+        worker,
+        lambda command: (
+            result_of(command, "refused") if isinstance(command.action, WriteOutput) else verified(command)
+        ),
+    )
+    results = {result.place: result for result in await send(stage, CHANGES)}
+    assert [command.action for command in worker.commands] == SENT[:2]
+    assert {place for place, result in results.items() if result.is_done} == {SPEED_1, SPEED_2}
+    assert results[ANALOG].part == results[WINDOW].part == Message("tray_stopped_before")
+
+
+async def test_each_unit_of_a_change_of_several_has_its_own_result(
+    stage: Stage, worker: PlayedWorker
+) -> None:
+    def one_of_two(command: Command) -> Update:
+        parts = [UnitOutcome(1, "verified", read_back=1100), UnitOutcome(2, "unverified")]
+        return result_of(command, "unverified", units=parts)
+
+    playing(worker, one_of_two)
+    results = await send(stage, {SPEED_1: 1100, SPEED_2: 1200, OUTPUT: 1})
+    assert [result.is_done for result in results] == [True, False, False]
+
+
+async def test_a_refusal_before_sending_stops_the_rest_too(stage: Stage, worker: PlayedWorker) -> None:
+    playing(worker, verified)
+    results = {result.place: result for result in await send(stage, {WINDOW: 30, ANALOG: 300}, BEN)}
+    assert worker.commands == []
+    refusal = results[ANALOG].part
+    assert isinstance(refusal, Message)
+    assert "role engineer" in str(refusal)
+    assert results[WINDOW].part == Message("tray_stopped_before")
+
+
+@pytest.mark.parametrize("changes", [{SPEED_1: 1100, SPEED_2: 1200}, {WINDOW: 30}])
+async def test_events_name_the_tray_and_undo_goes_back(
+    stage: Stage, worker: PlayedWorker, changes: Values
+) -> None:
+    playing(worker, verified)
+    before = stage.commands.undo.values_now(changes)
+    results = await send(stage, changes)
+    found, _ = await stage.events.page(Filter(kind="command"), 10)
+    assert {event["origin"] for event in found} == {"change tray"}
+    for update in (reading(1, 1100), reading(2, 1200), ParameterValue(unit=2, number=12, at=1.0, raw=30)):
+        stage.live.buses["dry-end"].apply([update])
+    offer = stage.commands.undo.offer(ANNA, results[0].id)
+    assert offer is not None
+    assert values_set(offer.action, stage.live.buses["dry-end"]) == before
