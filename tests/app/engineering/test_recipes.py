@@ -18,6 +18,7 @@ from app.engineering.recipes.rules import (
     RecipeSetpoint,
     dry_run,
     setpoints_now,
+    why_not_setpoint,
 )
 from app.errors import Problem
 from app.line.live.bus_live import LiveState
@@ -242,6 +243,22 @@ def test_a_unit_whose_mode_was_not_read_cannot_be_loaded() -> None:
     live.buses["dry-end"].apply([Reading(1, fresh(), 1000, 1000, 0, REMOTE, HEALTHY)])
     [step] = steps_of(live, RecipeSetpoint(1, 1200, "speed"))
     assert step.obstacle == Message("recipe_mode_unread")
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "reason"),
+    [
+        (RecipeSetpoint(9, 1200, "speed"), NOT_CONFIGURED),
+        (RecipeSetpoint(1, 1200, "speed", "2:20000,8:0,3:1"), None),
+        (RecipeSetpoint(1, 1200, "speed", "2:20000,8:0,3:2"), Message("recipe_other_scale")),
+    ],
+)
+def test_a_setpoint_fits_a_unit_that_has_the_scale_it_was_saved_with(
+    setpoint: RecipeSetpoint, reason: Message | None
+) -> None:
+    live = a_bus()
+    responding(live)
+    assert why_not_setpoint(setpoint, live.buses["dry-end"]) == reason
 
 
 def test_a_recipe_begins_from_the_setpoints_that_are_known() -> None:

@@ -1,4 +1,4 @@
-"""The plan of a restore: what it writes and leaves out, and an order of which no step is worse than its ends."""
+"""The plan of a restore: what it writes and leaves out, and an order without a step worse than its ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Restores: each row with its outcome, stopped by anything, finished by another run; over HTTP and on pages."""
+"""Restores: each row with its outcome, whatever stops them, finished by another run; also over HTTP."""
 
 from __future__ import annotations
 
