@@ -18,10 +18,8 @@ from app.core.server.refusal_log import RefusalLog
 from app.core.server.refusals import SecurityHeaders
 from app.core.web import feature as web
 from app.core.web import problems
-from app.core.web.admission.anonymous import HEALTH, AnonymousLimiter
-from app.core.web.admission.routes import guard, refuse_undeclared
-from app.core.web.admission.turns import Turns
-from app.core.web.rendering.templating import Templates
+from app.core.web.routes import HEALTH, AnonymousLimiter, Turns, guard, refuse_undeclared
+from app.core.web.templating import Templates
 from app.engineering.recipes import feature as recipes
 from app.engineering.sets import feature as sets
 from app.engineering.swap import feature as swap
@@ -35,10 +33,9 @@ from app.line.live import feature as live
 from app.people.audit import feature as audit
 from app.people.audit.log import EventLog
 from app.people.auth import feature as auth
+from app.people.auth.identify import Identify, Identity
 from app.people.auth.pages import CALLBACK
-from app.people.auth.rights.access import Identify
-from app.people.auth.rights.identity import Identity
-from app.people.auth.rights.rights import Rights
+from app.people.auth.rights import Rights
 from app.records.handover import feature as handover
 from app.records.notification import feature as notification
 from app.records.reports import feature as reports

@@ -12,7 +12,7 @@ from typing import Any, cast
 import click
 
 from app.cli import cli
-from app.core.web.admission.access import PEOPLE_ROLES, Role
+from app.core.web.access import PEOPLE_ROLES, Role
 from app.line.commands.catalogue import COMMANDS
 from app.line.history.status import HistoryStatus
 from app.main import FEATURES

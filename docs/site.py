@@ -12,7 +12,7 @@ from html import escape
 from pathlib import Path
 
 from app.core.help.handbook import CHAPTERS, ENGLISH, Chapter, Handbook, Rendered
-from app.core.web.rendering.assets import docs_dir, static_dir
+from app.core.web.assets import docs_dir, static_dir
 
 LINK = re.compile(r'(href|src)="/help/(pictures/)?([\w/-]+)(\.png)?')
 STYLES = ("lineside.css", "help.css")

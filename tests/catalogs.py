@@ -15,8 +15,8 @@ from babel.messages.pofile import read_po, write_po
 from jinja2 import Environment, nodes
 
 from app.core.messages.languages import DEFAULT, catalogs
-from app.core.web.admission.access import Role, Via
-from app.core.web.rendering.assets import templates_dir
+from app.core.web.access import Role, Via
+from app.core.web.assets import templates_dir
 from app.engineering.sets.model import SetOrigin
 from app.engineering.sets.restore_plan import RestoreState
 from app.line.commands.catalogue import BAUD_DANGER

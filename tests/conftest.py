@@ -28,11 +28,11 @@ from jinja2 import Environment
 
 import app.core.database.database
 import app.core.messages.languages
-import app.core.web.admission.routes
-import app.people.auth.sign_in.passwords
+import app.core.web.routes
+import app.people.auth.passwords
 from app.core.database.files import Reserve
 from app.core.database.migration import MIGRATIONS, Migration, bring_up_to_date
-from app.core.web.rendering.assets import Assets
+from app.core.web.assets import Assets
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=30)
 # In `make soak`: other examples in each run, and many.
@@ -131,7 +131,7 @@ def declarations_found_once() -> Iterator[None]:
     """Every app looks twice at what each of its 270 routes declares, and the routes of all apps declare the
     same."""
     found: dict[int, tuple[Any, list[Any]]] = {}
-    calls = app.core.web.admission.routes._calls
+    calls = app.core.web.routes._calls
 
     def calls_once(dependant: Any) -> list[Any]:
         if id(dependant) not in found:
@@ -139,7 +139,7 @@ def declarations_found_once() -> Iterator[None]:
         return found[id(dependant)][1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.core.web.admission.routes, "_calls", calls_once)
+        patch.setattr(app.core.web.routes, "_calls", calls_once)
         yield
 
 
@@ -205,7 +205,7 @@ def passwords_hashed_cheaply() -> Iterator[None]:
     that tests start hash as they do everywhere."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            app.people.auth.sign_in.passwords,
+            app.people.auth.passwords,
             "_hasher",
             PasswordHasher(time_cost=1, memory_cost=8, parallelism=1),
         )

@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from app.core.messages.languages import catalogs
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from bus.catalogue.parameters import PARAMETERS
 from bus.simulator.demo import demo_line
 from tests.catalogs import catalog_at, wanted

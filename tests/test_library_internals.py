@@ -36,7 +36,7 @@ def test_a_protocol_of_uvicorn_is_made_by_name() -> None:
 
 
 def test_used_members_of_fastapi_exist() -> None:
-    """What a route declares, and its app: app.core.web.admission.routes and app.core.web.api.route use it."""
+    """What a route declares, and its app: app.core.web.routes and app.core.web.api use it."""
     app = FastAPI()
 
     @app.get("/units/{unit}")

@@ -57,7 +57,7 @@ def test_it_holds_nothing_that_is_only_for_development(wheel: Path) -> None:
 def test_unpacked_elsewhere_it_finds_its_own_files(wheel: Path, tmp_path: Path) -> None:
     zipfile.ZipFile(wheel).extractall(tmp_path)
     program = (
-        "from app.core.web.rendering.assets import static_dir, templates_dir;"
+        "from app.core.web.assets import static_dir, templates_dir;"
         "print(static_dir()); print(templates_dir())"
     )
     folders = subprocess.run(

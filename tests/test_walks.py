@@ -20,7 +20,7 @@ import pytest
 from fastapi.routing import APIRoute
 from websockets.asyncio.client import ClientConnection
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.feed.bus_feed import BusFeed
 from app.line.feed.channel import Channel
 from app.line.feed.ingest import Ingest, IngestPosition

@@ -11,7 +11,7 @@ from typing import Protocol
 
 from msgspec.structs import replace
 
-from app.core.web.api.shape import iso
+from app.core.web.shape import iso
 from app.line.live.bus_live import BusLive
 from app.line.live.change_recorder import ChangeRecorder, Changes, LineEvent
 from bus.catalogue.values import plausible_parameter

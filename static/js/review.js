@@ -204,7 +204,7 @@ function repeatEarly() {
 }
 
 /** A form that the browser sends: not while the server does not respond, and with the moment of the press,
- * so that one that is held up on the way is refused (app/core/web/admission/arrival.py).
+ * so that one that is held up on the way is refused (app/core/web/arrival.py).
  * @param {On<SubmitEvent, HTMLFormElement>} event */
 function submitted(event) {
   const form = event.target;

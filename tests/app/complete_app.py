@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 from fastapi import FastAPI
 
-from app.core.web.admission.access import PEOPLE_ROLES, Role
+from app.core.web.access import PEOPLE_ROLES, Role
 from app.feature import Services
 from app.main import create_app
 from app.people.audit.log import EventLog

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.engineering.sets.drift import BusDrift
 from app.engineering.sets.saving import ParameterReader, SetKeeper
 from app.engineering.sets.store import SetStore

@@ -20,8 +20,8 @@ import httpx
 from joserfc import jws
 from joserfc.jwk import ECKey, OctKey
 
-from app.people.auth.oidc.single_sign_on import SingleSignOn
 from app.people.auth.settings import OidcSettings
+from app.people.auth.single_sign_on import SingleSignOn
 from tests.app.complete_app import HOST, House, complete_app
 from tests.app.notification_servers import listening
 

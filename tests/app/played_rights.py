@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.core.web.admission.access import AccountSubscriber, Person
+from app.core.web.access import AccountSubscriber, Person
 from app.errors import Problem
 from bus.messages import Message
 

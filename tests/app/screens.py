@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.core.messages import Languages
-from app.core.web.rendering.formats import Formats
+from app.core.web.formats import Formats
 from app.line.live.api.view import LineView
 from app.line.live.bus_live import LiveState
 from app.line.live.fields import Translator

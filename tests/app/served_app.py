@@ -11,7 +11,7 @@ from pathlib import Path
 import uvicorn
 
 from app.core.database import Database
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.feature import Services
 from app.main import create_app
 from app.people.auth import rules, store

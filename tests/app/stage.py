@@ -22,13 +22,12 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role, Via
-from app.core.web.admission.routes import guard
-from app.core.web.admission.turns import Turns
+from app.core.web.access import Person, Role, Via
+from app.core.web.assets import Assets, static_dir, templates_dir
 from app.core.web.problems import install
-from app.core.web.rendering.assets import Assets, static_dir, templates_dir
-from app.core.web.rendering.templating import Templates
+from app.core.web.routes import Turns, guard
 from app.core.web.services import Registry
+from app.core.web.templating import Templates
 from app.line.commands.api.commands import router as commands_router
 from app.line.commands.api.safeguards import router as safeguards_router
 from app.line.commands.api.trace import router as trace_router

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from app.core.web.api.schema import openapi_document
+from app.core.web.api import openapi_document
 from app.main import create_app
 from tests.app.complete_app import settings_in
 

@@ -8,12 +8,11 @@ from pathlib import Path
 import pytest
 
 from app.core.server import addresses, connections, gate
-from app.core.web.admission import bounds
-from app.core.web.api import route as api_route
+from app.core.web import api as api_route
+from app.core.web import request_rules as bounds
 from app.line.live.api import stream as line_stream
 from app.people.audit import acts
-from app.people.auth import pages, rules, store
-from app.people.auth.rights import rights
+from app.people.auth import pages, rights, rules, store
 from app.people.auth.sign_in import passwords, signin, throttle
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -15,7 +15,7 @@ from openapi_python_client import generate
 from openapi_python_client.config import Config, ConfigFile, MetaType
 
 from app.core.database import Database
-from app.core.web.api.schema import openapi_document, with_published_names
+from app.core.web.api import openapi_document, with_published_names
 from app.main import create_app
 from bus.contract import UnitOutcome
 from tests.app.complete_app import settings_in

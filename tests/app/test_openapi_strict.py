@@ -12,8 +12,8 @@ import httpx
 import pytest
 from jsonschema_rs import Draft202012Validator
 
-from app.core.web.admission.access import Role
-from app.core.web.api.schema import openapi_document
+from app.core.web.access import Role
+from app.core.web.api import openapi_document
 from app.line.live.bus_live import LiveState
 from tests.app.complete_app import House, complete_app
 from tests.app.served_app import Api, served

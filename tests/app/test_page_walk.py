@@ -16,9 +16,9 @@ from jinja2 import nodes
 from starlette.requests import Request
 
 from app.core.database import Database
-from app.core.web.admission.access import PEOPLE_ROLES, Role
-from app.core.web.rendering.assets import templates_dir
-from app.core.web.rendering.templating import Templates, render
+from app.core.web.access import PEOPLE_ROLES, Role
+from app.core.web.assets import templates_dir
+from app.core.web.templating import Templates, render
 from app.engineering.recipes.book import RecipeStore
 from app.engineering.recipes.rules import Recipe, RecipeSetpoint
 from app.engineering.sets.model import ParameterSet, UnitRows

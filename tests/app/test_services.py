@@ -12,7 +12,7 @@ from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute, APIWebSocketRoute
 
 import app
-from app.core.web.admission.access import Requires
+from app.core.web.access import Requires
 from app.core.web.services import Registry
 from tests.app.complete_app import complete_app
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from app.core.web.rendering.assets import static_dir
+from app.core.web.assets import static_dir
 
 TOKENS = (static_dir() / "css" / "tokens.css").read_text(encoding="utf-8")
 PRINT = (static_dir() / "css" / "print.css").read_text(encoding="utf-8")

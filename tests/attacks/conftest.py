@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import PlayedLine, played_line
 

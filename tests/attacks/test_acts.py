@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.errors import Problem
 from app.people.audit.acts import ACTS_PER_S, MAX_ACTS, ActLimit
 from bus.instants import Monotonic, monotonic_now

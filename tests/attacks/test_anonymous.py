@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from app.core.web.admission.access import Person, Role
-from app.core.web.admission.anonymous import (
+from app.core.web.access import Person, Role
+from app.core.web.request_rules import MAX_PLAIN_BODY_BYTES
+from app.core.web.routes import (
+    ANONYMOUS_AT_ONCE,
     AT_ONCE_OF_ADDRESS,
-    MAX_AT_ONCE,
     MAX_WAITING_OF_ADDRESS,
     AnonymousLimiter,
 )
-from app.core.web.admission.bounds import MAX_PLAIN_BODY_BYTES
-from app.people.auth.sign_in import signin
+from app.people.auth import sign_in as signin
 from tests.app.complete_app import House, complete_app
 
 
@@ -101,7 +101,7 @@ async def test_an_address_has_few_at_a_time_and_another_has_its_own() -> None:
         client.part(str(number).encode())
     await settled()
     assert slow.bodies == [b"0", b"5"]
-    assert (MAX_AT_ONCE, AT_ONCE_OF_ADDRESS) == (2, 1)
+    assert (ANONYMOUS_AT_ONCE, AT_ONCE_OF_ADDRESS) == (2, 1)
     slow.gate.set()
     await asyncio.gather(*tasks)
     assert {client.status for client in clients} == {200}

@@ -11,8 +11,8 @@ import httpx
 import pytest
 from starlette.types import Message, Scope
 
-from app.core.web.admission.access import Role
-from app.core.web.admission.bounds import (
+from app.core.web.access import Role
+from app.core.web.request_rules import (
     MAX_BODY_BYTES,
     MAX_CONTENT_TYPE,
     MAX_PARAMETERS,

@@ -11,7 +11,7 @@ from urllib.parse import urlencode
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from tests.app.complete_app import House
 from tests.app.configuration_file import TEXT, UNIT, PlantFile, form_of, house_with_file, plant_file
 from tests.attacks.test_free_texts import HOSTILE

@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 import app.line.commands.safeguards as service_module
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.commands.control import REQUEST_LAPSES_AFTER_S
 from app.line.commands.safeguards import MAX_REQUESTS
 from app.people.auth.accounts import Accounts

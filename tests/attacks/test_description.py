@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from app.core.web.admission.access import Role
-from app.core.web.api import schema
+from app.core.web import api as schema
+from app.core.web.access import Role
 from tests.app.complete_app import House, complete_app
 
 PATH = "/api/v1/openapi.json"

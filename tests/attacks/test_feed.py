@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.feed.bus_feed import BusFeed, WorkerLeft
 from app.line.feed.channel import Channel
 from app.line.feed.holders import Credential

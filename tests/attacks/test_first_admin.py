@@ -9,10 +9,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.auth.accounts import Accounts
-from app.people.auth.sign_in.first_admin import FirstAdmin, new_code
-from app.people.auth.sign_in.throttle import FREE, OF_NAME
+from app.people.auth.sign_in import FirstAdmin, new_code
+from app.people.auth.throttle import FREE, OF_NAME
 from tests.app.complete_app import PASSWORD, House, complete_app
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.engineering.tray.contents import Trays
 from app.people.auth.accounts import Accounts
 from bus.contract import Reading

@@ -12,7 +12,7 @@ import pytest
 
 from app.cli.serving.server import Server
 from app.core.server.addresses import Network
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.audit.log import EventLog
 from app.people.audit.queries import Filter
 from app.people.auth.accounts import Accounts

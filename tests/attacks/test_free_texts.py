@@ -13,8 +13,8 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
-from app.core.web.rendering.csv_file import guarded
+from app.core.web.access import Role
+from app.core.web.csv_file import guarded
 from tests.app.complete_app import House
 from tests.app.played_line import BUS, PlayedLine
 

@@ -13,7 +13,7 @@ import httpx
 import pytest
 
 from app.core.database.files import SIZE, Reserve
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from tests.app.complete_app import PASSWORD as HOUSE_PASSWORD
 from tests.app.complete_app import complete_app
 from tests.e2e.limits import CALL_S, PROCEDURE_S

@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from tests.app.complete_app import House, complete_app
 
 LIMITS = "/api/v1/buses/dry-end/units/1/limits"

@@ -10,7 +10,7 @@ import pytest
 from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from tests.app.complete_app import House
 from tests.app.played_line import BUS
 

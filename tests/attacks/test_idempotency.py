@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.line.commands.service.command_service import CommandService
 from bus.contract import Result, WriteParameter

@@ -12,9 +12,9 @@ import pytest
 from starlette.types import Receive, Scope, Send
 
 from app.core.server.connections import ARRIVED_AT, BEGUN_AT
-from app.core.web.admission import arrival
-from app.core.web.admission.access import Role
-from app.core.web.admission.arrival import SAFE_METHODS
+from app.core.web import arrival
+from app.core.web.access import Role
+from app.core.web.arrival import SAFE_METHODS
 from app.engineering.recipes.book import RecipeBook
 from app.line.live.bus_live import LiveState
 from tests.app.complete_app import House, complete_app

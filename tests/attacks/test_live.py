@@ -12,7 +12,7 @@ import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.live import socket
 from app.line.live.browser import Browser, Diff
 from app.line.live.hub import MAX_WATCH_BURST, Broadcast, Hub

@@ -15,12 +15,12 @@ import httpx
 import pytest
 from joserfc.jwk import ECKey, RSAKey
 
-from app.core.web.admission.cookies import SESSION
+from app.core.web.access import SESSION
+from app.people.auth import single_sign_on
 from app.people.auth.accounts import Accounts
-from app.people.auth.oidc import single_sign_on
-from app.people.auth.oidc.provider import MAX_BYTES, InvalidTokenError, PublishedKeys, verified_claims
-from app.people.auth.oidc.single_sign_on import SingleSignOn
 from app.people.auth.pages import ATTEMPT_COOKIE
+from app.people.auth.provider import MAX_BYTES, InvalidTokenError, PublishedKeys, verified_claims
+from app.people.auth.single_sign_on import SingleSignOn
 from bus.instants import UnixTime
 from tests.app.complete_app import House
 from tests.app.played_provider import (
@@ -343,14 +343,14 @@ async def test_a_slow_provider_holds_no_one_up(house: House, provider: PlayedPro
 async def test_a_provider_that_never_responds_ends_in_bounded_time(
     house: House, provider: PlayedProvider, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.people.auth.oidc.provider.EXCHANGE_S", 0.05)
+    monkeypatch.setattr("app.people.auth.provider.EXCHANGE_S", 0.05)
     provider.held = {"token"}
     client = house.client()
     assert reason_of(await logged_in(client, provider)) == "away"
     assert "its provider does not respond" in (await client.get("/login")).text
     assert reason_of(await client.get("/login/oidc")) == "away"
     monkeypatch.setattr(single_sign_on, "ALL_S", 0.05)
-    monkeypatch.setattr("app.people.auth.oidc.provider.EXCHANGE_S", 8.0)
+    monkeypatch.setattr("app.people.auth.provider.EXCHANGE_S", 8.0)
     await known(house)
     assert reason_of(await logged_in(client, provider)) == "away"
 

@@ -15,13 +15,12 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.live.bus_live import LiveState
+from app.people.auth import rights
 from app.people.auth.accounts import Accounts
-from app.people.auth.rights import rights
-from app.people.auth.rights.access import NO_LONGER_SIGNED_IN
-from app.people.auth.rights.identity import Identity
-from app.people.auth.rights.rights import Rights
+from app.people.auth.identify import NO_LONGER_SIGNED_IN, Identity
+from app.people.auth.rights import Rights
 from tests.administrator import BY
 from tests.app.complete_app import HOST, PASSWORD, House, complete_app
 from tests.app.stage import snapshot, until

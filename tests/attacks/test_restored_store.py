@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from app.cli import cli
 from app.core.database import Database
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.commands.limits import CommandBlock, Limits, Restrictions
 from app.people.audit.keys import open_keys
 from app.people.audit.log import EventLog

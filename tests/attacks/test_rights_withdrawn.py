@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.engineering.sets.restore_service import RestoreService
 from app.engineering.sets.store import SetStore
 from app.engineering.swap.service import SwapService

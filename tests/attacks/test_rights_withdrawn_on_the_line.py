@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.engineering.recipes.book import RecipeBook
 from app.engineering.sets.saving import SetReadings, SetSchedule
 from app.engineering.sets.store import SetStore

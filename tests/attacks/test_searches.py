@@ -14,13 +14,13 @@ from starlette.responses import StreamingResponse
 from starlette.types import Message
 
 from app.core.server.turns import FairQueue
-from app.core.web.admission.access import Person, Role
-from app.core.web.admission.routes import guard
-from app.core.web.admission.turns import (
+from app.core.web.access import Person, Role
+from app.core.web.routes import (
     MAX_AT_ONCE,
     MAX_READS,
     MAX_WAITING,
     Turns,
+    guard,
 )
 from app.line.history.service import History
 from app.people.audit.log import EventLog

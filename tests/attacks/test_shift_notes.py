@@ -10,7 +10,7 @@ import httpx
 import pytest
 
 from app.core.database.files import MIN_FREE_OF_OTHERS
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.records.handover.notes import MAX_AGE_DAYS, MAX_PER_HOUR, notes, quota
 from app.records.handover.rules.shifts import Shift
 from app.records.handover.service import Handover

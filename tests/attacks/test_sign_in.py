@@ -15,18 +15,18 @@ from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocketDisconnect
 
 from app.core.database import Database
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.commands.safeguards import Safeguards
 from app.main import create_app
 from app.people.audit.log import CHUNK, EventLog
+from app.people.auth import passwords
 from app.people.auth.accounts import Accounts
+from app.people.auth.identify import NO_LONGER_SIGNED_IN
 from app.people.auth.pages import DEVICE_COOKIE
-from app.people.auth.rights.access import NO_LONGER_SIGNED_IN
-from app.people.auth.rights.rights import Rights
+from app.people.auth.rights import Rights
 from app.people.auth.rules import SECRET_LENGTH
-from app.people.auth.sign_in import passwords
-from app.people.auth.sign_in.signin import SignIn
-from app.people.auth.sign_in.throttle import FREE, OF_ADDRESS, OF_NAME
+from app.people.auth.sign_in import SignIn
+from app.people.auth.throttle import FREE, OF_ADDRESS, OF_NAME
 from bus.contract import CONTRACT_VERSION, Hello, encode
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House, complete_app, settings_in

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.audit.entry import new_entry
 from app.people.audit.log import EventLog
 from tests.app.complete_app import House, complete_app

@@ -14,9 +14,9 @@ import pytest
 from fastapi.routing import APIRoute
 
 from app.core.messages import Language, Languages
-from app.core.web.admission.access import Role
-from app.core.web.admission.bounds import MAX_QUERY
-from app.core.web.rendering.formats import Formats
+from app.core.web.access import Role
+from app.core.web.formats import Formats
+from app.core.web.request_rules import MAX_QUERY
 from tests.app.complete_app import House, complete_app
 from tests.sizes import sizes
 

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.commands.service.command_service import CommandService
 from app.line.commands.undo import stack
 from app.people.auth.accounts import Accounts

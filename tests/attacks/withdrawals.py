@@ -8,9 +8,9 @@ from collections.abc import Awaitable, Callable
 from contextlib import closing
 from pathlib import Path
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.auth.accounts import Accounts
-from app.people.auth.rights.rights import Rights
+from app.people.auth.rights import Rights
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import pytest
 from pydantic import AwareDatetime, Field, TypeAdapter, ValidationError
 
-from app.core.web.api.shape import StrictBody
+from app.core.web.shape import StrictBody
 from bus.text import OneLine
 from bus.validation import fault_message
 

@@ -28,9 +28,9 @@ from typing import IO, Any
 import httpx
 
 from app.cli.setup.accounts import with_accounts
-from app.core.web.admission.access import Role
-from app.core.web.rendering.assets import Assets, static_dir, templates_dir
-from app.core.web.rendering.templating import Templates
+from app.core.web.access import Role
+from app.core.web.assets import Assets, static_dir, templates_dir
+from app.core.web.templating import Templates
 from app.people.auth.accounts import Accounts
 from app.settings import Site as SiteSettings
 from bus.simulator.demo import demo_line

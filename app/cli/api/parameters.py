@@ -26,7 +26,7 @@ from app.cli.options import (
     yes_option,
 )
 from app.core.database.files import write_file
-from app.core.web.api.shape import maybe_shown, message_shown
+from app.core.web.shape import maybe_shown, message_shown
 from app.engineering.sets.document import MAX_DOCUMENT, read_document, write_document
 from app.engineering.sets.model import ParameterDifference, ParameterSet, UnitRows, differences
 from app.errors import system_error

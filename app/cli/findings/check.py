@@ -17,9 +17,9 @@ from app.cli.findings.machine import Finding, fault, user
 from app.cli.options import config_option, json_option
 from app.cli.setup.rights import become_owner_of
 from app.core.server.settings import SecretFileError, can_others_read, read_secret_text
-from app.core.web.api.shape import message_shown
-from app.people.auth.oidc.single_sign_on import provider_of, require_package
+from app.core.web.shape import message_shown
 from app.people.auth.settings import OidcSettings
+from app.people.auth.single_sign_on import provider_of, require_package
 from app.records.notification.plan import NotificationEndpoint, NotificationPlan
 from app.records.notification.rules import NotDeliveredError
 from app.records.notification.senders import apprise_service, reach_hook, reach_mail_server

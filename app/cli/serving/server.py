@@ -29,7 +29,7 @@ from app.feature import Services
 from app.line.feed.workers import Workers
 from app.line.live.api.stream import LineStream
 from app.main import create_app
-from app.people.auth.sign_in.first_admin import FirstAdmin
+from app.people.auth.sign_in import FirstAdmin
 from app.settings import Settings
 from app.system.configuration.service import Restart
 from bus.instants import Monotonic

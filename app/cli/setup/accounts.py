@@ -13,7 +13,7 @@ import click
 
 from app.cli.options import config_option, json_option
 from app.cli.site.log import console, reading_site, site_log
-from app.core.web.admission.access import PEOPLE_ROLES, Role
+from app.core.web.access import PEOPLE_ROLES, Role
 from app.people.auth.accounts import Accounts
 from app.people.auth.store import Token, User, tokens, users
 from app.settings import load

@@ -158,7 +158,7 @@ def _scanned(port: str) -> str:
 def prompt_for_admin(config: Path) -> None:
     """Prompt for the first user, who can add the others; without a name the browser prompts for one."""
     from app.cli.setup.accounts import prompted_password, store_user
-    from app.core.web.admission.access import Role
+    from app.core.web.access import Role
 
     while name := click.prompt("First admin (empty: later, in the browser)", default="", show_default=False):
         try:

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 from zoneinfo import ZoneInfo
 
 from app.core.database import Database, StoreConnection
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.engineering.recipes import book
 from app.engineering.recipes.book import RecipeStore
 from app.engineering.recipes.rules import Recipe, RecipeSetpoint

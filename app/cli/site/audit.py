@@ -14,7 +14,7 @@ from app.cli.serving.serve import check_store
 from app.cli.site.log import has_store, reading_site, record, site_log
 from app.core.database.connection import examining
 from app.core.database.files import in_words
-from app.core.web.api.shape import message_shown
+from app.core.web.shape import message_shown
 from app.errors import StoreError
 from app.people.audit.anchor import Anchors, anchor_file, read_anchor_file
 from app.people.audit.archive import ArchiveProof, prove_archive

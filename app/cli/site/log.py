@@ -14,7 +14,7 @@ from app.core.database import Database, StoreConnection
 from app.core.database.connection import examining
 from app.core.database.files import make_private
 from app.core.database.migration import presence_of, require_version
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import StoreError
 from app.people.audit.entry import EventKind
 from app.people.audit.keys import open_keys

@@ -16,9 +16,9 @@ from app.cli.options import config_option, json_option
 from app.cli.site.log import reading_site
 from app.core.database import StoreConnection
 from app.core.database.connection import examining, snapshot
-from app.core.web.api.shape import iso
-from app.core.web.rendering.csv_file import FOR_PROGRAMS
-from app.core.web.rendering.formats import lasting
+from app.core.web.csv_file import FOR_PROGRAMS
+from app.core.web.formats import lasting
+from app.core.web.shape import iso
 from app.line.history.service import FILE as HISTORY
 from app.line.history.unit_report import UnitReport, stored_tail
 from app.records.handover.rules.shifts import EVERYTHING, Shift, shift_at, site_time

@@ -19,7 +19,7 @@ from app.cli.site.facts import (
     disk_facts,
     publisher_facts,
 )
-from app.core.web.api.shape import iso, maybe_shown
+from app.core.web.shape import iso, maybe_shown
 from app.line.history.status import MAX_DAYS
 from app.records.handover.rules.shifts import site_time
 from app.settings import Settings

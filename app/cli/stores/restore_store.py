@@ -28,7 +28,7 @@ from app.line.commands.limits import Protection, keep_in_force, read_protection
 from app.people.audit.anchor import anchor_file, put_aside
 from app.people.audit.chain import Head, newest_of
 from app.people.audit.proof import heads_of
-from app.people.auth.rights.withheld import Present, Withheld, read_present, tokens_to_revoke, withhold
+from app.people.auth.rights import Present, Withheld, read_present, tokens_to_revoke, withhold
 from app.settings import STORE_FILE, Settings, load
 from app.system.backup.archive import Backup, open_archive
 from app.system.backup.files import place_files

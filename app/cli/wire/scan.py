@@ -13,7 +13,7 @@ import click
 
 from app.cli.ending import complain, report, wrong_option
 from app.cli.options import ADDRESS, json_option
-from app.core.web.api.shape import maybe_shown, message_shown
+from app.core.web.shape import maybe_shown, message_shown
 from bus.errors import LinesideError
 from bus.line.examination import PASSES, Found, conclude, no_response_s, settings_seen
 from bus.line.scanner import BaudScan, scan_baud

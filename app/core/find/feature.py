@@ -10,11 +10,10 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.core.find.finders import Finders, FixedPlace, Search
-from app.core.web.admission.access import Viewer
-from app.core.web.admission.turns import SEARCH
-from app.core.web.rendering.navigation import PAGES
-from app.core.web.rendering.templating import render, templates_of
+from app.core.web.access import Viewer
+from app.core.web.routes import SEARCH
 from app.core.web.services import service_of
+from app.core.web.templating import PAGES, render, templates_of
 from app.feature import Feature, Services
 from bus.messages import Message
 from bus.text import OneLine

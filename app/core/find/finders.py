@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from app.core.messages import Language
-from app.core.web.rendering.formats import Formats
+from app.core.web.formats import Formats
 from bus.messages import Message
 
 EXACT, BEGINS, WORD_BEGINS, WITHIN = range(4)

@@ -13,13 +13,13 @@ from starlette.responses import FileResponse, Response
 
 from app.core.help.handbook import BY_NAME, CHAPTERS, Chapter, Handbook
 from app.core.help.reference import Call, calls_of
-from app.core.web.admission.access import Viewer
-from app.core.web.admission.bounds import parse_apart
-from app.core.web.admission.turns import SEARCH
-from app.core.web.api.schema import rendered_once
-from app.core.web.rendering.assets import docs_dir
-from app.core.web.rendering.templating import render, templates_of
+from app.core.web.access import Viewer
+from app.core.web.api import rendered_once
+from app.core.web.assets import docs_dir
+from app.core.web.request_rules import parse_apart
+from app.core.web.routes import SEARCH
 from app.core.web.services import service_of
+from app.core.web.templating import render, templates_of
 from app.errors import Problem
 from app.feature import Feature, Services
 from app.version import VERSION

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from app.core.web.admission.turns import Turns
-from app.core.web.api import schema
-from app.core.web.rendering import pages
-from app.core.web.rendering.assets import Assets, static_dir, templates_dir
-from app.core.web.rendering.templating import Templates
+from app.core.web import api as schema
+from app.core.web import pages
+from app.core.web.assets import Assets, static_dir, templates_dir
+from app.core.web.routes import Turns
+from app.core.web.templating import Templates
 from app.feature import Feature, Services
 
 

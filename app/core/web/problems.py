@@ -19,9 +19,9 @@ from starlette.websockets import WebSocket
 
 from app.core.server.refusals import HEADERS
 from app.core.server.turns import TooManyWaitingError
-from app.core.web.admission.access import caller_of
-from app.core.web.api.shape import message_shown, reason_shown
-from app.core.web.rendering.templating import render, templates_of
+from app.core.web.access import caller_of
+from app.core.web.shape import message_shown, reason_shown
+from app.core.web.templating import render, templates_of
 from app.errors import Problem, ProblemCode, StoreError, TooCostlyError
 from bus.errors import CallerError
 from bus.messages import Message

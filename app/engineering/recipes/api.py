@@ -10,11 +10,12 @@ from fastapi import APIRouter, Depends, Header, Request, Response
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.core.web.admission.access import Person, Viewer
-from app.core.web.admission.arrival import made_at
-from app.core.web.admission.turns import SEARCH
-from app.core.web.api.route import ApiRoute
-from app.core.web.api.shape import (
+from app.core.web.access import Person, Viewer
+from app.core.web.api import ApiRoute
+from app.core.web.arrival import made_at
+from app.core.web.routes import SEARCH
+from app.core.web.services import service
+from app.core.web.shape import (
     Instant,
     MaybeInstant,
     StrictBody,
@@ -23,7 +24,6 @@ from app.core.web.api.shape import (
     iso,
     parse_integer,
 )
-from app.core.web.services import service
 from app.engineering.recipes.book import DELETE, LOAD, SAVE, RecipeBook
 from app.engineering.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, setpoints_now
 from app.errors import Problem, or_404

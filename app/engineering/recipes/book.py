@@ -10,8 +10,8 @@ from typing import Literal
 from app.core.database import StoreConnection
 from app.core.database.connection import upsert
 from app.core.database.database import Tables, reading, writing
-from app.core.web.admission.access import Person, Role
-from app.core.web.admission.arrival import Deadline
+from app.core.web.access import Person, Role
+from app.core.web.arrival import Deadline
 from app.engineering.recipes import rules
 from app.engineering.recipes.rules import (
     Recipe,

@@ -7,8 +7,8 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 from starlette.responses import RedirectResponse
 
-from app.core.web.admission.access import Person, Viewer
-from app.core.web.rendering.templating import render
+from app.core.web.access import Person, Viewer
+from app.core.web.templating import render
 from app.engineering.recipes.api import Book, KnownRecipe
 from app.engineering.recipes.book import DELETE, SAVE
 from app.engineering.recipes.rules import setpoint_kind, setpoints_now

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field, InstanceOf, PlainSerializer
 
-from app.core.web.api.shape import MessageObject
+from app.core.web.shape import MessageObject
 from app.line.commands.review import obstacle_of, ramp_of, risks_of
 from app.line.commands.rules import SetpointKind, kind_of, setpoint_text
 from app.line.commands.values import (

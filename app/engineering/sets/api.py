@@ -9,12 +9,10 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.core.web.admission.access import Person, Viewer
-from app.core.web.api.next_page import NEXT_PAGE, link_next
-from app.core.web.api.route import ApiRoute
-from app.core.web.api.schema import problems
-from app.core.web.api.shape import MessageObject, StrictBody, UnitAddresses, iso
+from app.core.web.access import Person, Viewer
+from app.core.web.api import NEXT_PAGE, ApiRoute, link_next, problems
 from app.core.web.services import bus_service, bus_service_of
+from app.core.web.shape import MessageObject, StrictBody, UnitAddresses, iso
 from app.engineering.sets.document import write_document
 from app.engineering.sets.drift import BusDrift, DriftedParameter
 from app.engineering.sets.lookup import Sets, StoredSet, set_or_404, unit_rows_or_404

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 from fastapi import APIRouter, Request, Response
 from starlette.datastructures import FormData
 
-from app.core.web.admission.access import Person
-from app.core.web.api.shape import parse_integer
-from app.core.web.rendering.templating import render
+from app.core.web.access import Person
+from app.core.web.shape import parse_integer
+from app.core.web.templating import render
 from app.engineering.sets.model import UnitRows, known_rows, status_of, with_unit
 from app.engineering.sets.restore_plan import OPERATING_VALUES, effect_message, warning_of
 from app.errors import Problem

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from app.core.web.api.shape import StrictBody
+from app.core.web.shape import StrictBody
 from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows, with_unit
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from app.core.lifespan import Background
-from app.core.web.rendering.formats import Formats
+from app.core.web.formats import Formats
 from app.engineering.sets.model import ParameterDifference, ParameterRow, UnitRows, differences, known_rows
 from app.engineering.sets.restore_plan import OPERATING_VALUES
 from app.engineering.sets.store import SetStore

@@ -28,7 +28,7 @@ from app.line.live.bus_live import BusLive
 from app.line.live.hub import Hub
 from app.line.live.sources import Sources
 from app.people.audit.log import EventLog
-from app.people.auth.rights.rights import Rights
+from app.people.auth.rights import Rights
 
 
 def make(services: Services) -> None:

@@ -12,9 +12,9 @@ from typing import Annotated, Any
 
 from fastapi import Depends, Form, UploadFile
 
-from app.core.web.admission.bounds import MAX_BODY_BYTES, parse_apart
-from app.core.web.api.shape import parse_integer
+from app.core.web.request_rules import MAX_BODY_BYTES, parse_apart
 from app.core.web.services import service
+from app.core.web.shape import parse_integer
 from app.engineering.sets.document import MAX_DOCUMENT, THE_FILE, read_document
 from app.engineering.sets.model import ParameterSet, ParameterSetSummary, UnitRows, known_rows
 from app.engineering.sets.restore_plan import Restore

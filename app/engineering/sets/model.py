@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PlainSerializer
 
-from app.core.web.api.shape import MessageObject, iso
+from app.core.web.shape import MessageObject, iso
 from app.line.commands.values import in_measure
 from app.line.live.api.schemas import Time
 from app.line.live.bus_live import BusLive, UnitLive

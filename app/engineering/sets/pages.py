@@ -9,10 +9,10 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 from starlette.responses import RedirectResponse
 
-from app.core.web.admission.access import Person, Viewer
-from app.core.web.api.shape import UnitAddresses
-from app.core.web.rendering.templating import render
+from app.core.web.access import Person, Viewer
 from app.core.web.services import bus_service_of, service
+from app.core.web.shape import UnitAddresses
+from app.core.web.templating import render
 from app.engineering.sets.api import Drift
 from app.engineering.sets.lookup import Sets, StoredSet, choices, side
 from app.engineering.sets.model import compare, row_message

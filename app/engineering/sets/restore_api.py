@@ -9,11 +9,10 @@ from fastapi import APIRouter
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.core.web.admission.access import Person, Viewer
-from app.core.web.admission.bounds import MAX_BODY_BYTES
-from app.core.web.api.route import ApiRoute
-from app.core.web.api.schema import problems
-from app.core.web.api.shape import MessageObject, Numbers, StrictBody
+from app.core.web.access import Person, Viewer
+from app.core.web.api import ApiRoute, problems
+from app.core.web.request_rules import MAX_BODY_BYTES
+from app.core.web.shape import MessageObject, Numbers, StrictBody
 from app.engineering.sets.lookup import (
     KnownRestore,
     Restores,

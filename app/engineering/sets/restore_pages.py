@@ -7,8 +7,8 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 from starlette.responses import RedirectResponse
 
-from app.core.web.admission.access import Person
-from app.core.web.rendering.templating import render
+from app.core.web.access import Person
+from app.core.web.templating import render
 from app.engineering.sets.lookup import FILE_FORM, Chosen, KnownRestore, Restores, Sets, offers, side
 from app.engineering.sets.model import compare
 from app.engineering.sets.restore_api import Planner, rows_left_out, rows_to_write

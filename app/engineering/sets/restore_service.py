@@ -18,7 +18,7 @@ from app.core.database import StoreConnection
 from app.core.database.connection import upsert
 from app.core.database.database import Tables, reading
 from app.core.lifespan import Background
-from app.core.web.admission.access import Person
+from app.core.web.access import Person
 from app.engineering.sets.model import UnitRows
 from app.engineering.sets.restore_plan import (
     EVERYTHING_HARMLESS,

@@ -12,7 +12,7 @@ from typing import Literal
 import structlog
 
 from app.core.lifespan import Background
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.engineering.sets.drift import BusDrift
 from app.engineering.sets.model import (
     ParameterSet,
@@ -29,7 +29,7 @@ from app.line.commands.service.prior_read import check_all_read
 from app.line.live.bus_live import BusLive
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
-from app.people.auth.rights.rights import Rights
+from app.people.auth.rights import Rights
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ReadParameters
 from bus.instants import UnixTime, unix_now

@@ -8,9 +8,9 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request, Response
 from starlette.responses import RedirectResponse
 
-from app.core.web.admission.access import Person
-from app.core.web.rendering.templating import render
+from app.core.web.access import Person
 from app.core.web.services import service
+from app.core.web.templating import render
 from app.engineering.sets.api import ParameterSets
 from app.engineering.sets.lookup import (
     FILE_FORM,

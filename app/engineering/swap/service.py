@@ -13,7 +13,7 @@ from app.core.database import StoreConnection
 from app.core.database.connection import upsert
 from app.core.database.database import Tables, writing
 from app.core.database.messages import messages_of, stored_messages
-from app.core.web.admission.access import Person, account_shown
+from app.core.web.access import Person, account_shown
 from app.engineering.sets.lookup import FormSource, side
 from app.engineering.sets.model import ParameterSet, status_of
 from app.engineering.sets.restore_plan import Restore

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from app.core.find.finders import Finders, FixedPlace
-from app.core.web.admission.access import Caller
-from app.core.web.rendering.head_tray import HeadTray, TrayCount
+from app.core.web.access import Caller
+from app.core.web.templating import HeadTray, TrayCount
 from app.engineering.tray import pages
 from app.engineering.tray.contents import Trays
 from app.feature import Feature, Services

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from app.core.web.admission.access import Person
-from app.core.web.admission.arrival import Deadline
+from app.core.web.access import Person
+from app.core.web.arrival import Deadline
 from app.core.web.services import bus_service_of
 from app.engineering.tray.contents import PlaceScales, TrayRow, Trays, setpoint_row, steps_of, value_row
 from app.errors import Problem

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Form
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.core.web.admission.arrival import Deadline
+from app.core.web.arrival import Deadline
 from app.engineering.recipes.api import KnownRecipe
 from app.engineering.recipes.rules import why_not_setpoint
 from app.engineering.sets.batch import rows_of_batch, typed_batch, writable_or_404

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field
 
-from app.core.web.admission.access import Role
-from app.core.web.api.shape import StrictBody
+from app.core.web.access import Role
+from app.core.web.shape import StrictBody
 from app.line.alarms.rules import state_machine
 from app.line.alarms.rules.state_machine import Changed
 from app.people.audit.acts import Act

@@ -11,7 +11,7 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypeAliasType
 
-from app.core.web.api.shape import MessageObject
+from app.core.web.shape import MessageObject
 from app.line.alarms.rules.state_machine import AlarmAttributes, AlarmFacts, AlarmState
 from app.line.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.line.conditions.catalogue import CONDITIONS

@@ -11,11 +11,13 @@ from starlette.requests import Request
 from starlette.responses import Response
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.core.web.admission.access import Person, Viewer
-from app.core.web.admission.bounds import refuse_year
-from app.core.web.admission.turns import SEARCH
-from app.core.web.api.route import ApiRoute
-from app.core.web.api.shape import (
+from app.core.web.access import Person, Viewer
+from app.core.web.api import ApiRoute
+from app.core.web.csv_file import CSV, Column, WantedCsv
+from app.core.web.request_rules import refuse_year
+from app.core.web.routes import SEARCH
+from app.core.web.services import service
+from app.core.web.shape import (
     Instant,
     MaybeInstant,
     MaybeMessage,
@@ -25,9 +27,7 @@ from app.core.web.api.shape import (
     maybe_shown,
     message_shown,
 )
-from app.core.web.rendering.csv_file import CSV, Column, WantedCsv
-from app.core.web.rendering.templating import templates_of
-from app.core.web.services import service
+from app.core.web.templating import templates_of
 from app.errors import Problem
 from app.line.alarms.acts import ALARM_ACTS, AlarmAct
 from app.line.alarms.alarm import Alarm, AlarmRationalization, BusName, UnitNumber

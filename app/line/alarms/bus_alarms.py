@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
-from app.core.web.admission.access import account_shown
+from app.core.web.access import account_shown
 from app.line.alarms.alarm import Alarm, AlarmDefinition, built_in, key_of
 from app.line.alarms.alarm_list import AlarmList
 from app.line.alarms.journal import AlarmStore, StoredAlarm

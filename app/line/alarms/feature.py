@@ -8,8 +8,8 @@ from functools import partial
 from app.core.database import Database
 from app.core.find.finders import Finders, FoundPlace, Search, matched
 from app.core.messages import Language
-from app.core.web.rendering.templating import PageHead, Templates
 from app.core.web.services import Registry
+from app.core.web.templating import PageHead, Templates
 from app.feature import Feature, Services
 from app.line.alarms import api, own_alarms, own_pages, pages
 from app.line.alarms.acts import ACTS

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from app.core.database import Database, StoreConnection, StoreRow
 from app.core.database.connection import upsert
-from app.core.web.api.shape import InstantObject
+from app.core.web.shape import InstantObject
 from app.line.alarms.alarm import Alarm, AlarmDefinition, BusName, UnitNumber, state_text
 from app.line.alarms.rules.performance import (
     CHATTERS_S,

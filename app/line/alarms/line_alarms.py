@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import AsyncExitStack, suppress
 from typing import NamedTuple
 
-from app.core.web.admission.access import Person
+from app.core.web.access import Person
 from app.errors import Problem, StoreError
 from app.line.alarms.acts import SILENCE, SILENCE_SOUNDING, ActBody, AlarmAct
 from app.line.alarms.alarm import Alarm

@@ -18,10 +18,10 @@ from pydantic import ConfigDict, Field
 from typing_extensions import TypedDict
 
 from app.core.database import Database, StoreConnection, StoreRow
-from app.core.web.admission.access import Engineer, Person
-from app.core.web.api.route import ApiRoute, RequestKey
-from app.core.web.api.shape import InstantObject, MessageObject, StrictBody, ZonedTime
+from app.core.web.access import Engineer, Person
+from app.core.web.api import ApiRoute, RequestKey
 from app.core.web.services import service
+from app.core.web.shape import InstantObject, MessageObject, StrictBody, ZonedTime
 from app.errors import Problem, StoreError
 from app.line.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN, ActReason, Comment
 from app.line.alarms.alarm import Alarm, own_key

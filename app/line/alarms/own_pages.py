@@ -10,10 +10,10 @@ from pydantic import BaseModel, Field
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.core.web.admission.access import Engineer, Person
-from app.core.web.api.shape import parse_integer
-from app.core.web.rendering.templating import render, templates_of
+from app.core.web.access import Engineer, Person
 from app.core.web.services import service_of
+from app.core.web.shape import parse_integer
+from app.core.web.templating import render, templates_of
 from app.errors import Problem
 from app.line.alarms.acts import ADD_OWN, REMOVE_OWN
 from app.line.alarms.line_alarms import LineAlarms

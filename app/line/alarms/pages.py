@@ -14,11 +14,11 @@ from starlette.responses import RedirectResponse, Response
 
 from app.core.messages import Language
 from app.core.time_zone import day_begins
-from app.core.web.admission.access import Person, Viewer
-from app.core.web.admission.turns import SEARCH
-from app.core.web.rendering.formats import UNKNOWN, Formats
-from app.core.web.rendering.templating import render, templates_of
+from app.core.web.access import Person, Viewer
+from app.core.web.formats import UNKNOWN, Formats
+from app.core.web.routes import SEARCH
 from app.core.web.services import service_of
+from app.core.web.templating import render, templates_of
 from app.errors import Problem
 from app.line.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
 from app.line.alarms.alarm import Alarm, state_text

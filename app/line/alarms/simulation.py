@@ -16,7 +16,7 @@ from typing import Annotated
 from pydantic import Field
 
 from app.core.server.turns import FairQueue
-from app.core.web.api.shape import InstantObject
+from app.core.web.shape import InstantObject
 from app.line.alarms.own_condition import OwnCondition, in_toml, known_decimals, own_definition
 from app.line.alarms.rules import state_machine
 from app.line.alarms.rules.detection import ChangeRate, Suppressors

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from app.core.web.admission.access import Role
-from app.core.web.admission.arrival import DEFAULT_TIMEOUT_S
+from app.core.web.access import Role
+from app.core.web.arrival import DEFAULT_TIMEOUT_S
 from app.line.commands.rules import (
     NewSetpoint,
     RuleContext,

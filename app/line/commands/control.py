@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from app.core.web.admission.access import account_shown
+from app.core.web.access import account_shown
 from app.errors import Problem
 from bus.instants import Monotonic, UnixTime
 from bus.messages import Message

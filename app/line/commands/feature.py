@@ -6,8 +6,7 @@ from functools import partial
 
 from app.core.database import Database
 from app.core.find.finders import Finders
-from app.core.web.rendering.head_control import HeadControl
-from app.core.web.rendering.templating import Templates
+from app.core.web.templating import HeadControl, Templates
 from app.feature import Feature, Services
 from app.line.commands.api import commands, safeguards, trace
 from app.line.commands.catalogue import ROLES_BY_COMMAND
@@ -34,7 +33,7 @@ from app.line.live.hub import Hub
 from app.line.live.sources import Sources
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
-from app.people.auth.rights.rights import Rights
+from app.people.auth.rights import Rights
 from bus.instants import unix_now
 
 

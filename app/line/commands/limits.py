@@ -14,7 +14,7 @@ from typing import Any
 
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import upsert
-from app.core.web.admission.access import account_shown
+from app.core.web.access import account_shown
 from bus.instants import Monotonic, UnixTime
 from bus.messages import Message, listed, term
 

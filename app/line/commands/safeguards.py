@@ -8,15 +8,15 @@ from collections import defaultdict
 from collections.abc import Awaitable, Callable, Iterable
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role, name_of
-from app.core.web.admission.rate_limit import RateLimit
-from app.core.web.rendering.head_control import BusControl
+from app.core.web.access import Person, Role, name_of
+from app.core.web.routes import RateLimit
+from app.core.web.templating import BusControl
 from app.errors import Problem
 from app.line.commands.control import Control, Holding, controlled
 from app.line.commands.limits import CommandBlock, Limits, ReadOnly, Restrictions
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
-from app.people.auth.rights.rights import Rights
+from app.people.auth.rights import Rights
 from bus.bucket import Bucket
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message, term

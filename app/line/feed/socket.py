@@ -9,7 +9,7 @@ from fastapi import APIRouter, WebSocket
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from app.core.server.connections import client_connection
-from app.core.web.admission.access import Worker
+from app.core.web.access import Worker
 from app.core.web.services import service_of
 from app.errors import Problem
 from app.line.feed.bus_feed import WorkerLeft

@@ -15,13 +15,12 @@ from starlette.responses import StreamingResponse
 from typing_extensions import TypedDict
 
 from app.core.messages import Language
-from app.core.web.admission.access import Viewer
-from app.core.web.admission.turns import DOWNLOAD, SEARCH
-from app.core.web.api.route import ApiRoute
-from app.core.web.api.schema import problems
-from app.core.web.api.shape import Instant, MessageShown, iso, json_response, message_shown
-from app.core.web.rendering.csv_file import CsvForm, WantedCsv
-from app.core.web.rendering.templating import templates_of
+from app.core.web.access import Viewer
+from app.core.web.api import ApiRoute, problems
+from app.core.web.csv_file import CsvForm, WantedCsv
+from app.core.web.routes import DOWNLOAD, SEARCH
+from app.core.web.shape import Instant, MessageShown, iso, json_response, message_shown
+from app.core.web.templating import templates_of
 from app.errors import Problem
 from app.line.history import spans
 from app.line.history.export import ExportResolution, Format, Layout, export_response

@@ -13,8 +13,8 @@ from zoneinfo import ZoneInfo
 import structlog
 from starlette.responses import StreamingResponse
 
-from app.core.web.rendering.csv_file import FOR_PROGRAMS, Column, CsvForm, Number
-from app.core.web.rendering.csv_file import Cell as CsvCell
+from app.core.web.csv_file import FOR_PROGRAMS, Column, CsvForm, Number
+from app.core.web.csv_file import Cell as CsvCell
 from app.errors import Problem
 from app.line.history import tables
 from app.line.history.export_rows import ExportRow, Table, Together, pieces, step_of

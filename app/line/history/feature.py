@@ -6,8 +6,8 @@ import asyncio
 from functools import partial
 
 from app.core.database import Database
-from app.core.web.rendering.assets import Assets
-from app.core.web.rendering.templating import Templates
+from app.core.web.assets import Assets
+from app.core.web.templating import Templates
 from app.feature import Feature, Services
 from app.line.history import api, pages
 from app.line.history.service import History

@@ -11,10 +11,10 @@ from fastapi import APIRouter, Form, Path
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.core.web.admission.access import Person, Viewer
-from app.core.web.rendering.assets import Assets
-from app.core.web.rendering.templating import Templates, render, templates_of
+from app.core.web.access import Person, Viewer
+from app.core.web.assets import Assets
 from app.core.web.services import service, service_of
+from app.core.web.templating import Templates, render, templates_of
 from app.errors import Problem, StoreError
 from app.line.history.export import has_parquet
 from app.line.history.series import values

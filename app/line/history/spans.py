@@ -10,9 +10,9 @@ from typing import Annotated
 from fastapi import Depends, Query
 from pydantic import Field, WithJsonSchema
 
-from app.core.web.admission.bounds import refuse_year
-from app.core.web.api.shape import DATE_TIME, parse_integer
+from app.core.web.request_rules import refuse_year
 from app.core.web.services import service, unknown_bus, unknown_unit
+from app.core.web.shape import DATE_TIME, parse_integer
 from app.errors import Problem
 from app.line.history.query import SeriesQuery
 from app.line.history.series.runs import HOUR, micros

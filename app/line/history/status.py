@@ -10,8 +10,8 @@ from pydantic import ConfigDict, Field
 
 from app.core.database import StoreConnection
 from app.core.database.files import MIN_FREE_OF_OTHERS
-from app.core.web.api.shape import InstantObject, MessageObject
-from app.core.web.rendering.formats import Formats
+from app.core.web.formats import Formats
+from app.core.web.shape import InstantObject, MessageObject
 from app.line.history.series.runs import DAY, HOUR
 from app.people.audit.proof import cuts_of
 from bus.instants import UnixTime

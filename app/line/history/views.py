@@ -7,7 +7,7 @@ from urllib.parse import parse_qsl, urlencode
 
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import upsert
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog

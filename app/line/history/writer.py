@@ -17,7 +17,7 @@ from app.core.database import Database
 from app.core.database.connection import size_of
 from app.core.database.files import free_bytes
 from app.core.database.migration import proves_intact, put_aside
-from app.core.web.api.shape import iso
+from app.core.web.shape import iso
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.line.history import tables
 from app.line.history.recorder import Delivery, FoundDamage, Recorder, compact, set_aside

@@ -8,8 +8,8 @@ from functools import partial
 from app.core.database.files import Reserve
 from app.core.find.finders import Finders, FoundPlace, Search, matched
 from app.core.messages import DEFAULT
-from app.core.web.rendering.templating import Templates
 from app.core.web.services import Registry
+from app.core.web.templating import Templates
 from app.feature import Feature, Services
 from app.line.history.service import History, status_words
 from app.line.history.status import store_notice

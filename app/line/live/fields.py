@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 from app.core.messages import Language
-from app.core.web.rendering.formats import MINUS, UNKNOWN, Formats
+from app.core.web.formats import MINUS, UNKNOWN, Formats
 from app.line.conditions.catalogue import tile_check, tile_text
 from app.line.conditions.draw import DRAW_DECIMALS, Draw
 from app.line.live.bus_live import (

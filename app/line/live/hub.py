@@ -29,7 +29,7 @@ from functools import lru_cache, partial
 
 import structlog
 
-from app.core.web.rendering.templating import WEBSOCKET_LINES, Templates
+from app.core.web.templating import WEBSOCKET_LINES, Templates
 from app.line.live.browser import Browser, Diff, LinesUpdate
 from app.line.live.bus_live import Audience, LiveState, changed_by
 from app.line.live.fields import (

@@ -15,11 +15,9 @@ from pydantic import BeforeValidator
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.core.web.admission.access import Engineer, Viewer
-from app.core.web.admission.cookies import cookie_of, set_cookie
-from app.core.web.rendering.navigation import LINES, PageLines
-from app.core.web.rendering.templating import render, templates_of
+from app.core.web.access import Engineer, Viewer, cookie_of, set_cookie
 from app.core.web.services import service_of
+from app.core.web.templating import LINES, PageLines, render, templates_of
 from app.line.live.bus_live import BusLive, UnitLive
 from app.line.live.fields import unit_key
 from app.line.live.hub import Hub

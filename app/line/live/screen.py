@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from app.core.web.rendering.formats import UNKNOWN
+from app.core.web.formats import UNKNOWN
 from app.line.conditions.condition import PRIORITIES
 from app.line.live.bus_live import BusLive, LiveState, UnitLive, draw_of, figures_now, unit_link_now
 from app.line.live.diagnosis import (

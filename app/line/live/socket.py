@@ -15,10 +15,10 @@ from starlette.requests import Request
 from starlette.websockets import WebSocketDisconnect
 
 from app.core.server.addresses import source_of
-from app.core.web.admission.access import Person, Role, Viewer
+from app.core.web.access import Person, Role, Viewer
 from app.core.web.problems import refuse_socket
-from app.core.web.rendering.templating import WEBSOCKET_LINES, templates_of
 from app.core.web.services import service_of
+from app.core.web.templating import WEBSOCKET_LINES, templates_of
 from app.errors import Problem
 from app.line.live.browser import Browser
 from app.line.live.hub import Hub

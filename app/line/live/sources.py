@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
-from app.core.web.rendering.formats import Formats
-from app.core.web.rendering.head_control import BusControl
+from app.core.web.formats import Formats
+from app.core.web.templating import BusControl
 from app.line.live.fields import Fields, Translator
 from bus.instants import Monotonic, UnixTime
 from bus.messages import Message

@@ -11,8 +11,8 @@ from typing import Any, TypedDict
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from app.core.web.admission.access import Person, Requires, Role, refuse_without
-from app.core.web.admission.rate_limit import RateLimit
+from app.core.web.access import Person, Requires, Role, refuse_without
+from app.core.web.routes import RateLimit
 from app.core.web.services import service_of
 from app.errors import Problem
 from app.people.audit.entry import EventKind

@@ -13,12 +13,12 @@ from pydantic import BaseModel, Field
 from starlette.responses import Response, StreamingResponse
 
 from app.core.messages import Language
-from app.core.web.admission.access import Admin, Viewer
-from app.core.web.admission.turns import DOWNLOAD, SEARCH
-from app.core.web.api.route import ApiRoute
-from app.core.web.api.shape import Instant, MaybeInstant, ZonedTime, iso, json_response
-from app.core.web.rendering.csv_file import CSV, Cell, Column, CsvForm, WantedCsv, number_or_text
+from app.core.web.access import Admin, Viewer
+from app.core.web.api import ApiRoute
+from app.core.web.csv_file import CSV, Cell, Column, CsvForm, WantedCsv, number_or_text
+from app.core.web.routes import DOWNLOAD, SEARCH
 from app.core.web.services import service
+from app.core.web.shape import Instant, MaybeInstant, ZonedTime, iso, json_response
 from app.people.audit.anchor import Anchoring
 from app.people.audit.entry import EventKind, is_moment
 from app.people.audit.log import Event, EventLog

@@ -17,12 +17,12 @@ from starlette.responses import HTMLResponse
 from app.core.find.finders import FoundPlace, Search, rank, words_of
 from app.core.messages import Language
 from app.core.time_zone import day_begins
-from app.core.web.admission.access import Viewer
-from app.core.web.admission.turns import SEARCH
-from app.core.web.api.shape import parse_integer
-from app.core.web.rendering.formats import Formats
-from app.core.web.rendering.templating import render, templates_of
+from app.core.web.access import Viewer
+from app.core.web.formats import Formats
+from app.core.web.routes import SEARCH
 from app.core.web.services import service_of
+from app.core.web.shape import parse_integer
+from app.core.web.templating import render, templates_of
 from app.errors import StoreError
 from app.people.audit.api import Events
 from app.people.audit.entry import Event

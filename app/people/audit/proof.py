@@ -12,7 +12,7 @@ from pydantic import ConfigDict, Field
 
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import has_column
-from app.core.web.api.shape import MessageObject
+from app.core.web.shape import MessageObject
 from app.people.audit.chain import (
     SITE,
     Ends,

@@ -1,4 +1,7 @@
-"""Users and tokens as an admin keeps them, by page and by command line. Each change is an event."""
+"""Users and tokens as an admin keeps them, by page and by command line. Each change is an event.
+
+What people do with accounts: an admin with those of all, everyone with the own one.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,12 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 
 from app.core.database import Database, StoreConnection
-from app.core.web.admission.access import Person, Role, account_of, name_of
+from app.core.web.access import Person, Role, account_of, name_of
 from app.errors import ConstraintError, Problem
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
-from app.people.auth import acts, rules, store
-from app.people.auth.sign_in.passwords import check_secret, hash_secret
+from app.people.auth import rules, store
+from app.people.auth.passwords import check_secret, hash_secret
 from app.people.auth.store import CompanyAccount, Token, User
 from bus.errors import CallerError
 from bus.instants import Clock, unix_now
@@ -61,20 +64,20 @@ class Accounts:
 
     async def add_user(self, name: str, role: Role, password: str, *, by: Person) -> None:
         """Add a person who signs in by a password. Raises CallerError."""
-        async with self._performing(acts.ADD_USER, by, name=name, role=term(role)):
+        async with self._performing(ADD_USER, by, name=name, role=term(role)):
             await self._add(User(name, role, False, "/", "", False, self._clock(), None), password)
 
     async def add_first_admin(self, name: str, password: str, *, address: str) -> None:
         """Add the first user with a password, an admin who acts from ``address``. Raises
         Problem 409 where there is one, CallerError."""
         by = Person(name, Role.ADMIN, "session", address=address)
-        async with self._performing(acts.ADD_FIRST_ADMIN, by, name=name):
+        async with self._performing(ADD_FIRST_ADMIN, by, name=name):
             user = User(name, Role.ADMIN, False, "/", "", False, self._clock(), None)
             await self._add(user, password, is_first=True)
 
     async def add_panel(self, name: str, role: Role, pin: str, home: str, *, by: Person) -> None:
         """Add a panel on the wall, which signs in by a PIN. Raises CallerError."""
-        async with self._performing(acts.ADD_PANEL, by, name=name, role=term(role)):
+        async with self._performing(ADD_PANEL, by, name=name, role=term(role)):
             await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
 
     async def follow_provider(self, account: CompanyAccount, name: str, role: Role, *, address: str) -> User:
@@ -110,29 +113,29 @@ class Accounts:
                 rules.check_panel_role(role)
             return store.set_role(connection, name, role)
 
-        async with self._performing(acts.SET_ROLE, by, name=name, role=term(role)):
+        async with self._performing(SET_ROLE, by, name=name, role=term(role)):
             await self._change(name, change)
 
     async def set_disabled(self, name: str, disabled: bool, *, by: Person) -> None:
         """Refuse a user, or admit again. Raises CallerError for an unknown user and for the last admin."""
-        async with self._performing(acts.DISABLE_USER if disabled else acts.ENABLE_USER, by, name=name):
+        async with self._performing(DISABLE_USER if disabled else ENABLE_USER, by, name=name):
             await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
 
     async def remove_user(self, name: str, *, by: Person) -> None:
         """Raises CallerError for an unknown user and for the last admin."""
-        async with self._performing(acts.REMOVE_USER, by, name=name):
+        async with self._performing(REMOVE_USER, by, name=name):
             await self._change(name, lambda connection: store.remove_user(connection, name))
 
     async def set_password(self, name: str, password: str, *, by: Person) -> None:
         """Set the password of a user, or the PIN of a panel. Every session of the user ends. Raises
         CallerError."""
-        async with self._performing(acts.SET_PASSWORD, by, name=name):
+        async with self._performing(SET_PASSWORD, by, name=name):
             await self._set_password(name, password)
 
     async def change_own_password(self, password: str, *, by: Person, keep: bytes) -> None:
         """Set the password of the user who requests it. The session with the hash ``keep`` stays, every other
         one of the user ends. Raises CallerError."""
-        async with self._performing(acts.CHANGE_OWN_PASSWORD, by, name=by.name):
+        async with self._performing(CHANGE_OWN_PASSWORD, by, name=by.name):
             check_has_own_password(by)
             await self._set_password(by.name, password, keep)
 
@@ -147,7 +150,7 @@ class Accounts:
         """Create a token for a program, or with ``bus`` for the worker of that bus; without ``expires_days``
         it holds until it is revoked. Returns the secret, which is stored nowhere. Raises CallerError."""
         secret, now = rules.new_secret(), self._clock()
-        act, of_bus = (acts.CREATE_WORKER_TOKEN, {"bus": bus}) if bus else (acts.CREATE_TOKEN, {})
+        act, of_bus = (CREATE_WORKER_TOKEN, {"bus": bus}) if bus else (CREATE_TOKEN, {})
         async with self._performing(act, by, name=name, role=term(role), **of_bus):
             rules.check_name(name)
             rules.check_token_bus(role, bus, self.buses)
@@ -163,7 +166,7 @@ class Accounts:
 
     async def revoke_token(self, name: str, *, by: Person) -> None:
         """Raises CallerError for one that is not there."""
-        async with self._performing(acts.REVOKE_TOKEN, by, name=name):
+        async with self._performing(REVOKE_TOKEN, by, name=name):
             if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
                 raise CallerError(Message.of("no_such_token", name=name[:80]))
 
@@ -252,3 +255,22 @@ def check_has_own_password(person: Person) -> None:
         raise Problem(403, "forbidden", Message.of("no_password_of_company_account", name=person.name))
     if person.panel:
         raise Problem(403, "forbidden", Message("panel_pin_by_admin"))
+
+
+ADD_USER = Act("add_user", Role.ADMIN, "user", "event_user_added")
+ADD_FIRST_ADMIN = Act("add_first_admin", Role.ADMIN, "user", "event_first_admin_added")
+ADD_PANEL = Act("add_panel", Role.ADMIN, "user", "event_panel_added")
+SET_ROLE = Act("set_role", Role.ADMIN, "user", "event_role_changed")
+DISABLE_USER = Act("disable_user", Role.ADMIN, "user", "event_user_refused")
+ENABLE_USER = Act("enable_user", Role.ADMIN, "user", "event_user_admitted")
+SET_PASSWORD = Act("set_password", Role.ADMIN, "user", "event_password_changed")
+REMOVE_USER = Act("remove_user", Role.ADMIN, "user", "event_user_removed")
+CREATE_TOKEN = Act("create_token", Role.ADMIN, "token", "event_token_created")
+CREATE_WORKER_TOKEN = Act("create_worker_token", Role.ADMIN, "token", "event_token_of_bus_created")
+REVOKE_TOKEN = Act("revoke_token", Role.ADMIN, "token", "event_token_revoked")
+CHANGE_OWN_PASSWORD = Act("change_own_password", Role.VIEWER, "user", "event_password_changed")
+LOG_OUT = Act("log_out", Role.VIEWER, "logout", "event_signed_out")
+
+_OF_USERS = (ADD_USER, ADD_PANEL, SET_ROLE, DISABLE_USER, ENABLE_USER, SET_PASSWORD, REMOVE_USER)
+_OF_TOKENS = (CREATE_TOKEN, CREATE_WORKER_TOKEN, REVOKE_TOKEN)
+ACTS = (*_OF_USERS, *_OF_TOKENS, CHANGE_OWN_PASSWORD, LOG_OUT)

@@ -6,14 +6,12 @@ from app.core.database import Database
 from app.core.server.refusal_log import RefusalLog
 from app.feature import Feature, Services
 from app.people.audit.log import EventLog
-from app.people.auth import api, pages, users
-from app.people.auth.accounts import Accounts
-from app.people.auth.acts import ACTS
-from app.people.auth.oidc.single_sign_on import SingleSignOn
-from app.people.auth.rights.identity import Identity
-from app.people.auth.rights.rights import Rights
-from app.people.auth.sign_in.first_admin import FirstAdmin
-from app.people.auth.sign_in.signin import SignIn
+from app.people.auth import pages
+from app.people.auth.accounts import ACTS, Accounts
+from app.people.auth.identify import Identity
+from app.people.auth.rights import Rights
+from app.people.auth.sign_in import FirstAdmin, SignIn
+from app.people.auth.single_sign_on import SingleSignOn
 
 
 def make(services: Services) -> None:
@@ -36,4 +34,4 @@ def make(services: Services) -> None:
     services.add(Identity(database, sign_in, services.worker_tokens))
 
 
-FEATURE = Feature(make, (api.router, pages.router, users.router), ACTS)
+FEATURE = Feature(make, (pages.api_router, pages.router), ACTS)

@@ -9,7 +9,7 @@ import unicodedata
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.auth.settings import Sessions
 from bus.errors import CallerError
 from bus.instants import UnixTime

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from app.core.database import StoreConnection, StoreRow
 from app.core.database.connection import upsert
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from bus.instants import UnixTime
 
 MAX_PLACES = 50

@@ -12,13 +12,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
-from app.core.web.admission.access import Person, Viewer, address_of
-from app.core.web.admission.bounds import MAX_BODY_BYTES
-from app.core.web.admission.turns import SEARCH
-from app.core.web.api.route import ApiRoute, RequestKey
-from app.core.web.api.schema import limited, problems
-from app.core.web.api.shape import Instant, StrictBody, ZonedTime, iso
+from app.core.web.access import Person, Viewer, address_of
+from app.core.web.api import ApiRoute, RequestKey, limited, problems
+from app.core.web.request_rules import MAX_BODY_BYTES
+from app.core.web.routes import SEARCH
 from app.core.web.services import service
+from app.core.web.shape import Instant, StrictBody, ZonedTime, iso
 from app.errors import Problem
 from app.line.history.service import seconds
 from app.line.history.spans import SpanOf

@@ -10,8 +10,8 @@ from typing import Any
 
 import msgspec
 
-from app.core.web.rendering.assets import Assets
-from app.core.web.rendering.templating import Templates
+from app.core.web.assets import Assets
+from app.core.web.templating import Templates
 from app.line.alarms.line_alarms import LineAlarms
 from app.records.handover.pictures import PictureStore
 from app.records.handover.rules.pictures import PlainPicture

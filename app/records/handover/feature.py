@@ -6,12 +6,12 @@ import asyncio
 from functools import partial
 
 from app.core.database import Database
-from app.core.web.rendering.assets import Assets
-from app.core.web.rendering.templating import Templates
+from app.core.web.assets import Assets
+from app.core.web.templating import Templates
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.people.audit.log import EventLog
-from app.people.auth.sign_in.signin import SignIn
+from app.people.auth.sign_in import SignIn
 from app.records.handover import api, pages
 from app.records.handover.document import SheetDocuments
 from app.records.handover.pictures import PictureStore

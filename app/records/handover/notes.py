@@ -13,7 +13,7 @@ from pathlib import Path
 
 from app.core.database import StoreConnection
 from app.core.database.files import MIN_FREE_OF_OTHERS, free_bytes
-from app.core.web.admission.rate_limit import RateLimit
+from app.core.web.routes import RateLimit
 from app.errors import Problem
 from app.line.alarms.journal import JournalEntry
 from app.records.handover.rules.shifts import Shift

@@ -12,12 +12,12 @@ from fastapi import APIRouter, Depends, File, Form, Path, Query, UploadFile
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.core.web.admission.access import Person, Viewer, address_of
-from app.core.web.admission.bounds import MAX_BODY_BYTES
-from app.core.web.admission.turns import SEARCH
-from app.core.web.api.shape import ZonedTime
-from app.core.web.rendering.templating import render
+from app.core.web.access import Person, Viewer, address_of
+from app.core.web.request_rules import MAX_BODY_BYTES
+from app.core.web.routes import SEARCH
 from app.core.web.services import service
+from app.core.web.shape import ZonedTime
+from app.core.web.templating import render
 from app.line.alarms.api import Alarms, transition_json
 from app.line.alarms.line_alarms import LineAlarms
 from app.records.handover.api import MAX_NOTE_LENGTH, ShiftOfPath, Shifts, Sign

@@ -15,10 +15,10 @@ from pydantic import Field
 
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import snapshot
-from app.core.web.admission.access import Person
-from app.core.web.admission.bounds import refuse_year
-from app.core.web.api.shape import InstantObject, iso
+from app.core.web.access import Person
+from app.core.web.request_rules import refuse_year
 from app.core.web.services import unknown_bus, unknown_unit
+from app.core.web.shape import InstantObject, iso
 from app.errors import Problem
 from app.line.alarms.journal import JournalEntry
 from app.people.audit.log import EventLog

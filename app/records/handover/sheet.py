@@ -16,7 +16,7 @@ from typing_extensions import TypedDict
 
 from app.core.database import StoreConnection
 from app.core.database.connection import json_member
-from app.core.web.api.shape import Instant, MaybeInstant, MessageShown, iso, message_shown
+from app.core.web.shape import Instant, MaybeInstant, MessageShown, iso, message_shown
 from app.line.alarms.api import AlarmTransition, transition_json
 from app.line.alarms.journal import JournalEntry
 from app.line.alarms.rules.state_machine import AlarmState

@@ -12,8 +12,8 @@ from pydantic import Field
 
 from app.core.database import StoreConnection
 from app.core.database.connection import has_column, json_member
-from app.core.web.admission.access import Role
-from app.core.web.api.shape import InstantObject, iso
+from app.core.web.access import Role
+from app.core.web.shape import InstantObject, iso
 from app.errors import Problem
 from app.people.audit import queries
 from app.people.audit.acts import Act

@@ -8,11 +8,11 @@ from typing import Annotated
 from pydantic import Field
 
 from app.core.database import Database, StoreConnection
-from app.core.web.admission.access import Person
-from app.core.web.api.shape import StrictBody
+from app.core.web.access import Person
+from app.core.web.shape import StrictBody
 from app.errors import Problem
 from app.people.audit.log import EventLog
-from app.people.auth.sign_in.signin import SignIn, WrongSecretError
+from app.people.auth.sign_in import SignIn, WrongSecretError
 from app.records.handover import signatures
 from app.records.handover.rules.shifts import Shift
 from app.records.handover.service import Handover

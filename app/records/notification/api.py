@@ -8,9 +8,10 @@ from fastapi import APIRouter, Query
 from pydantic import ConfigDict, Field
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.core.web.admission.access import Engineer, Person
-from app.core.web.api.route import ApiRoute
-from app.core.web.api.shape import (
+from app.core.web.access import Engineer, Person
+from app.core.web.api import ApiRoute
+from app.core.web.services import service
+from app.core.web.shape import (
     Instant,
     MaybeInstant,
     MessageShown,
@@ -18,7 +19,6 @@ from app.core.web.api.shape import (
     iso,
     maybe_shown,
 )
-from app.core.web.services import service
 from app.records.notification.outbox import MaintenanceShown, NoticeKind, NotificationDelivery
 from app.records.notification.rules import DeliveryState
 from app.records.notification.service import (

@@ -10,8 +10,8 @@ from typing import Any
 from urllib.parse import urlencode
 
 from app.core.messages.languages import Language
-from app.core.web.api.shape import iso, message_shown
-from app.core.web.rendering.formats import Formats
+from app.core.web.formats import Formats
+from app.core.web.shape import iso, message_shown
 from app.errors import Problem
 from app.line.conditions.condition import PRIORITIES
 from app.records.notification.outbox import Attachment, NotificationDelivery, OutboxItem, ReportNotice

@@ -5,7 +5,7 @@ from __future__ import annotations
 from zoneinfo import ZoneInfo
 
 from app.core.database import Database
-from app.core.web.rendering.templating import Templates
+from app.core.web.templating import Templates
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.site_alarms import SiteAlarms

@@ -12,7 +12,7 @@ import msgspec
 from pydantic import Field
 
 from app.core.database import Database, StoreConnection
-from app.core.web.api.shape import InstantObject
+from app.core.web.shape import InstantObject
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.journal import JournalEntry
 from app.line.alarms.rules.state_machine import AlarmState

@@ -8,8 +8,8 @@ from fastapi import APIRouter, Depends, Form, Query
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.core.web.admission.access import Engineer, Person, Viewer
-from app.core.web.rendering.templating import render
+from app.core.web.access import Engineer, Person, Viewer
+from app.core.web.templating import render
 from app.errors import Problem
 from app.line.alarms.acts import ACKNOWLEDGE
 from app.line.alarms.api import Alarms

@@ -13,9 +13,9 @@ from zoneinfo import ZoneInfo
 from pydantic import Field
 from typing_extensions import TypeAliasType
 
-from app.core.web.admission.access import Person, Role
-from app.core.web.api.shape import InstantObject, MessageObject
+from app.core.web.access import Person, Role
 from app.core.web.services import unknown_bus
+from app.core.web.shape import InstantObject, MessageObject
 from app.errors import Problem
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog

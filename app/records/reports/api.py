@@ -7,12 +7,12 @@ from typing import Annotated, NamedTuple
 from fastapi import APIRouter, Depends, Query
 from starlette.responses import Response
 
-from app.core.web.admission.access import Viewer
-from app.core.web.admission.turns import DOWNLOAD, SEARCH
-from app.core.web.api.route import ApiRoute
-from app.core.web.api.shape import json_response
-from app.core.web.rendering.csv_file import CSV, WantedCsv
+from app.core.web.access import Viewer
+from app.core.web.api import ApiRoute
+from app.core.web.csv_file import CSV, WantedCsv
+from app.core.web.routes import DOWNLOAD, SEARCH
 from app.core.web.services import service
+from app.core.web.shape import json_response
 from app.line.history.service import seconds
 from app.line.history.spans import SpanOf
 from app.records.handover.api import HTML

@@ -9,10 +9,10 @@ from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import Any
 
-from app.core.web.rendering.assets import Assets
-from app.core.web.rendering.csv_file import Cell, Column, CsvForm
-from app.core.web.rendering.formats import lasting
-from app.core.web.rendering.templating import Templates
+from app.core.web.assets import Assets
+from app.core.web.csv_file import Cell, Column, CsvForm
+from app.core.web.formats import lasting
+from app.core.web.templating import Templates
 from app.line.alarms.line_alarms import LineAlarms
 from app.records.handover.document import readable
 from app.records.handover.rules.shifts import Scope, Shift

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from app.core.database import Database
 from app.core.find.finders import Finders, FixedPlace
-from app.core.web.rendering.assets import Assets
-from app.core.web.rendering.templating import Templates
+from app.core.web.assets import Assets
+from app.core.web.templating import Templates
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.history.service import History

@@ -10,10 +10,10 @@ from fastapi import APIRouter, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.core.web.admission.access import Viewer
-from app.core.web.admission.turns import SEARCH
-from app.core.web.api.shape import iso
-from app.core.web.rendering.templating import render
+from app.core.web.access import Viewer
+from app.core.web.routes import SEARCH
+from app.core.web.shape import iso
+from app.core.web.templating import render
 from app.errors import Problem
 from app.line.alarms.api import Alarms
 from app.records.handover.pages import places_of

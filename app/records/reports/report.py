@@ -11,7 +11,7 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.core.database import StoreConnection
-from app.core.web.api.shape import Instant, iso
+from app.core.web.shape import Instant, iso
 from app.line.alarms.api import AlarmStateShown, AlarmTransition, transition_json
 from app.line.alarms.journal import JournalEntry
 from app.line.history.series.figures import DrawFigures, RunFigures, StopCause

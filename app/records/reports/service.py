@@ -12,9 +12,9 @@ import structlog
 
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import snapshot
-from app.core.web.admission.bounds import refuse_year
-from app.core.web.api.shape import parse_integer
+from app.core.web.request_rules import refuse_year
 from app.core.web.services import unknown_bus, unknown_unit
+from app.core.web.shape import parse_integer
 from app.errors import Problem, StoreError
 from app.line.history.service import History
 from app.line.history.unit_report import UnitReport

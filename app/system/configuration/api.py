@@ -12,10 +12,10 @@ from fastapi import APIRouter, Path
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.core.web.admission.access import Engineer, Person
-from app.core.web.api.route import ApiRoute
-from app.core.web.api.shape import MessageObject, StrictBody
+from app.core.web.access import Engineer, Person
+from app.core.web.api import ApiRoute
 from app.core.web.services import service
+from app.core.web.shape import MessageObject, StrictBody
 from app.errors import Problem
 from app.people.audit.acts import Act
 from app.system.configuration.document import (

@@ -11,9 +11,9 @@ from fastapi import APIRouter, Form, Path
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.core.web.admission.access import Person
-from app.core.web.rendering.templating import render
+from app.core.web.access import Person
 from app.core.web.services import service
+from app.core.web.templating import render
 from app.errors import Problem
 from app.system.configuration.api import FileOfServer
 from app.system.configuration.document import Edit, TomlValue, at, with_values, without

@@ -25,7 +25,7 @@ import msgspec
 from pydantic import Field
 
 from app.core.database.files import make_folder, write_file
-from app.core.web.api.shape import InstantObject
+from app.core.web.shape import InstantObject
 from bus.configuration import HOLDS_SECRET, KeyPath, lines_of, statements
 from bus.errors import CallerError
 from bus.messages import Message

@@ -11,10 +11,10 @@ from starlette.datastructures import FormData
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.core.web.admission.access import Person
-from app.core.web.rendering.formats import Formats
-from app.core.web.rendering.templating import render, templates_of
+from app.core.web.access import Person
+from app.core.web.formats import Formats
 from app.core.web.services import service
+from app.core.web.templating import render, templates_of
 from app.errors import Problem
 from app.line.conditions.catalogue import CONDITIONS
 from app.records.notification.settings import DAYS

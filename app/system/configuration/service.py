@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import structlog
 
 from app.core.database.files import fresh_file, sync_folder
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem, StoreError, or_404, system_error
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog

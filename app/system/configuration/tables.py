@@ -8,7 +8,7 @@ from contextlib import suppress
 from datetime import date
 from typing import Any, Literal, NamedTuple, get_args
 
-from app.core.web.api.shape import parse_integer
+from app.core.web.shape import parse_integer
 from app.errors import or_404
 from app.line.alarms.settings import OwnValue
 from app.line.conditions.catalogue import BUS_ALARMS, SERVER_ALARMS, UNIT_ALARMS

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from app.core.web.admission.access import Viewer
+from app.core.web.access import Viewer
 from app.core.web.services import service
 from app.system.metrics.sources import MetricSources
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Annotated
 
-from app.core.web.rendering.formats import UNKNOWN
+from app.core.web.formats import UNKNOWN
 from app.core.web.services import service
 from app.line.conditions.condition import PRIORITIES
 from app.line.live.diagnosis import Level

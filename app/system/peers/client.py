@@ -20,7 +20,7 @@ from pydantic import Field, TypeAdapter
 from typing_extensions import TypedDict
 
 from app.core.server.settings import SecretFileError, read_secret_text
-from app.core.web.api.shape import Instant, MaybeInstant, MessageShown, iso, maybe_shown, message_shown
+from app.core.web.shape import Instant, MaybeInstant, MessageShown, iso, maybe_shown, message_shown
 from app.errors import is_refused_certificate, network_cause, system_error
 from app.line.alarms.api import AlarmPriorityShown
 from app.line.conditions.catalogue import tile_text

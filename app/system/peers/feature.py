@@ -5,8 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from app.core.messages import DEFAULT
-from app.core.web.rendering.navigation import PageLines
-from app.core.web.rendering.templating import Templates
+from app.core.web.templating import PageLines, Templates
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.live.bus_live import LiveState

@@ -11,10 +11,10 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.core.messages import DEFAULT
-from app.core.web.admission.access import Viewer
-from app.core.web.api.route import ApiRoute
-from app.core.web.rendering.templating import Templates, render, templates_of
+from app.core.web.access import Viewer
+from app.core.web.api import ApiRoute
 from app.core.web.services import service, service_of, unknown_bus
+from app.core.web.templating import Templates, render, templates_of
 from app.line.live.fields import Translator
 from app.line.live.hub import Hub
 from app.line.live.pages import UnitOnLine, unit_on_line

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from starlette.requests import Request
 
-from app.core.web.admission.access import Role
-from app.core.web.rendering.assets import Assets, static_dir, templates_dir
+from app.core.web.access import Role
+from app.core.web.assets import Assets, static_dir, templates_dir
 from app.errors import Problem
 from tests.app.complete_app import House, complete_app
 

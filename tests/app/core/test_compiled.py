@@ -6,7 +6,7 @@ from pathlib import Path
 
 from jinja2 import DictLoader, Environment
 
-from app.core.web.rendering.templating import Compiled
+from app.core.web.templating import Compiled
 
 
 def rendered(source: str, folder: Path) -> str:

@@ -18,8 +18,8 @@ import pytest_asyncio
 
 import app
 from app.core.messages import Languages
-from app.core.web.admission.access import Role
-from app.core.web.rendering.csv_file import Column, CsvForm, Number, reader_form
+from app.core.web.access import Role
+from app.core.web.csv_file import Column, CsvForm, Number, reader_form
 from bus.messages import Message, term
 from tests.app.complete_app import House
 from tests.app.records.test_reports import BEGIN, SPAN, mill

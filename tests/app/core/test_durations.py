@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from app.core.web.admission.access import Role
-from app.core.web.admission.arrival import Deadline
+from app.core.web.access import Role
+from app.core.web.arrival import Deadline
 from app.engineering.recipes.book import RecipeBook
 from app.line.commands.catalogue import SCALE_READS, timeout_s_for
 from app.line.commands.service.command_service import CommandService

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.core.find.finders import missing, rank, words_of
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.engineering.recipes.book import RecipeBook
 from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog

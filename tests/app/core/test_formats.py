@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.core.web.rendering.formats import UNKNOWN, Formats
+from app.core.web.formats import UNKNOWN, Formats
 from bus.instants import UnixTime
 
 NOON = datetime(2026, 3, 29, 10, 0, tzinfo=UTC).timestamp()

@@ -19,8 +19,8 @@ from app.core.server.addresses import (
     origin_of,
     source_of,
 )
-from app.core.web.admission.access import Role
-from app.core.web.admission.security import host_name
+from app.core.web.access import Role
+from app.core.web.request_rules import host_name
 from app.settings import ConfigurationError, load
 from tests.app.complete_app import PASSWORD, complete_app, settings_in
 

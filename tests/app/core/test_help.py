@@ -10,7 +10,7 @@ import pytest
 
 from app.core.help.handbook import BY_NAME, CHAPTERS, MAX_FOUND, Chapter, Handbook, render, slug
 from app.core.help.reference import calls_of
-from app.core.web.rendering.navigation import HELP
+from app.core.web.templating import HELP
 from docs import site
 from tests.test_architecture import ROOT
 

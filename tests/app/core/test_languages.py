@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from app.core.messages import Languages
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from tests.app.complete_app import House, complete_app
 
 

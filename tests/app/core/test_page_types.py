@@ -7,7 +7,7 @@ from itertools import chain
 
 import pytest
 
-from app.core.web.rendering.assets import static_dir, templates_dir
+from app.core.web.assets import static_dir, templates_dir
 
 TYPES = (static_dir().parent / "types" / "page.d.ts").read_text(encoding="utf-8")
 TEMPLATES = "\n".join(path.read_text(encoding="utf-8") for path in templates_dir().rglob("*.html"))

@@ -10,11 +10,11 @@ import httpx
 import pytest
 
 from app.core.server.refusals import HEADERS
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.core.web.problems import problem_json
 from app.errors import Problem, StoreError
 from app.people.audit.log import EventLog
-from app.people.auth.rights.identity import Identity
+from app.people.auth.identify import Identity
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 

@@ -11,10 +11,10 @@ from starlette.websockets import WebSocketDisconnect
 from structlog.testing import capture_logs
 
 from app.core.database import Database
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.audit.log import EventLog
+from app.people.auth import identify as access
 from app.people.auth.accounts import Accounts
-from app.people.auth.rights import access
 from tests.administrator import BY
 from tests.app.complete_app import House, complete_app
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
 
-from app.core.web.admission.access import Role
-from app.core.web.admission.bounds import MAX_BODY_BYTES
-from app.core.web.admission.security import same_origin
+from app.core.web.access import Role
+from app.core.web.request_rules import MAX_BODY_BYTES, same_origin
 from app.main import create_app
 from app.people.auth.accounts import Accounts
 from tests.administrator import BY

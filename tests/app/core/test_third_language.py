@@ -12,8 +12,8 @@ from babel.messages.catalog import Catalog
 
 from app.core.messages import Languages
 from app.core.messages.languages import DEFAULT, catalogs
-from app.core.web.admission.access import Role
-from app.core.web.rendering.templating import Templates
+from app.core.web.access import Role
+from app.core.web.templating import Templates
 from app.line.live.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue

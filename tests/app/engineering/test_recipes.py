@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.engineering.recipes.book import RecipeBook, RecipeStore
 from app.engineering.recipes.rules import (
     NOT_CONFIGURED,

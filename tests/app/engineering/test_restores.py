@@ -13,7 +13,7 @@ import httpx
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.engineering.sets.model import ParameterRow, UnitRows
 from app.engineering.sets.restore_plan import Restore, Selection, Write
 from app.engineering.sets.restore_service import RestoreService, RestoreStore

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.engineering.recipes.book import RecipeBook
 from app.engineering.recipes.rules import Recipe
 from bus.contract import BusLink, ExecuteAll, ExecuteSpeed, ParameterValue, SetLine, Staged, UnitLink

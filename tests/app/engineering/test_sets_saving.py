@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.engineering.sets.saving import REPORT_AFTER, FirstWrites, SetReadings, SetSchedule, due_between
 from app.errors import ConstraintError, Problem, StoreError
 from bus.catalogue.parameters import PARAMETERS

@@ -13,7 +13,7 @@ import httpx
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.engineering.sets.lookup import offers
 from app.engineering.sets.model import ParameterRow, ParameterSet, ParameterSetSummary, UnitRows
 from app.engineering.sets.restore_plan import LeftOut, Restore, RestorePlan, RestoreState, RowResult, Write

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.engineering.tray.contents import (
     LASTS_S,
     MAX_CHANGES,

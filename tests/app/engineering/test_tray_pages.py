@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.engineering.recipes.book import RecipeBook
 from app.line.commands.safeguards import Safeguards
 from app.line.live.bus_live import LiveState

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.admission.access import Person, Requires, Role, public
-from app.core.web.admission.routes import required
-from app.core.web.rendering.assets import Assets, static_dir, templates_dir
-from app.core.web.rendering.templating import Templates
+from app.core.web.access import Person, Requires, Role, public
+from app.core.web.assets import Assets, static_dir, templates_dir
+from app.core.web.routes import required
+from app.core.web.templating import Templates
 from app.errors import Problem
 from app.line.commands.catalogue import COMMANDS
 from app.main import FEATURES, create_app

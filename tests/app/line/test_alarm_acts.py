@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.line.alarms.acts import (
     ACKNOWLEDGE,

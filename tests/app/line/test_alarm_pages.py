@@ -11,8 +11,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
-from app.core.web.rendering.templating import Templates
+from app.core.web.access import Role
+from app.core.web.templating import Templates
 from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
 from app.line.alarms.rules.performance import ObservedSpan

@@ -7,7 +7,7 @@ import sqlite3
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import StoreError
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.site_alarms import SiteAlarms

@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.errors import Problem
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.own_condition import in_toml, proposed

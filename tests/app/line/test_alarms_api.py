@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.errors import StoreError
 from app.line.alarms.acts import ALARM_ACTS
 from app.line.alarms.bus_alarms import BusAlarms

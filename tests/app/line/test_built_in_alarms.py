@@ -9,7 +9,7 @@ from random import Random
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.alarms.bus_alarms import control_left_by
 from app.line.alarms.journal import AlarmStore
 from app.line.alarms.site_alarms import ExpiryWatch, SiteAlarms

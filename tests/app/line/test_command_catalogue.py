@@ -6,9 +6,9 @@ from typing import get_args
 
 import pytest
 
-from app.core.web.admission.access import Person, Role
-from app.core.web.rendering.assets import Assets, static_dir, templates_dir
-from app.core.web.rendering.templating import Templates
+from app.core.web.access import Person, Role
+from app.core.web.assets import Assets, static_dir, templates_dir
+from app.core.web.templating import Templates
 from app.engineering.sets.batch import rows_of_batch, write_batch
 from app.engineering.sets.saving import SERVER
 from app.errors import Problem

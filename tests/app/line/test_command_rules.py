@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.core.web.admission.arrival import DEFAULT_TIMEOUT_S
+from app.core.web.arrival import DEFAULT_TIMEOUT_S
 from app.errors import Problem
 from app.line.commands.catalogue import check, longest_change_s, timeout_s_for
 from app.line.commands.limits import HIGHEST_SETPOINT, NO_LIMITS, CommandBlock, Limits

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from app.core.web.admission.access import Person, Role
-from app.core.web.admission.arrival import DEFAULT_TIMEOUT_S
+from app.core.web.access import Person, Role
+from app.core.web.arrival import DEFAULT_TIMEOUT_S
 from app.errors import Problem, StoreError
 from app.line.commands.catalogue import timeout_s_for
 from app.line.live.bus_live import LiveState

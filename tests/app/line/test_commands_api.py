@@ -10,9 +10,9 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Person, Role
-from app.core.web.admission.turns import Turns
-from app.core.web.api.shape import iso
+from app.core.web.access import Person, Role
+from app.core.web.routes import Turns
+from app.core.web.shape import iso
 from app.line.commands.api.trace_file import parse_trace_line
 from app.line.commands.service.command_service import MAX_AT_ONCE
 from app.line.feed.rates import FeedQuota

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from app.core.web.rendering.formats import UNKNOWN
+from app.core.web.formats import UNKNOWN
 from app.line.conditions.draw import MAX_TENTHS, NO_DRAW, UNKNOWN_DRAW, SectionSpeed, draw_between, percent_of
 from app.line.live.bus_live import BusLive, LiveState, draw_of
 from bus.contract import ParameterValue, UnitLink

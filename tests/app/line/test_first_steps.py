@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.live.bus_live import LiveState
 from app.line.live.pages import next_step
 from bus.contract import BusLink

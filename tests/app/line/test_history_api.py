@@ -20,13 +20,13 @@ from pyarrow import parquet
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role
-from app.core.web.admission.turns import Turns
-from app.core.web.api.shape import iso
+from app.core.web.access import Person, Role
+from app.core.web.assets import Assets, static_dir, templates_dir
 from app.core.web.problems import install
-from app.core.web.rendering.assets import Assets, static_dir, templates_dir
-from app.core.web.rendering.templating import Templates
+from app.core.web.routes import Turns
 from app.core.web.services import Registry
+from app.core.web.shape import iso
+from app.core.web.templating import Templates
 from app.line.history import export_rows, tables
 from app.line.history.api import router
 from app.line.history.recorder import Recorder

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.rendering.formats import Formats
+from app.core.web.formats import Formats
 from app.errors import DamagedStoreError
 from app.line.history import writer as writing
 from app.line.history.query import SeriesQuery, run_query

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.rendering.assets import Assets, static_dir, templates_dir
-from app.core.web.rendering.templating import Templates
+from app.core.web.assets import Assets, static_dir, templates_dir
+from app.core.web.templating import Templates
 from app.line.history import pages
 from app.line.history.service import History
 from app.settings import ServerSettings, Settings, Site

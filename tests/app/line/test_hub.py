@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from app.core.web.rendering.assets import Assets, static_dir, templates_dir
-from app.core.web.rendering.templating import Templates
+from app.core.web.assets import Assets, static_dir, templates_dir
+from app.core.web.templating import Templates
 from app.line.live.browser import Browser
 from app.line.live.bus_live import LiveState
 from app.line.live.hub import Hub

@@ -9,7 +9,7 @@ import sqlite3
 import msgspec
 import pytest
 
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem, StoreError
 from app.line.commands.service import idempotency
 from app.line.commands.service.command_request import CommandRequest, without_secret

@@ -10,7 +10,7 @@ import httpx
 import pytest
 
 from app.core.messages import Languages
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.live.bus_live import LiveState
 from bus.messages import Message, listed, number, term
 from tests.app.complete_app import House, complete_app

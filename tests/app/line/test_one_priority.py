@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from app.core.web.rendering.assets import static_dir
+from app.core.web.assets import static_dir
 from app.line.alarms.alarm import built_in
 from app.line.conditions.catalogue import CONDITIONS, PLACES, STATUS, TILES
 from app.line.conditions.condition import MATRIX, PRIORITIES, AlarmPriority, Condition

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.errors import StoreError
 from app.line.live.bus_live import LiveState
 from app.line.live.onset_lookup import DAY_S, HOUR_S, OnsetLookup

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem, StoreError
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.line_alarms import LineAlarms

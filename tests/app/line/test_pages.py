@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.live.bus_live import LiveState
 from app.line.live.pages import digits_of, view_for
 from bus.contract import ParameterValue

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.core.messages import Languages
-from app.core.web.admission.arrival import Deadline
+from app.core.web.arrival import Deadline
 from app.errors import Problem
 from app.line.commands.review import (
     Ramp,

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from app.core.database import Database, StoreConnection
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.line.commands import safeguards as service
 from app.line.commands.control import LAPSES_AFTER_S

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.engineering.recipes.book import RecipeBook
 from app.line.commands.limits import NO_LIMITS, Limits
 from app.line.commands.safeguards import Safeguards

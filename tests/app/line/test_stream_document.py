@@ -16,8 +16,8 @@ import httpx
 import pytest
 from jsonschema_rs import Draft202012Validator
 
-from app.core.web.admission.access import Role
-from app.core.web.api.schema import openapi_document
+from app.core.web.access import Role
+from app.core.web.api import openapi_document
 from app.line.alarms.api import AlarmShown, alarm_json
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.live.api.stream import LineStream

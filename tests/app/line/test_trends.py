@@ -13,7 +13,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.line.history import views
 from app.line.history.views import TrendViews, clean

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.line.commands.forms.undo_shown import undo_shown
 from app.line.commands.undo.overlap import WritesUnderWay
 from bus.contract import (

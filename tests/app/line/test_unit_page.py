@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.live.bus_live import LiveState
 from bus.contract import Reading
 from tests.app.complete_app import House, complete_app

@@ -15,14 +15,12 @@ from starlette.types import Message, Receive, Scope, Send
 from uvicorn.protocols.utils import ClientDisconnected
 
 from app.core.server.connections import CONNECTION, ClientConnection
-from app.core.web.admission.access import Person, Requires, Role
-from app.core.web.admission.cookies import SESSION
-from app.core.web.admission.routes import demands, refuse_undeclared
+from app.core.web.access import SESSION, Person, Requires, Role
+from app.core.web.routes import demands, refuse_undeclared
 from app.main import create_app
 from app.people.auth import rules
 from app.people.auth.accounts import Accounts
-from app.people.auth.rights.access import PUBLIC_PATHS
-from app.people.auth.rights.identity import Identity
+from app.people.auth.identify import PUBLIC_PATHS, Identity
 from tests.administrator import BY
 from tests.app.complete_app import EVERY_ROLE, HOST, PASSWORD, House, complete_app, settings_in
 

@@ -10,14 +10,13 @@ from pathlib import Path
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from app.people.audit.queries import Filter
 from app.people.auth import rules, store
-from app.people.auth.accounts import Accounts
-from app.people.auth.acts import (
+from app.people.auth.accounts import (
     ACTS,
     ADD_PANEL,
     ADD_USER,
@@ -31,6 +30,7 @@ from app.people.auth.acts import (
     REVOKE_TOKEN,
     SET_PASSWORD,
     SET_ROLE,
+    Accounts,
 )
 from app.people.auth.store import CompanyAccount, User
 from bus.errors import CallerError

@@ -17,8 +17,8 @@ import pytest
 from app.core.database import Database
 from app.core.database.connection import open_for_reading
 from app.core.messages import Languages
-from app.core.web.admission.access import Role
-from app.core.web.rendering.formats import Formats
+from app.core.web.access import Role
+from app.core.web.formats import Formats
 from app.main import create_app
 from app.people.audit import anchor as module
 from app.people.audit.anchor import (

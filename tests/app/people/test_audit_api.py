@@ -14,7 +14,7 @@ import httpx
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.audit.log import EventLog
 from bus.messages import Message
 from bus.messages import number as decimal

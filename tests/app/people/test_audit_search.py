@@ -13,7 +13,7 @@ import pytest
 
 from app.core.database import Database
 from app.core.database import database as database_module
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.errors import TooCostlyError
 from app.people.audit import queries
 from app.people.audit.log import EventLog

@@ -13,11 +13,11 @@ import pytest
 from argon2 import PasswordHasher
 
 from app.core.database import Database
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.auth import store
 from app.people.auth.accounts import Accounts
 from app.people.auth.pages import DEVICE_COOKIE
-from app.people.auth.sign_in.throttle import FREE
+from app.people.auth.throttle import FREE
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House, complete_app
 

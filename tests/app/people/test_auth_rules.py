@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.auth import rules
 from app.people.auth.settings import Sessions
 from bus.errors import CallerError

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from app.core.database.migration import MIGRATIONS, bring_up_to_date
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.audit.log import EventLog
 from app.people.audit.pages import MAX_PARTS, EventRow, page_of
 from app.people.audit.queries import Filter, link_parts

@@ -13,11 +13,11 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.types import Send
 from starlette.websockets import WebSocketDisconnect
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.main import create_app
 from app.people.auth.accounts import Accounts
-from app.people.auth.rights.access import NO_LONGER_SIGNED_IN, run_while_allowed
-from app.people.auth.rights.rights import Rights
+from app.people.auth.identify import NO_LONGER_SIGNED_IN, run_while_allowed
+from app.people.auth.rights import Rights
 from tests.administrator import BY
 from tests.app.complete_app import settings_in
 

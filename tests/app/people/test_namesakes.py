@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.auth.accounts import Accounts
 from tests.administrator import BY
 from tests.app.complete_app import House, complete_app

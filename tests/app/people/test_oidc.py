@@ -10,13 +10,12 @@ import httpx
 import pytest
 from starlette.types import Message
 
-from app.core.web.admission.access import Role
-from app.core.web.admission.cookies import SESSION
+from app.core.web.access import SESSION, Role
 from app.people.auth.accounts import Accounts
-from app.people.auth.oidc.provider import Provider
-from app.people.auth.oidc.single_sign_on import SingleSignOn
+from app.people.auth.identify import NO_LONGER_SIGNED_IN
 from app.people.auth.pages import ATTEMPT_COOKIE
-from app.people.auth.rights.access import NO_LONGER_SIGNED_IN
+from app.people.auth.provider import Provider
+from app.people.auth.single_sign_on import SingleSignOn
 from tests.administrator import BY
 from tests.app.complete_app import HOST, PASSWORD, House, complete_app
 from tests.app.notification_servers import certificate, server_context

@@ -11,7 +11,7 @@ import pytest
 
 from app.cli.findings.check import oidc
 from app.core.lifespan import StartError
-from app.people.auth.oidc import single_sign_on
+from app.people.auth import single_sign_on
 from app.settings import ConfigurationError, Settings, load
 from tests.app.complete_app import complete_app
 from tests.app.played_provider import SECRET, played_provider

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem, StoreError
 from app.people.auth import store
-from app.people.auth.rights.rights import (
+from app.people.auth.rights import (
     FRESH_S,
     PASSWORD_CHANGED,
     ROLE_LOWERED,

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.audit.log import EventLog
 from app.people.auth import rules
 from app.people.auth.accounts import Accounts
-from app.people.auth.rights.rights import Rights
+from app.people.auth.rights import Rights
 from tests.administrator import BY
 
 PASSWORD = "correct horse"

@@ -9,18 +9,17 @@ import pytest
 from argon2 import PasswordHasher, Type, extract_parameters
 
 from app.core.database import Database
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.people.audit.log import EventLog
 from app.people.audit.queries import Filter
-from app.people.auth import rules, store
+from app.people.auth import passwords, rules, store
 from app.people.auth.accounts import Accounts
-from app.people.auth.rights.identity import Identity
-from app.people.auth.rights.rights import Rights
+from app.people.auth.identify import Identity
+from app.people.auth.rights import Rights
 from app.people.auth.settings import Sessions
-from app.people.auth.sign_in import passwords
-from app.people.auth.sign_in.signin import SignedIn, SignIn, WrongSecretError
-from app.people.auth.sign_in.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
+from app.people.auth.sign_in import SignedIn, SignIn, WrongSecretError
+from app.people.auth.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
 from bus.errors import CallerError
 from tests.administrator import BY
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.people.auth.sign_in.passwords import check_password, check_pin, is_easy_password, is_easy_pin
+from app.people.auth.passwords import check_password, check_pin, is_easy_password, is_easy_pin
 from bus.errors import CallerError
 
 FULL_WIDTH = "".join(chr(ord(sign) + 0xFEE0) for sign in "password1234")

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.people.auth.sign_in.throttle import (
+from app.people.auth.throttle import (
     FIRST_WAIT_S,
     FORGOTTEN_AFTER_S,
     FREE,

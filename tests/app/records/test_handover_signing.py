@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from app.cli import cli
 from app.core.database import Database, StoreConnection
 from app.core.database.migration import MIGRATIONS
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.people.audit.log import EventLog
 from app.records.handover.service import Handover

@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.line.alarms.bus_alarms import BusAlarms
 from app.records.notification.service import Notification

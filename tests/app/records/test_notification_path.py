@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from app.core.database import Database, StoreConnection
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import StoreError
 from app.line.alarms.acts import ACKNOWLEDGE
 from app.line.alarms.bus_alarms import BusAlarms

@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.alarms.journal import JournalEntry
 from app.line.alarms.rules.state_machine import AlarmState, AlarmTrigger
 from app.people.audit.log import EventLog

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from app.core.messages.languages import Languages
-from app.core.web.rendering.formats import Formats
+from app.core.web.formats import Formats
 from app.records.notification.compose import Composer, Letter, hook_body
 from app.records.notification.outbox import AlarmNotice, NoticeKind, NotificationDelivery, OutboxItem
 from app.records.notification.plan import NotificationEndpoint

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.records.notification.service import Notification
 from app.records.reports.service import ReportSchedule
 from app.settings import load

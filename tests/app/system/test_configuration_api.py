@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.configuration_file import TEXT, PlantFile, house_with_file, plant_file
 

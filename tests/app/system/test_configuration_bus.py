@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.settings import load
 from app.system.configuration import port_scan
 from app.system.configuration.port_scan import PortScan, ports

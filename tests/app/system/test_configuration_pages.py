@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 import app.system.configuration.service as service_module
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.system.configuration.service import ConfigurationFile
 from tests.app.complete_app import House, complete_app
 from tests.app.configuration_file import (

@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.system.configuration import service as restart_module
 from app.system.configuration.service import Restart
 from tests import fork_server

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import app.system.configuration.service as service_module
-from app.core.web.admission.access import Person, Role
+from app.core.web.access import Person, Role
 from app.errors import Problem, StoreError
 from app.people.audit.acts import Act
 from app.settings import load

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from app.core.web.rendering.formats import UNKNOWN
+from app.core.web.formats import UNKNOWN
 from app.line.conditions.condition import PRIORITIES, AlarmPriority
 from app.line.live.diagnosis import Level
 from app.system.peers.board import (

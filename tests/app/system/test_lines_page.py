@@ -7,7 +7,7 @@ import json
 import re
 from pathlib import Path
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.live.browser import Browser
 from app.line.live.bus_live import LiveState
 from app.line.live.fields import Groups, merge_groups

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitFigures, UnitLink

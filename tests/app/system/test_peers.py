@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from app.cli import cli
 from app.cli.findings.peers import peer_findings
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.feature import Services
 from app.settings import ConfigurationError, load
 from app.system.peers import client

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from app.cli.findings import check
 from app.core.database import Database
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.system.postgresql.publisher import Publisher, PublisherStatus
 from app.system.postgresql.settings import PostgresqlSettings
 from bus.instants import unix_now

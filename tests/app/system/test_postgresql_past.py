@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from app.cli.site.audit import audit
 from app.cli.site.status import status
 from app.cli.stores.publish import publish
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from tests.app.plant_database import (
     SCALES,
     compare_events,

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from app.core.database import Database
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.line.alarms.alarm import key_of
 from app.line.alarms.site_alarms import SiteAlarms
 from app.line.history import tables

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import httpx
 
-from app.core.web.admission.access import Role
+from app.core.web.access import Role
 from app.people.audit.log import EventLog
 from app.system.peers.summary import LastEvents
 from bus.messages import Message

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, StringConstraints, model_validator
 
-from app.core.web.api.shape import StrictBody
+from app.core.web.shape import StrictBody
 from bus.messages import Message
 
 TimeoutS = Annotated[float, Field(ge=0.05, le=30)]

@@ -11,10 +11,9 @@ from fastapi import APIRouter, Depends, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.core.web.admission.access import Person
-from app.core.web.admission.arrival import Deadline, made_at
-from app.core.web.api.route import ApiRoute, RequestKey
-from app.core.web.api.schema import problems
+from app.core.web.access import Person
+from app.core.web.api import ApiRoute, RequestKey, problems
+from app.core.web.arrival import Deadline, made_at
 from app.core.web.services import bus_service
 from app.errors import Problem
 from app.line.commands.api.bodies import (

@@ -10,7 +10,8 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.core.web.api.shape import (
+from app.core.web.problems import respond
+from app.core.web.shape import (
     Instant,
     MaybeInstant,
     MessageShown,
@@ -19,7 +20,6 @@ from app.core.web.api.shape import (
     message_shown,
     reason_shown,
 )
-from app.core.web.problems import respond
 from app.errors import Problem
 from app.line.live.bus_live import BusLive
 from bus.contract import Direction, Frame, Outcome, Result, UnitOutcome

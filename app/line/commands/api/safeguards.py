@@ -10,11 +10,10 @@ from pydantic import ConfigDict, Field, model_validator
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
-from app.core.web.admission.access import Person, Viewer, name_of
-from app.core.web.api.route import ApiRoute
-from app.core.web.api.schema import limited
-from app.core.web.api.shape import StrictBody, iso
+from app.core.web.access import Person, Viewer, name_of
+from app.core.web.api import ApiRoute, limited
 from app.core.web.services import bus_service
+from app.core.web.shape import StrictBody, iso
 from app.line.commands.api.commands import UnitInPath
 from app.line.commands.api.responses import Moment
 from app.line.commands.control import LAPSES_AFTER_S, REQUEST_LAPSES_AFTER_S

@@ -15,9 +15,9 @@ from fastapi import APIRouter, Query
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from typing_extensions import TypedDict
 
-from app.core.web.admission.access import Person
-from app.core.web.admission.turns import DOWNLOAD
-from app.core.web.api.route import ApiRoute
+from app.core.web.access import Person
+from app.core.web.api import ApiRoute
+from app.core.web.routes import DOWNLOAD
 from app.errors import Problem
 from app.line.commands.api.responses import FrameShown, frame_json
 from app.line.commands.api.trace_file import trace_line

@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping
 from starlette.datastructures import FormData
 from starlette.responses import Response
 
-from app.core.web.api.shape import parse_integer
+from app.core.web.shape import parse_integer
 from app.errors import Problem
 from app.line.commands.forms.page_context import BusPage
 from app.line.commands.review import OutcomeText, outcome_text, present_setpoint

@@ -13,10 +13,10 @@ from fastapi import Depends, Form
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.core.web.admission.access import Person, person_of
-from app.core.web.admission.arrival import Deadline, made_at, refuse_late
-from app.core.web.rendering.templating import render, templates_of
+from app.core.web.access import Person, person_of
+from app.core.web.arrival import Deadline, made_at, refuse_late
 from app.core.web.services import bus_service_of, service_of
+from app.core.web.templating import render, templates_of
 from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command, timeout_s_for
 from app.line.commands.forms.undo_shown import UndoShown, undo_shown

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
-from app.core.web.admission.access import Person, Viewer
-from app.core.web.admission.arrival import Deadline
+from app.core.web.access import Person, Viewer
+from app.core.web.arrival import Deadline
 from app.errors import Problem
 from app.line.commands.catalogue import CHANGE_BAUD, SCAN_BUS
 from app.line.commands.forms.page_context import BusPage, OfBus, Page, new_id

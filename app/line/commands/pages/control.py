@@ -8,8 +8,8 @@ from fastapi import APIRouter, Form
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.core.web.admission.access import Person, Role, Viewer
-from app.core.web.rendering.templating import render
+from app.core.web.access import Person, Role, Viewer
+from app.core.web.templating import render
 from app.errors import Problem
 from app.line.commands.forms.page_context import BusPage, OfBus
 from app.line.commands.safeguards import FORCE_CONTROL, TAKE_CONTROL

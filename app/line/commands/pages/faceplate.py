@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from app.core.web.admission.access import Viewer
+from app.core.web.access import Viewer
 from app.core.web.services import service_of
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.commands.forms.page_context import OfUnit, UnitPage

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Form, Path
 from starlette.responses import Response
 
-from app.core.web.admission.access import Viewer
+from app.core.web.access import Viewer
 from app.errors import Problem
 from app.line.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
 from app.line.commands.forms.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage

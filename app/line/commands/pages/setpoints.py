@@ -10,7 +10,7 @@ from starlette.datastructures import FormData
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.core.web.admission.access import Viewer
+from app.core.web.access import Viewer
 from app.errors import Problem
 from app.line.commands.catalogue import SET_LINE, longest_change_s
 from app.line.commands.forms.line_change import followers_of, left_out_of, proven, reviewed

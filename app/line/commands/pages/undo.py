@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from app.core.web.admission.access import Viewer
+from app.core.web.access import Viewer
 from app.errors import Problem
 from app.line.commands.forms.page_context import BusPage, OfBus, UnitPage
 from app.line.commands.forms.undo_shown import undo_shown

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
-from app.core.web.admission.access import Person, Viewer
+from app.core.web.access import Person, Viewer
 from app.errors import Problem
 from app.line.commands.forms.page_context import OfUnit, UnitPage
 from app.line.commands.limits import HIGHEST_SETPOINT, Limits

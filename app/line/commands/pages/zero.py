@@ -8,8 +8,8 @@ from functools import partial
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from app.core.web.admission.access import Viewer
-from app.core.web.admission.arrival import Deadline
+from app.core.web.access import Viewer
+from app.core.web.arrival import Deadline
 from app.errors import Problem
 from app.line.commands.catalogue import SET_LINE, longest_change_s, timeout_s_for
 from app.line.commands.forms.page_context import BusPage, Confirmed, Page

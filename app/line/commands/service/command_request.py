@@ -7,8 +7,8 @@ from typing import Literal
 
 from msgspec.structs import replace
 
-from app.core.web.admission.access import Person
-from app.core.web.admission.arrival import Deadline
+from app.core.web.access import Person
+from app.core.web.arrival import Deadline
 from app.line.commands.catalogue import kind_of_command
 from app.line.commands.values import Scales
 from bus.contract import Action, Result, UnitOutcome

@@ -12,8 +12,8 @@ from typing import Any, Protocol
 import msgspec
 
 from app.core.server.turns import FairQueue, TooManyWaitingError
-from app.core.web.admission.access import Person, refuse_without
-from app.core.web.admission.arrival import Deadline
+from app.core.web.access import Person, refuse_without
+from app.core.web.arrival import Deadline
 from app.errors import Problem, StoreError
 from app.line.commands.catalogue import check, kind_of_command
 from app.line.commands.control import controlled
@@ -28,7 +28,7 @@ from app.line.commands.values import Scales, wording_scales
 from app.line.feed.channel import Channel
 from app.line.live.bus_live import BusLive
 from app.line.live.requests import new_command_id, unit_of_bus_or_404
-from app.people.auth.rights.rights import Rights
+from app.people.auth.rights import Rights
 from bus.contract import Action, Command, ReadParameters, Result
 from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message, joined

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import msgspec
 
 from app.core.database import StoreConnection
-from app.core.web.admission.access import Person
+from app.core.web.access import Person
 from app.errors import Problem
 from app.line.commands.service.command_request import CommandRequest
 from app.people.audit.chain import KeyRing

@@ -11,7 +11,7 @@ from typing import Any
 import structlog
 
 from app.core.database import Database, StoreConnection
-from app.core.web.admission.access import Person
+from app.core.web.access import Person
 from app.errors import Problem, StoreError
 from app.line.commands.catalogue import kind_of_command
 from app.line.commands.service import idempotency

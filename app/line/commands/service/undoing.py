@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from app.core.web.admission.access import Person
+from app.core.web.access import Person
 from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command
 from app.line.commands.service.command_request import CommandRequest

@@ -5,8 +5,8 @@ Where those are not known yet, or may have changed, they are read first, within 
 
 from __future__ import annotations
 
-from app.core.web.admission.access import Person
-from app.core.web.admission.arrival import Deadline
+from app.core.web.access import Person
+from app.core.web.arrival import Deadline
 from app.errors import Problem
 from app.line.commands.review import present_setpoint
 from app.line.commands.service.command_service import CommandService

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from app.core.web.admission.access import Person, Requires
+from app.core.web.access import Person, Requires
 from app.core.web.services import bus_service, bus_service_of
 from app.line.commands.catalogue import WRITE_PARAMETER, CommandKind
 from app.line.commands.service.command_service import CommandService

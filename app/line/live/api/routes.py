@@ -10,8 +10,8 @@ from starlette.requests import HTTPConnection
 from starlette.responses import StreamingResponse
 
 from app.core.server.addresses import source_of
-from app.core.web.admission.access import Viewer
-from app.core.web.api.route import ApiRoute
+from app.core.web.access import Viewer
+from app.core.web.api import ApiRoute
 from app.core.web.services import service
 from app.errors import Problem
 from app.line.live.api.schemas import BusShown, BusStatistics, Line, UnitShown

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.core.web.api.shape import Instant, MaybeInstant, MessageShown
+from app.core.web.shape import Instant, MaybeInstant, MessageShown
 from app.line.conditions.draw import DrawState
 from bus.contract import BusLinkState, UnitLinkState
 

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from app.core.web.api.shape import iso, parse_integer
+from app.core.web.shape import iso, parse_integer
 from app.line.live.api.view import Json, LineView, bus_fields
 from app.line.live.bus_live import Audience, changed_by
 from app.line.live.fields import put_fields

@@ -18,10 +18,10 @@ from starlette.requests import Request
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
-from app.core.web.admission.access import Viewer
-from app.core.web.admission.bounds import parse_apart
-from app.core.web.api.schema import schema_name, with_published_names
-from app.core.web.rendering.assets import Asset
+from app.core.web.access import Viewer
+from app.core.web.api import schema_name, with_published_names
+from app.core.web.assets import Asset
+from app.core.web.request_rules import parse_apart
 from app.core.web.services import service
 from app.line.live.api.schemas import BusShown, Line, Time, UnitShown
 from app.version import VERSION

@@ -1,14 +1,21 @@
-"""Pages and fragments: one Jinja environment per language, strict and escaping."""
+"""Pages and fragments: one Jinja environment per language, strict and escaping.
+
+The pages of the site, in the order of the rail.
+
+Control of a bus as the head of every page shows it: who holds it until when, and who requests it.
+
+The change trays of a person as every page shows them: how much is in each.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from time import time
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
 from jinja2.bccache import Bucket
@@ -16,15 +23,13 @@ from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse
 
 from app.core.messages import Language, Languages
-from app.core.web.admission.access import Caller, Role, caller_of
-from app.core.web.rendering.assets import Assets
-from app.core.web.rendering.formats import Formats
-from app.core.web.rendering.head_control import HeadControl
-from app.core.web.rendering.head_tray import HeadTray
-from app.core.web.rendering.navigation import HELP, ON_PHONE, PageLines, pages_for
+from app.core.web.access import Caller, Role, account_shown, caller_of
+from app.core.web.assets import Assets
+from app.core.web.formats import Formats
 from app.core.web.services import service_of
 from app.settings import Site
-from bus.messages import parameter_name
+from bus.instants import UnixTime
+from bus.messages import Message, parameter_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,3 +193,136 @@ def render(
         **context,
     )
     return HTMLResponse(html, status, {"Cache-Control": "no-store", **(headers or {})})
+
+
+ON_PHONE = 4
+"""Pages that a phone shows below; the others are one press away under *More*."""
+
+
+@dataclass(frozen=True, slots=True)
+class PageLines:
+    """Which lines there are: ``has_several``, or a peer, so that there is a choice; ``has_own``, by a bus."""
+
+    has_several: bool
+    has_own: bool
+
+    @property
+    def is_overview(self) -> bool:
+        """Whether this server shows only the lines of others."""
+        return self.has_several and not self.has_own
+
+
+class PageLink(NamedTuple):
+    """``key``: what a template sets as ``here``; ``drawing``: in the icons; ``act``: what a person must be
+    permitted to do."""
+
+    key: str
+    href: str
+    drawing: str
+    label: Message
+    act: str = ""
+
+
+OF_SERVER = frozenset(("lines", "alarms", "events", "configuration", "users"))
+"""The pages of a server that shows only the lines of its peers."""
+LINES = PageLink("lines", "/lines", "dense", Message("page_lines"))
+"""Only where there are several."""
+PAGES = (
+    PageLink("line", "/", "line", Message("page_line")),
+    PageLink("alarms", "/alarms", "urgent", Message("page_alarms")),
+    PageLink("shifts", "/shifts", "clock", Message("page_shifts")),
+    PageLink("setpoints", "/setpoints", "setpoints", Message("page_setpoints")),
+    PageLink("trends", "/trends", "trends", Message("page_trends")),
+    PageLink("events", "/events", "events", Message("page_events")),
+    PageLink("recipes", "/recipes", "recipes", Message("page_recipes")),
+    PageLink("sets", "/sets", "sets", Message("page_sets")),
+    PageLink("bus", "/bus", "bus", Message("page_bus")),
+    PageLink(
+        "configuration", "/configuration", "edit", Message("page_configuration"), "change_configuration"
+    ),
+    PageLink("users", "/users", "users", Message("page_users"), "add_user"),
+)
+
+
+HELP = {
+    "line": "operator#the-line",
+    "unit": "operator#a-unit",
+    "setpoints": "operator#several-units-at-once",
+    "alarms": "operator#alarms",
+    "shifts": "operator#the-shift",
+    "trends": "operator#trends",
+    "events": "operator#events",
+    "recipes": "recipes",
+    "sets": "replace-a-drive",
+    "bus": "hardware",
+    "users": "users",
+    "configuration": "configuration",
+    "lines": "several-lines",
+}
+"""The chapter of the help that is about a page, by its ``key``; of all others the list of chapters."""
+
+
+def pages_for(lines: PageLines, may: Callable[[str], bool]) -> list[PageLink]:
+    """The pages of a person; ``may``: whether this person is permitted an act."""
+    every: Sequence[PageLink] = (LINES, *PAGES) if lines.has_several else PAGES
+    if lines.is_overview:
+        every = [page for page in every if page.key in OF_SERVER]
+    return [page for page in every if not page.act or may(page.act)]
+
+
+@dataclass(frozen=True, slots=True)
+class BusControl:
+    """``holder``: an account, empty where control is free. ``since``, ``lapses_at`` and ``request_until``:
+    Unix time in seconds. ``request``: the state of the request of ``requester``, empty where none is."""
+
+    bus: str
+    holder: str = ""
+    since: UnixTime = UnixTime(0.0)
+    lapses_at: UnixTime = UnixTime(0.0)
+    requester: str = ""
+    request: Literal["", "pending", "declined", "lapsed"] = ""
+    request_until: UnixTime = UnixTime(0.0)
+
+    def requested(
+        self, by: str, state: Literal["pending", "declined", "lapsed"], until: UnixTime
+    ) -> BusControl:
+        """The same with a request."""
+        return replace(self, requester=by, request=state, request_until=until)
+
+    @property
+    def holder_shown(self) -> str | Message:
+        """The holder in the reader's language where it is a program."""
+        return account_shown(self.holder)
+
+    @property
+    def requester_shown(self) -> str | Message:
+        """The same of the one who requests control."""
+        return account_shown(self.requester)
+
+    @property
+    def key(self) -> str:
+        """Another text whenever a page shows something else; time left is no part of it."""
+        return "\n".join((self.bus, self.holder, f"{self.since:.3f}", self.requester, self.request))
+
+
+@dataclass(frozen=True, slots=True)
+class HeadControl:
+    """Gives control of each bus, in the order of the configuration."""
+
+    of_buses: Callable[[], Sequence[BusControl]]
+
+
+@dataclass(frozen=True, slots=True)
+class TrayCount:
+    """What a person has gathered for one bus."""
+
+    bus: str
+    changes: int
+    units: int
+
+
+@dataclass(frozen=True, slots=True)
+class HeadTray:
+    """Gives the trays of a person that are not empty, of each bus."""
+
+    of: Callable[[Caller], Sequence[TrayCount]]

@@ -12,10 +12,10 @@ from fastapi import APIRouter, Depends
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
-from app.core.web.admission.access import public
-from app.core.web.rendering.assets import Assets
-from app.core.web.rendering.templating import render, templates_of
+from app.core.web.access import public
+from app.core.web.assets import Assets
 from app.core.web.services import service_of
+from app.core.web.templating import render, templates_of
 
 router = APIRouter(dependencies=[Depends(public)], include_in_schema=False)
 KEPT = ("css/lineside.css", "js/theme.js", "js/offline.js", "icons/sprite.svg")

@@ -1,5 +1,6 @@
 """CSV (RFC 4180) in two forms, for programs and for the spreadsheet of a reader. Every download of CSV is
-written here."""
+written here.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from zoneinfo import ZoneInfo
 from fastapi import Depends, Query, Request
 
 from app.core.messages import Language
-from app.core.web.rendering.templating import templates_of
+from app.core.web.templating import templates_of
 from bus.messages import Message
 
 BYTE_ORDER_MARK = "\ufeff"

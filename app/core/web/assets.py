@@ -15,8 +15,8 @@ from starlette.responses import Response
 from app.errors import Problem
 from bus.messages import Message
 
-_ROOT = Path(__file__).resolve().parents[4]
-_PACKED = Path(__file__).resolve().parents[3] / "_assets"
+_ROOT = Path(__file__).resolve().parents[3]
+_PACKED = Path(__file__).resolve().parents[2] / "_assets"
 _STYLES_IMPORT = re.compile(rb'^@import "([\w./-]+)";$', re.MULTILINE)
 _STYLES_COMMENT = re.compile(rb"/\*.*?\*/\n?", re.DOTALL)
 _MODULE_COMMENT = re.compile(rb"^[ \t]*(?://[^\n]*|/\*(?:(?!\*/).)*\*/[ \t]*)$", re.DOTALL | re.MULTILINE)

@@ -3,6 +3,12 @@
 A request is authorized when it comes. A restore, a batch, a change of the baud rate or an open page goes on
 after that, and its account may be disabled meanwhile, also by the command line in another process. All of it
 follows from one look at the store: twice a second, and after each change that this process makes.
+
+Withholds from a restored store the rights that were withdrawn since its backup.
+
+Sessions all end. A token holds only where the present store knows it too, and a user may do what both stores
+allow, under the present password. Where there is no present store with users in it, as on a new machine,
+it is unknown which tokens were revoked: all of them are; users are as they were then.
 """
 
 from __future__ import annotations
@@ -14,10 +20,11 @@ from dataclasses import dataclass, field
 
 import structlog
 
-from app.core.database import Database, StoreConnection
-from app.core.web.admission.access import AccountSubscriber, Caller, Role, account_of
+from app.core.database import Database, StoreConnection, StoreRow
+from app.core.web.access import PEOPLE_ROLES, AccountSubscriber, Caller, Role, account_of
 from app.errors import Problem, StoreError
 from app.people.auth import store
+from app.people.auth.store import CompanyAccount, User
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
 
@@ -161,3 +168,95 @@ def _is_less(before: Standing, now: Standing | None) -> bool:
     if now is None or not now.role.includes(before.role):
         return True
     return not now.signed_in and (before.signed_in or now.credential != before.credential)
+
+
+@dataclass(frozen=True, slots=True)
+class Withheld:
+    """By name, in order: tokens that are revoked, users that are disabled, users with a lower role than in
+    the backup. ``admins``: how many admins can sign in."""
+
+    tokens: tuple[str, ...]
+    disabled: tuple[str, ...]
+    lowered: tuple[str, ...]
+    admins: int
+
+
+@dataclass(frozen=True, slots=True)
+class PresentUser:
+    """A user of the present store."""
+
+    role: Role
+    panel: bool
+    disabled: bool
+    secret_hash: str
+    company_account: CompanyAccount | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Present:
+    """The rights in the present store: hashes of tokens, and users by name."""
+
+    tokens: frozenset[bytes]
+    users: dict[str, PresentUser]
+
+
+def read_present(connection: StoreConnection) -> Present | None:
+    """From a store of any version; None from one without users. Raises StoreError for one that cannot be
+    read."""
+    tokens = frozenset(hash_ for (hash_,) in connection.execute("SELECT hash FROM tokens"))
+    users = {
+        row["name"]: PresentUser(
+            Role(row["role"]),
+            bool(row["panel"]),
+            bool(row["disabled"]),
+            row["secret_hash"],
+            _company_account(row),
+        )
+        for row in connection.execute("SELECT * FROM users")
+    }
+    return Present(tokens, users) if users else None
+
+
+def _company_account(row: StoreRow) -> CompanyAccount | None:
+    """None also in a store from before there were company accounts."""
+    if "issuer" not in row.keys() or row["issuer"] is None:  # noqa: SIM118
+        return None
+    return CompanyAccount(row["issuer"], row["subject"])
+
+
+def withhold(restored: StoreConnection, present: Present | None, *, keep_tokens: bool = False) -> Withheld:
+    """Remove from the restored store the rights withdrawn since; ``present`` None: unknown which."""
+    restored.execute("DELETE FROM sessions")
+    gone = [] if keep_tokens else _tokens_unknown(restored, present)
+    restored.executemany("DELETE FROM tokens WHERE hash = ?", [(hash_,) for hash_, _ in gone])
+    tokens = tuple(name for _, name in gone)
+    disabled: list[str] = []
+    lowered: list[str] = []
+    for user in store.users(restored) if present is not None else ():
+        now = present.users.get(user.name) if present is not None else None
+        is_same = now is not None and (now.panel, now.company_account) == (user.panel, user.company_account)
+        if now is None or now.disabled or not is_same:
+            restored.execute("UPDATE users SET disabled = 1 WHERE name = ?", (user.name,))
+            disabled += [] if user.disabled else [user.name]
+        elif _take_over(restored, user, now):
+            lowered.append(user.name)
+    return Withheld(tokens, tuple(disabled), tuple(lowered), store.admins_left(restored))
+
+
+def tokens_to_revoke(restored: StoreConnection, present: Present | None) -> list[str]:
+    """Return the names of the tokens that `withhold` would revoke."""
+    return [name for _, name in _tokens_unknown(restored, present)]
+
+
+def _tokens_unknown(restored: StoreConnection, present: Present | None) -> list[tuple[bytes, str]]:
+    known = frozenset[bytes]() if present is None else present.tokens
+    rows = restored.execute("SELECT hash, name FROM tokens ORDER BY name").fetchall()
+    return [(hash_, name) for hash_, name in rows if hash_ not in known]
+
+
+def _take_over(restored: StoreConnection, user: User, now: PresentUser) -> bool:
+    """The present password, and the lower role. Whether the role is lower than in the backup."""
+    role = min(user.role, now.role, key=PEOPLE_ROLES.index)
+    change = "UPDATE users SET role = ?, secret_hash = ? WHERE name = ?"
+    restored.execute(change, (role, now.secret_hash, user.name))
+    return role is not user.role

@@ -1,1 +1,0 @@
-"""Checks before a route reads a request: origin, size, age, account, turn."""

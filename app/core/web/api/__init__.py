@@ -1,1 +1,0 @@
-"""What every route of the API has in common, and the OpenAPI document."""

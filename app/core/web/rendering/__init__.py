@@ -1,1 +1,0 @@
-"""What a page is made of: templates, static files, and what its head shows."""

@@ -1,0 +1,248 @@
+"""The rules for every route: it declares a role or is public, the role is checked before a byte of the body
+is read, and GET also responds to HEAD.
+
+Turns at what costs much: an account has few at a time, and its others wait while other people's go on.
+
+Requests without a person: few at a time of each address, so that a flood of them delays itself.
+
+The rest of a limit, as response headers.
+
+The three fields are those of the IETF draft "RateLimit header fields for HTTP" up to its version 6, which
+clients and gateways read. Its later versions have one structured field, which few read, and are not yet an
+RFC.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import AsyncExitStack
+from dataclasses import dataclass, field
+from math import ceil, floor, inf
+from typing import Any
+
+from fastapi import Depends, FastAPI
+from fastapi.routing import APIRoute, RouteContext, iter_route_contexts
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Message as AsgiMessage
+
+from app.core.server.addresses import source_of
+from app.core.server.turns import FairQueue, TooManyWaitingError
+from app.core.web.access import Requires, Role, Viewer, address_of, caller_of, public
+from app.core.web.problems import too_many_requests
+from app.core.web.request_rules import MAX_PLAIN_BODY_BYTES, bounded, refuse
+from app.errors import Problem
+from bus.bucket import Bucket
+from bus.instants import Monotonic
+
+
+def as_get(scope: Scope, send: Send) -> tuple[Scope, Send]:
+    """Return a HEAD request as the GET that its route knows, and what sends the response. The server leaves
+    the body out, as it knows the method; a stream ends with its first piece."""
+    is_complete = False
+
+    async def send_head(message: Message) -> None:
+        nonlocal is_complete
+        if is_complete:
+            return
+        await send(message)
+        if message.get("more_body"):
+            # What streams the rest learns from ``receive`` that the response is complete.
+            is_complete = True
+            await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    return {**scope, "method": "GET"}, send_head
+
+
+def _calls(dependant: Any) -> Iterator[Any]:
+    for dependency in dependant.dependencies:
+        yield dependency.call
+        yield from _calls(dependency)
+
+
+def required(app: FastAPI) -> Iterator[tuple[RouteContext, list[Any]]]:
+    """Each route with what it declares: its `Requires`, or that it is `public`; an empty list: nothing."""
+    for route in iter_route_contexts(app.routes):
+        dependant = getattr(route, "dependant", None)
+        calls = _calls(dependant) if dependant is not None else ()
+        yield route, [call for call in calls if isinstance(call, Requires) or call is public]
+
+
+def demands(app: FastAPI) -> list[tuple[RouteContext, set[Role | None]]]:
+    """The roles that each route requires; ``None``: public, an empty set: none declared."""
+    return [(route, {getattr(each, "role", None) for each in calls}) for route, calls in required(app)]
+
+
+def refuse_undeclared(app: FastAPI) -> None:
+    """Raises RuntimeError naming the first route that declares neither a role nor that it is public."""
+    for route, roles in demands(app):
+        if not roles:
+            raise RuntimeError(f"{route.path} declares no role: add Requires(Role.…) or public to it")
+
+
+def guard(app: FastAPI, turns: Turns) -> None:
+    """Put every route behind a `RouteGuard`."""
+    for route in app.routes:
+        if isinstance(route, APIRoute):
+            route.app = RouteGuard(route, turns)
+
+
+class RouteGuard:
+    """Grants the role that a route requires, bounds the body and waits for a turn, before the route reads
+    anything: FastAPI reads and parses a body first and checks the role then.
+
+    A route with files declares their size by FastAPI's ``max_body_size``. One that is a `SEARCH` or a
+    `DOWNLOAD` has its turn until its response is sent. Every other GET has it until its response is made: to
+    render a page of a long line takes the event loop tens of milliseconds, and the requests of others come in
+    between; a stream that lasts delays no other request.
+    """
+
+    def __init__(self, route: APIRoute, turns: Turns) -> None:
+        self._app = route.app
+        self._requirements = [call for call in _calls(route.dependant) if isinstance(call, Requires)]
+        self._most_bytes = route.max_body_size or MAX_PLAIN_BODY_BYTES
+        self._turns: FairQueue[str] | None = None
+        self._is_short = False
+        if SEARCH in route.dependencies:
+            self._turns = turns.searches
+        elif DOWNLOAD in route.dependencies:
+            self._turns = turns.downloads
+        elif "GET" in (route.methods or ()):
+            self._turns, self._is_short = turns.reads, True
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        connection = HTTPConnection(scope)
+        for requirement in self._requirements:
+            await requirement(connection)
+        receive, caller = bounded(scope, receive, self._most_bytes), caller_of(connection)
+        if self._turns is None or caller is None:
+            await self._app(scope, receive, send)
+            return
+        async with AsyncExitStack() as turn:
+
+            async def send_after_turn(message: Message) -> None:
+                await turn.aclose()
+                await send(message)
+
+            await turn.enter_async_context(self._turns.turn(caller.account))
+            await self._app(scope, receive, send_after_turn if self._is_short else send)
+
+
+MAX_AT_ONCE = 2
+MAX_WAITING = 30
+"""How many searches, and how many downloads, of an account may wait."""
+MAX_READS = 2
+REST, MOST_REST_S = 2.0, 0.5
+"""How many times as long as a read took its place stays free, and for how long at most. A command needs the
+event loop some twenty times, and would otherwise wait for another page of that account each time."""
+MAX_WAITING_READS = 200
+"""How many other reads of an account may wait."""
+
+
+@dataclass(frozen=True)
+class Turns:
+    """The queues of one app, each by account."""
+
+    searches: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, MAX_AT_ONCE, MAX_WAITING))
+    downloads: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, MAX_AT_ONCE, MAX_WAITING))
+    reads: FairQueue[str] = field(
+        default_factory=lambda: FairQueue(
+            inf, MAX_READS, MAX_WAITING_READS, rest=REST, most_rest_s=MOST_REST_S
+        )
+    )
+    """Everything else that is read."""
+
+
+async def _search(_: Viewer) -> None: ...
+
+
+async def _download(_: Viewer) -> None: ...
+
+
+SEARCH, DOWNLOAD = Depends(_search), Depends(_download)
+"""For ``dependencies=[SEARCH]`` of a route, which has its turn from before it runs until its response is sent
+(`app.core.web.routes.RouteGuard`)."""
+
+
+HEALTH = "/healthz"
+"""Path that is polled to check that this server works."""
+ANONYMOUS_AT_ONCE, AT_ONCE_OF_ADDRESS = 2, 1
+ANONYMOUS_WAITING, MAX_WAITING_OF_ADDRESS = 512, 64
+ANONYMOUS_REST = 4.0
+"""To render the login page takes the event loop milliseconds, and a command needs the loop some twenty times:
+without the rest it would wait for another page each time."""
+
+
+class AnonymousLimiter:
+    """Serves a request without a person in its turn, and only once its body has arrived.
+
+    Otherwise a burst of them would be begun in one iteration of the event loop, before everyone else's.
+    ``exempt``: paths that cost the loop next to nothing, or have other turns.
+    """
+
+    def __init__(self, app: ASGIApp, exempt: Collection[str] = (HEALTH,)) -> None:
+        self._app = app
+        self._exempt = exempt
+        # Half of what may wait is for known keys, and no address is known.
+        self._turns: FairQueue[str] = FairQueue(
+            ANONYMOUS_AT_ONCE,
+            AT_ONCE_OF_ADDRESS,
+            MAX_WAITING_OF_ADDRESS,
+            2 * ANONYMOUS_WAITING,
+            ANONYMOUS_REST,
+        )
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        is_exempt = scope["type"] != "http" or scope["path"] in self._exempt
+        if is_exempt or caller_of(HTTPConnection(scope)) is not None:
+            await self._app(scope, receive, send)
+            return
+        try:
+            await self._serve(scope, bounded(scope, receive, MAX_PLAIN_BODY_BYTES), send)
+        except Problem as problem:
+            await refuse(scope, receive, send, problem)
+        except TooManyWaitingError:
+            await refuse(scope, receive, send, too_many_requests())
+
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
+        connection = Request(scope, receive)
+        try:
+            body = await connection.body()
+        except ClientDisconnect:
+            return
+        async with self._turns.turn(source_of(address_of(connection)), known=False):
+            await self._app(scope, _replaying(body, receive), send)
+
+
+def _replaying(body: bytes, receive: Receive) -> Receive:
+    """``receive`` after the body was taken from it."""
+    begun: list[AsgiMessage] = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def replaying() -> AsgiMessage:
+        return begun.pop() if begun else await receive()
+
+    return replaying
+
+
+@dataclass(frozen=True, slots=True)
+class RateLimit:
+    """``limit``: so many at once; ``remaining``: of them now; ``reset_s``: until all are there again."""
+
+    limit: int
+    remaining: int
+    reset_s: float
+
+    @classmethod
+    def of(cls, bucket: Bucket, now: Monotonic) -> RateLimit:
+        """The limit of a bucket now."""
+        level = bucket.level(now)
+        return cls(floor(bucket.capacity), max(0, floor(bucket.capacity - level)), level / bucket.per_s)
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """By their names."""
+        return {
+            "RateLimit-Limit": str(self.limit),
+            "RateLimit-Remaining": str(self.remaining),
+            "RateLimit-Reset": str(ceil(self.reset_s)),
+        }

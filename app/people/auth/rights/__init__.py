@@ -1,1 +1,0 @@
-"""The account of a request, and what it may do at this moment."""

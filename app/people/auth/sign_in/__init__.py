@@ -1,1 +1,0 @@
-"""Signing in: by password, by PIN, or as the first admin."""
