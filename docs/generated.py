@@ -17,8 +17,8 @@ from app.line.commands.catalogue import COMMANDS
 from app.line.history.status import HistoryStatus
 from app.main import FEATURES
 from app.people.audit.anchor import AnchorStatus
-from app.system.metrics.families import LineCollector
-from app.system.metrics.sources import OUTCOMES, MetricSources
+from app.system.metrics.families import LineCollector, Measured
+from app.system.metrics.feature import OUTCOMES
 from app.system.postgresql.publisher import PublisherStatus
 from bus.instants import UnixTime
 
@@ -104,22 +104,22 @@ def _labels(family: Any) -> str:
     return ", ".join(f"`{name}`" for name in names)
 
 
-def _nothing() -> MetricSources:
-    """The sources of a server without buses, which has every family of metrics."""
+def _nothing() -> Measured:
+    """What is measured of a server without buses, which has every family of metrics."""
     sources = {
         "live": SimpleNamespace(buses={}),
-        "commands": SimpleNamespace(by_outcome=dict.fromkeys(OUTCOMES, 0)),
+        "commands": dict.fromkeys(OUTCOMES, 0),
         "alarms": SimpleNamespace(
             present=list, buses={}, list_of=lambda _: SimpleNamespace(annunciated=Counter())
         ),
-        "pages": lambda: 0,
-        "anchor": AnchorStatus,
-        "history": HistoryStatus,
-        "newest_backup": lambda: UnixTime(0.0),
-        "publisher": lambda: PublisherStatus("", UnixTime(0.0)),
+        "pages": 0,
+        "anchor": AnchorStatus(),
+        "history": HistoryStatus(),
+        "newest_backup": UnixTime(0.0),
+        "publisher": PublisherStatus("", UnixTime(0.0)),
         "data": GUIDE,
     }
-    return MetricSources(**cast(dict[str, Any], sources))
+    return Measured(**cast(dict[str, Any], sources))
 
 
 def security() -> str:

@@ -1,10 +1,12 @@
-"""The families of metrics, imported at the first request, as the start does not need them."""
+"""The families of metrics that Prometheus reads."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 
 from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
@@ -17,8 +19,8 @@ from app.line.alarms.rules.state_machine import PRESENT_STATES
 from app.line.conditions.condition import PRIORITIES
 from app.line.conditions.draw import percent_of
 from app.line.history.status import HistoryStatus
-from app.line.live.bus_live import BusLive, draw_of, speed_decimals, unit_link_now
-from app.system.metrics.sources import MetricSources
+from app.line.live.bus_live import BusLive, LiveState, draw_of, speed_decimals, unit_link_now
+from app.people.audit.anchor import AnchorStatus
 from app.system.postgresql.publisher import PublisherStatus
 from app.version import VERSION
 from bus.catalogue.status import OUTPUT_NUMBERS, output_is_on
@@ -40,10 +42,27 @@ _ALARM_FACTS: dict[str, tuple[str, Callable[[Alarm], bool]]] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What the metrics are made of, at one moment. ``pages``: how many are open; ``commands``: how many had
+    which outcome; ``newest_backup``: when it was begun, None where there are to be none; ``publisher``: None
+    without a plant's database; ``data``: the folder of the stores."""
+
+    live: LiveState
+    pages: int
+    commands: Mapping[str, int]
+    anchor: AnchorStatus
+    alarms: LineAlarms
+    history: HistoryStatus
+    newest_backup: UnixTime | None
+    publisher: PublisherStatus | None
+    data: Path
+
+
 class LineCollector(Collector):
     """Collects every family at one moment."""
 
-    def __init__(self, measured: MetricSources) -> None:
+    def __init__(self, measured: Measured) -> None:
         self._measured = measured
 
     def collect(self) -> Iterator[Metric]:
@@ -54,23 +73,22 @@ class LineCollector(Collector):
         yield from _readings(buses, unix_now())
         yield from _of_units(buses)
         yield from _of_buses(buses)
-        yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.pages())
+        yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.pages)
         commands = CounterMetricFamily("lineside_commands", "Commands by outcome", labels=["outcome"])
-        for outcome, count in measured.commands.by_outcome.items():
+        for outcome, count in measured.commands.items():
             commands.add_metric([outcome], count)
         yield commands
         yield _alarm_states(measured.alarms)
         yield from _of_alarms(measured.alarms)
         free = "Free space on the disk of the data folder"
         yield GaugeMetricFamily("lineside_disk_free_bytes", free, value=free_bytes(measured.data))
-        yield from _of_history(measured.history())
-        if (newest := measured.newest_backup()) is not None:
+        yield from _of_history(measured.history)
+        if (newest := measured.newest_backup) is not None:
             words = "When the newest backup was begun; without any, since when there is to be one"
             yield GaugeMetricFamily("lineside_backup_timestamp_seconds", words, value=float(newest))
-        if (publisher := measured.publisher()) is not None:
+        if (publisher := measured.publisher) is not None:
             yield from _of_publisher(publisher, unix_now())
-        anchor = measured.anchor()
-        degraded = 1 if anchor.altered or anchor.unwritten else 0
+        degraded = 1 if measured.anchor.altered or measured.anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
         yield GaugeMetricFamily("lineside_audit_degraded", words, value=degraded)
 
@@ -187,7 +205,7 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     yield from (linked, is_open, scan, use)
 
 
-def text(measured: MetricSources) -> bytes:
+def text(measured: Measured) -> bytes:
     """All of it, as Prometheus reads it."""
     registry = CollectorRegistry()
     registry.register(LineCollector(measured))

@@ -1,40 +1,65 @@
-"""Figures for Prometheus."""
+"""Serves ``GET /metrics``: what the workers, the wire and the people do, for Prometheus."""
 
 from __future__ import annotations
 
+from collections import Counter
+
+from fastapi import APIRouter
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.core.web.admission.access import Viewer
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.history.service import History
 from app.line.live.bus_live import LiveState
 from app.line.live.hub import Hub
 from app.people.audit.anchor import Anchoring
-from app.people.audit.log import EventLog
+from app.people.audit.log import Event, EventLog
 from app.system.backup.service import Backups
-from app.system.metrics.api import router
-from app.system.metrics.sources import CommandCounts, MetricSources
 from app.system.postgresql.publisher import Publisher
+
+router = APIRouter(include_in_schema=False)
+OUTCOMES = ("verified", "acknowledged", "refused", "unverified", "invalid", "not_sent", "bus_closed")
+
+
+class CommandCounts:
+    """Commands by their outcome since the server started."""
+
+    def __init__(self, events: EventLog) -> None:
+        self.by_outcome: Counter[str] = Counter(dict.fromkeys(OUTCOMES, 0))
+        events.subscribe(self._see)
+
+    def _see(self, event: Event) -> None:
+        if event["kind"] == "command" and event["outcome"]:
+            self.by_outcome[event["outcome"]] += 1
+
+
+@router.get("/metrics")
+async def metrics(request: Request, _: Viewer) -> Response:
+    """Prometheus text."""
+    # Imported with the first request, as the start does not need them.
+    from prometheus_client import CONTENT_TYPE_LATEST
+
+    from app.system.metrics.families import Measured, text
+
+    services: Services = request.app.state.services
+    measured = Measured(
+        live=services[LiveState],
+        pages=services[Hub].connected,
+        commands=services[CommandCounts].by_outcome,
+        anchor=services[Anchoring].status,
+        alarms=services[LineAlarms],
+        history=services[History].status,
+        newest_backup=services[Backups].newest,
+        publisher=services[Publisher].status if services.settings.postgresql else None,
+        data=services.settings.server.data,
+    )
+    return Response(text(measured), media_type=CONTENT_TYPE_LATEST)
 
 
 def make(services: Services) -> None:
-    live, hub, alarms = services[LiveState], services[Hub], services[LineAlarms]
-    anchoring = services[Anchoring]
-    counts = CommandCounts(services[EventLog])
-    data = services.settings.server.data
-    history, backups = services[History], services[Backups]
-    publisher = services[Publisher] if services.settings.postgresql else None
-    services.add(
-        MetricSources(
-            live,
-            pages=lambda: hub.connected,
-            commands=counts,
-            anchor=lambda: anchoring.status,
-            alarms=alarms,
-            history=lambda: history.status,
-            newest_backup=lambda: backups.newest,
-            publisher=lambda: None if publisher is None else publisher.status,
-            data=data,
-        )
-    )
+    services.add(CommandCounts(services[EventLog]))
 
 
 FEATURE = Feature(make, (router,))
