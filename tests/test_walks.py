@@ -230,7 +230,7 @@ async def test_browsers_learn_of_a_reading_before_what_judges_and_stores_it(tmp_
         "app.engineering.sets.drift.BusDrift._see",
         "app.line.alarms.bus_alarms.BusAlarms._see",
         "app.line.history.service.History.append",
-        "app.line.live.change_recorder.Changes.see",
+        "app.line.live.change_recorder.ChangeDetector.detect",
     ]
     assert calls.of(learning) == learning
 

@@ -1,68 +1,61 @@
-"""Who learns of what the worker of a bus reports, in order: the live state, and with it browsers,
-``/stream``, drift and alarms (:class:`app.line.live.bus_live.Audience`); then history, then events.
+"""Passes on what the worker of a bus reports, in order: to the live state, and with it browsers, ``/stream``,
+drift and alarms (:class:`app.line.live.bus_live.Audience`); then to history, then to events.
 
-Each is called in the same turn of the event loop, and none holds up or stops the one before it.
+All are called in the same turn of the event loop, and none holds up or stops the one before it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Protocol
 
 from msgspec.structs import replace
 
 from app.core.web.shape import iso
+from app.line.history.service import History
 from app.line.live.bus_live import BusLive
-from app.line.live.change_recorder import ChangeRecorder, Changes, LineEvent
+from app.line.live.change_recorder import ChangeDetector, ChangeRecorder, LineEvent
 from bus.catalogue.values import plausible_parameter
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
 from bus.instants import UnixTime
 from bus.messages import Message, number, term
 
 KEPT = (Reading, ParameterValue, UnitLink, BusLink)
-"""Updates for the history; momentary ones do not wait in its queue."""
+"""Updates that history keeps; momentary ones do not wait in its queue."""
 IMPLAUSIBLE = Message("updates_implausible")
 KNOWN = Message("updates_late_known")
 OVER_QUOTA = Message("updates_over_quota")
-"""Why updates of a worker are refused."""
+"""Reasons to refuse updates of a worker."""
 OTHER_RELEASE = "worker_version_differs"
-"""The code of the refusal of a worker whose link has another version."""
-
-
-class HistoryIntake(Protocol):
-    """What keeps readings: the history, never waiting."""
-
-    def append(self, bus: str, updates: Sequence[Update]) -> None:
-        """Take in what a worker reported."""
+"""The code of a refusal because the worker is of another release."""
 
 
 class Pipeline:
-    """Of one bus. Everything here is called on the event loop, without waiting."""
+    """The pipeline of one bus. Everything in it is called on the event loop, without waiting."""
 
-    def __init__(self, live: BusLive, history: HistoryIntake, recorder: ChangeRecorder) -> None:
+    def __init__(self, live: BusLive, history: History, recorder: ChangeRecorder) -> None:
         self._live = live
         self._history = history
         self._recorder = recorder
-        self._changes = Changes(live.settings)
+        self._changes = ChangeDetector(live.settings)
         self.since = UnixTime(0.0)
-        """From when on history believes the worker: what was before was stored then, or is missing."""
+        """From when on history believes the worker: what happened before was stored then, or is missing."""
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """A worker's complete state: it is live. History had its readings, or gets them as backlog; the
-        parameters that scale them and the states of the links may be news to it."""
-        updates = self._live.take_snapshot(snapshot)
+        """Pass on the complete state of a worker. History had its readings, or gets them as backlog;
+        parameters and the states of links may be news to it."""
+        updates = self._live.connect_worker(snapshot)
         self._append([update for update in updates if not isinstance(update, Reading)])
 
     def batch(self, updates: Sequence[Update], *, live: bool, stored: Sequence[Update] | None = None) -> None:
-        """Updates in order. Those kept while the app was away belong to history and events only. ``stored``:
-        those that history takes, where that is not all."""
+        """Pass on updates in order. Those kept while the app was away (``live`` False) belong to history and
+        events only. ``stored``: those that history takes, if not all."""
         if live:
             self._live.apply(updates)
         of_history = updates if stored is None else stored
         if kept := [update for update in of_history if isinstance(update, KEPT)]:
             self._append(kept)
         for update in updates:
-            for change in self._changes.see(update):
+            for change in self._changes.detect(update):
                 self._recorder.note(change)
 
     @property
@@ -72,16 +65,17 @@ class Pipeline:
 
     @property
     def port_is_open(self) -> bool:
-        """As the worker last reported."""
+        """Whether the port is open, as the worker last reported."""
         return self._live.link.link == "open"
 
     def worker_connected(self, hello: Hello, at: UnixTime, *, again: bool) -> None:
-        """A worker sent its hello: ``again``: the one that this app knew, else one that was started."""
+        """Record that a worker connected; ``again``: the one that this app knew, else one that was
+        started."""
         what = Message.of("event_worker_back" if again else "event_worker_started", port=hello.port)
         self._recorder.note(LineEvent("worker", None, at, what, "", term("connected")))
 
     def worker_refused(self, at: UnixTime, holder: str, refused: str, reason: Message) -> None:
-        """A worker's hello was refused. ``holder`` and ``refused``: the tokens and their addresses. A bus
+        """Record that a worker was refused. ``holder`` and ``refused``: the tokens and their addresses. A bus
         without a worker shows that its worker is of another release."""
         self._recorder.note(refusal_of_worker(at, holder, refused, reason))
         live = self._live
@@ -89,7 +83,8 @@ class Pipeline:
             live.apply([BusLink(at=at, link="closed", cause=reason)])
 
     def updates_refused(self, at: UnixTime, counts: Mapping[Message, int]) -> None:
-        """So many updates of a worker were not taken in, for each reason; they are summed up."""
+        """Record how many updates of a worker were refused for each reason; events of a reason are summed
+        up."""
         what = Message("event_updates_refused")
         for reason, count in counts.items():
             if count:
@@ -97,7 +92,7 @@ class Pipeline:
                 self._recorder.note(refused)
 
     def readings_came_late(self, at: UnixTime, count: int, since: UnixTime, until: UnixTime) -> None:
-        """The worker has delivered readings of a span before; trends mark it."""
+        """Record that the worker delivered readings of an earlier span; trends mark it."""
         what = Message.of("event_readings_late", count=count, since=iso(since), until=iso(until))
         self._recorder.note(LineEvent("worker", None, at, what, "", "", series=what.code))
 
@@ -114,8 +109,9 @@ class Pipeline:
         self._history.append(self._live.settings.name, believed)
 
     def _believed(self, update: Update) -> Update | None:
-        """What history takes of it. A state from before has its place there already. A parameter that was
-        another then scales readings only from when that is known. What the manual rules out is no value."""
+        """Return what history keeps of an update; None for nothing. A link state from before `since` has its
+        place there already; a parameter scales readings only from then on. A value that the manual rules out,
+        and a reading with one, is not kept."""
         match update:
             case Reading():
                 return None if update.implausible else update
@@ -129,6 +125,6 @@ class Pipeline:
 
 
 def refusal_of_worker(at: UnixTime, holder: str, refused: str, reason: Message) -> LineEvent:
-    """The event of a worker whose hello was refused."""
+    """Return the event of a worker that was refused."""
     what = Message("event_worker_refused")
     return LineEvent("worker", None, at, what, holder, refused, reason, series=what.code)

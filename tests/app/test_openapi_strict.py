@@ -74,7 +74,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with complete_app(tmp_path) as house:
-        house.services[LiveState].buses["dry-end"].take_snapshot(snapshot())
+        house.services[LiveState].buses["dry-end"].connect_worker(snapshot())
         yield house
 
 

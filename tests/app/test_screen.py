@@ -15,11 +15,11 @@ def test_only_what_changed_is_given() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([reading(1, at=100.2, actual=1199)])
-    changed = shown.see("dry", [1], 100.2, include_bus=False)
+    changed = shown.render("dry", [1], 100.2, include_bus=False)
     assert changed == {
         "dry/1": {"at": "100.20", "actual": "119.9", "deviation": "−0.1", "fill": "0.5995", "off": "0.483"}  # noqa: RUF001
     }
-    assert shown.see("dry", [1], 100.2, include_bus=False) == {}
+    assert shown.render("dry", [1], 100.2, include_bus=False) == {}
 
 
 def test_the_worst_cause_is_the_verdict_and_goes() -> None:
@@ -27,7 +27,7 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     shown = screen(live)
     assert shown.shown["line_summary"]["at"] == ""
     live.buses["dry"].apply([reading(2, at=100.2, inputs=1)])
-    changed = shown.see("dry", [2], 100.2, include_bus=False)
+    changed = shown.render("dry", [2], 100.2, include_bus=False)
     assert {name: changed["line_summary"][name] for name in ("at", "level", "verdict", "counts")} == {
         "at": "/units/dry/2",
         "level": "urgent",
@@ -36,7 +36,7 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     }
     assert changed["dry/2"]["status"] == "Still turning: emergency stop active since 00:01"
     live.buses["dry"].apply([reading(2, at=100.4)])
-    well = shown.see("dry", [2], 100.4, include_bus=False)["line_summary"]
+    well = shown.render("dry", [2], 100.4, include_bus=False)["line_summary"]
     assert (well["verdict"], well["at"], well["counts"]) == ("All 2 units at speed", "", "")
 
 
@@ -48,7 +48,7 @@ def test_the_strip_has_abnormal_units_beside_the_worst() -> None:
     live.buses["dry"].apply(
         [reading(unit, at=150.2, inputs=inputs, actual=0) for unit, inputs in ((1, 2), (2, 1))]
     )
-    changed = shown.see("dry", [1, 2, 3], 150.2, include_bus=False)["line_summary"]
+    changed = shown.render("dry", [1, 2, 3], 150.2, include_bus=False)["line_summary"]
     assert changed["verdict"] == "Unit 2 · Stopped: emergency stop active since 00:02"
     assert changed["strip"] == [
         ["dry/1", "high", "Unit 1", "Stopped: run input off", "since 00:01"],
@@ -60,7 +60,7 @@ def test_a_unit_does_not_repeat_the_lost_cable_of_its_bus() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
-    shown.see("dry", [1, 2], 130.0, include_bus=True)
+    shown.render("dry", [1, 2], 130.0, include_bus=True)
     assert [shown.shown["dry/1"][name] for name in ("link", "level", "cause", "status")] == [
         *("offline", "", ""),
         "Port closed since 00:01: unplugged",
@@ -69,16 +69,16 @@ def test_a_unit_does_not_repeat_the_lost_cable_of_its_bus() -> None:
 
 def test_time_alone_makes_stale_then_offline() -> None:
     shown = screen(line())
-    assert shown.settle(101.0) == {}
-    assert shown.settle(102.5)["dry/1"]["link"] == "stale"
-    assert shown.settle(111.0)["dry/1"]["link"] == "offline"
+    assert shown.render_aged(101.0) == {}
+    assert shown.render_aged(102.5)["dry/1"]["link"] == "stale"
+    assert shown.render_aged(111.0)["dry/1"]["link"] == "offline"
 
 
 def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
-    changed = shown.see("dry", [1, 2], 101.0, include_bus=True)
+    changed = shown.render("dry", [1, 2], 101.0, include_bus=True)
     shown_fields = {name: changed["line_summary"][name] for name in ("verdict", "at", "abnormal")}
     assert shown_fields == {
         "verdict": "dry · Port closed since 00:01: unplugged",
@@ -92,7 +92,10 @@ def test_the_line_s_figures_are_the_worst_of_all_buses() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([figures()])
-    assert shown.see("dry", [], 100.1, include_bus=True)["line_summary"] == {"scan": "0.30 s", "wire": "90 %"}
+    assert shown.render("dry", [], 100.1, include_bus=True)["line_summary"] == {
+        "scan": "0.30 s",
+        "wire": "90 %",
+    }
 
 
 def test_a_block_is_shown_with_its_reason() -> None:
@@ -110,14 +113,14 @@ def test_the_strip_has_an_end() -> None:
     live = line(60)
     shown = screen(live)
     live.buses["dry"].apply([reading(n, at=100.2, inputs=1) for n in range(1, 61)])
-    changed = shown.see("dry", list(range(1, 61)), 100.2, include_bus=False)
+    changed = shown.render("dry", list(range(1, 61)), 100.2, include_bus=False)
     assert len(changed["line_summary"]["strip"]) == 30
     assert changed["line_summary"]["abnormal"] == "60"
 
 
 def test_a_bus_without_any_response_is_one_entry() -> None:
     shown = screen(line())
-    shown.settle(111.0)
+    shown.render_aged(111.0)
     assert shown.shown["line_summary"]["verdict"] == "dry · No unit responds since 00:01"
     assert shown.shown["line_summary"]["level"] == "urgent"
     assert shown.shown["dry/1"]["status"] == "No response since 00:01"
@@ -173,9 +176,9 @@ def test_a_ramp_updates_its_unit_and_not_the_line_each_second() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([reading(1, at=101.0, outputs=0x40, actual=200)])
-    shown.see("dry", [1], 101.0, include_bus=False)
+    shown.render("dry", [1], 101.0, include_bus=False)
     live.buses["dry"].apply([reading(1, at=103.0, outputs=0x40, actual=500)])
-    changed = shown.see("dry", [1], 103.0, include_bus=False)
+    changed = shown.render("dry", [1], 103.0, include_bus=False)
     assert changed["dry/1"]["status"] == "Ramping to 120.0, about 4 s left"
     assert "line_summary" not in changed
 
@@ -185,6 +188,6 @@ def test_checks_are_shown_with_the_cause() -> None:
     shown = screen(live)
     live.buses["dry"].apply([reading(1, at=100.2, inputs=2, actual=0)])
     assert (
-        shown.see("dry", [1], 100.2, include_bus=False)["dry/1"]["check"]
+        shown.render("dry", [1], 100.2, include_bus=False)["dry/1"]["check"]
         == "Check the run contact at the drive"
     )

@@ -36,7 +36,7 @@ async def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterato
     monkeypatch.setattr(Rights.until_withdrawn, "__defaults__", (NEVER_S,))
     monkeypatch.setattr(rights, "WATCH_EVERY_S", NEVER_S)
     async with complete_app(tmp_path) as house:
-        house.services[LiveState].buses["dry-end"].take_snapshot(snapshot())
+        house.services[LiveState].buses["dry-end"].connect_worker(snapshot())
         await house.add("boss", Role.ADMIN)
         yield house
 
@@ -176,7 +176,7 @@ async def test_it_ends_after_a_change_by_the_command_line(
     """Another process: the server looks at its store twice a second, the connection at nothing."""
     monkeypatch.setattr(Rights.until_withdrawn, "__defaults__", (NEVER_S,))
     async with complete_app(tmp_path) as house:
-        house.services[LiveState].buses["dry-end"].take_snapshot(snapshot())
+        house.services[LiveState].buses["dry-end"].connect_worker(snapshot())
         client = await house.signed_in(Role.OPERATOR, "ann")
         async with opened(house, path, cookies_of(client)) as connection:
             in_another_process(tmp_path, "UPDATE users SET disabled = 1 WHERE name = 'ann'")

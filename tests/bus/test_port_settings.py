@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from app.line.live.change_recorder import Changes
+from app.line.live.change_recorder import ChangeDetector
 from bus.contract import BusFigures, BusLink
 from bus.line import opener
 from bus.line.device import PortSettings, differences, open_device
@@ -116,8 +116,8 @@ def figures(app: FakeApp) -> list[BusFigures]:
 
 def events(app: FakeApp) -> list[str]:
     """What is recorded of all that was reported."""
-    changes = Changes(BusSettings(name="b", port="/dev/ttyUSB0"))
-    return [str(event.what) for update in figures(app) for event in changes.see(update)]
+    changes = ChangeDetector(BusSettings(name="b", port="/dev/ttyUSB0"))
+    return [str(event.what) for update in figures(app) for event in changes.detect(update)]
 
 
 async def reported(app: FakeApp) -> list[str]:

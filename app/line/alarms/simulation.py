@@ -31,7 +31,7 @@ from app.line.history.series.values import VALUES, ParameterStep
 from app.line.history.service import History
 from app.line.history.tail import Tail
 from app.line.history.unit_history import StoredUnit, minutes_of
-from app.line.live.bus_live import never_seen, scan_s_of, stale_after_s
+from app.line.live.bus_live import bus_without_reports, scan_s_of, stale_after_s
 from app.line.live.diagnosis import unit_facts
 from bus.contract import ParameterValue, Reading
 from bus.instants import UnixTime
@@ -142,7 +142,7 @@ class Replay:
         self.found = Annunciations()
         self.unknown_s = 0.0
         self._settings = settings
-        self._live = never_seen(bus, UnixTime(0.0))
+        self._live = bus_without_reports(bus, UnixTime(0.0))
         self._unit = self._live.units[settings.unit]
         self._definition = own_definition(settings)
         self._condition = OwnCondition(settings)

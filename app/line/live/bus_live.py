@@ -1,16 +1,8 @@
-"""The present state of every bus and its units: the newest values, and what follows from a reading.
+"""The present state of every bus and its units: the newest values, how fresh they are, draw and ramp times.
 
 Times are Unix times in seconds on the app's own clock; the feed shifts a worker's times before they come
-here. Overdue values are not marked here but computed from the age (:mod:`app.line.live.bus_live`), so that a
-worker that hangs cannot keep anything looking fresh.
-
-How long a scan of a bus takes, and how old a reading may become by it. Pure.
-
-Whether values are live, stale or offline, from their age. Pure: the time is passed in.
-
-The draw of a unit now, from the actual speeds that it and the unit before it reported. Pure.
-
-How long a unit takes to ramp from one speed to another. Pure.
+here. A value is not marked as overdue: `unit_link_now` computes it from the age, so that a worker that hangs
+cannot keep anything looking fresh.
 """
 
 from __future__ import annotations
@@ -65,7 +57,7 @@ BusSubscriber = Callable[[Sequence[Update]], None]
 
 
 class Audience(IntEnum):
-    """Who learns of a report, in this order: people who look come before what compares and judges."""
+    """Who is told of a report, in this order: people who look come before what compares and judges."""
 
     BROWSERS = 0
     STREAM = 1
@@ -75,7 +67,7 @@ class Audience(IntEnum):
 
 @dataclass(slots=True)
 class UnitLive:
-    """The newest reading of one unit. ``link`` is the worker's view; the age counts too."""
+    """The present state of one unit. ``link`` is what the worker reported; see `unit_link_now`."""
 
     settings: UnitSettings
     link: UnitLink
@@ -83,14 +75,15 @@ class UnitLive:
     parameters: dict[int, ParameterValue] = field(default_factory=dict)
     staged: int | None = None
     staged_unknown: bool = False
-    """It did not acknowledge 82h, or was away while it held a staged speed: what it holds is not known."""
+    """Whether it is unknown what the unit holds: it did not acknowledge 82h, or was away with a staged
+    speed."""
     may_differ_since: UnixTime | None = None
-    """When a parameter was found changed, or the unit was back after it was offline: whoever has changed one
-    at the keypad may have changed others, and what was read before counts as old until it is read again."""
+    """When a parameter was found changed, or the unit was back after it was offline. Whoever changed one at
+    the keypad may have changed others, so what was read before counts as old until it is read again."""
     motion: Motion = field(default_factory=Motion)
     onsets: Onsets = field(default_factory=Onsets)
     last_response: UnixTime | None = None
-    """Unix time, before this server started; None while it is not known."""
+    """When the unit last responded before this server started; None while that is not known."""
 
     @property
     def names(self) -> list[str]:
@@ -100,28 +93,27 @@ class UnitLive:
         return [settings.name, str(settings.id), settings.group, *wired]
 
     def parameter_raw(self, number: int) -> int | None:
-        """The raw value of a parameter as last read; None when never read or not available, and outside of
-        its printed range: it scales and bounds nothing then."""
+        """Return the raw value of a parameter as last read; None if it was never read, is not available, or
+        is outside of its printed range, as it scales and bounds nothing then."""
         known = self.parameters.get(number)
         return plausible_parameter(number, known.raw) if known is not None else None
 
     def is_current(self, number: int) -> bool:
-        """Whether a parameter was read since the unit was last away or changed at its keypad."""
+        """Return whether a parameter was read since the unit was last away or changed at its keypad."""
         known, since = self.parameters.get(number), self.may_differ_since
         return known is not None and (since is None or known.at >= since)
 
     @property
     def scale_is_old(self) -> bool:
-        """Whether the values of this unit are shown in a scale that was not read yet, or that it may not have
-        any more."""
+        """Whether the scale of the unit was not read yet, or may have changed since it was read."""
         if DECIMALS not in self.parameters:
             return self.reading is not None
         return self.may_differ_since is not None and not all(
             self.is_current(number) for number in SHOWN_WITH if number in self.parameters
         )
 
-    def see_parameter(self, value: ParameterValue) -> None:
-        """Take in a parameter that was read."""
+    def note_parameter(self, value: ParameterValue) -> None:
+        """Note a parameter that was read."""
         former = self.parameters.get(value.number)
         if former is not None and former.raw != value.raw and value.number not in SETPOINTS:
             self.may_differ_since = value.at
@@ -129,8 +121,8 @@ class UnitLive:
 
 
 class Silence(NamedTuple):
-    """A time in which no unit of a bus responded, as its port was closed or its worker stood still: from the
-    last reading before it to the first one after."""
+    """A span in which no unit of a bus responded because its port was closed or its worker stood still: from
+    the last reading before it to the first one after."""
 
     since: UnixTime
     until: UnixTime
@@ -138,21 +130,21 @@ class Silence(NamedTuple):
 
 @dataclass(slots=True)
 class BusLive:
-    """One bus: its port as the worker sees it, its figures, its units in floor order. It has one writer: what
-    the worker reports. A command never changes it."""
+    """The present state of one bus: its port, its figures, its units in floor order. Only what the worker
+    reports changes it, never a command."""
 
     settings: BusSettings
     link: BusLink
     link_onset: Onset
     """When the present ``link`` began."""
     worker_lost: Onset | None
-    """Since when no worker is connected; None while one is."""
+    """Since when no worker is connected; None while one is connected."""
     figures: BusFigures | None = None
     units: dict[int, UnitLive] = field(default_factory=dict)
     read_at: UnixTime | None = None
     """When the newest reading of any unit was made."""
     silence: Silence | None = None
-    """The last one."""
+    """The last silence of the bus."""
     seams: dict[int, Seam] = field(init=False, compare=False)
     """The seam before each unit but the first, by its address."""
     _subscribers: list[tuple[Audience, BusSubscriber]] = field(default_factory=list, compare=False)
@@ -162,27 +154,26 @@ class BusLive:
 
     @property
     def worker_connected(self) -> bool:
-        """Whether a worker speaks for this bus now."""
+        """Whether a worker of this bus is connected now."""
         return self.worker_lost is None
 
     @property
     def baud(self) -> int:
-        """The present rate as the worker reports it, as #18 may have changed it; else as configured."""
+        """The rate that the worker reports, as #18 may have changed it; before a report, the configured
+        one."""
         return self.link.baud or self.settings.baud
 
     def subscribe(self, audience: Audience, subscriber: BusSubscriber) -> Callable[[], None]:
-        """Call ``subscriber`` with the updates after each change, in the turn of its audience.
-
-        The result ends it.
-        """
+        """Call ``subscriber`` with the updates after each change, in the order of audiences. Return what ends
+        the subscription."""
         entry = (audience, subscriber)
         self._subscribers.append(entry)
         self._subscribers.sort(key=itemgetter(0))
         return lambda: self._subscribers.remove(entry)
 
     def apply(self, updates: Sequence[Update]) -> None:
-        """Take in what the worker reported, in order, and call the subscribers; none of them can stop it. A
-        unit that is not configured is passed over."""
+        """Apply what the worker reported, in order, then call every subscriber, even where one fails. Updates
+        of units that are not configured change nothing."""
         for update in updates:
             self._apply_one(update, self.units.get(getattr(update, "unit", 0)))
         for _, subscriber in tuple(self._subscribers):
@@ -191,18 +182,18 @@ class BusLive:
             except Exception:
                 log.exception("subscriber of the live state failed", bus=self.settings.name)
 
-    def take_snapshot(self, snapshot: Snapshot) -> list[Update]:
-        """A worker connected, with its complete state; returns that as updates."""
+    def connect_worker(self, snapshot: Snapshot) -> list[Update]:
+        """Apply the complete state of a worker that has connected; return it as updates."""
         if not self.worker_connected:
             self.worker_lost = None
-            # It reports the state of its port, and not since when.
+            # The worker reports the state of its port, not since when.
             self.link, self.link_onset = snapshot.bus, Onset(snapshot.bus.at, exact=False)
         updates = updates_of(snapshot)
         self.apply(updates)
         return updates
 
     def lose_worker(self, at: UnixTime, cause: Message = NO_WORKER) -> None:
-        """The worker's connection ended: the port counts as closed, nothing counts as fresh."""
+        """Note that the worker's connection ended: the port counts as closed, no value as fresh."""
         self.worker_lost = Onset(at)
         self.figures = None
         units = [unit for unit in self.units.values() if unit.link.link == "online"]
@@ -210,62 +201,58 @@ class BusLive:
         self.apply([BusLink(at=at, link="closed", cause=cause), *stale])
 
     def _apply_one(self, update: Update, unit: UnitLive | None) -> None:
-        """``unit``: that it is about; None where it is about none that is configured."""
         match update:
             case Reading() if unit:
-                self.take_reading(unit, update)
+                self.note_reading(unit, update)
             case UnitLink() if unit:
                 if update.link == "online" and unit.link.link == "offline":
                     unit.may_differ_since = update.at
                 unit.link = update
             case ParameterValue() if unit:
-                unit.see_parameter(update)
+                unit.note_parameter(update)
             case Staged() if unit:
                 unit.staged, unit.staged_unknown = update.raw, update.unknown
             case BusFigures():
                 self.figures = update
             case BusLink():
-                self._take_link(update)
+                self._note_link(update)
 
-    def _take_link(self, link: BusLink) -> None:
-        """A worker reports a change of its port."""
+    def _note_link(self, link: BusLink) -> None:
         if link.link != self.link.link:
             self.link_onset = Onset(link.at)
         self.link = link
 
-    def take_reading(self, unit: UnitLive, reading: Reading) -> None:
+    def note_reading(self, unit: UnitLive, reading: Reading) -> None:
+        """Note a reading, and what follows from it: motion, conditions and draw of the unit."""
         unit.reading = reading
         bits, scan_s = bits_of(self, reading), scan_s_of(self)
         if self.read_at is not None and reading.at - self.read_at > silence_after_s(scan_s):
             self.silence = Silence(self.read_at, reading.at)
         self.read_at = reading.at if self.read_at is None else max(self.read_at, reading.at)
-        unit.motion.see(reading, bits, scan_s=scan_s, ratio=reads_ratio(self, unit))
+        unit.motion.note(reading, bits, scan_s=scan_s, ratio=reads_ratio(self, unit))
         holding = conditions_of(bits, reading)
         if DRAW_OUT_OF_BAND.holds(draw_of(self, unit, reading.at)):
             holding |= {DRAW_OUT_OF_BAND.code}
-        unit.onsets.see(reading.at, holding, offline_after_s(scan_s))
+        unit.onsets.note(reading.at, holding, offline_after_s(scan_s))
 
 
 def changed_by(bus: BusLive, updates: Sequence[Update]) -> tuple[list[int], bool]:
-    """The configured units that updates are about, by address, and whether they are about the bus too."""
+    """Return the configured units that updates are about, and whether they are about the bus too."""
     if any(type(update) is BusLink for update in updates):
         return sorted(bus.units), True
     units = {unit for update in updates if (unit := getattr(update, "unit", None)) in bus.units}
     return sorted(units), any(type(update) is BusFigures for update in updates)
 
 
-def speed_decimals(bus: BusLive, unit: UnitLive) -> int | None:
-    """The decimals of commanded and actual speed; None while #3 was not read."""
-    return RATIO_DECIMALS if reads_ratio(bus, unit) else unit.parameter_raw(DECIMALS)
+class LiveState:
+    """Every configured bus, by its name."""
+
+    def __init__(self, buses: Iterable[BusSettings], started_at: UnixTime) -> None:
+        self.buses = {settings.name: bus_without_reports(settings, started_at) for settings in buses}
 
 
-def setpoint_decimals(unit: UnitLive) -> int | None:
-    """The decimals of a setpoint: those of a ratio for a follower; None while #3 was not read."""
-    return RATIO_DECIMALS if follower(unit) else unit.parameter_raw(DECIMALS)
-
-
-def never_seen(settings: BusSettings, at: UnixTime) -> BusLive:
-    """A bus that no worker has reported yet; first seen so at ``at``."""
+def bus_without_reports(settings: BusSettings, at: UnixTime) -> BusLive:
+    """Return a bus that no worker has reported yet, as of ``at``."""
     units = {
         unit.id: UnitLive(settings=unit, link=UnitLink(unit=unit.id, at=at, link="unknown"))
         for unit in settings.unit
@@ -275,7 +262,7 @@ def never_seen(settings: BusSettings, at: UnixTime) -> BusLive:
 
 
 def updates_of(snapshot: Snapshot) -> list[Update]:
-    """A complete state as the updates that lead to it."""
+    """Return the updates that lead to a complete state."""
     updates: list[Update] = [snapshot.bus]
     for state in snapshot.units:
         updates.append(state.link)
@@ -288,41 +275,34 @@ def updates_of(snapshot: Snapshot) -> list[Update]:
     return updates
 
 
-class LiveState:
-    """Every configured bus, by its name."""
-
-    def __init__(self, buses: Iterable[BusSettings], started_at: UnixTime) -> None:
-        self.buses = {settings.name: never_seen(settings, started_at) for settings in buses}
-
-
 OFFLINE_SCANS = 5
 
 
 def stale_after_s(scan_s: float) -> float:
-    """A response older than this is overdue: two seconds, or two scans where those take longer."""
+    """Return the age from which a response is overdue: two seconds, or two scans where those take longer."""
     return max(2.0, 2 * scan_s)
 
 
 def offline_after_s(scan_s: float) -> float:
-    """No response for this long: the unit counts as lost."""
+    """Return after how long without a response a unit counts as lost."""
     return max(10.0, OFFLINE_SCANS * scan_s)
 
 
 def silence_after_s(scan_s: float) -> float:
-    """No response of any unit for this long is a silence of the bus. It is shorter than the time of a unit by
-    more than a scan, so that a time which loses a unit is one."""
+    """Return after how long without a response of any unit the bus counts as silent. It is shorter than
+    `offline_after_s` by more than a scan, so that a gap which loses a unit always counts as silence."""
     return offline_after_s(scan_s) / 2
 
 
 def scan_s_of(bus: BusValues) -> float:
-    """How long one scan of all units takes: as the worker measured it, else what the wire allows."""
+    """Return how long one scan of all units takes: as the worker measured it, else what the wire allows."""
     if bus.figures is not None and bus.figures.scan_s > 0:
         return bus.figures.scan_s
     return scan_s_at_best(bus.settings)
 
 
 def scan_s_at_best(settings: BusSettings) -> float:
-    """The wire time of one poll of every configured unit, seconds."""
+    """Return the wire time of one poll of every configured unit, in seconds."""
     return wire_seconds(len(settings.unit) * POLL_BYTES, settings.baud)
 
 
@@ -331,7 +311,8 @@ WORKER_TIMEOUT_S = 2.0
 
 
 def unit_link_now(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnitLinkState:
-    """As the worker has it, made worse by the age of the reading and by a closed port."""
+    """Return the link of a unit as the worker reported it, or worse by the age of its reading or a closed
+    port."""
     if unit.reading is None:
         return "unknown"
     scan_s = scan_s_of(bus)
@@ -344,10 +325,10 @@ def unit_link_now(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnitLinkState:
 
 
 def lost_at(bus: BusLive, unit: UnitLive, now: UnixTime, patience_s: float) -> UnixTime | None:
-    """When a unit was found not to respond for ``patience_s``; None: it was not.
+    """Return when a unit had not responded for ``patience_s``; None if it is not lost.
 
-    After a silence of the bus its units respond one after the other: each has its time again, but for one
-    that was lost before.
+    After a silence of the bus its units respond one after the other, so each gets its time again, except one
+    that was lost before the silence.
     """
     if unit.reading is not None and unit.link.link == "offline":
         known_at = found_at = unit.link.at
@@ -360,7 +341,7 @@ def lost_at(bus: BusLive, unit: UnitLive, now: UnixTime, patience_s: float) -> U
 
 
 def worker_timed_out(bus: BusLive, now: UnixTime) -> bool:
-    """Whether a connected worker has stopped sending: its process hangs, or its network is cut."""
+    """Return whether a connected worker has stopped sending: its process hangs, or its network is cut."""
     if not bus.worker_connected or bus.figures is None:
         return False
     since = now - WORKER_TIMEOUT_S
@@ -368,12 +349,12 @@ def worker_timed_out(bus: BusLive, now: UnixTime) -> bool:
 
 
 def figures_now(bus: BusLive, now: UnixTime) -> BusFigures | None:
-    """The figures of a bus as far as they are of this moment."""
+    """Return the figures of a bus; None if they are not of the present."""
     return None if bus.link.link == "closed" or worker_timed_out(bus, now) else bus.figures
 
 
 def draw_of(bus: BusLive, unit: UnitLive, now: UnixTime) -> Draw:
-    """Judged while both sections run and neither ramps."""
+    """Return the draw of a unit to the one before it. It is judged while both run and neither ramps."""
     seam = bus.seams.get(unit.settings.id)
     if seam is None:
         return NO_DRAW
@@ -384,7 +365,7 @@ def draw_of(bus: BusLive, unit: UnitLive, now: UnixTime) -> Draw:
 
 
 def quantity_of(bus: BusLive, unit: UnitLive) -> str | None:
-    """What the speeds of a unit are measured in, by its label; None where they are ratios."""
+    """Return what the speeds of a unit are measured in, by its label; None if they are ratios."""
     return None if reads_ratio(bus, unit) else unit.settings.labels.unit
 
 
@@ -395,16 +376,27 @@ def _actual_speed(bus: BusLive, unit: UnitLive, now: UnixTime) -> SectionSpeed:
 
 
 def ramp_parameter(old: int | None, new: int) -> int:
-    """The parameter that sets the ramp from one speed to another, raw: #7 downwards, else #6."""
+    """Return the parameter that sets the ramp between two raw speeds: #7 downwards, else #6."""
     return DECELERATION if old is not None and new < old else ACCELERATION
 
 
 def ramp_seconds(unit: UnitLive, old: int | None, new: int) -> float | None:
-    """Seconds by #6 or #7, which are tenths for the full span #2. ``old``, ``new``: raw speeds. None for a
-    follower, which comes with its master, and while a parameter is not known; a ramp of 0 is none."""
+    """Return how long a unit ramps from one raw speed to another, by #6 or #7, which are tenths of a second
+    for the full span #2. None for a follower, which follows its master, and while a parameter is not
+    known."""
     span, tenths = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(ramp_parameter(old, new))
     if old is None or tenths is None or follower(unit):
         return None
     if tenths == 0:
         return 0.0
     return abs(new - old) / span * tenths / 10 if span else None
+
+
+def speed_decimals(bus: BusLive, unit: UnitLive) -> int | None:
+    """Return the decimals of commanded and actual speed; None while #3 was not read."""
+    return RATIO_DECIMALS if reads_ratio(bus, unit) else unit.parameter_raw(DECIMALS)
+
+
+def setpoint_decimals(unit: UnitLive) -> int | None:
+    """Return the decimals of a setpoint, for a follower those of a ratio; None while #3 was not read."""
+    return RATIO_DECIMALS if follower(unit) else unit.parameter_raw(DECIMALS)

@@ -1,15 +1,14 @@
-"""Selects the changes of a line that become events. Pure: updates in, changes out.
+"""Finds the changes of a line that become events, and records them in order and within a budget.
 
-Records the changes of a bus in the event log, in order and within a budget, and never holds up who reports
-them: what cannot be written now waits.
-"""
+`ChangeDetector` and `EventBudget` are pure. `ChangeRecorder` never holds up who reports a change: what cannot
+be written now waits."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Hashable
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import structlog
 
@@ -28,12 +27,12 @@ from bus.messages import Message
 from bus.settings import BusSettings
 
 PORT_REMARKS = frozenset(("diagnosis_port_changed", "diagnosis_port_changed_by", "diagnosis_port_shared"))
-"""Of a diagnosis, which become events."""
+"""Remarks of the diagnosis of a bus that become events."""
 
 
 @dataclass(frozen=True, slots=True)
 class LineEvent:
-    """An event to be recorded. ``unit`` None: the bus."""
+    """An event to be recorded, of a unit or, with ``unit`` None, of the bus."""
 
     kind: EventKind
     unit: int | None
@@ -43,14 +42,14 @@ class LineEvent:
     new: Message | str
     message: Message | None = None
     series: str = ""
-    """Separates series of one unit and kind, where one must not crowd out the other."""
+    """Separates events of one unit and kind that must not crowd out each other."""
     count: int = 0
-    """How many it stands for, of what is summed up from the first on: it becomes `new`."""
+    """How many occurrences it stands for, if they are summed up from the first on; becomes `new`."""
 
 
 @dataclass(slots=True)
-class Changes:
-    """The last state of one bus. The first state seen is no change."""
+class ChangeDetector:
+    """Compares each update of a bus with the last state. The first state is no change."""
 
     settings: BusSettings
     _port: BusLinkState | None = None
@@ -58,20 +57,20 @@ class Changes:
     _links: dict[int, UnitLinkState] = field(default_factory=dict)
     _remarks: list[Message] = field(default_factory=list)
 
-    def see(self, update: Update) -> list[LineEvent]:
-        """What this update changes, compared with the one before."""
+    def detect(self, update: Update) -> list[LineEvent]:
+        """Return what this update changes."""
         match update:
             case Reading():
-                return self._see_reading(update)
+                return self._compare_reading(update)
             case UnitLink():
-                return self._see_unit_link(update)
+                return self._compare_unit_link(update)
             case BusLink():
-                return self._see_port(update)
+                return self._compare_port(update)
             case BusFigures():
-                return self._see_remarks(update)
+                return self._compare_remarks(update)
         return []
 
-    def _see_reading(self, reading: Reading) -> list[LineEvent]:
+    def _compare_reading(self, reading: Reading) -> list[LineEvent]:
         before = self._conditions.get(reading.unit)
         now = status_conditions(status_bits(reading.outputs, reading.inputs, self.settings.estop_healthy))
         self._conditions[reading.unit] = now
@@ -80,7 +79,7 @@ class Changes:
         changed = [row for row in BY_READING if row.event and (row.code in before) != (row.code in now)]
         return [_event(row, reading.unit, reading.at, row.code in now) for row in changed]
 
-    def _see_unit_link(self, update: UnitLink) -> list[LineEvent]:
+    def _compare_unit_link(self, update: UnitLink) -> list[LineEvent]:
         before = self._links.get(update.unit, "unknown")
         if update.link not in ("online", "offline") or update.link == before:
             return []
@@ -91,14 +90,14 @@ class Changes:
             return []
         return [_event(UNIT_OFFLINE, update.unit, update.at, update.link == "offline", update.cause)]
 
-    def _see_remarks(self, figures: BusFigures) -> list[LineEvent]:
-        """That another program uses the port or changed its settings."""
+    def _compare_remarks(self, figures: BusFigures) -> list[LineEvent]:
+        """Return that another program uses the port or changed its settings."""
         before = self._remarks
         self._remarks = [each for each in figures.diagnosis if each.code in PORT_REMARKS]
         new = [each for each in self._remarks if each not in before]
         return [LineEvent("bus", None, figures.at, each, "", "", series=each.code) for each in new]
 
-    def _see_port(self, update: BusLink) -> list[LineEvent]:
+    def _compare_port(self, update: BusLink) -> list[LineEvent]:
         before, self._port = self._port, update.link
         if before is None or before == update.link:
             return []
@@ -108,7 +107,7 @@ class Changes:
 def _event(
     row: Condition[Any], unit: int | None, at: UnixTime, holds: bool, cause: Message | None = None
 ) -> LineEvent:
-    """That a condition began or ended."""
+    """Return the event of a condition that began or ended."""
     event = row.event
     assert event is not None
     code, words = (event.began, (event.off, event.on)) if holds else (event.ended, (event.on, event.off))
@@ -120,33 +119,32 @@ RETRY_AFTER_S = 1.0
 BURST = 20
 """Changes of one series that are recorded one by one."""
 FEW = 6
-"""How often a port or a worker comes and goes before that is summed up."""
+"""How often a port or a worker comes and goes before its changes are summed up."""
 FORGIVEN_EVERY_S = 60.0
-"""How long until a series may have one more of these."""
+"""How long until a series may have one more event of its own."""
 QUIET_S = 60.0
 FIRST_PAUSE_S, MAX_PAUSE_S = 60.0, 3600.0
 MAX_WAITING = 10_000
-"""Changes kept in memory while the log cannot be written; then the oldest are left out, and counted."""
+"""Changes kept in memory while the log cannot be written; beyond it, the oldest are left out and counted."""
 DUE_EVERY_S = 1.0
-"""How often it is looked for summaries."""
+"""How often the recorder looks for summaries that are due."""
 
-T = TypeVar("T")
 log = structlog.get_logger()
 
 
 @dataclass(frozen=True, slots=True)
-class Summary(Generic[T]):
+class Summary:
     """The last of ``count`` events of a series, which came within ``seconds``."""
 
-    last: T
+    last: LineEvent
     count: int
     seconds: float
 
 
 @dataclass(slots=True)
-class _Series(Generic[T]):
+class _Series:
     bucket: Bucket
-    last: T | None = None
+    last: LineEvent | None = None
     count: int = 0
     first_at: Monotonic = Monotonic(0.0)
     last_at: Monotonic = Monotonic(0.0)
@@ -154,18 +152,20 @@ class _Series(Generic[T]):
     pause_s: float = FIRST_PAUSE_S
 
 
-class EventBudget(Generic[T]):
-    """How many changes of each series of a bus become events. A contact that chatters, or a port that opens
-    and closes, would fill the log and hide everything else: once a series has had its share, only its last
-    change is kept, with a count, as soon as the series is quiet, and else after pauses that double. The last
-    state is always recorded. Pure; ``now`` is monotonic, in seconds."""
+class EventBudget:
+    """Limits how many changes of each series become events. A contact that chatters, or a port that opens and
+    closes, would fill the log and hide everything else. Once a series has had its share, only its last change
+    is recorded, with a count: as soon as the series is quiet, else after pauses that double. ``now`` is
+    monotonic, in seconds."""
 
     def __init__(self) -> None:
-        self._series: dict[Hashable, _Series[T]] = {}
+        self._series: dict[Hashable, _Series] = {}
 
-    def admits(self, key: Hashable, event: T, now: Monotonic, *, burst: int = BURST, count: int = 1) -> bool:
-        """Whether to record this event of a series, of which ``burst`` are recorded one by one; where not, it
-        is kept for a summary, as ``count`` of them."""
+    def admits(
+        self, key: Hashable, event: LineEvent, now: Monotonic, *, burst: int = BURST, count: int = 1
+    ) -> bool:
+        """Return whether to record this event of a series now, of which ``burst`` are recorded one by one.
+        Else keep it for a summary, as ``count`` events."""
         series = self._series.setdefault(key, _Series(Bucket(1 / FORGIVEN_EVERY_S, burst)))
         series.last_at = now
         if not series.count and series.bucket.take(now):
@@ -175,8 +175,8 @@ class EventBudget(Generic[T]):
         series.last, series.count = event, series.count + count
         return False
 
-    def due(self, now: Monotonic, *, everything: bool = False) -> list[Summary[T]]:
-        """The summaries to record now; ``everything``: all that is kept, because the server ends."""
+    def due(self, now: Monotonic, *, everything: bool = False) -> list[Summary]:
+        """Return the summaries to record now; ``everything``: all of them, because the server ends."""
         found = [
             self._summary(series, now)
             for series in self._series.values()
@@ -185,10 +185,10 @@ class EventBudget(Generic[T]):
         self._series = {key: one for key, one in self._series.items() if one.count or one.bucket.level(now)}
         return found
 
-    def _is_due(self, series: _Series[T], now: Monotonic) -> bool:
+    def _is_due(self, series: _Series, now: Monotonic) -> bool:
         return now >= series.due_at or now - series.last_at >= QUIET_S
 
-    def _summary(self, series: _Series[T], now: Monotonic) -> Summary[T]:
+    def _summary(self, series: _Series, now: Monotonic) -> Summary:
         assert series.last is not None
         summary = Summary(series.last, series.count, now - series.first_at)
         series.last, series.count = None, 0
@@ -201,25 +201,25 @@ class EventBudget(Generic[T]):
 
 
 class ChangeRecorder:
-    """Of one bus; of the site without ``bus``."""
+    """The recorder of one bus, or of the site without ``bus``."""
 
     def __init__(self, events: EventLog, bus: str | None = None) -> None:
         self._events = events
         self._bus = bus
         self._monotonic = monotonic_now
-        self._budget: EventBudget[LineEvent] = EventBudget()
+        self._budget = EventBudget()
         self._queue: asyncio.Queue[LineEvent] = asyncio.Queue()
         self._left_out = 0
 
     def note(self, change: LineEvent) -> None:
-        """Record this soon, on its own or in a summary."""
+        """Record a change soon, on its own or in a summary."""
         key = (change.unit, change.kind, change.series)
         burst = 1 if change.count else FEW if change.kind in ("bus", "worker") else BURST
         if self._budget.admits(key, change, self._monotonic(), burst=burst, count=change.count or 1):
             self._put(change)
 
     async def follow(self) -> None:
-        """Write what was noted into the events, in order, until cancelled."""
+        """Write the noted changes into the events, in order, until canceled."""
         fault = ""
         while True:
             self._note_due()
@@ -237,12 +237,12 @@ class ChangeRecorder:
             self._note_left_out(change.at)
 
     async def recorded(self) -> None:
-        """Wait until everything that was noted is in the events, also what was kept for a summary."""
+        """Wait until everything that was noted is in the events, summaries included."""
         self._note_due(everything=True)
         await self._queue.join()
 
     async def _write(self, change: LineEvent) -> str:
-        """Returns why it could not be written; empty when it is on disk."""
+        """Write a change; return why it could not be written, empty when it is on disk."""
         try:
             await self._events.record(
                 kind=change.kind,
@@ -270,14 +270,14 @@ class ChangeRecorder:
         self._queue.put_nowait(change)
 
     def _note_left_out(self, at: UnixTime) -> None:
-        """After a write that succeeded: what had no place until then, as one event."""
+        """Note, after a write that succeeded, how many changes were left out until then."""
         if self._left_out:
             what = Message.of("event_changes_left_out", n=self._left_out)
             self._left_out = 0
             self._queue.put_nowait(LineEvent("audit", None, at, what, "", ""))
 
 
-def _summed_up(summary: Summary[LineEvent]) -> LineEvent:
+def _summed_up(summary: Summary) -> LineEvent:
     if summary.last.count:
         return replace(summary.last, count=summary.count)
     if summary.count == 1:

@@ -1,11 +1,8 @@
-"""The facts by which conditions are judged: of a bus, of the link of a unit, and of its reading. Pure.
+"""Judges a line: the facts about units and buses, the causes of what is abnormal, and what a unit is shown
+with. Pure.
 
-Why a unit is not at speed or cannot be commanded, as a code with parameters. Pure: the time is passed in.
-
-The cause is the first broken rung of e-stop → run → mode → link → ramp: conditions that a unit needs to be at
-speed, each of which needs the one before.
-
-The abnormal conditions of the line, the worst first. Pure.
+The cause of a unit is the first broken rung of e-stop → run → mode → link → ramp: what a unit needs to be at
+speed, each rung of which needs the one before.
 """
 
 from __future__ import annotations
@@ -50,7 +47,7 @@ from bus.settings import wire_seconds
 
 
 def bus_facts(bus: BusLive, now: UnixTime) -> BusFacts:
-    """Of a bus."""
+    """Return the facts by which the conditions of a bus are judged."""
     patience_s = offline_after_s(scan_s_of(bus))
     lost = unread = 0
     for unit in bus.units.values():
@@ -71,7 +68,7 @@ def bus_facts(bus: BusLive, now: UnixTime) -> BusFacts:
 
 
 def any_responds(bus: BusLive, now: UnixTime) -> bool:
-    """Whether any unit of a bus responds; the first one that does is enough."""
+    """Return whether any unit of a bus responds."""
     patience_s = offline_after_s(scan_s_of(bus))
     return any(
         unit.reading is not None and lost_at(bus, unit, now, patience_s) is None
@@ -80,7 +77,7 @@ def any_responds(bus: BusLive, now: UnixTime) -> bool:
 
 
 def link_facts(bus: BusLive, unit: UnitLive, now: UnixTime, *, bus_is_readable: bool) -> LinkFacts:
-    """Of a unit."""
+    """Return the facts about the link of a unit."""
     found_at = lost_at(bus, unit, now, offline_after_s(scan_s_of(bus)))
     return LinkFacts(
         bus_is_readable=bus_is_readable,
@@ -91,7 +88,7 @@ def link_facts(bus: BusLive, unit: UnitLive, now: UnixTime, *, bus_is_readable: 
 
 
 def unit_facts(bus: BusLive, unit: UnitLive, reading: Reading, *, is_late: bool = False) -> UnitFacts:
-    """Of a unit by its newest reading."""
+    """Return the facts about a unit by its newest reading."""
     bits = bits_of(bus, reading)
     return UnitFacts(bits, unit.motion.state, reading.commanded, reading.actual, is_late)
 
@@ -101,11 +98,11 @@ def _has_reading_after(bus: BusLive, at: UnixTime) -> bool:
 
 
 Level = AlarmPriority | Literal[""]
-"""The priority of its conditions. Empty: not abnormal."""
+"""The priority of a cause; empty if it is not abnormal."""
 
 
 def _motion(bus: BusLive, unit: UnitLive, reading: Reading) -> dict[str, str]:
-    """How a unit moves that a broken rung holds back; nothing where that is not known or as commanded."""
+    """Return how a unit moves that a broken rung holds back; nothing if that is not known or as commanded."""
     state = unit.motion.state
     if is_driven(bits_of(bus, reading)):
         off_speed = "stopped" if reading.actual == 0 else "off_speed"
@@ -124,7 +121,7 @@ _NAMED = {"motion": _motion, "mode": _mode}
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """One cause. ``params``: of its text; ``why`` among them is itself a text."""
+    """One cause. ``params``: the parameters of its text; ``why`` among them is itself a text."""
 
     code: str
     level: Level
@@ -133,15 +130,16 @@ class Cause:
 
 
 def abnormal(code: str, onset: Onset | None = None, params: Mapping[str, Any] | None = None) -> Cause:
-    """A cause with the priority of its condition. Raises KeyError for a code without one."""
+    """Return a cause with the priority of its condition. Raises KeyError for a code without one."""
     return Cause(code, TILES[code].priority, onset, params or {})
 
 
 def unit_cause(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
-    """The first broken rung of a unit; None: at speed or at a commanded zero, and open to commands.
+    """Return the first broken rung of a unit; None if it is at speed or at a commanded zero, and open to
+    commands.
 
-    Of a unit that does not respond nothing is known but that. Where its bus is the cause, that is named, and
-    is abnormal only once, at the bus.
+    Nothing else is known about a unit that does not respond. If its bus is the cause, the unit names that
+    without a priority: it is abnormal once, at the bus.
     """
     link, reading = unit_link_now(bus, unit, now), unit.reading
     if link != "online" and (found := bus_cause(bus, now)) is not None:
@@ -150,7 +148,7 @@ def unit_cause(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
         return _never_read(bus, unit, now)
     if link == "offline":
         return abnormal("unit_offline", Onset(reading.at))
-    # One poll missed is shown, and is no cause yet.
+    # A single missed poll is shown, but is no cause yet.
     is_late = link == "stale" and now - reading.at > stale_after_s(scan_s_of(bus))
     facts = unit_facts(bus, unit, reading, is_late=is_late)
     for index, row in enumerate(BY_READING):
@@ -160,7 +158,7 @@ def unit_cause(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
 
 
 def _broken(index: int, facts: UnitFacts, bus: BusLive, unit: UnitLive, reading: Reading) -> Cause:
-    """The rung of a row of the ladder. It has the highest priority of what holds from there on."""
+    """Return the rung of a row of the ladder, with the highest priority of what holds from there on."""
     row = BY_READING[index]
     held = [each.priority for each in BY_READING[index:] if each.holds(facts)] if row.holds(facts) else []
     params = {key: text for name in row.names for key, text in _NAMED[name](bus, unit, reading).items()}
@@ -170,15 +168,15 @@ def _broken(index: int, facts: UnitFacts, bus: BusLive, unit: UnitLive, reading:
 
 
 def broken_rung(cause: Cause | None) -> str:
-    """The broken rung of a ``unit_cause`` with its priority, ``run high``; the rung alone where another
-    condition has the priority; empty where no rung is broken. What cannot be read breaks the rung link."""
+    """Return the broken rung of a ``unit_cause`` with its priority, ``run high``; the rung alone if another
+    condition has the priority; empty if no rung is broken. What cannot be read breaks the rung link."""
     if cause is None or cause.code == "ramping":
         return ""
     return f"{TILES[cause.code].rung or 'link'} {cause.level}".rstrip()
 
 
 def _since(unit: UnitLive, names: Sequence[str]) -> Onset | None:
-    return later(*(unit.onsets.of.get(name) for name in names))
+    return later(*(unit.onsets.since.get(name) for name in names))
 
 
 def _ramp(bus: BusLive, unit: UnitLive, reading: Reading) -> Cause:
@@ -194,7 +192,8 @@ def _ramp(bus: BusLive, unit: UnitLive, reading: Reading) -> Cause:
 
 
 def _never_read(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause:
-    """A unit without a response since the start has its time, then it is as lost as any other."""
+    """Return the cause of a unit that has not responded since the start: once its time is over, it counts as
+    lost."""
     is_overdue = now - bus.link_onset.at >= offline_after_s(scan_s_of(bus))
     if UNIT_UNKNOWN.holds(is_overdue):
         return abnormal("unit_unknown")
@@ -204,7 +203,7 @@ def _never_read(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause:
 
 
 def bus_cause(bus: BusLive, now: UnixTime) -> Cause | None:
-    """Why no unit of a bus can be read."""
+    """Return why no unit of a bus can be read; None if some can."""
     if bus.worker_lost is not None:
         return abnormal("worker_lost", bus.worker_lost)
     if bus.figures is not None and worker_timed_out(bus, now):
@@ -222,7 +221,8 @@ _BEFORE_ALL = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class UnitView:
-    """The presentation of a unit. ``cause``: what its first line names; None where there is nothing."""
+    """The presentation of a unit. ``cause``: what its first line names; ``blocked``: why commands are
+    blocked."""
 
     unit: UnitLive
     link: UnitLinkState
@@ -241,7 +241,8 @@ _COUNTED_AS = {
 
 
 def state_counts(views: Iterable[UnitView]) -> Counter[str]:
-    """How many units are in which state, and ``online``. A unit that does not respond is in no state."""
+    """Return how many units are in which state, and ``online``. A unit that does not respond is in no
+    state."""
     states = Counter([view.unit.motion.state for view in views if view.link == "online"])
     counts = Counter({"online": states.total()})
     for state, count in states.items():
@@ -258,10 +259,10 @@ def shown_cause(
     blocked: Message | None,
     drifted: str,
 ) -> Cause | None:
-    """What the first line of a unit names: the first broken rung, else what else is abnormal about it.
+    """Return what the first line of a unit names: the first broken rung, else what else is abnormal about it.
 
-    ``cause``: its ``unit_cause``; ``blocked``: why commands are blocked, None where they are not;
-    ``drifted``: in what it departs from its golden set, empty where in nothing.
+    ``cause``: its ``unit_cause``; ``blocked``: why commands are blocked, None if they are not; ``drifted``:
+    in what it departs from its golden set, empty if in nothing.
     """
     if cause is not None and cause.code in _BEFORE_ALL:
         return cause
@@ -271,8 +272,8 @@ def shown_cause(
 
 
 def _draw(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
-    """That the draw of a unit is out of its band, once it has been for as long as its alarm waits."""
-    onset = unit.onsets.of.get(DRAW_OUT_OF_BAND.code)
+    """Return that the draw of a unit is out of its band, once it has been for as long as its alarm waits."""
+    onset = unit.onsets.since.get(DRAW_OUT_OF_BAND.code)
     if onset is None or now - onset.at < DRAW_OUT_OF_BAND.tuning.on_delay_s:
         return None
     if not DRAW_OUT_OF_BAND.holds(draw_of(bus, unit, now)):
@@ -303,7 +304,7 @@ def _others(
 
 
 def all_offline(bus: BusLive, now: UnixTime) -> Cause | None:
-    """That no unit of a bus responds: one cause for all of them, since the last of them was lost."""
+    """Return that no unit of a bus responds: one cause for all of them, since the last of them was lost."""
     if any_responds(bus, now):
         return None
     facts = bus_facts(bus, now)

@@ -1,21 +1,8 @@
-"""How often open pages are updated: on every response, except in a flood of them or with very many pages.
-Pure but for the clock, which is passed in.
+"""Sends changes to every open page, in the turn of the event loop in which they are reported.
 
-Which units and traces the open pages show. Pure.
-
-Counted as pages come, go and turn: what a page costs depends on what it shows, not on how many there are.
-
-The open pages of one language: they get the same bytes in the same turn of the loop.
-
-Changes are held back, in a flood or among very many pages, once for all pages, and go together. The number is
-that of the last message sent. A page that opens in between gets a snapshot of that number: it
-is newer than the number, and the next message repeats some fields.
-
-Broadcasts changes to every connected browser, in the turn of the event loop in which they are reported.
-
-Nothing here batches or waits for a timer. A change is rendered once for each language in use, and
-:mod:`app.line.live.hub` sends it to the pages. Only age, which no worker reports, is checked
-once a second; the same tick is the heartbeat that every page draws.
+A change is rendered once for each language in use, and all pages of a language get the same bytes in the same
+turn. In a flood of changes, or with very many pages, changes are held back for a moment and go together. Age,
+which no worker reports, is checked once a second; the same tick is the heartbeat that every page draws.
 """
 
 from __future__ import annotations
@@ -50,18 +37,19 @@ from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
 
 FLOOD = 60
 WINDOW_S = 0.25
-"""More changed units than this within a window, which is more than six full wires bring: updates then go
-out once per window until it is quieter, as pages could not draw them all."""
+"""More changed units than this within a window, which is more than six full wires bring, are a flood: updates
+go out once per window until it is quieter, as pages could not draw them all."""
 
 FEW_PAGES = 40
 MAX_SENDS_S = 2000
-"""With many pages each gets at most its share of so many messages a second, to bound the server's
-load. 200 pages get ten updates a second, 40 and fewer one for each response."""
+"""Messages a second that many pages share, to bound the load of the server: 200 pages get ten updates a
+second each, 40 and fewer one for each response."""
 
 
 @dataclass(slots=True)
 class Flow:
-    """Counts recent changes, by a monotonic clock in seconds."""
+    """The rate at which open pages are updated: on every response, except in a flood or with very many
+    pages."""
 
     clock: MonotonicClock = monotonic_now
     _gap_s: float = 0.0
@@ -75,7 +63,7 @@ class Flow:
         self._gap_s = pages / MAX_SENDS_S if pages > FEW_PAGES else 0.0
 
     def came(self, units: int = 1) -> None:
-        """There is something new of so many units."""
+        """Note that something of so many units has changed."""
         now = self.clock()
         if now - self._began >= WINDOW_S:
             self._flooded = self._count > FLOOD and now - self._began < 2 * WINDOW_S
@@ -83,7 +71,7 @@ class Flow:
         self._count += units
 
     def pause_s(self) -> float:
-        """Seconds to wait before the next update: 0 except in a flood, or with very many pages."""
+        """Return the seconds to wait before the next update: 0 except in a flood, or with very many pages."""
         flooded = self._flooded or self._count > FLOOD
         gap_s = max(self._gap_s, WINDOW_S) if flooded else self._gap_s
         return max(0.0, self._sent_at + gap_s - self.clock())
@@ -93,27 +81,28 @@ class Flow:
 
 
 MAX_VIEWS = 64
-"""Sets of units that pages show at a time."""
+"""Sets of units that are kept for pages that show the same."""
 ShownUnits = frozenset[tuple[str, int]]
 """Units, each as bus and address."""
 
 
 class Watched:
-    """``units``: those that there are, by bus."""
+    """Which units and traces the open pages show. They are counted as pages come, go and turn, so a page
+    costs by what it shows, not by how many pages there are. ``units``: the configured ones, by bus."""
 
     def __init__(self, units: Mapping[str, Collection[int]]) -> None:
         self._by_key = {unit_key(bus, unit): (bus, unit) for bus, of_bus in units.items() for unit in of_bus}
         self._units: dict[str, Counter[int]] = {bus: Counter() for bus in units}
         self._traces: Counter[str] = Counter()
         self.known = lru_cache(MAX_VIEWS)(self._known)
-        """Returns the units of these keys that exist. One set for all pages that show the same: for a long
-        line it is fifty kilobytes."""
+        """Returns the units of these keys that exist, as one set for all pages that show the same: for a long
+        line a set is fifty kilobytes."""
 
     def _known(self, keys: tuple[str, ...]) -> ShownUnits:
         return frozenset(self._by_key[key] for key in keys if key in self._by_key)
 
     def turn(self, before: ShownUnits, after: ShownUnits, trace_before: str, trace_after: str) -> None:
-        """A page shows other units and follows another trace; all of them are known."""
+        """Note that a page shows other units and follows another trace; all of them exist."""
         for bus, unit in after - before:
             self._units[bus][unit] += 1
         for bus, unit in before - after:
@@ -122,25 +111,29 @@ class Watched:
         self._traces[trace_after] += 1
 
     def units(self, bus: str) -> list[int]:
-        """Those that some page shows."""
+        """Return the units of a bus that some page shows."""
         return sorted(unit for unit, pages in self._units[bus].items() if pages)
 
     def is_traced(self, bus: str) -> bool:
-        """Whether some page follows the frames of this bus."""
+        """Return whether some page follows the frames of this bus."""
         return self._traces[bus] > 0
 
 
 @dataclass(eq=False, slots=True)
 class Broadcast:
-    """Sends what changes to every open page of one language. ``clock`` returns Unix time in seconds;
-    ``page_digest`` identifies what a page is rendered with now."""
+    """The open pages of one language, and what was sent to them. ``clock`` returns Unix time in seconds;
+    ``page_digest`` identifies what a page is rendered with now.
+
+    ``number`` is that of the last message. A page that opens while changes are held back gets a snapshot of
+    that number, which is newer than it: the next message repeats some fields.
+    """
 
     screen: Screen
     clock: Clock
     page_digest: str = ""
     flow: Flow = field(default_factory=Flow)
     browsers: deque[Browser] = field(default_factory=deque)
-    """Each browser is the first in its turn: writing to all takes a while; none is always the last."""
+    """The open pages. They take turns in being first, as writing to all takes a while."""
     number: int = 0
     _held: Groups = field(default_factory=dict)
     _due: asyncio.TimerHandle | None = None
@@ -160,7 +153,7 @@ class Broadcast:
                 self._due = None
 
     def send_snapshot(self, browser: Browser) -> None:
-        """The snapshot, to a page that opened or missed a number."""
+        """Send everything to a page that opened or missed a number."""
         browser.send(
             {
                 "is": "snapshot",
@@ -202,16 +195,16 @@ log = structlog.get_logger()
 HEARTBEAT_S = 1.0
 MINUTE_S = 60.0
 ALARM_PAUSE_S = 0.05
-"""From an alarm to the pages: what a flood of them costs is bounded by it."""
+"""Delay from an alarm to the pages, which bounds the cost of a flood of alarms."""
 WATCH_UPDATES_A_SECOND = 5.0
 MAX_WATCH_BURST = 50
-"""To each worker, which units are watched."""
+"""How often a worker is told which of its units are watched."""
 Watcher = Callable[[list[int], bool], None]
 """Called with the units of a bus that someone has open, and whether someone follows its trace."""
 
 
 class Hub:
-    """Broadcasts changes to every open page. ``clock`` returns Unix time in seconds."""
+    """The open pages of all languages. ``clock`` returns Unix time in seconds."""
 
     def __init__(
         self,
@@ -229,7 +222,7 @@ class Hub:
         self._clock = clock
         self._monotonic = monotonic_now
         self._broadcasts: dict[str, Broadcast] = {}
-        """Broadcasts of every language requested so far; most are empty now."""
+        """The broadcast of every language requested so far; most are empty now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
         self.admission = Admission()
         self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
@@ -259,7 +252,7 @@ class Hub:
         return {name: roles[name] for name in sorted(roles)}
 
     def screen(self, language: str) -> Screen:
-        """The screen of a language, up to date."""
+        """Return the screen of a language, up to date."""
         broadcast = self._broadcasts.get(language)
         if broadcast is None:
             broadcast = self._broadcasts[language] = Broadcast(
@@ -267,8 +260,8 @@ class Hub:
             )
         screen = broadcast.screen
         if not broadcast.browsers:
-            # With a page open it follows every report: to render a long line for each that opens takes the
-            # event loop milliseconds, and some hundred may open at once.
+            # A screen with an open page is up to date. Rendering a long line takes milliseconds of the event
+            # loop, and some hundred pages may open at once.
             now = self._clock()
             screen.refresh(now)
             screen.put(LINE_GROUP, {"memory": self._sources.notice(screen.translator, now)})
@@ -283,7 +276,7 @@ class Hub:
         return Screen(self.live, translator, self._sources)
 
     def join(self, browser: Browser) -> None:
-        """A page opened: send a complete snapshot first, then diffs."""
+        """Add a page that opened: it gets a complete snapshot first, then diffs."""
         self.screen(browser.language)
         self._broadcasts[browser.language].join(browser)
         self._has_changed()
@@ -300,7 +293,7 @@ class Hub:
         self._publish_people()
 
     def send_snapshot(self, browser: Browser) -> None:
-        """Everything, to a page that opened or missed a number."""
+        """Send everything to a page that opened or missed a number."""
         self._broadcasts[browser.language].send_snapshot(browser)
 
     def follow(self, browser: Browser, keys: tuple[str, ...], trace: str, *, lines: bool = False) -> None:
@@ -318,7 +311,7 @@ class Hub:
         self._notify_watchers()
 
     def refresh_unit(self, bus: str, unit: int) -> None:
-        """Something that no worker reports has changed, for example a block."""
+        """Show what no worker reports about a unit and has changed, for example a block."""
         self._render(bus, [unit], include_bus=False)
 
     def show_alarm(self, bus: str | None, unit: int | None) -> None:
@@ -346,8 +339,8 @@ class Hub:
             broadcast.publish(self._control(broadcast.screen))
 
     def _control(self, screen: Screen) -> Groups:
-        """Who controls each bus, until when, and who requests it: ``control`` is another text whenever the
-        head of a page is."""
+        """Put who controls each bus, until when, and who requests it. ``control`` is another text whenever
+        the head of a page is."""
         controls = [self._sources.guards[bus].bus_control() for bus in self.live.buses]
         held_by = {each.bus: each.holder for each in controls}
         keys = "\n\n".join(each.key for each in controls)
@@ -364,19 +357,19 @@ class Hub:
             self.tick()
 
     def tick(self) -> None:
-        """One heartbeat: what has aged, and the server's time."""
+        """Send one heartbeat: the time of the server, and what has aged."""
         now = self._clock()
         if self._watched_is_due:
             self._notify_watchers()
         minute = float(now) // MINUTE_S
         if minute != self._minute:
-            # The time that an alarm shows gets its date as the day ends.
+            # The time of an alarm is shown with its date once the day has ended.
             self._minute = minute
             self._show_alarms()
         for broadcast in self._with_pages():
             screen = broadcast.screen
             faults = screen.put(LINE_GROUP, {"memory": self._sources.notice(screen.translator, now)})
-            groups = merge_groups(screen.settle(now), faults, self._control(screen))
+            groups = merge_groups(screen.render_aged(now), faults, self._control(screen))
             broadcast.publish(groups, always=True)
             self._show_lines(broadcast)
 
@@ -407,10 +400,10 @@ class Hub:
     def _render(self, bus: str, units: list[int], *, include_bus: bool) -> None:
         now = self._clock()
         for broadcast in self._with_pages():
-            broadcast.publish(broadcast.screen.see(bus, units, now, include_bus=include_bus))
+            broadcast.publish(broadcast.screen.render(bus, units, now, include_bus=include_bus))
 
     def _pass_on(self, bus: str, update: Update) -> None:
-        """Data that is not part of the live state."""
+        """Show data that is not part of the live state."""
         match update:
             case Progress():
                 self._show_progress(bus, update)
@@ -420,7 +413,8 @@ class Hub:
                 self._show_health(bus, update)
 
     def _show_progress(self, bus: str, progress: Progress) -> None:
-        """Progress of a scan goes to every page of the bus; it has no review whose page knows its id."""
+        """Show the progress of a command or scan. Only the page of its review knows a command's id; the
+        progress of a scan goes to every page of its bus."""
         group, field = f"command/{key_of(progress.id)}", "stage"
         if progress.stage == "searching":
             group, field = bus, "searched"
@@ -452,7 +446,7 @@ class Hub:
     # --- to the browsers ----------------------------------------------------------------------------
 
     def _with_pages(self) -> list[Broadcast]:
-        """The languages with an open page."""
+        """Return the languages with an open page."""
         return [broadcast for broadcast in self._broadcasts.values() if broadcast.browsers]
 
     def _browsers(self) -> list[Browser]:
@@ -466,7 +460,8 @@ class Hub:
             broadcast.publish(screen.put("people", {"here": here, "count": str(len(people))}))
 
     def _notify_watchers(self) -> None:
-        """At once, but not as often as pages can turn; the next tick makes up for it."""
+        """Tell the workers which units are watched, at once, but not as often as pages can turn; the next
+        tick makes up for it."""
         self._watched_is_due = not self._watch_limit.take(self._monotonic())
         if self._watched_is_due:
             return

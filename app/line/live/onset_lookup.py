@@ -75,7 +75,7 @@ class OnsetLookup:
             (bus.settings.name, number, name, onset)
             for bus in self._live.buses.values()
             for number, unit in bus.units.items()
-            for name, onset in unit.onsets.of.items()
+            for name, onset in unit.onsets.since.items()
             if name in STATUS and not onset.exact
         ]
 

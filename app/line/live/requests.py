@@ -1,16 +1,5 @@
-"""What a request names, or the refusal in words.
-
-How many pages or streams one account, or one address, may have open at a time.
-
-Beyond the limit the newest is refused; to close an older page in its place would
-make two browsers that reconnect by themselves push each other out without end.
-
-Ids of commands between app and bus worker.
-
-The worker carries out an id once and repeats its result when it gets the id again. Therefore no id is used
-twice: the id given by a sender, which another sender or a later day may use as well, is only a part of it, by
-which a page finds the progress of its command.
-"""
+"""What requests about the line share: the named bus or unit, the number of open pages, the ids of
+commands."""
 
 from __future__ import annotations
 
@@ -22,7 +11,7 @@ from app.line.live.bus_live import BusLive, LiveState, UnitLive
 
 
 def bus_or_404(live: LiveState, bus: str) -> BusLive:
-    """A configured bus. Raises Problem 404."""
+    """Return a configured bus. Raises Problem 404."""
     found = live.buses.get(bus)
     if found is None:
         raise unknown_bus(bus, live.buses)
@@ -30,12 +19,12 @@ def bus_or_404(live: LiveState, bus: str) -> BusLive:
 
 
 def unit_or_404(live: LiveState, bus: str, unit: int) -> UnitLive:
-    """A configured unit. Raises Problem 404."""
+    """Return a configured unit. Raises Problem 404."""
     return unit_of_bus_or_404(bus_or_404(live, bus), unit)
 
 
 def unit_of_bus_or_404(bus: BusLive, unit: int) -> UnitLive:
-    """A configured unit of this bus. Raises Problem 404."""
+    """Return a configured unit of this bus. Raises Problem 404."""
     found = bus.units.get(unit)
     if found is None:
         raise unknown_unit(bus.settings.name, unit)
@@ -43,13 +32,17 @@ def unit_of_bus_or_404(bus: BusLive, unit: int) -> UnitLive:
 
 
 MAX_OF_ACCOUNT = 256
-"""A browser opens no more WebSockets to one server than 255."""
+"""Above the 255 WebSockets that a browser opens to one server."""
 MAX_OF_ADDRESS = 512
-"""The browsers of a plant may share one address."""
+"""Higher, as the browsers of a plant may share one address."""
 
 
 class Admission:
-    """Those that are open, counted."""
+    """The number of pages, or streams, that one account and one address have open.
+
+    Beyond the limit the newest is refused. To close an older one in its place would make two browsers that
+    reconnect by themselves push each other out without end.
+    """
 
     def __init__(self, of_account: int = MAX_OF_ACCOUNT, of_address: int = MAX_OF_ADDRESS) -> None:
         self._of_account = of_account
@@ -58,7 +51,8 @@ class Admission:
         self._by_address: Counter[str] = Counter()
 
     def enter(self, account: str, address: str) -> bool:
-        """Count one more, unless it is one too many. ``address``: as `source_of` names it."""
+        """Count one more and return True, unless there would be too many. ``address``: as `source_of` names
+        it."""
         if self._by_account[account] >= self._of_account or self._by_address[address] >= self._of_address:
             return False
         self._by_account[account] += 1
@@ -66,7 +60,7 @@ class Admission:
         return True
 
     def leave(self, account: str, address: str) -> None:
-        """One less of those that have entered."""
+        """Count one less."""
         for counter, key in ((self._by_account, account), (self._by_address, address)):
             counter[key] -= 1
             if not counter[key]:
@@ -77,12 +71,16 @@ _MARK = "#"
 
 
 def new_command_id(key: str | None = None) -> str:
-    """An id that no other command has or will have; ``key``: what its sender calls it."""
+    """Return an id that no other command has or will have; ``key``: what its sender calls it.
+
+    A worker carries out an id once and repeats its result when it gets the id again. The key alone is no id:
+    another sender, or a later day, may use it again. By the key a page finds the progress of its command.
+    """
     unique = uuid.uuid4().hex
     return unique if key is None else f"{key}{_MARK}{unique}"
 
 
 def key_of(command_id: str) -> str:
-    """What its sender calls a command; its id where the sender gave it no key."""
+    """Return what the sender of a command calls it; its id if the sender gave it no key."""
     key, _, unique = command_id.rpartition(_MARK)
     return key or unique

@@ -1,11 +1,8 @@
-"""The line on one page: the verdict, the strip of abnormal units, the counts. Pure.
+"""What the pages in one language show: the fields of each unit, of each bus and of the line, and their
+changes.
 
-The line on the browsers' pages in one language: the fields, and which of them changed.
-
-Between the live state and the sockets: no I/O and no clock. Order of use: :meth:`Screen.see` for what
-a worker reported, :meth:`Screen.settle` once a second for what only time changes; both give the
-fields that are different now.
-"""
+It stands between the live state and the sockets and does no I/O; the time is passed in. `Screen.render` is
+for what a worker reported, `Screen.render_aged` once a second for what only time changes."""
 
 from __future__ import annotations
 
@@ -51,10 +48,10 @@ from bus.messages import Message, listed
 
 LEVELS: tuple[Level, ...] = (*PRIORITIES, "")
 MAX_ENTRIES = 30
-"""In the strip; with more abnormal ones, the verdict has their number."""
+"""Items in the strip; the verdict has the number of all."""
 NO_BREAK = "\u00a0"
 Views = Mapping[str, UnitView]
-"""How each unit looks, by the group of its fields."""
+"""The presentation of each unit, by the group of its fields."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,18 +63,18 @@ class AbnormalItem:
     level: Level
     text: str
     since: str
-    """``since 05:20``; empty where that is not known."""
+    """``since 05:20``; empty if that is not known."""
     line: str
-    """Both in one."""
+    """Text and time in one."""
 
     @property
     def href(self) -> str:
-        """The page of its unit or bus."""
+        """The page of the unit or bus."""
         return f"/units/{self.key}" if "/" in self.key else f"/bus/{self.key}"
 
 
 class NamedCause(NamedTuple):
-    """A cause that is abnormal, with the group and the name of its unit or bus; it has no texts yet."""
+    """An abnormal cause, with the group and the name of its unit or bus."""
 
     key: str
     name: str
@@ -85,7 +82,7 @@ class NamedCause(NamedTuple):
 
 
 def abnormal_of(buses: Mapping[str, BusLive], views: Views, now: UnixTime) -> list[NamedCause]:
-    """Everything abnormal, the worst first, in floor order; one cause is named once."""
+    """Return everything abnormal, the worst first, in floor order; one cause is named once."""
     found: list[NamedCause] = []
     for name, bus in buses.items():
         cause = bus_cause(bus, now) or all_offline(bus, now)
@@ -101,7 +98,7 @@ def abnormal_of(buses: Mapping[str, BusLive], views: Views, now: UnixTime) -> li
 
 
 def entries_of(found: Sequence[NamedCause], translator: Translator, now: UnixTime) -> list[AbnormalItem]:
-    """The worst of what was found, for the verdict, and those that the strip has room for: no page
+    """Return the worst of what was found, for the verdict, and those that the strip has room for. No page
     shows the texts of the others."""
     return [
         AbnormalItem(key, name, cause.level, *cause_texts(cause, translator, now))
@@ -110,7 +107,7 @@ def entries_of(found: Sequence[NamedCause], translator: Translator, now: UnixTim
 
 
 def strip_of(entries: list[AbnormalItem]) -> list[AbnormalItem]:
-    """The items beside the verdict, which names the worst."""
+    """Return the items beside the verdict, which names the worst."""
     return entries[1:]
 
 
@@ -122,8 +119,8 @@ def line_fields(
     translator: Translator,
     now: UnixTime,
 ) -> Fields:
-    """The fields of the line; ``entries``: of what was ``found``. The verdict is the worst cause, after the
-    name of its unit: ``cause`` after ``name``."""
+    """Return the fields of the line. ``entries``: the items of what was ``found``. The verdict is the worst
+    cause (``cause``) after the name of its unit (``name``)."""
     counts = state_counts(views.values())
     worst = entries[0] if entries else None
     name, cause = (
@@ -148,7 +145,7 @@ def line_fields(
 
 
 def all_well(units: int, counts: Counter[str]) -> Message:
-    """The verdict while nothing is abnormal."""
+    """Return the verdict while nothing is abnormal."""
     if units == 0:
         return Message("line_no_units")
     if counts["at_zero"] == units:
@@ -161,8 +158,8 @@ def all_well(units: int, counts: Counter[str]) -> Message:
 
 
 def holders(held_by: Mapping[str, str], translator: Translator) -> str:
-    """Who holds control of which bus; ``held_by`` has an empty name for a bus that is free. For
-    a single bus only the name, and an empty text where it is free. Breaks between two buses."""
+    """Return who holds control of which bus: for a single bus only the name, and an empty text if it is free.
+    ``held_by``: the name by bus, empty for a bus that is free. Lines break between two buses."""
     held = {bus: holder for bus, holder in held_by.items() if holder}
     if not held:
         return ""
@@ -178,7 +175,7 @@ def holders(held_by: Mapping[str, str], translator: Translator) -> str:
 
 
 def _named(found: Sequence[NamedCause], views: Views, translator: Translator, now: UnixTime) -> str:
-    """What the pages without the strip name beside the verdict: each bus that is abnormal, each block."""
+    """Return what pages without the strip name beside the verdict: each abnormal bus, each block."""
     worst = found[0].key if found else ""
     buses = [
         f"{translator.isolated(name)}: {cause_texts(cause, translator, now).line}"
@@ -194,7 +191,7 @@ def _named(found: Sequence[NamedCause], views: Views, translator: Translator, no
 
 
 def _figures(buses: Mapping[str, BusLive], translator: Translator, now: UnixTime) -> Fields:
-    """The slowest scan and the fullest wire of all buses."""
+    """Return the slowest scan and the fullest wire of all buses."""
     known = [figures for bus in buses.values() if (figures := figures_now(bus, now)) is not None]
     if not known:
         return {"scan": UNKNOWN, "wire": UNKNOWN}
@@ -206,12 +203,12 @@ def _figures(buses: Mapping[str, BusLive], translator: Translator, now: UnixTime
 
 
 LINE_GROUP = "line_summary"
-"""The group of the totals: a name that no bus can have (a slug holds no underscore)."""
+"""The group of the totals: a name that no bus can have, as a slug has no underscore."""
 ALARM_GROUP = "alarms_present"
 _DECIDES = {"link", "state", "level", "cause"}
-"""A change of these in a unit may change the strip and the totals of the line."""
+"""Fields of a unit whose change may change the strip and the totals of the line."""
 MAX_DEPARTED = 3
-"""Named one by one; more are a number, and the page of recipes has them all."""
+"""Units that differ from a recipe and are named; of more there is a number, and the page of recipes."""
 
 
 @dataclass(slots=True)
@@ -223,10 +220,10 @@ class Screen:
     sources: Sources
     shown: Groups = field(default_factory=dict)
     entries: list[AbnormalItem] = field(default_factory=list)
-    """The worst of what is abnormal now, and those of the strip."""
+    """The worst of what is abnormal, and the items of the strip."""
     _views: dict[str, UnitView] = field(default_factory=dict)
 
-    def see(self, bus_name: str, units: Iterable[int], now: UnixTime, *, include_bus: bool) -> Groups:
+    def render(self, bus_name: str, units: Iterable[int], now: UnixTime, *, include_bus: bool) -> Groups:
         """Render the units of a report; return the changed fields."""
         bus = self.live.buses[bus_name]
         changed: Groups = {}
@@ -239,7 +236,7 @@ class Screen:
             changed |= self.put(LINE_GROUP, self._line(now))
         return changed
 
-    def settle(self, now: UnixTime) -> Groups:
+    def render_aged(self, now: UnixTime) -> Groups:
         """Render everything whose quality has changed by time alone."""
         changed: Groups = {}
         for name, bus in self.live.buses.items():
@@ -248,22 +245,22 @@ class Screen:
                 link = unit_link_now(bus, unit, now)
                 if link == "stale" or self.shown.get(unit_key(name, number), {}).get("link") != link:
                     aged.append(number)
-            merge_groups(changed, self.see(name, aged, now, include_bus=True))
+            merge_groups(changed, self.render(name, aged, now, include_bus=True))
         return changed
 
     def refresh(self, now: UnixTime) -> Groups:
-        """Render everything; a server without a bus has its totals too."""
+        """Render everything. A server without a bus has totals too."""
         buses = self.live.buses.items()
         if not buses:
             return self.put(LINE_GROUP, self._line(now))
-        return merge_groups({}, *(self.see(name, bus.units, now, include_bus=True) for name, bus in buses))
+        return merge_groups({}, *(self.render(name, bus.units, now, include_bus=True) for name, bus in buses))
 
     def put(self, group: str, fields: Fields) -> Groups:
-        """Set fields that belong to no unit and no bus; return those that changed."""
+        """Set fields of a group; return those that changed."""
         return put_fields(self.shown, group, fields)
 
     def flat(self) -> FlatFields:
-        """Everything shown, by ``group.field``, for the first paint of a page."""
+        """Return everything shown, by ``group.field``, for the first paint of a page."""
         return FlatFields(self.shown)
 
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: UnixTime) -> Fields:
@@ -304,8 +301,6 @@ class Screen:
 
     def _line(self, now: UnixTime) -> Fields:
         buses, views = self.live.buses, self._views
-        if len(buses) < len(self.live.buses):
-            views = {key: view for key, view in views.items() if key.partition("/")[0] in buses}
         found = abnormal_of(buses, views, now)
         self.entries = entries_of(found, self.translator, now)
         return line_fields(buses, views, found, self.entries, self.translator, now)

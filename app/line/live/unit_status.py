@@ -1,13 +1,8 @@
-"""What the status bits of a unit mean, in one place. Pure: a reading in, the conditions that hold out.
+"""What follows from the readings of a unit: its mode, how it moves, and since when its conditions hold. Pure.
 
-Whether a unit is at speed, ramping, or neither. Pure: readings in, state out.
-
-The unit itself reports only *at speed* (ST2 bit 7). The rest follows from the readings: a unit whose distance
-from its target shrinks is ramping; one whose distance has not shrunk for a while is off speed.
-Without run, or with an emergency stop active, its target is standstill, whatever is commanded.
-
-Since when a condition holds. Pure: the times of readings in, Unix time in seconds.
-"""
+A unit itself reports only *at speed* (ST2 bit 7). A unit whose distance from its target shrinks is ramping;
+one whose distance has not shrunk for a while is off speed. Without run, or with an emergency stop active, its
+target is standstill, whatever is commanded."""
 
 from __future__ import annotations
 
@@ -30,17 +25,17 @@ _TURNING = frozenset(("turning",))
 
 
 def bits_of(bus: BusValues, reading: Reading) -> StatusBits:
-    """The bits of a reading in the dialect of its bus."""
+    """Return the status bits of a reading in the dialect of its bus."""
     return status_bits(reading.outputs, reading.inputs, bus.settings.estop_healthy)
 
 
 def is_driven(bits: StatusBits) -> bool:
-    """Whether the drive may move its motor: run input on and no emergency stop."""
+    """Return whether the drive may move its motor: run input on and no emergency stop."""
     return bits.run and not bits.estop_active
 
 
 def mode_of(unit: UnitValues, bits: StatusBits) -> str:
-    """``remote`` is from the unit (ST2); LOCAL and KEYLOCK are distinguished by #19."""
+    """Return the mode: ``remote`` by ST2, else ``keylock`` or ``local`` by #19."""
     if bits.remote:
         return "remote"
     return "keylock" if unit.parameter_raw(CONTROL_MODE) == KEYLOCK else "local"
@@ -48,12 +43,12 @@ def mode_of(unit: UnitValues, bits: StatusBits) -> str:
 
 @lru_cache(maxsize=4096)
 def status_conditions(bits: StatusBits) -> frozenset[str]:
-    """The codes of the conditions whose bit is set so."""
+    """Return the codes of the conditions that these bits show."""
     return frozenset(code for code, holds in STATUS.items() if holds(bits))
 
 
 def conditions_of(bits: StatusBits, reading: Reading) -> frozenset[str]:
-    """The same by a reading, and ``turning`` while its actual speed is not 0."""
+    """Return `status_conditions`, with ``turning`` while the actual speed of the reading is not 0."""
     found = status_conditions(bits)
     return found | _TURNING if reading.actual else found
 
@@ -70,16 +65,16 @@ PATIENCE_SCANS = 3
 
 @dataclass(slots=True)
 class Motion:
-    """The way of one unit towards its commanded speed, or to a standstill."""
+    """The movement of one unit towards its commanded speed, or to a standstill."""
 
     state: MotionState = ""
     _goal: int | None = None
     _least_error: int = 0
     _nearer_at: UnixTime = UnixTime(0.0)
 
-    def see(self, reading: Reading, bits: StatusBits, *, scan_s: float, ratio: bool = False) -> MotionState:
-        """The state after this reading. ``ratio``: its speeds are ratios to a master, which do not show
-        whether the motor turns."""
+    def note(self, reading: Reading, bits: StatusBits, *, scan_s: float, ratio: bool = False) -> MotionState:
+        """Return the state after this reading. ``ratio``: its speeds are ratios to a master, which do not
+        show whether the motor turns."""
         if reading.commanded is None or reading.actual is None:
             self.state, self._goal = "", None
             return self.state
@@ -127,38 +122,40 @@ class Onset:
 
 
 WordSpan = tuple[UnixTime, UnixTime, int]
-"""From when until when the status bits of a unit were the same, and those: ST2 * 256 + ST1."""
+"""From when until when the status bits of a unit were the same, and these bits as ST2 * 256 + ST1."""
 
 
 @dataclass(slots=True)
 class Onsets:
-    """The conditions of one unit that hold now, each with its onset."""
+    """The conditions of one unit that hold now, and since when."""
 
-    of: dict[str, Onset] = field(default_factory=dict)
+    since: dict[str, Onset] = field(default_factory=dict)
+    """By the code of each condition that holds, its onset."""
     _held: frozenset[str] = _NOTHING
     _seen_at: UnixTime = UnixTime(-math.inf)
 
-    def see(self, at: UnixTime, holding: frozenset[str], change_seen_s: float) -> None:
-        """Take in a reading. ``change_seen_s``: a change between two readings that are at most so far apart,
-        the time after which a unit counts as offline, has its time from the later one; else it has none."""
+    def note(self, at: UnixTime, holding: frozenset[str], change_seen_s: float) -> None:
+        """Note which conditions hold by a reading. A change between two readings that are at most
+        ``change_seen_s`` apart, the time after which a unit counts as offline, began with the later one; else
+        its onset is not exact."""
         gap, self._seen_at = at - self._seen_at, at
         if holding == self._held and gap <= UNSEEN_S:
             return
         held = self._held if gap <= UNSEEN_S else _NOTHING
         begun = dict.fromkeys(holding - held, Onset(at, exact=gap <= change_seen_s))
-        self.of = {name: onset for name, onset in self.of.items() if name in holding & held} | begun
+        self.since = {name: onset for name, onset in self.since.items() if name in holding & held} | begun
         self._held = holding
 
     def correct(self, name: str, seen: Onset, found: Onset) -> bool:
-        """Replace the onset ``seen`` by what was ``found`` elsewhere; gives whether that is news."""
-        if self.of.get(name) != seen or seen == found:
+        """Replace the onset ``seen`` by what was ``found`` elsewhere; return whether that is news."""
+        if self.since.get(name) != seen or seen == found:
             return False
-        self.of[name] = found
+        self.since[name] = found
         return True
 
 
 def later(*onsets: Onset | None) -> Onset | None:
-    """When all of several conditions held first; None when one of them does not hold."""
+    """Return when all of several conditions first held together; None if one of them does not hold."""
     known = [onset for onset in onsets if onset is not None]
     return max(known, key=lambda onset: onset.at) if len(known) == len(onsets) else None
 
@@ -166,8 +163,8 @@ def later(*onsets: Onset | None) -> Onset | None:
 def onset_in(
     spans: Sequence[WordSpan], holds: Callable[[int], bool], seen: Onset, change_seen_s: float
 ) -> tuple[Onset, bool]:
-    """The onset of a condition that was first ``seen`` then, by the status bits before, in order of time.
-    Second: whether the spans reach back to where it began."""
+    """Return the onset of a condition that was first ``seen`` then, by the status bits before in order of
+    time, and whether these reach back to where it began."""
     began = seen.at
     for at, until, word in reversed([span for span in spans if span[0] < seen.at]):
         gap = began - until

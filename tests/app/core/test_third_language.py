@@ -55,7 +55,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 async def french(house: House) -> httpx.AsyncClient:
     bus = house.services[LiveState].buses["dry-end"]
-    bus.take_snapshot(snapshot())
+    bus.connect_worker(snapshot())
     lowest = [ParameterValue(unit=1, number=n, at=1.7e9, raw=p.minimum) for n, p in PARAMETERS.items()]
     bus.apply([each for each in lowest if each.number % 2])
     client = await house.signed_in(Role.ADMIN)

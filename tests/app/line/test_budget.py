@@ -15,15 +15,15 @@ from app.line.live.change_recorder import (
 KEY = ("run", 1)
 
 
-def spent(now: float = 0.0) -> EventBudget[int]:
+def spent(now: float = 0.0) -> EventBudget:
     """A series that has had its share."""
-    budget = EventBudget[int]()
+    budget = EventBudget()
     assert all(budget.admits(KEY, number, now) for number in range(BURST))
     return budget
 
 
 def test_few_events_are_recorded_one_by_one() -> None:
-    budget = EventBudget[int]()
+    budget = EventBudget()
     admitted = [budget.admits(KEY, hour, 3600.0 * hour) for hour in range(100)]
     assert all(admitted)
     assert budget.due(1e9) == []
@@ -68,7 +68,7 @@ def test_nothing_is_lost_when_the_server_ends() -> None:
 
 
 def test_a_series_that_is_over_takes_no_memory() -> None:
-    budget = EventBudget[int]()
+    budget = EventBudget()
     for number in range(100):
         budget.admits(number, 0, 0.0)
     budget.due(2 * FORGIVEN_EVERY_S)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.live.change_recorder import Changes, LineEvent
+from app.line.live.change_recorder import ChangeDetector, LineEvent
 from bus.contract import BusFigures, BusLink, UnitLink, Update
 from bus.messages import Message, term
 from tests.app.stage import HEALTHY, REMOTE, bus_settings, reading
@@ -12,10 +12,10 @@ from tests.app.stage import HEALTHY, REMOTE, bus_settings, reading
 
 def seen(*updates: Update, **settings: object) -> list[tuple[str, int | None, str, str]]:
     """Kind, unit, old and new of every change."""
-    changes = Changes(bus_settings(**settings))
+    changes = ChangeDetector(bus_settings(**settings))
     found: list[LineEvent] = []
     for update in updates:
-        found += changes.see(update)
+        found += changes.detect(update)
     return [(change.kind, change.unit, str(change.old), str(change.new)) for change in found]
 
 
@@ -66,8 +66,8 @@ def test_what_another_program_does_to_the_port_is_one_event() -> None:
     other = Message.of("diagnosis_port_changed", changed=["1200 baud"])
     echo = Message("diagnosis_echo")
     updates = (figures(echo), figures(changed, echo), figures(changed), figures(other, changed), figures())
-    changes = Changes(bus_settings())
-    found = [str(event.what) for update in updates for event in changes.see(update)]
+    changes = ChangeDetector(bus_settings())
+    found = [str(event.what) for update in updates for event in changes.detect(update)]
     assert found == [
         "Another program changed the settings of the port: echo. They were put back.",
         "Another program changed the settings of the port: 1200 baud. They were put back.",

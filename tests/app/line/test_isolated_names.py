@@ -52,7 +52,7 @@ def mixed(page: str) -> Iterator[str]:
 
 async def blocked(house: House) -> httpx.AsyncClient:
     """A browser, while the commands to a unit are blocked for a reason of such letters."""
-    house.services[LiveState].buses["dry-end"].take_snapshot(snapshot())
+    house.services[LiveState].buses["dry-end"].connect_worker(snapshot())
     client = await house.signed_in(Role.ADMIN)
     client.headers["Accept"] = "text/html"
     body = {"reason": REASON}

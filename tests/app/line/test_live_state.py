@@ -59,13 +59,13 @@ def test_a_unit_that_is_not_configured_is_passed_over(live: LiveState) -> None:
 def test_a_snapshot_is_the_same_as_its_updates(live: LiveState) -> None:
     present = snapshot()
     other = LiveState([bus_settings()], 100.0)
-    live.buses["dry-end"].take_snapshot(present)
+    live.buses["dry-end"].connect_worker(present)
     other.buses["dry-end"].apply(updates_of(present))
     assert live.buses["dry-end"].units == other.buses["dry-end"].units
 
 
 def test_a_lost_worker_leaves_the_readings_and_takes_the_trust(live: LiveState) -> None:
-    live.buses["dry-end"].take_snapshot(snapshot())
+    live.buses["dry-end"].connect_worker(snapshot())
     live.buses["dry-end"].apply([UnitLink(unit=16, at=1.0, link="offline")])
     live.buses["dry-end"].lose_worker(9.0)
     bus = live.buses["dry-end"]

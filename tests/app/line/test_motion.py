@@ -19,7 +19,7 @@ def states(
     for at, commanded, actual, at_speed in seen:
         outputs = REMOTE | (AT_SPEED if at_speed else 0)
         reading = Reading(1, at, commanded, actual, analog=0, outputs=outputs, inputs=inputs)
-        found.append(motion.see(reading, status_bits(outputs, inputs), scan_s=scan_s, ratio=ratio))
+        found.append(motion.note(reading, status_bits(outputs, inputs), scan_s=scan_s, ratio=ratio))
     return found
 
 

@@ -18,8 +18,8 @@ def off(word: int) -> bool:
 def after(*readings: tuple[float, set[str]]) -> dict[str, Onset]:
     onsets = Onsets()
     for at, holding in readings:
-        onsets.see(at, frozenset(holding), SEEN)  # type: ignore[arg-type]
-    return dict(onsets.of)
+        onsets.note(at, frozenset(holding), SEEN)  # type: ignore[arg-type]
+    return dict(onsets.since)
 
 
 def test_a_change_that_was_seen_is_exact() -> None:
@@ -91,8 +91,8 @@ def test_two_conditions_hold_together_since_the_later_of_them() -> None:
 
 def test_an_onset_that_has_passed_is_not_corrected() -> None:
     onsets = Onsets()
-    onsets.see(10.0, frozenset({"run_off"}), SEEN)
-    seen = onsets.of["run_off"]
+    onsets.note(10.0, frozenset({"run_off"}), SEEN)
+    seen = onsets.since["run_off"]
     assert onsets.correct("run_off", seen, Onset(5.0))
-    assert onsets.of["run_off"] == Onset(5.0)
+    assert onsets.since["run_off"] == Onset(5.0)
     assert not onsets.correct("run_off", seen, Onset(4.0))

@@ -55,7 +55,7 @@ class Scene:
     async def look(self, after_s: float) -> Onset:
         self.now = SEEN_AT + after_s
         await self.lookup.look()
-        return self.live.buses["dry-end"].units[1].onsets.of["run_off"]
+        return self.live.buses["dry-end"].units[1].onsets.since["run_off"]
 
 
 CHANGED_AT = SEEN_AT - 3 * HOUR_S
@@ -150,7 +150,7 @@ async def test_after_a_restart_the_api_has_the_true_onset(tmp_path: Path) -> Non
         house.services.buses["dry-end"][Pipeline].snapshot(snapshot(RUN_OFF, time.time()))
         first = await cause_of(house, token)
         onsets = house.services[LiveState].buses["dry-end"].units[1].onsets
-        await until(lambda: onsets.of["run_off"].exact, "the time of the change")
+        await until(lambda: onsets.since["run_off"].exact, "the time of the change")
         found = await cause_of(house, token)
     assert (first["code"], first["since_exact"]) == ("run_off", False)
     assert first["detail"].startswith("Stopped: run input off since at least ")

@@ -39,7 +39,7 @@ def test_units_and_buses_read_and_unread() -> None:
             TypeAdapter(UnitShown).validate_python(unit)
             assert unit.keys() == UnitShown.__annotations__.keys()
             assert unit["cause"].keys() == CauseShown.__annotations__.keys()
-        live.buses["dry-end"].take_snapshot(snapshot())
+        live.buses["dry-end"].connect_worker(snapshot())
     for number in PARAMETERS:
         row = parameter_json(live.buses["dry-end"].units[1], number)
         TypeAdapter(ParameterShown).validate_python(row)

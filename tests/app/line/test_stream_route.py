@@ -26,7 +26,7 @@ from tests.app.stage import snapshot
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with complete_app(tmp_path) as house:
-        house.services[LiveState].buses["dry-end"].take_snapshot(snapshot())
+        house.services[LiveState].buses["dry-end"].connect_worker(snapshot())
         yield house
 
 

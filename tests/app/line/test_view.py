@@ -26,7 +26,7 @@ NULL_BEFORE_READ = CONTRACT_UNIT - {"id", "name", "link"}
 def live_with(**settings: Any) -> LiveState:
     """Return the state of three units that responded."""
     live = LiveState([bus_settings(**settings)], time.time())
-    live.buses["dry-end"].take_snapshot(snapshot())
+    live.buses["dry-end"].connect_worker(snapshot())
     return live
 
 
