@@ -20,7 +20,7 @@ from app.core.web.assets import templates_dir
 from app.engineering.sets.model import SetOrigin
 from app.engineering.sets.restore_plan import RestoreState
 from app.line.commands.catalogue import BAUD_DANGER
-from app.line.commands.service.command_request import CommandOrigin
+from app.line.commands.record import CommandOrigin
 from app.line.history.series.values import VALUES
 from app.line.live.fields import STAGE_WORDS, STATE_WORDS, STOPPED_WITH_RUN, TURNING
 from app.people.audit.entry import EventKind

@@ -241,10 +241,10 @@ async def test_a_write_requires_its_role_its_key_and_its_turn_once(tmp_path: Pat
         await connected(house)
         await app_calls_of_a_click(house, calls)
     required_once = [
-        "app.line.commands.service.command_service.CommandService.look_up",
-        "app.line.commands.service.record.CommandRecord.earlier",
-        "app.line.commands.service.writer._Writes.grant",
-        "app.line.commands.service.command_service.CommandService.reserve",
+        "app.line.commands.service.CommandService.look_up",
+        "app.line.commands.record.CommandRecord.look_up",
+        "app.line.commands.service._Writes.grant",
+        "app.line.commands.service.CommandService.reserve",
         "app.line.commands.control.Control.use",
     ]
     assert [calls.counts[name] for name in required_once] == [1] * len(required_once)

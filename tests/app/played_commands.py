@@ -17,9 +17,9 @@ from app.engineering.sets.store import SetStore
 from app.errors import Problem
 from app.line.commands import catalogue
 from app.line.commands.limits import NO_LIMITS
+from app.line.commands.record import CommandKey
 from app.line.commands.rules import RuleContext
-from app.line.commands.service.command_service import WriteSubscriber
-from app.line.commands.service.idempotency import CommandKey
+from app.line.commands.service import WriteSubscriber
 from app.line.live.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (

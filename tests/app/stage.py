@@ -31,10 +31,9 @@ from app.core.web.templating import Templates
 from app.line.commands.api.commands import router as commands_router
 from app.line.commands.api.safeguards import router as safeguards_router
 from app.line.commands.api.trace import router as trace_router
+from app.line.commands.record import CommandRecord
 from app.line.commands.safeguards import Safeguards
-from app.line.commands.service.command_service import CommandService
-from app.line.commands.service.idempotency import IdempotencyCache
-from app.line.commands.service.record import CommandRecord
+from app.line.commands.service import CommandService
 from app.line.feed.bus_feed import BusFeed
 from app.line.feed.channel import Channel
 from app.line.feed.socket import router as feed_router
@@ -287,7 +286,6 @@ class Stage:
             live,
             self.channel,
             record,
-            IdempotencyCache(),
             self.guards,
             self.rights,
             lambda: time.monotonic() + self.command_clock_ahead_s,

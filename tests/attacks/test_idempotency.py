@@ -8,7 +8,7 @@ import pytest
 
 from app.core.web.access import Person, Role
 from app.errors import Problem
-from app.line.commands.service.command_service import CommandService
+from app.line.commands.service import CommandService
 from bus.contract import Result, WriteParameter
 from tests.app.stage import Stage, responding, staged
 

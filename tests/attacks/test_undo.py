@@ -10,8 +10,8 @@ import httpx
 import pytest
 
 from app.core.web.access import Role
-from app.line.commands.service.command_service import CommandService
-from app.line.commands.undo import stack
+from app.line.commands import undo as stack
+from app.line.commands.service import CommandService
 from app.people.auth.accounts import Accounts
 from bus.instants import unix_now
 from tests.administrator import BY

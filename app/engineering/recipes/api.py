@@ -31,7 +31,7 @@ from app.line.commands.api.commands import RESULT_RESPONSES
 from app.line.commands.api.responses import FramesWanted, command_response
 from app.line.commands.catalogue import SET_LINE
 from app.line.commands.rules import setpoint_text
-from app.line.commands.service.writer import permitted_writer
+from app.line.commands.service import permitted_writer
 from app.line.live.api.routes import Live
 from app.line.live.api.schemas import Time
 from app.line.live.bus_live import BusLive

@@ -23,7 +23,7 @@ from app.engineering.recipes.rules import (
 from app.errors import Problem
 from app.line.commands.catalogue import SET_LINE
 from app.line.commands.rules import reason_of
-from app.line.commands.service.command_service import CommandService
+from app.line.commands.service import CommandService
 from app.line.commands.values import Scales, parse_scale, scale_text, setpoint_scale
 from app.line.live.bus_live import BusLive, LiveState
 from app.people.audit.acts import Act

@@ -10,7 +10,7 @@ from app.core.find.finders import Finders, FoundPlace, Search, matched
 from app.engineering.recipes import api, pages
 from app.engineering.recipes.book import ACTS, RecipeBook, RecipeStore
 from app.feature import Feature, Services
-from app.line.commands.service.command_service import CommandService
+from app.line.commands.service import CommandService
 from app.line.live.bus_live import LiveState
 from app.line.live.sources import Sources
 from app.people.audit.log import EventLog

@@ -14,11 +14,11 @@ from app.engineering.recipes.book import DELETE, SAVE
 from app.engineering.recipes.rules import setpoint_kind, setpoints_now
 from app.errors import Problem
 from app.line.commands.catalogue import SET_LINE, longest_change_s
-from app.line.commands.forms.line_change import followers_of, left_out_of, proven, reviewed
-from app.line.commands.forms.page_context import Confirmed, Page
+from app.line.commands.page_context import Confirmed, Page
+from app.line.commands.pages.line import followers_of, left_out_of, proven, reviewed
 from app.line.commands.review import by_remark, present_setpoint
 from app.line.commands.rules import setpoint_text
-from app.line.commands.service.writer import permitted
+from app.line.commands.service import permitted
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import BusLive
 from app.line.live.requests import bus_or_404

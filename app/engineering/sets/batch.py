@@ -16,8 +16,7 @@ from app.core.web.templating import render
 from app.engineering.sets.model import UnitRows, known_rows, status_of, with_unit
 from app.engineering.sets.restore_plan import OPERATING_VALUES, effect_message, warning_of
 from app.errors import Problem
-from app.line.commands.service.command_service import CommandService
-from app.line.commands.service.writer import Commands, ParameterWriter
+from app.line.commands.service import Commands, CommandService, ParameterWriter
 from app.line.commands.values import parameter_scale
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import BusLive, UnitLive

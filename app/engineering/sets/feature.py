@@ -23,7 +23,7 @@ from app.engineering.sets.saving import (
 )
 from app.engineering.sets.store import SetStore
 from app.feature import Feature, Services
-from app.line.commands.service.command_service import CommandService
+from app.line.commands.service import CommandService
 from app.line.live.bus_live import BusLive
 from app.line.live.hub import Hub
 from app.line.live.sources import Sources

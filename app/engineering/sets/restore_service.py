@@ -35,7 +35,7 @@ from app.engineering.sets.restore_plan import (
 from app.engineering.sets.saving import ParameterReader
 from app.errors import Problem, StoreError
 from app.line.commands.catalogue import WRITE_PARAMETER
-from app.line.commands.service.command_service import CommandService
+from app.line.commands.service import CommandService
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from bus.catalogue.parameters import PARAMETERS

@@ -24,8 +24,7 @@ from app.engineering.sets.model import (
 )
 from app.engineering.sets.store import SetStore
 from app.errors import Problem, StoreError
-from app.line.commands.service.command_service import CommandService
-from app.line.commands.service.prior_read import check_all_read
+from app.line.commands.service import CommandService, check_all_read
 from app.line.live.bus_live import BusLive
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog

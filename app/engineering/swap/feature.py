@@ -8,7 +8,7 @@ from app.engineering.sets.saving import SetKeeper
 from app.engineering.swap import pages
 from app.engineering.swap.service import ACTS, SwapService, SwapStore
 from app.feature import Feature, Services
-from app.line.commands.service.command_service import CommandService
+from app.line.commands.service import CommandService
 from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 

@@ -23,7 +23,7 @@ from app.engineering.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, Sw
 from app.errors import Problem, StoreError, or_404
 from app.line.commands.api.responses import outcome_message
 from app.line.commands.catalogue import WRITE_PARAMETER
-from app.line.commands.service.command_service import CommandService
+from app.line.commands.service import CommandService
 from app.line.live.bus_live import LiveState
 from app.line.live.requests import unit_or_404
 from app.people.audit.acts import Act

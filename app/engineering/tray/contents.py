@@ -16,7 +16,7 @@ from app.engineering.sets.model import status_of
 from app.engineering.sets.restore_plan import warning_of
 from app.errors import Problem
 from app.line.commands.review import SetpointChange
-from app.line.commands.undo.changes import PlaceKind, ValuePlace, Values
+from app.line.commands.undo import PlaceKind, ValuePlace, Values
 from app.line.commands.values import measure_of_value, parameter_message
 from app.line.live.bus_live import BusLive, UnitLive, follower
 from bus.catalogue.parameter import danger_of_writing

@@ -13,10 +13,10 @@ from app.core.web.services import bus_service_of
 from app.engineering.tray.contents import PlaceScales, TrayRow, Trays, setpoint_row, steps_of, value_row
 from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command
-from app.line.commands.forms.page_context import BusPage
+from app.line.commands.page_context import BusPage
 from app.line.commands.rules import reason_of
-from app.line.commands.service.command_service import CommandService
-from app.line.commands.undo.changes import ValuePlace, Values, action_for
+from app.line.commands.service import CommandService
+from app.line.commands.undo import ValuePlace, Values, action_for
 from app.line.commands.values import Scales, differs, scales_of
 from app.line.live.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS

@@ -28,16 +28,14 @@ from app.line.commands.catalogue import (
     timeout_s_for,
 )
 from app.line.commands.control import controlled
-from app.line.commands.forms.line_change import followers_of, left_out_of
-from app.line.commands.forms.page_context import BusPage, Confirmed, OfBus, OfUnit, Page, ReviewedScale
-from app.line.commands.forms.undo_shown import UndoShown
-from app.line.commands.pages.outputs import OutputPath, typed_analog
+from app.line.commands.page_context import BusPage, Confirmed, OfBus, OfUnit, Page, ReviewedScale
+from app.line.commands.pages.line import followers_of, left_out_of, typed_setpoints
 from app.line.commands.pages.parameters import CONFIRMING_WORD, ParameterPath
-from app.line.commands.pages.setpoints import typed_setpoints
 from app.line.commands.pages.speed import explain_setpoint
+from app.line.commands.pages.unit import OutputPath, typed_analog
 from app.line.commands.review import OutcomeText, Tone, by_remark, outcome_text
-from app.line.commands.service.writer import ParameterWriter, permitted, permitted_writer
-from app.line.commands.undo.changes import ValuePlace, Values
+from app.line.commands.service import ParameterWriter, permitted, permitted_writer
+from app.line.commands.undo import UndoOffer, ValuePlace, Values
 from app.line.commands.values import Scales, parameter_message, parse_scale
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
@@ -62,7 +60,7 @@ class ShownResult(NamedTuple):
 
     row: TrayRow
     outcome: OutcomeText
-    undo: UndoShown | None
+    undo: UndoOffer | None
 
 
 @router.get("/tray", dependencies=GATHERS)
@@ -276,7 +274,7 @@ def _setpoints(raw: Mapping[int, int]) -> Values:
 async def add_setpoint(page: OfUnit, value: TypedText = "") -> Response:
     """Add a setpoint, as typed."""
     try:
-        return await _added(page, _setpoints({page.id: await page.typed(page.id).setpoint(value)}))
+        return await _added(page, _setpoints({page.id: (await page.typed_setpoint(page.id, value))[0]}))
     except (CallerError, Problem) as error:
         return explain_setpoint(page, error)
 

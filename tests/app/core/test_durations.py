@@ -13,7 +13,7 @@ from app.core.web.access import Role
 from app.core.web.arrival import Deadline
 from app.engineering.recipes.book import RecipeBook
 from app.line.commands.catalogue import SCALE_READS, timeout_s_for
-from app.line.commands.service.command_service import CommandService
+from app.line.commands.service import CommandService
 from app.line.live.bus_live import LiveState
 from bus.contract import BusLink, Result, SetLine
 from bus.contract.durations import POLL_BYTES, change_s, longest_stage_s, stage_s

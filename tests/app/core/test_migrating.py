@@ -16,7 +16,7 @@ from app.engineering.sets.model import ParameterRow, UnitRows
 from app.engineering.sets.restore_plan import LeftOut, RestorePlan, RowResult, Write
 from app.engineering.sets.restore_service import RestoreStore
 from app.errors import StoreError
-from app.line.commands.service import idempotency
+from app.line.commands import record
 from bus.messages import Message
 
 FIRST = "CREATE TABLE a (x INTEGER);\nINSERT INTO a VALUES (1);\n"
@@ -102,7 +102,7 @@ async def test_what_was_kept_of_a_secret_is_overwritten(tmp_path: Path) -> None:
             old.write_now(lambda c, row=row: c.execute(f"INSERT INTO {row}"))  # type: ignore[misc]
     with closing(Database(path)) as new:
         restore = await RestoreStore(new).load("r")
-        known = new.read_now(lambda c: idempotency.find(c, "anna 0.0", "mine"))
+        known = new.read_now(lambda c: record.find_key(c, "anna 0.0", "mine"))
     assert restore is not None
     assert [(row.write.present, row.write.wanted, row.read_back) for row in restore.rows] == [
         (-1, -1, None),
@@ -110,7 +110,7 @@ async def test_what_was_kept_of_a_secret_is_overwritten(tmp_path: Path) -> None:
     ]
     assert restore.wanted.raw(21) is None
     assert known is not None
-    assert (known.command, known.result.outcome) == ("", "unverified")
+    assert (known.digest, known.result.outcome) == ("", "unverified")
     assert b"73195" not in path.read_bytes(), "nor in a free page"
 
 

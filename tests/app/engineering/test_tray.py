@@ -27,7 +27,7 @@ from app.engineering.tray.own_tray import TrayResult, send_changes, tray_rows
 from app.errors import Problem
 from app.line.commands.limits import NO_LIMITS
 from app.line.commands.review import change_of
-from app.line.commands.undo.changes import ValuePlace, Values, value_now, values_set
+from app.line.commands.undo import ValuePlace, Values, value_now, values_set
 from app.line.live.bus_live import BusLive
 from app.people.audit.queries import Filter
 from bus.contract import (

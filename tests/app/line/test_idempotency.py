@@ -11,9 +11,9 @@ import pytest
 
 from app.core.web.access import Person, Role
 from app.errors import Problem, StoreError
-from app.line.commands.service import idempotency
-from app.line.commands.service.command_request import CommandRequest, without_secret
-from app.line.commands.service.command_service import CommandService
+from app.line.commands import record
+from app.line.commands.record import CommandRequest, without_secret
+from app.line.commands.service import CommandService
 from app.line.live.requests import key_of
 from app.people.audit.chain import KeyRing
 from bus.contract import Action, Command, Result, SetLine, SetSpeed, UnitOutcome, WriteParameter
@@ -167,16 +167,14 @@ class Table:
         result = Result("id", now, "verified", read_back=17, units=[UnitOutcome(1, "verified", read_back=17)])
 
         def work(connection: sqlite3.Connection) -> None:
-            written = [idempotency.begun(request, self._ring, now)]
-            written += [idempotency.ended(request, without_secret(request.action, result))] if ends else []
-            for write in written:
-                if write is not None:
-                    write(connection)
+            record.begin_key(connection, request, self._ring, now)
+            if ends:
+                record.end_key(connection, request, without_secret(request.action, result))
 
         await self._database.write(work)
 
     async def knows(self, key: str) -> bool:
-        found = await self._database.read(lambda c: idempotency.find(c, ANNA.sender, key))
+        found = await self._database.read(lambda c: record.find_key(c, ANNA.sender, key))
         return found is not None
 
     async def rows(self) -> list[tuple[object, ...]]:
@@ -188,7 +186,7 @@ class Table:
 async def test_keys_are_forgotten_in_the_end(stage: Stage) -> None:
     table = Table(stage)
     await table.begin(request("old"), 0.0)
-    await table.begin(request("new"), idempotency.MAX_AGE_S + 1)
+    await table.begin(request("new"), record.MAX_AGE_S + 1)
     assert not await table.knows("old")
     assert await table.knows("new")
 
@@ -196,7 +194,7 @@ async def test_keys_are_forgotten_in_the_end(stage: Stage) -> None:
 async def test_a_sender_with_many_keys_forgets_its_own_oldest(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(idempotency, "MAX_OF_A_SENDER", 10)
+    monkeypatch.setattr(record, "MAX_OF_A_SENDER", 10)
     table = Table(stage)
     others = CommandRequest("id", BEN, "dry-end", COMMAND, deadline=0.0, origin="api", key="first")
     await table.begin(others, 0.0)
@@ -225,7 +223,7 @@ async def test_nothing_of_a_secret_is_stored(stage: Stage) -> None:
     assert b"17" not in result
     plain = hashlib.sha256(msgspec.json.encode(WriteParameter(unit=1, number=21, raw=17))).hexdigest()
     assert command != plain
-    assert command != idempotency.digest(KeyRing((b"x" * 32,)), "dry-end", WriteParameter(1, 21, 17))
+    assert command != record.digest(KeyRing((b"x" * 32,)), "dry-end", WriteParameter(1, 21, 17))
 
 
 async def test_a_result_that_cannot_be_read_is_unverified(stage: Stage, worker: PlayedWorker) -> None:
@@ -233,7 +231,7 @@ async def test_a_result_that_cannot_be_read_is_unverified(stage: Stage, worker: 
     await stage.commands.send(ANNA, COMMAND, id="mine")
     await stage.database.write(lambda c: c.execute("UPDATE idempotency SET result = ?", (b"{",)))
     again = await restarted(stage).send(ANNA, COMMAND, id="mine")
-    assert (again.outcome, again.message) == ("unverified", idempotency.UNREADABLE)
+    assert (again.outcome, again.message) == ("unverified", record.UNREADABLE)
     assert len(worker.commands) == 1
 
 

@@ -15,6 +15,7 @@ from app.core.database import Database, StoreConnection
 from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.line.commands import safeguards as service
+from app.line.commands import service as command_service
 from app.line.commands.control import LAPSES_AFTER_S
 from app.line.commands.limits import (
     NO_LIMITS,
@@ -25,7 +26,6 @@ from app.line.commands.limits import (
     Restrictions,
     read_protection,
 )
-from app.line.commands.service import command_service
 from app.people.audit.queries import Filter
 from bus.contract import Command, Update
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now

@@ -9,8 +9,6 @@ from collections.abc import Sequence
 import pytest
 
 from app.core.web.access import Person, Role
-from app.line.commands.forms.undo_shown import undo_shown
-from app.line.commands.undo.overlap import WritesUnderWay
 from bus.contract import (
     Action,
     Command,
@@ -118,8 +116,9 @@ async def test_an_undone_command_makes_room_for_the_one_before_it(stage: Stage) 
     assert stage.commands.undo.newest(ANNA, {1}) is None
 
 
-async def test_of_two_commands_at_once_neither_knows_what_was_before_it(
-    stage: Stage, worker: PlayedWorker
+@pytest.mark.parametrize(("unit", "known"), [(1, False), (2, True)])
+async def test_of_two_commands_to_a_unit_at_once_neither_knows_what_was_before_it(
+    stage: Stage, worker: PlayedWorker, unit: int, known: bool
 ) -> None:
     async def play(_: Command) -> Sequence[Update]:
         if len(worker.commands) < 2:
@@ -133,23 +132,15 @@ async def test_of_two_commands_at_once_neither_knows_what_was_before_it(
     worker.play = play
     undone = await asyncio.gather(
         send(stage, SetSpeed(unit=1, raw=1100), "first-id"),
-        send(stage, SetSpeed(unit=1, raw=1100), "second-id", BEN),
+        send(stage, SetSpeed(unit=unit, raw=1100), "second-id", BEN),
     )
-    assert undone == [None, None]
+    assert [action is not None for action in undone] == [known, known]
 
 
 @pytest.mark.usefixtures("obeying")
 async def test_a_program_has_no_undo(stage: Stage) -> None:
     await stage.commands.send(ANNA, SetSpeed(unit=1, raw=1100), confirm=True, id="first-id")
     assert stage.commands.undo.offer(ANNA, "first-id") is None
-
-
-def test_only_writes_to_one_unit_at_once_are_shared() -> None:
-    writes = WritesUnderWay()
-    first, other = writes.begin([1, 2]), writes.begin([3])
-    second = writes.begin([2])
-    assert (writes.end(other), writes.end(first), writes.end(second)) == (True, False, False)
-    assert writes.end(writes.begin([2]))
 
 
 async def test_on_a_page_of_several_units_undo_names_its_unit(stage: Stage, obeying: PlayedWorker) -> None:
@@ -166,8 +157,7 @@ async def test_on_a_page_of_several_units_undo_names_its_unit(stage: Stage, obey
         offer = stage.commands.undo.offer(ANNA, f"c{number}")
         if offer is None:
             continue
-        named = undo_shown(offer, bus, names_unit=True)
+        named = stage.commands.undo.newest(ANNA, {1}, names_unit=True)
         assert named is not None
         assert bus.units[1].settings.name in str(named.text)
-        assert str(named.text) != str(undo_shown(offer, bus).text)  # type: ignore[union-attr]
-    assert undo_shown(None, bus) is None
+        assert str(named.text) != str(offer.text)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from app.line.commands.undo.changes import ValuePlace
-from app.line.commands.undo.stack import SentCommand, UndoStack
+from app.line.commands.undo import SentCommand, UndoStack, ValuePlace
 
 SPEED_1, SPEED_2, OUTPUT = ValuePlace("setpoint", 1), ValuePlace("setpoint", 2), ValuePlace("output", 1, 3)
 PLACES = st.sampled_from([SPEED_1, SPEED_2, OUTPUT])

@@ -40,11 +40,8 @@ from app.line.commands.catalogue import (
     CommandKind,
     timeout_s_for,
 )
-from app.line.commands.service.command_service import CommandService
-from app.line.commands.service.prior_read import check_all_read
-from app.line.commands.service.value_converter import ValueConverter
-from app.line.commands.service.writer import Commands, permitted, permitted_writer
-from app.line.commands.values import Scales, parameter_scale, setpoint_scale
+from app.line.commands.service import Commands, CommandService, check_all_read, permitted, permitted_writer
+from app.line.commands.values import Scales
 from app.line.live.api.schemas import ParameterShown
 from app.line.live.api.view import parameter_json
 from app.line.live.bus_live import BusLive, UnitLive
@@ -104,18 +101,13 @@ class CommandCall:
         usual = timeout_s_for(self.bus, staged_units, typed=typed)
         return Deadline(self.made_at, usual if given is None else given)
 
-    def typed(self, unit: int, deadline: Deadline) -> ValueConverter:
-        """Conversion of typed values for a unit. Raises Problem 404."""
-        found = unit_of_bus_or_404(self.bus, unit)
-        return ValueConverter(self.commands, self.person, self.bus, found, deadline)
-
     async def setpoint(self, unit: int, given: Quantity, deadline: Deadline) -> tuple[int, Scales]:
-        """The raw setpoint of a unit, and what it was converted with. Raises Problem 404."""
-        typed = self.typed(unit, deadline)
+        """Return the raw setpoint of a unit, and what it was converted with. Raises Problem 404."""
+        unit_of_bus_or_404(self.bus, unit)
         if given.raw is not None:
             return given.raw, {}
-        raw = await typed.setpoint(given.typed)
-        return raw, {unit: setpoint_scale(self.bus.units[unit], raw)}
+        raw, scale = await self.commands.convert_setpoint(self.person, unit, given.typed, deadline)
+        return raw, {unit: scale}
 
     async def send(
         self,
@@ -261,12 +253,12 @@ async def write_parameter(
 ) -> Response:
     """86h, read back with 85h. A parameter that can interrupt the link needs ``confirm``."""
     deadline = call.deadline(body)
-    typed = call.typed(unit, deadline)
+    unit_of_bus_or_404(call.bus, unit)
     if number not in PARAMETERS:
         raise Problem(404, "unknown_parameter", Message("no_such_parameter"), unit=unit)
     raw, scales = body.raw, None
     if raw is None:
-        raw = await typed.parameter(number, body.typed)
-        scales = {unit: parameter_scale(call.bus.units[unit], number, raw)}
+        raw, scale = await call.commands.convert_parameter(call.person, unit, number, body.typed, deadline)
+        scales = {unit: scale}
     action = WriteParameter(unit=unit, number=number, raw=raw)
     return await call.send(action, body, unit, deadline, scales)

@@ -22,8 +22,7 @@ from app.errors import Problem
 from app.line.commands.api.responses import FrameShown, frame_json
 from app.line.commands.api.trace_file import trace_line
 from app.line.commands.catalogue import READ_TRACE
-from app.line.commands.service.command_service import CommandService
-from app.line.commands.service.writer import Commands, permitted
+from app.line.commands.service import Commands, CommandService, permitted
 from bus.contract import Frame, ReadTrace
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message

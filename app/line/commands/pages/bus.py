@@ -1,34 +1,53 @@
-"""The bus page: wire statistics, responses of each unit, the trace, a scan, the baud rate."""
+"""The bus page: wire statistics, responses of each unit, the trace, a scan, the baud rate.
+
+Control of a bus from any page: in the head, and in place where a command was refused for want of it.
+
+Undo: an ordinary command with an ordinary review, back to what was there before a command.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Form
+from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.core.web.access import Person, Viewer
+from app.core.web.access import Person, Role, Viewer
 from app.core.web.arrival import Deadline
+from app.core.web.templating import render
 from app.errors import Problem
 from app.line.commands.catalogue import CHANGE_BAUD, SCAN_BUS
-from app.line.commands.forms.page_context import BusPage, OfBus, Page, new_id
 from app.line.commands.limits import MAX_READ_ONLY_MINUTES
-from app.line.commands.pages.control import others
+from app.line.commands.page_context import BusPage, OfBus, Page, UnitPage, new_id
+from app.line.commands.pages.line import review_change
+from app.line.commands.pages.parameters import review_value
+from app.line.commands.pages.speed import review_setpoint
+from app.line.commands.pages.unit import review_analog_value, review_switch
 from app.line.commands.review import outcome_text
-from app.line.commands.safeguards import END_READ_ONLY, SET_READ_ONLY
-from app.line.commands.service.writer import permitted
-from bus.contract import ChangeBaud, ScanBus
+from app.line.commands.safeguards import END_READ_ONLY, FORCE_CONTROL, SET_READ_ONLY, TAKE_CONTROL
+from app.line.commands.service import permitted
+from app.line.commands.undo import UndoOffer
+from bus.contract import (
+    ChangeBaud,
+    ScanBus,
+    SetLine,
+    SetSpeed,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
 from bus.errors import unit_error
-from bus.messages import Message
+from bus.messages import Message, term
 from bus.settings import BAUDS
-from bus.text import OneLine
+from bus.text import OneLine, TypedText
 
-router = APIRouter(prefix="/bus", include_in_schema=False)
+router = APIRouter(include_in_schema=False)
 SEE_OTHER = 303
 DEFAULT_MINUTES = 60
 
 
-@router.get("")
+@router.get("/bus")
 async def first_bus(_: Viewer, page: Page) -> Response:
     """Lead to the first bus, whose page leads to the others."""
     first = next(iter(page.live.buses), None)
@@ -37,7 +56,7 @@ async def first_bus(_: Viewer, page: Page) -> Response:
     return RedirectResponse(f"/bus/{first}", SEE_OTHER)
 
 
-@router.get("/{bus}")
+@router.get("/bus/{bus}")
 async def bus_page(_: Viewer, page: OfBus) -> Response:
     """One bus."""
     return page.render(
@@ -54,7 +73,7 @@ async def bus_page(_: Viewer, page: OfBus) -> Response:
     )
 
 
-@router.post("/{bus}/read-only")
+@router.post("/bus/{bus}/read-only")
 async def set_read_only(
     person: Annotated[Person, SET_READ_ONLY.permitted],
     page: OfBus,
@@ -68,14 +87,14 @@ async def set_read_only(
     return RedirectResponse(f"/bus/{page.name}#read-only", SEE_OTHER)
 
 
-@router.post("/{bus}/read-only/end")
+@router.post("/bus/{bus}/read-only/end")
 async def end_read_only(person: Annotated[Person, END_READ_ONLY.permitted], page: OfBus) -> Response:
     """Let commands through again; the event records the user."""
     await page.guards.end_read_only(person)
     return RedirectResponse(f"/bus/{page.name}#read-only", SEE_OTHER)
 
 
-@router.get("/{bus}/units")
+@router.get("/bus/{bus}/units")
 async def unit_rows(_: Viewer, page: OfBus) -> Response:
     """The counters of every unit, for the open page."""
     return page.render("bus/_units.html", **_units(page))
@@ -87,7 +106,7 @@ def _units(page: BusPage) -> dict[str, Any]:
     return {"fields": page.fields(), "rows": rows, "unit_error": unit_error}
 
 
-@router.post("/{bus}/scan", dependencies=[permitted(SCAN_BUS)])
+@router.post("/bus/{bus}/scan", dependencies=[permitted(SCAN_BUS)])
 async def scan(
     page: OfBus,
     first: Annotated[int, Form(ge=1, le=255)] = 1,
@@ -110,7 +129,7 @@ CHANGE_S = 30.0
 """Every unit written, looked for at two rates, and written back if need be."""
 
 
-@router.get("/{bus}/baud", dependencies=[permitted(CHANGE_BAUD)])
+@router.get("/bus/{bus}/baud", dependencies=[permitted(CHANGE_BAUD)])
 async def review_baud(page: OfBus, baud: int) -> Response:
     """The second step; nothing has been sent."""
     if baud not in BAUDS:
@@ -120,7 +139,7 @@ async def review_baud(page: OfBus, baud: int) -> Response:
     return page.review("bus/_review_baud.html", bus=page.bus, baud=baud)
 
 
-@router.post("/{bus}/baud", dependencies=[permitted(CHANGE_BAUD)])
+@router.post("/bus/{bus}/baud", dependencies=[permitted(CHANGE_BAUD)])
 async def change_baud(
     page: OfBus,
     baud: Annotated[int, Form()],
@@ -129,3 +148,112 @@ async def change_baud(
     """Change it at every unit; a result for each."""
     result = await page.send(ChangeBaud(baud=baud), id, Deadline(page.made_at, CHANGE_S))
     return page.render("bus/_baud_done.html", bus=page.bus, outcome=outcome_text(result), result=result)
+
+
+ControlStep = Literal["take", "release", "request", "decline", "withdraw", "grant", "hand-over"]
+TEMPLATES = {
+    "head": "components/_head_control.html",
+    "offer": "components/_control_offer.html",
+    "bus": "bus/_control.html",
+}
+ControlPlace = Literal["head", "offer", "bus"]
+
+
+@router.get("/control")
+async def head_control(request: Request, _: Viewer, bus: str = "") -> Response:
+    """Who holds control, for the head of an open page. ``bus``: the page's, empty where it has none."""
+    return render(request, TEMPLATES["head"], of_bus=bus, fault="")
+
+
+@router.get("/bus/{bus}/control/{place}")
+async def control_now(_: Viewer, page: OfBus, place: ControlPlace) -> Response:
+    """The same for one bus, in a place of the page."""
+    return _shown(page, place)
+
+
+@router.post("/bus/{bus}/control")
+async def control(
+    person: Annotated[Person, TAKE_CONTROL.permitted],
+    page: OfBus,
+    do: Annotated[ControlStep, Form()],
+    place: Annotated[ControlPlace, Form()] = "head",
+    of_bus: Annotated[str, Form(max_length=40)] = "",
+    to: Annotated[TypedText, Form(max_length=80)] = "",
+) -> Response:
+    """One step with control of this bus; states why it had no effect, where another user was quicker."""
+    fault: str | Message = ""
+    try:
+        match do:
+            case "take":
+                await page.guards.take(person)
+            case "release":
+                await page.guards.release(person)
+            case "request":
+                await page.guards.request(person)
+            case "grant":
+                await page.guards.grant(person, shown=to)
+            case "decline":
+                await page.guards.end_request(person, shown=to)
+            case "withdraw":
+                await page.guards.end_request(person, shown=person.account)
+            case _ if to in others(page):
+                await page.guards.hand_over(person, to)
+            case _:
+                fault = Message("new_holder_unknown")
+    except Problem as problem:
+        fault = problem.message
+    return _shown(page, place, fault=fault, of_bus=of_bus)
+
+
+def _shown(page: BusPage, place: ControlPlace, *, fault: str | Message = "", of_bus: str = "") -> Response:
+    more: dict[str, Any] = {"of_bus": of_bus}
+    if place != "head":
+        more = {"bus": page.bus, "control": page.guards.bus_control(), "others": others(page)}
+    return page.render(TEMPLATES[place], fault=fault, **more)
+
+
+def others(page: BusPage) -> list[str]:
+    """Users with an open page who may set a line and do not hold this one."""
+    here = {name for name, role in page.people().items() if Role(role).includes(TAKE_CONTROL.role)}
+    if page.person.role.includes(FORCE_CONTROL.role):
+        here.add(page.person.account)
+    return sorted(here - {page.guards.bus_control().holder})
+
+
+@router.get("/bus/{bus}/undo")
+async def newest_undo(person: Viewer, page: OfBus, unit: int | None = None) -> Response:
+    """The undo of the newest command to ``unit`` or, without one, to the bus; empty where there is none."""
+    units = page.bus.units.keys() if unit is None else {unit}
+    offer = page.commands.undo.newest(person, units, names_unit=unit is None)
+    return page.render("components/_undo.html", undo=offer)
+
+
+@router.get("/bus/{bus}/undo/{id}")
+async def review_undo(person: Viewer, page: OfBus, id: str) -> Response:
+    """The review of the undo of one command."""
+    offer = page.commands.undo.offer(person, id)
+    try:
+        if offer is None:
+            raise Problem(409, "moved", Message("undo_over"))
+        return await _review(page, offer)
+    except Problem as problem:
+        return page.refused(problem, page.translator.t(term("Undo")))
+
+
+async def _review(page: BusPage, offer: UndoOffer) -> Response:
+    action = offer.action
+    if isinstance(action, SetLine):
+        page.undoes = offer.id
+        return await review_change(page, action.setpoints)
+    unit = UnitPage(page.request, page.name, action.units[0])
+    unit.undoes = offer.id
+    match action:
+        case SetSpeed(raw=raw):
+            return await review_setpoint(unit, raw)
+        case WriteOutput(number=number, on=on):
+            return review_switch(unit, number, on=on)
+        case WriteAnalogOutput(raw=raw):
+            return review_analog_value(unit, raw)
+        case WriteParameter(number=number, raw=raw):
+            return await review_value(unit, number, raw)
+    raise TypeError(type(action))

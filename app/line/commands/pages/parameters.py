@@ -12,10 +12,10 @@ from starlette.responses import Response
 from app.core.web.access import Viewer
 from app.errors import Problem
 from app.line.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
-from app.line.commands.forms.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
+from app.line.commands.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
 from app.line.commands.review import OutcomeText, outcome_text, risks_of_writing
 from app.line.commands.rules import parameter_bounds
-from app.line.commands.service.writer import permitted, permitted_writer
+from app.line.commands.service import permitted, permitted_writer
 from app.line.commands.values import measure_of_value, parameter_message, parameter_scale, scale_text
 from app.line.live.api.view import parameter_json
 from bus.catalogue.parameter import Parameter, danger_of_writing
@@ -75,8 +75,10 @@ async def review_parameter(
 ) -> Response:
     """What was typed, judged and shown again: old → new, range, danger."""
     try:
-        raw = await page.typed(page.id).parameter(number, value)
-        return await review_value(page, number, raw, parameter_scale(page.unit, number, raw))
+        raw, typed_with = await page.commands.convert_parameter(
+            page.person, page.id, number, value, page.deadline()
+        )
+        return await review_value(page, number, raw, typed_with)
     except (CallerError, Problem) as error:
         return _explain(page, PARAMETERS[number], error)
 

@@ -12,11 +12,10 @@ from starlette.responses import Response
 
 from app.errors import Problem
 from app.line.commands.catalogue import EXECUTE_SPEED, SET_SPEED
-from app.line.commands.forms.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
+from app.line.commands.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
 from app.line.commands.review import nudges
-from app.line.commands.service.writer import permitted, permitted_writer
-from app.line.commands.values import setpoint_scale
-from app.line.live.bus_live import follower
+from app.line.commands.service import permitted, permitted_writer
+from app.line.conditions.condition import follower
 from bus.contract import ExecuteSpeed, Result, SetSpeed, UnitScale
 from bus.errors import CallerError
 from bus.messages import Message
@@ -37,8 +36,7 @@ async def review_speed(
 ) -> Response:
     """What was typed, judged and shown again: old → new, limits, ramp."""
     try:
-        raw = await page.typed(page.id).setpoint(value)
-        typed_with = setpoint_scale(page.unit, raw)
+        raw, typed_with = await page.typed_setpoint(page.id, value)
         return await review_setpoint(page, raw, execute=how == "now", typed_with=typed_with)
     except (CallerError, Problem) as error:
         return explain_setpoint(page, error)

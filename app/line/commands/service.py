@@ -1,37 +1,59 @@
-"""The only path from a request to the wire: checked, recorded, sent once, followed to its result."""
+"""Send commands to a worker: each is checked, recorded, sent once, and followed to its result.
+
+There is no other path from a request to the wire.
+"""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
-from dataclasses import dataclass, field
 from math import inf
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
-import msgspec
+from fastapi import Depends
+from msgspec.structs import replace
+from starlette.requests import HTTPConnection
 
 from app.core.server.turns import FairQueue, TooManyWaitingError
-from app.core.web.access import Person, refuse_without
+from app.core.web.access import Person, Requires, refuse_without
 from app.core.web.arrival import Deadline
+from app.core.web.services import bus_service, bus_service_of
 from app.errors import Problem, StoreError
-from app.line.commands.catalogue import check, kind_of_command
+from app.line.commands.catalogue import WRITE_PARAMETER, CommandKind, check, kind_of_command
 from app.line.commands.control import controlled
-from app.line.commands.rules import Moves, RuleContext, commanded_setpoint, kind_of, objection
+from app.line.commands.record import (
+    CommandKey,
+    CommandOrigin,
+    CommandRecord,
+    CommandRequest,
+    KeptCommand,
+    refuse_other,
+    without_secret,
+)
+from app.line.commands.review import present_setpoint
+from app.line.commands.rules import (
+    Moves,
+    RuleContext,
+    commanded_setpoint,
+    kind_of,
+    objection,
+    unread_for_range,
+)
 from app.line.commands.safeguards import Safeguards
-from app.line.commands.service.command_request import CommandOrigin, CommandRequest, without_secret
-from app.line.commands.service.idempotency import CommandKey, IdempotencyCache, KeptCommand, refuse_other
-from app.line.commands.service.prior_read import UnreadError, read_values, unread, unread_by_unit
-from app.line.commands.service.record import CommandRecord
-from app.line.commands.service.undoing import Undoing
-from app.line.commands.values import Scales, wording_scales
+from app.line.commands.undo import Undoing
+from app.line.commands.values import Scales, parameter_scale, raw_of_percent, setpoint_scale, wording_scales
 from app.line.feed.channel import Channel
-from app.line.live.bus_live import BusLive
+from app.line.live.bus_live import BusLive, UnitLive
 from app.line.live.requests import new_command_id, unit_of_bus_or_404
 from app.people.auth.rights import Rights
-from bus.contract import Action, Command, ReadParameters, Result
+from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
+from bus.catalogue.parameter import Scale
+from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.values import is_follower, parameter_raw, ratio_raw, speed_raw
+from bus.contract import Action, Command, Outcome, ReadParameters, Result, UnitOutcome, UnitScale
 from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
-from bus.messages import Message, joined
+from bus.messages import Message, joined, listed, parameter_name
 
 ACTED = ("verified", "acknowledged", "unverified")
 """Outcomes after which a unit has acted, or may have."""
@@ -53,33 +75,36 @@ class WriteSubscriber(Protocol):
     async def __call__(self, person: Person, units: Sequence[int], *, parameters: bool) -> None: ...
 
 
-@dataclass(eq=False, repr=False)
 class CommandService:
     """Takes the commands of people and programs for one bus."""
 
-    _live: BusLive
-    _channel: Channel
-    _record: CommandRecord
-    _cache: IdempotencyCache
-    _guards: Safeguards
-    _rights: Rights
-    _monotonic: MonotonicClock = monotonic_now
-    _moves: Moves = field(default_factory=Moves)
-    _turns: FairQueue[tuple[str, bool]] = field(
-        default_factory=lambda: FairQueue(inf, MAX_AT_ONCE, MAX_WAITING)
-    )
-    _under_way: set[asyncio.Task[Result]] = field(default_factory=set)
-    _write_subscribers: list[WriteSubscriber] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.undo = Undoing(self._live, self._monotonic)
+    def __init__(
+        self,
+        live: BusLive,
+        channel: Channel,
+        record: CommandRecord,
+        guards: Safeguards,
+        rights: Rights,
+        monotonic: MonotonicClock = monotonic_now,
+    ) -> None:
+        self._live = live
+        self._channel = channel
+        self._record = record
+        self._guards = guards
+        self._rights = rights
+        self._monotonic = monotonic
+        self._moves = Moves()
+        self._turns: FairQueue[tuple[str, bool]] = FairQueue(inf, MAX_AT_ONCE, MAX_WAITING)
+        self._under_way: set[asyncio.Task[Result]] = set()
+        self._write_subscribers: list[WriteSubscriber] = []
+        self.undo = Undoing(live, monotonic)
 
     @property
     def _bus(self) -> str:
         return self._live.settings.name
 
     def on_write(self, subscriber: WriteSubscriber) -> None:
-        """Call and await ``subscriber`` before each write; where it raises, nothing is sent."""
+        """Call and await ``subscriber`` before each write; if it raises, nothing is sent."""
         self._write_subscribers.append(subscriber)
 
     async def send(
@@ -97,9 +122,9 @@ class CommandService:
     ) -> Result:
         """Send ``action`` and return its one result; the same ``id`` returns the same result again. An id
         belongs to its sender: the same id of another sender is another command. It is looked up here, unless
-        that was done with `look_up`.
+        that was done with :meth:`look_up`.
 
-        ``scales``: what its values were shown and typed with, where they were not given raw; a unit that has
+        ``scales``: what its values were shown and typed with, unless they were given raw; a unit that has
         another scale by now is not written, and the result is *refused*.
 
         ``deadline``: the request's. Without one it may wait ``timeout_s`` from now, or as long as its
@@ -108,8 +133,8 @@ class CommandService:
         Raises Problem for a command that is not sent to the worker: 404 for a unit that is not
         configured, 403 ``forbidden`` for a person without the role of its kind, 403 ``rights_withdrawn`` when
         the account has lost a right that it had when the person was authenticated, 422 ``invalid``, 409
-        ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``, 503 ``not_sent`` where its
-        deadline has passed. A task of many writes sends each as a command and stops there.
+        ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``, 503 ``not_sent`` if its deadline
+        has passed. A task of many writes sends each as a command and stops there.
         """
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
@@ -117,7 +142,7 @@ class CommandService:
         id, kept = key.id or None, key.kept
         if key.stored is not None:
             earlier = self._record.result_of(key.stored, key.id, self._bus, action)
-            return msgspec.structs.replace(earlier, id=id)
+            return replace(earlier, id=id)
         if kept is None:
             timeout_s = timeout_s or kind_of_command(action).timeout_s(action, self._live)
             deadline = deadline or Deadline.within(timeout_s)
@@ -127,52 +152,100 @@ class CommandService:
             try:
                 kept = await self._accept(request, confirm)
             except UnreadError as error:
-                return error.result(id or request.id, unix_now(), action.units)
+                return error.result(id or request.id, action.units)
         refuse_other(id, same=(kept.bus, kept.action) == (self._bus, action))
         result = await asyncio.shield(kept.result)
-        return result if id is None else msgspec.structs.replace(result, id=id)
+        return result if id is None else replace(result, id=id)
 
     async def look_up(self, person: Person, id: str) -> CommandKey:
-        """Look up the command that this person has sent with an id, also before a restart; an empty id names
-        none. Pass the key to :meth:`send`, which gives the result of that command again."""
-        kept = self._cache.find(person, id)
-        if kept is not None or not id:
-            return CommandKey(id, kept)
-        stored = await self._record.earlier(person, id)
-        kept = self._cache.find(person, id)
-        return CommandKey(id, kept, None if kept is not None else stored)
+        """Look up the command that this person has sent with an id, also before a restart. Pass the key to
+        :meth:`send`, which gives the result of that command again."""
+        return await self._record.look_up(person, id)
 
     async def reserve(self) -> None:
-        """A user may be about to write: reserve the next turn of the wire."""
+        """Reserve the next turn of the wire for a user who may be about to write. On a busy bus the next poll
+        leaves within a millisecond of the last one's end: a write that is still on its way through the app
+        and onto its disk would wait for one more."""
         await self._channel.reserve()
 
     async def read_ranges(self, person: Person, action: Action, deadline: Deadline) -> None:
-        """Read what bounds the setpoints of ``action`` where it was never read, as :meth:`send` does.
-
-        Raises Problem 503 or 504 where it cannot be had in time.
-        """
+        """Read what bounds the setpoints of ``action`` if it was never read, as :meth:`send` does. Raises
+        Problem 503 or 504 if it cannot be read in time."""
         for _ in range(RANGE_PASSES):
-            missing = unread_by_unit(self._live, action, self._guards.limits)
+            missing = self._unread(action)
             if not missing:
                 return
             reads = (self.read(person, unit, numbers, deadline) for unit, numbers in missing.items())
             await asyncio.gather(*reads)
-        for unit, numbers in unread_by_unit(self._live, action, self._guards.limits).items():
-            raise unread(unit, numbers)
+        for unit, numbers in self._unread(action).items():
+            raise _unread_error(unit, numbers)
+
+    def _unread(self, action: Action) -> dict[int, tuple[int, ...]]:
+        """Return by unit the parameters that bound the setpoints of ``action`` and were never read."""
+        found = {
+            new.unit: unread_for_range(
+                self._live.units[new.unit], self._guards.limits(new.unit), new.raw, new.kind
+            )
+            for new in kind_of_command(action).setpoints(action, self._live)
+        }
+        return {unit: numbers for unit, numbers in found.items() if numbers}
 
     async def read(
         self, person: Person, unit: int, numbers: Sequence[int], deadline: Deadline
     ) -> dict[int, int | None]:
-        """The raw value of each parameter as the unit gives it now, None where it does not have it.
-
-        Raises Problem 503 or 504 where one cannot be had in time.
-        """
+        """Return the raw value of each parameter as the unit gives it now, None if it does not have it.
+        Raises Problem 503 or 504 if one cannot be read in time."""
         action = ReadParameters(unit=unit, numbers=list(numbers))
-        return read_values(unit, numbers, await self.send(person, action, deadline=deadline))
+        result = await self.send(person, action, deadline=deadline)
+        if result.outcome == "bus_closed":
+            reason = result.message or Message("bus_not_linked")
+            raise UnreadError(503, "bus_closed", reason, outcome="bus_closed")
+        values = {value.number: value.raw for value in result.values}
+        if not values.keys() >= set(numbers):
+            raise _unread_error(unit, numbers)
+        return values
+
+    async def convert_setpoint(
+        self, person: Person, unit: int, text: str, deadline: Deadline
+    ) -> tuple[int, UnitScale]:
+        """Convert a typed speed or ratio, or percent of the unit's present setpoint, to the integer on the
+        wire. Returns it with its scale. Raises CallerError for text that is no number."""
+        live = self._live.units[unit]
+        known = await self._known(person, live, (DECIMALS, FOLLOWER_MODE), deadline)
+        decimals = known[DECIMALS]
+        if text.rstrip().endswith("%"):
+            is_known = live.link.link == "online"
+            raw = raw_of_percent(text, present_setpoint(self._live, live) if is_known else None)
+        elif is_follower(known[FOLLOWER_MODE]):
+            raw = ratio_raw(text)
+        elif decimals is None:
+            raise Problem(422, "invalid", Message.of("unit_without_decimals", unit=unit), unit=unit)
+        else:
+            raw = speed_raw(text, decimals)
+        return raw, setpoint_scale(live, raw)
+
+    async def convert_parameter(
+        self, person: Person, unit: int, number: int, text: str, deadline: Deadline
+    ) -> tuple[int, UnitScale]:
+        """Convert a typed value of a parameter to the integer on the wire. Returns it with its scale. Raises
+        CallerError for text that is no number."""
+        live, parameter = self._live.units[unit], PARAMETERS[number]
+        known = await self._known(person, live, _CONVERTED_WITH.get(parameter.scale, ()), deadline)
+        follower = is_follower(known.get(FOLLOWER_MODE)) or number == RATIO_SETPOINT
+        raw = parameter_raw(parameter, text, known.get(DECIMALS), follower=follower)
+        return raw, parameter_scale(live, number, raw)
+
+    async def _known(
+        self, person: Person, unit: UnitLive, numbers: tuple[int, ...], deadline: Deadline
+    ) -> dict[int, int | None]:
+        """Return these parameters, read now if they are not known or may have changed."""
+        missing = [number for number in numbers if not unit.is_current(number)]
+        known = {number: unit.parameter_raw(number) for number in numbers}
+        return known | (await self.read(person, unit.settings.id, missing, deadline) if missing else {})
 
     async def check_for_later(self, person: Person, action: Action, deadline: Deadline) -> None:
-        """The checks of a command that is gathered now and sent later: its role, ranges and choices. What
-        cannot be read of a unit now is not judged. Raises Problem as :meth:`send` does."""
+        """Check a command that is gathered now and sent later: its role, ranges and choices. What cannot be
+        read from a unit now is not judged. Raises Problem as :meth:`send` does."""
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
         refuse_without(kind_of_command(action).role, person)
@@ -184,8 +257,8 @@ class CommandService:
         check(action, anytime)
 
     def check(self, person: Person, action: Action, *, confirm: bool = False) -> None:
-        """The checks of :meth:`send` alone, for a review or a page: they prolong no control. Raises the same
-        Problems."""
+        """Check a command as :meth:`send` does, for a review or a page: this does not prolong control. Raises
+        the same Problems."""
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
         self._require_right(person, action, self._guards.objection)
@@ -193,7 +266,7 @@ class CommandService:
 
     @asynccontextmanager
     async def _rejection_recorded(self, request: CommandRequest) -> AsyncIterator[None]:
-        """A write that a Problem ends before anything is sent is an event with its reason."""
+        """Record a write that a Problem ends before anything is sent, with the reason."""
         try:
             yield
         except Problem as problem:
@@ -204,11 +277,11 @@ class CommandService:
     def _require_right(
         self, person: Person, action: Action, object_to: Callable[[str], Message | None]
     ) -> None:
-        """The role of the kind, whichever way the command came, then control of the bus."""
+        """Require the role of the kind, whichever way the command came, then control of the bus."""
         refuse_without(kind_of_command(action).role, person)
-        objection = object_to(person.account) if action.writes else None
-        if objection is not None:
-            raise controlled(Message.of("nothing_sent", reason=objection), self._bus)
+        reason = object_to(person.account) if action.writes else None
+        if reason is not None:
+            raise controlled(Message.of("nothing_sent", reason=reason), self._bus)
 
     def _apply_rules(self, action: Action, confirm: bool) -> None:
         # A broadcast reaches units of which nothing is known to be staged, too.
@@ -235,7 +308,7 @@ class CommandService:
             self.undo.refuse_over(request)
             await self.read_ranges(request.person, request.action, request.deadline)
             self._apply_rules(request.action, confirm)
-        already = self._cache.find(request.person, request.key)
+        already = self._record.kept(request.person, request.key)
         if already is not None:
             return already
         # Noted before another command can be checked: two at once must not both pass the limit of a minute.
@@ -246,11 +319,11 @@ class CommandService:
         task.add_done_callback(self._under_way.discard)
         kept = KeptCommand(self._bus, request.action, task)
         if request.key is not None:
-            self._cache.keep(request.person, request.key, kept)
+            self._record.keep(request.person, request.key, kept)
         return kept
 
     async def _carry_out(self, request: CommandRequest, steps: dict[int, int], at: Monotonic) -> Result:
-        """Send a command once its intent is on disk. Its ``steps``, noted for ``at``, count no more where no
+        """Send a command once its intent is on disk. Its ``steps``, noted for ``at``, no longer count if no
         unit acted."""
         kind = kind_of_command(request.action)
         result: Result | None = None
@@ -264,8 +337,11 @@ class CommandService:
                     for subscriber in self._write_subscribers:
                         await subscriber(request.person, units, parameters=parameters)
             intent = await self._record.intend(request, self._live)
-            with self.undo.of(request) as followed:
-                result = followed(without_secret(request.action, await self._transmit(request)))
+            write = self.undo.begin(request)
+            try:
+                result = without_secret(request.action, await self._transmit(request))
+            finally:
+                self.undo.end(write, request, result)
             await self._record.conclude(intent, request, result, self._live)
             return result
         finally:
@@ -273,8 +349,8 @@ class CommandService:
                 self._moves.take_back(steps, at)
 
     async def _transmit(self, request: CommandRequest) -> Result:
-        """Send it in the turn of its account: however much a program sends, others wait for little of it.
-        What only slows has turns beside what does not."""
+        """Send a command in the turn of its account: however much a program sends, others wait for little of
+        it. Commands that only slow units have turns beside the others."""
         slows = kind_of_command(request.action).only_slows(request.action, self._live)
         if not request.action.writes:
             return await self._send_now(request, slows=slows)
@@ -315,9 +391,9 @@ class CommandService:
         )
 
     async def _why_no_longer(self, request: CommandRequest, *, slows: bool) -> Message | None:
-        """Why a command must not be sent, or be given up; None while it may go on. A store that cannot be
-        read now ends nothing that is half done. ``slows``: it could only make units slower when it was
-        sent."""
+        """Return why a command must not be sent, or be given up; None while it may go on. A store that cannot
+        be read now ends nothing that is half done. ``slows``: the command could only make units slower when
+        it was sent."""
         try:
             await self._rights.check(request.person)
         except Problem as problem:
@@ -339,8 +415,37 @@ def _not_sent(request: CommandRequest, reason: Message) -> Result:
     return Result(id=request.id, at=unix_now(), outcome="not_sent", message=reason)
 
 
+_CONVERTED_WITH = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, FOLLOWER_MODE)}
+
+
+class UnreadError(Problem):
+    """What a command needs to know of a unit cannot be read: 503 ``bus_closed`` or 504 ``unverified``."""
+
+    def result(self, id: str, units: Sequence[int]) -> Result:
+        """Return the result of a command for ``units`` of which nothing was sent."""
+        outcome: Outcome = "bus_closed" if self.code == "bus_closed" else "unverified"
+        parts = [UnitOutcome(unit, "not_sent", Message("unit_untouched")) for unit in units]
+        return Result(id, unix_now(), outcome, self.message, units=parts)
+
+
+def _unread_error(unit: int, numbers: Sequence[int]) -> UnreadError:
+    named = listed([parameter_name(number) for number in numbers])
+    message = Message.of("unit_gave_too_little", unit=unit, numbers=named)
+    return UnreadError(504, "unverified", message, outcome="unverified", unit=unit)
+
+
+def check_all_read(unit: int, numbers: Sequence[int], result: Result) -> None:
+    """Raise Problem 504 if the unit did not give all the ``numbers`` that were to be read, 503 if the request
+    did not reach it."""
+    if len(result.values) < len(numbers):
+        status = 503 if result.outcome in ("bus_closed", "not_sent") else 504
+        code = result.outcome if status == 503 else "unverified"
+        detail = result.message or Message.of("unit_did_not_answer", unit=unit)
+        raise Problem(status, code, detail, outcome=code, unit=unit, read=len(result.values))
+
+
 def _steps(action: Action, live: BusLive) -> dict[int, int]:
-    """By how much it moves the setpoint of each unit, where that is known."""
+    """Return how far a command moves the setpoint of each unit, if that is known."""
     steps = {}
     for new in kind_of_command(action).setpoints(action, live):
         unit = live.units[new.unit]
@@ -369,4 +474,36 @@ async def _while_permitted(
         result = task.result()
     finally:
         task.cancel()
-    return msgspec.structs.replace(result, message=joined((reason, result.message)))
+    return replace(result, message=joined((reason, result.message)))
+
+
+Commands = Annotated[CommandService, bus_service(CommandService)]
+"""Sends commands to ``{bus}`` in the path."""
+
+
+class _Writes(Requires):
+    """A dependency that reserves the next turn of ``{bus}`` in the path for a user with the role.
+
+    Whether the command comes late is judged where it is sent: it may have a timeout of its own, and one that
+    was carried out before gives its result however late it is repeated.
+    """
+
+    async def grant(self, connection: HTTPConnection) -> Person:
+        person = self.permitted(connection)
+        if "bus" in connection.path_params:
+            await bus_service_of(connection, connection.path_params["bus"], CommandService).reserve()
+        return person
+
+
+def permitted(kind: CommandKind[Any]) -> Any:
+    """Make a dependency that requires the role of a kind of command."""
+    return Depends(Requires(kind.role, kind.request.__name__))
+
+
+ParameterWriter = Annotated[Person, permitted(WRITE_PARAMETER)]
+"""Who may write parameters: of one unit, of many, by a restore or in a unit swap."""
+
+
+def permitted_writer(kind: CommandKind[Any]) -> Any:
+    """Make a dependency that requires the role of a kind of command, and reserves a turn of the wire."""
+    return Depends(_Writes(kind.role, kind.request.__name__))

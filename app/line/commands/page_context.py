@@ -19,8 +19,8 @@ from app.core.web.services import bus_service_of, service_of
 from app.core.web.templating import render, templates_of
 from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command, timeout_s_for
-from app.line.commands.forms.undo_shown import UndoShown, undo_shown
 from app.line.commands.limits import Limits
+from app.line.commands.record import CommandKey
 from app.line.commands.review import (
     REVIEW_LASTS_S,
     DrawChange,
@@ -35,9 +35,8 @@ from app.line.commands.review import (
 )
 from app.line.commands.rules import slows_all
 from app.line.commands.safeguards import Safeguards
-from app.line.commands.service.command_service import CommandService
-from app.line.commands.service.idempotency import CommandKey
-from app.line.commands.service.value_converter import ValueConverter
+from app.line.commands.service import CommandService
+from app.line.commands.undo import UndoOffer
 from app.line.commands.values import Scales, parse_scale, setpoint_message
 from app.line.live.bus_live import BusLive, LiveState, UnitLive
 from app.line.live.fields import FlatFields, Translator
@@ -164,11 +163,11 @@ class BusPage(PageContext):
         """Deadline of the command that this request sends. ``staged_units``: number of units of a change."""
         return Deadline(self.made_at, timeout_s_for(self.bus, staged_units, typed=typed))
 
-    def typed(self, unit: int, deadline: Deadline | None = None) -> ValueConverter:
-        """Converts what was typed for a unit."""
-        return ValueConverter(
-            self.commands, self.person, self.bus, self.bus.units[unit], deadline or self.deadline()
-        )
+    async def typed_setpoint(
+        self, unit: int, text: str, deadline: Deadline | None = None
+    ) -> tuple[int, UnitScale]:
+        """Convert a typed setpoint; returns it, raw, with its scale. Raises CallerError and Problem."""
+        return await self.commands.convert_setpoint(self.person, unit, text, deadline or self.deadline())
 
     def check(self, action: Action) -> None:
         """The checks of a command that need no reading. Raises Problem for what would not be sent."""
@@ -194,9 +193,9 @@ class BusPage(PageContext):
         missing = {unit: ramp_parameters_missing(self.bus.units[unit]) for unit in units}
         await asyncio.gather(*(read(unit, numbers) for unit, numbers in missing.items() if numbers))
 
-    def undo(self, id: str) -> UndoShown | None:
-        """The undo of the command that this person has sent with this id; None where there is none."""
-        return undo_shown(self.commands.undo.offer(self.person, id), self.bus)
+    def undo(self, id: str) -> UndoOffer | None:
+        """Return the undo of the command that this person has sent with this id; None if there is none."""
+        return self.commands.undo.offer(self.person, id)
 
     async def send(
         self,

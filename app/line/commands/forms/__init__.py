@@ -1,1 +1,0 @@
-"""What the pages with a form share: context of the request, review, result."""

@@ -1,0 +1,335 @@
+"""Many units as one change: the setpoints page.
+
+The change of several units of a bus: its review, and the result per unit.
+
+The form of such a review holds for each unit ``raw-N``, the new setpoint, ``was-N``, the one that the person
+saw, both raw, the latter empty where it was not known, and ``scale-N``, what both were shown with.
+``leave-out`` are the units that the person leaves out by name, as they cannot take it now.
+
+Setting the line to zero from any page: one review, one confirmation, a result for every unit.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Collection, Mapping
+from functools import partial
+from typing import Annotated
+
+from fastapi import APIRouter, Form
+from starlette.datastructures import FormData
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.core.web.access import Viewer
+from app.core.web.arrival import Deadline
+from app.core.web.shape import parse_integer
+from app.errors import Problem
+from app.line.commands.catalogue import SET_LINE, longest_change_s, timeout_s_for
+from app.line.commands.page_context import BusPage, Confirmed, Page
+from app.line.commands.review import (
+    OutcomeText,
+    ResultRow,
+    ZeroPlan,
+    by_remark,
+    outcome_text,
+    plan_zero,
+    present_setpoint,
+)
+from app.line.commands.rules import setpoint_range
+from app.line.commands.service import permitted
+from app.line.commands.values import (
+    Scales,
+    measure_of_setpoint,
+    parse_scale,
+    setpoint_message,
+)
+from app.line.conditions.condition import follower
+from app.line.live.bus_live import BusLive
+from app.line.live.fields import name_on_site
+from bus.contract import Result, SetLine, SetSpeed, UnitOutcome, UnitScale
+from bus.errors import CallerError
+from bus.instants import unix_now
+from bus.messages import Message, joined, term
+
+router = APIRouter(include_in_schema=False)
+TITLE = term("Setpoints")
+
+
+@router.get("/setpoints")
+async def setpoints(_: Viewer, page: Page) -> Response:
+    """Every unit with its present setpoint and room for a new one."""
+    buses = [(bus.name, [_line_of(bus, number) for number in bus.bus.units]) for bus in page.buses()]
+    return page.render("setpoints/page.html", fields=page.fields(), buses=buses)
+
+
+def _line_of(page: BusPage, number: int) -> dict[str, object]:
+    live = page.bus.units[number]
+    allowed = setpoint_range(live, page.limits(number))
+    low, high = setpoint_message(allowed.lowest, live), setpoint_message(allowed.highest, live)
+    return {
+        "unit": page.shown(number),
+        "measure": measure_of_setpoint(live),
+        "limits": {"low": page.translator.t(low), "high": page.translator.t(high)},
+        "follower": bool(follower(live)),
+    }
+
+
+@router.post("/setpoints/review", dependencies=[permitted(SET_LINE)])
+async def review_setpoints(request: Request, page: Page) -> Response:
+    """Each new setpoint that was typed, judged: old → new, limits, ramps, in one table."""
+    form = await request.form()
+    of_bus = page.of_bus(str(form.get("bus", "")))
+    try:
+        return await review_change(of_bus, *await typed_setpoints(of_bus, form))
+    except (CallerError, Problem) as error:
+        return page.explain(error, f"#setpoints-error-{of_bus.name}")
+
+
+async def review_change(
+    of_bus: BusPage, setpoints: Mapping[int, int], typed_with: Scales | None = None
+) -> Response:
+    """The new setpoint of several units, raw, to be confirmed; ``typed_with``: what each was converted with,
+    where they were typed. Raises Problem for what would not be sent."""
+    scales = typed_with or {}
+    able = {unit: raw for unit, raw in setpoints.items() if of_bus.obstacle(unit) is None}
+    if able:
+        await of_bus.judge(SetLine(setpoints=able), of_bus.deadline(len(able)))
+    await of_bus.know_ramps(able)
+    changes = [of_bus.change(unit, raw, scales.get(unit)) for unit, raw in setpoints.items()]
+    able = {change.unit: change.new_raw for change in changes if change.obstacle is None}
+    left_out, unchanged = of_bus.not_taking_part(setpoints)
+    return of_bus.review(
+        "setpoints/_review.html",
+        bus=of_bus.name,
+        changes=changes,
+        able=len(able),
+        draws=of_bus.draws(able),
+        risks=by_remark((each.name, risk) for each in changes if each.unit in able for risk in each.risks),
+        left_out=by_remark(left_out),
+        unchanged=unchanged,
+        followers=followers_of(of_bus.bus),
+        longest_s=longest_change_s(of_bus.bus, len(changes)),
+    )
+
+
+async def typed_setpoints(page: BusPage, form: FormData) -> tuple[dict[int, int], Scales]:
+    """Raw setpoint by unit, and what it was converted with. Raises CallerError and Problem for an invalid
+    setpoint."""
+    fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in page.bus.units}
+    typed = {unit: text for unit, text in fields.items() if text}
+    if not typed:
+        raise CallerError(Message("no_new_setpoint"))
+    deadline = page.deadline(len(typed))
+    setpoints: dict[int, int] = {}
+    scales: dict[int, UnitScale] = {}
+    for unit, text in typed.items():
+        try:
+            setpoints[unit], scales[unit] = await page.typed_setpoint(unit, text, deadline)
+        except CallerError as error:
+            name = page.bus.units[unit].settings.name
+            raise CallerError(Message.of("of_unit", name=name, reason=error.message)) from error
+    return setpoints, scales
+
+
+@router.post("/setpoints", dependencies=[permitted(SET_LINE)])
+async def set_setpoints(
+    request: Request, page: Page, bus: Annotated[str, Form()], confirmed: Confirmed
+) -> Response:
+    """Stage all, require every acknowledgement, one broadcast, read each back: all of them or none."""
+    of_bus, form, title = page.of_bus(bus), await request.form(), page.translator.t(TITLE)
+    try:
+        is_sent = await of_bus.has_sent(confirmed.id)
+        setpoints, scales = reviewed(of_bus.bus, form, is_sent=is_sent)
+        if not is_sent:
+            of_bus.refuse_unable(setpoints)
+        result = await of_bus.carry_out(SetLine(setpoints=setpoints), confirmed, scales)
+    except Problem as problem:
+        return page.refused(problem, title)
+    return proven(of_bus, title, setpoints, result, confirmed.id, left_out_of(form))
+
+
+def left_out_of(form: FormData) -> set[int]:
+    """The units that the person leaves out. Raises Problem 422 for what is no address."""
+    units = {parse_integer(str(text)) for text in form.getlist("leave-out")}
+    if None in units:
+        raise Problem(422, "invalid", Message("not_what_was_reviewed"))
+    return {unit for unit in units if unit is not None}
+
+
+def reviewed(live: BusLive, form: FormData, *, is_sent: bool) -> tuple[dict[int, int], Scales]:
+    """The new setpoints, raw, by address, of the units that are not left out, and what they were shown with.
+    Raises Problem 409 where one has moved since the review; ``is_sent``: by this change itself, whose form is
+    here again."""
+    setpoints, scales, left_out = {}, {}, left_out_of(form)
+    for number, unit in live.units.items():
+        text = str(form.get(f"raw-{number}", ""))
+        if not text or number in left_out:
+            continue
+        raw = parse_integer(text, 6)
+        if raw is None:
+            raise Problem(422, "invalid", Message("not_what_was_reviewed"))
+        present = present_setpoint(live, unit)
+        was = str(form.get(f"was-{number}", ""))
+        if not is_sent and was != ("" if present is None else str(present)):
+            raise Problem(409, "moved", Message.of("setpoint_of_moved", name=unit.settings.name))
+        setpoints[number], scales[number] = raw, parse_scale(form.get(f"scale-{number}"))
+    return setpoints, scales
+
+
+def followers_of(live: BusLive) -> set[int]:
+    """The units whose setpoint is a ratio, of which the screen has no live value."""
+    return {number for number, unit in live.units.items() if follower(unit)}
+
+
+def proven(
+    page: BusPage,
+    title: str,
+    setpoints: Mapping[int, int],
+    result: Result,
+    id: str,
+    left_out: Collection[int],
+) -> Response:
+    """The outcome of each unit in floor order, then those that were left out, and the undo of the change with
+    this id."""
+    by_unit, units = {outcome.unit: outcome for outcome in result.units}, page.bus.units
+    proofs: list[tuple[str | Message, str | Message, OutcomeText]] = [
+        (
+            units[number].settings.name,
+            setpoint_message(raw, units[number]),
+            page.outcome(by_unit.get(number, result), number),
+        )
+        for number, raw in setpoints.items()
+    ]
+    proofs += [(page.name_of(unit), "", page.outcome_left_out(unit)) for unit in sorted(left_out)]
+    return page.render(
+        "setpoints/_done.html",
+        title=title,
+        bus=page.name,
+        outcome=_outcome_of_all(result, len(setpoints)),
+        proofs=proofs,
+        undo=page.undo(id),
+        skew=None if result.skew_s is None else page.translator.formats.number(result.skew_s * 1000),
+    )
+
+
+def _outcome_of_all(result: Result, units: int) -> OutcomeText:
+    """The outcome of the change: how many of its units are verified."""
+    outcome = outcome_text(result)
+    if result.outcome == "verified":
+        return OutcomeText("good", Message.of("result_of_all", n=units))
+    if result.outcome != "unverified":
+        return outcome
+    good = sum(unit.outcome == "verified" for unit in result.units)
+    counted = Message.of("result_of_some", n=units, good=good)
+    return OutcomeText(outcome.tone, joined((counted, outcome.text)) or counted)
+
+
+ZERO_TITLE = term("Set line to zero")
+
+
+@router.get("/line/zero")
+async def review_zero(person: Viewer, page: Page) -> Response:
+    """What setting the line to zero will do, to which units; a bus that another user controls is one item.
+    A viewer sees the same button, in the same place on every page, with the reason why it has no effect."""
+    if not person.role.includes(SET_LINE.role):
+        return page.render("line/_zero_not_yours.html")
+    buses = page.buses()
+    objections = {bus.name: bus.guards.objection(person.account) for bus in buses}
+    plans = {bus: _plan(bus) for bus in buses if not objections[bus.name]}
+    return page.review(
+        "line/_review_zero.html",
+        plans=list(plans.values()),
+        risks=by_remark(
+            (_on_site(bus, name), risk) for bus, plan in plans.items() for name, risk in plan.risks
+        ),
+        left_out=by_remark(
+            (_on_site(bus, name), reason) for bus, plan in plans.items() for name, reason in plan.left_out
+        ),
+        held={bus: objection for bus, objection in objections.items() if objection},
+        many=len(buses) > 1,
+        longest_s=max((_longest_s(bus.bus, len(plan.units)) for bus, plan in plans.items()), default=0.0),
+    )
+
+
+def _longest_s(bus: BusLive, units: int) -> float:
+    """All at once, its withdrawal, and then each alone."""
+    return longest_change_s(bus, units) + units * timeout_s_for(bus)
+
+
+def _plan(page: BusPage) -> ZeroPlan:
+    return plan_zero(page.bus, partial(page.guards.block_reason, slows=True), unix_now())
+
+
+@router.post("/line/zero", dependencies=[permitted(SET_LINE)])
+async def set_zero(page: Page, confirmed: Confirmed) -> Response:
+    """Set the speed of every reachable unit to 0, all at once where all acknowledge, else one by one.
+
+    A refusal by one bus or one unit does not affect the others.
+    """
+    title = page.translator.t(ZERO_TITLE)
+    try:
+        confirmed.refuse_lapsed()
+    except Problem as problem:
+        return page.refused(problem, title)
+    by_bus = await asyncio.gather(*(_zero_bus(bus, f"{confirmed.id}-{bus.name}") for bus in page.buses()))
+    proofs = [proof for bus in by_bus for proof in bus]
+    return page.render("line/_zero_done.html", title=title, proofs=proofs, outcome=_in_all(proofs))
+
+
+async def _zero_bus(page: BusPage, id: str) -> list[ResultRow]:
+    """Units that are left out come first, with the reason."""
+    plan = _plan(page)
+    page.commands.undo.clear(page.person)
+    left_out: list[ResultRow] = [
+        (_on_site(page, name), "", OutcomeText("bad", Message.of("result_left_out", reason=reason)))
+        for name, reason in plan.left_out
+    ]
+    proofs = await _zero_units(page, plan, id) if plan.units else []
+    # Nor is this: one press on Undo would start the line.
+    page.commands.undo.clear(page.person)
+    return left_out + proofs
+
+
+async def _zero_units(page: BusPage, plan: ZeroPlan, id: str) -> list[ResultRow]:
+    """Set all at once; then each unit that is not verified, unless the click itself came too late."""
+    units = len(plan.units)
+    together = await _sent(
+        page, SetLine(setpoints=dict.fromkeys(plan.units, 0)), id, page.deadline(units, typed=False)
+    )
+    came_late = isinstance(together, Problem) and together.code == "not_sent"
+    at_the_end = Deadline(page.made_at, _longest_s(page.bus, units))
+    by_unit = {result.unit: result for result in together.units} if isinstance(together, Result) else {}
+    proofs: list[ResultRow] = []
+    for number, name in plan.units.items():
+        result: Result | UnitOutcome | Problem = by_unit.get(number, together)
+        settled = not isinstance(result, Problem) and result.outcome in ("verified", "bus_closed")
+        if not settled and not came_late and at_the_end.left_s > 0:
+            deadline = Deadline.within(timeout_s_for(page.bus))
+            result = await _sent(page, SetSpeed(unit=number, raw=0), f"{id}-{number}", deadline)
+        outcome = (
+            OutcomeText("bad", result.message)
+            if isinstance(result, Problem)
+            else page.outcome(result, number)
+        )
+        proofs.append((_on_site(page, name), setpoint_message(0, page.bus.units[number]), outcome))
+    return proofs
+
+
+async def _sent(page: BusPage, action: SetLine | SetSpeed, id: str, deadline: Deadline) -> Result | Problem:
+    """The result of a command; a rejection before the wire is a result too."""
+    try:
+        return await page.send(action, id, deadline)
+    except Problem as problem:
+        return problem
+
+
+def _on_site(page: BusPage, name: str) -> str:
+    return name_on_site(page.name, name, page.live.buses)
+
+
+def _in_all(proofs: list[ResultRow]) -> OutcomeText:
+    at_zero = sum(outcome.tone == "good" for _, _, outcome in proofs)
+    if proofs and at_zero == len(proofs):
+        return OutcomeText("good", Message.of("result_at_zero", n=at_zero))
+    return OutcomeText("bad", Message.of("result_not_at_zero", n=len(proofs), good=at_zero))
