@@ -1,4 +1,4 @@
-"""What people do with alarms. From a row with a path follow its route, its form, its check and its event."""
+"""What people do with alarms. The route, the form, the check and the event of an act follow from its row."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from app.people.audit.acts import Act
 from bus.text import OneLine
 
 MAX_MINUTES = 720
-"""A shift: what is to be hidden longer goes out of service."""
+"""A shift. An alarm that has to be hidden for longer is taken out of service."""
 MINUTE_S = 60
 ActReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
 Comment = Annotated[OneLine, Field(max_length=200)]
 
 
 class ActBody(StrictBody):
-    """The body of an act. Blanks around what a person wrote are removed."""
+    """The body of an act. Blanks around a text are removed."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
@@ -34,7 +34,7 @@ class ActBody(StrictBody):
 
     @property
     def options(self) -> dict[str, Any]:
-        """The arguments of the act's change of the facts, beside the time."""
+        """Further arguments of the act's ``change``."""
         return {}
 
 
@@ -49,7 +49,7 @@ class AlarmCommentRequest(ActBody):
 
 
 class AlarmReturnRequest(ActBody):
-    """Why, for the journal and the audit log."""
+    """A reason for the journal and the audit log."""
 
     reason: Comment = ""
 
@@ -59,13 +59,13 @@ class AlarmReturnRequest(ActBody):
 
 
 class AlarmOutOfServiceRequest(AlarmReturnRequest):
-    """Why."""
+    """The reason for hiding the alarm."""
 
     reason: ActReason
 
 
 class AlarmShelveRequest(AlarmOutOfServiceRequest):
-    """Why, and for how long."""
+    """The reason for hiding the alarm, and for how long."""
 
     minutes: Annotated[int, Field(ge=1, le=MAX_MINUTES, description="At most a shift, 720.")]
     once: Annotated[bool, Field(description="Or until its condition has ended, if that is sooner.")] = False
@@ -77,9 +77,9 @@ class AlarmShelveRequest(AlarmOutOfServiceRequest):
 
 @dataclass(frozen=True, slots=True)
 class AlarmAct(Act):
-    """What a person does with one alarm. ``path``: of its routes, after the id of the occurrence; ``means``:
-    its description in the API; ``change``: what it does to the facts, with the options of its ``body``. One
-    that ``hides`` it needs a reason; the alarm keeps by whom and why."""
+    """What a person does with one alarm. ``path``: the end of its routes, after the id of the occurrence;
+    ``means``: its description in the API; ``change``: the function that changes the facts, called with the
+    options of the ``body``. An act that ``hides`` the alarm needs a reason."""
 
     path: str
     means: str
@@ -162,7 +162,7 @@ ALARM_ACTS = (ACKNOWLEDGE, SILENCE, RESET, SHELVE, UNSHELVE, REMOVE, RETURN)
 """The acts on one alarm; each has its routes."""
 
 SILENCE_SOUNDING = Act("silence_sounding_alarms", Role.OPERATOR, "alarm", "event_alarms_silenced")
-"""Silences every alarm that sounds; where one sounds, :data:`SILENCE` is recorded instead."""
+"""Silences every alarm that sounds. Where only one sounds, :data:`SILENCE` is recorded instead."""
 ADD_OWN = Act("add_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_added")
 CHANGE_OWN = Act("change_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_changed")
 REMOVE_OWN = Act("remove_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_removed")

@@ -1,4 +1,4 @@
-"""Alarms: their definitions, those that are built in, and their state at run time."""
+"""Alarms: their definitions, among them the built-in ones, and the state of an alarm at run time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ UnitNumber = Annotated[int | None, Field(description="Address of the unit (#17),
 AlarmConsequence = TypeAliasType("AlarmConsequence", Consequence)
 AlarmTimeToRespond = TypeAliasType("AlarmTimeToRespond", TimeToRespond)
 SITE = "_"
-"""In a key in place of a bus (a slug holds no underscore): the alarm belongs to the site."""
+"""Stands in the key of an alarm of the site in place of a bus, whose name has no underscore."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +61,12 @@ class AlarmDefinition:
 
 
 def key_of(bus: str | None, unit: int | None, code: str) -> str:
-    """The key of a built-in alarm."""
+    """Return the key of a built-in alarm."""
     return ".".join((bus or SITE, *(() if unit is None else (str(unit),)), code))
 
 
 def own_key(bus: str, unit: int, name: str) -> str:
-    """The key of an alarm of the site, whose name may have any characters."""
+    """Return the key of an alarm that the site defined, whose name may have any characters."""
     return key_of(bus, unit, f"own-{blake2b(name.encode(), digest_size=6).hexdigest()}")
 
 
@@ -75,52 +75,54 @@ NORMAL = AlarmFacts()
 
 
 def state_text(state: AlarmState) -> Message:
-    """The words for a state."""
+    """Return the words for a state."""
     return Message(f"alarm_state_{state}")
 
 
 @dataclass(slots=True, eq=False)
 class Alarm:
-    """``holds``: its condition as last observed; None: not known."""
+    """An alarm and its state."""
 
     definition: AlarmDefinition
     facts: AlarmFacts = NORMAL
     holds: bool | None = None
+    """The condition as last observed; None: not known."""
     first_out: bool = False
-    """It was the first of several that rose together."""
+    """Whether the alarm was the first of several that rose together."""
     hidden_by: str = ""
-    """Who shelved it or took it out of service, and ``reason``: why."""
+    """The person who shelved the alarm or took it out of service."""
     reason: str = ""
+    """The reason that this person gave."""
 
     @property
     def id(self) -> str:
-        """Names its present occurrence."""
+        """The id of the present occurrence."""
         return f"{self.definition.key}.{self.facts.occurrence}"
 
     @property
     def is_unacknowledged(self) -> bool:
-        """Whether it waits for a person to see it."""
+        """Whether the alarm waits for its acknowledgement, and nothing hides it."""
         return not self.facts.is_hidden and not self.facts.acknowledged
 
     @property
     def is_annunciated(self) -> bool:
-        """Whether a person is to know of it: it is active or not acknowledged, and nothing hides it."""
+        """Whether the alarm is active or not acknowledged, and nothing hides it."""
         return not self.facts.is_hidden and (self.facts.active or not self.facts.acknowledged)
 
     @property
     def state_text(self) -> Message:
-        """The words for its state."""
+        """The words for the present state."""
         return state_text(self.facts.state)
 
     @property
     def hiding(self) -> tuple[str, str]:
-        """The person who hides it and why; empty where none does."""
+        """The person who hides the alarm, and the reason; both empty where no one does."""
         return (self.hidden_by, self.reason) if self.facts.is_hidden_by_person else ("", "")
 
     @property
     def mark(self) -> str:
-        """Its priority as it is drawn: ``urgent``, with ``cleared`` once it is over and ``waiting`` until it
-        is acknowledged."""
+        """The shape in which the alarm is drawn: its priority, with ``cleared`` once its condition has ended
+        and ``waiting`` until it is acknowledged."""
         cleared = "" if self.facts.active else " cleared"
         return self.definition.priority + cleared + (" waiting" if self.is_unacknowledged else "")
 
@@ -128,7 +130,7 @@ class Alarm:
 def built_in(
     code: str, bus: str | None, unit: int | None = None, tuned: Iterable[BuiltInAlarmSettings] = ()
 ) -> AlarmDefinition:
-    """The definition of a built-in alarm at its place. ``tuned``: the limits and delays that the site set."""
+    """Define a built-in alarm at its place. ``tuned``: the limits and delays that the site set."""
     row = CONDITIONS[code]
     name, record = _texts(code)
     usual: AlarmGroup = "drive" if unit is not None else "system" if bus is None else "communication"
@@ -148,7 +150,7 @@ def built_in(
 
 @cache
 def _texts(code: str) -> tuple[Message, AlarmRationalization]:
-    """Return the texts of a built-in alarm, as the same objects for every unit: a line has thousands of
+    """Return the texts of a built-in alarm, the same objects for every unit: a line has thousands of
     alarms."""
     row = CONDITIONS[code]
     name, cause, consequence, response = map(Message, row.texts)

@@ -1,4 +1,5 @@
-"""The alarms of one bus or of the site: their changes in order, on disk, and made known to subscribers."""
+"""A list of alarms, of one bus or of the site: applies the rules, writes every change in order and tells
+those who subscribe; and the changes of one act of a person."""
 
 from __future__ import annotations
 
@@ -29,18 +30,16 @@ RETRY_AFTER_S = 1.0
 TICK_S = 1.0
 OBSERVED_EVERY_S = 60.0
 """How often the store learns that the alarms are still observed."""
-
 MAX_WITHDRAWN = 500
-"""Alarms whose definition ended, as long as what follows the journal may still need them."""
-
+"""Alarms whose definition has ended that are kept for those who follow the journal."""
 AlarmSubscriber = Callable[[Alarm], None]
 """Called with an alarm after it has changed."""
 log = structlog.get_logger()
 
 
 class AlarmList:
-    """Applies the rules. A change holds at once; the journal has it a moment later, in order, and
-    waits where the store cannot be written."""
+    """The alarms of one bus or of the site. A change holds at once; the journal has it a moment later, in
+    order, and waits where the store cannot be written."""
 
     def __init__(
         self, definitions: Iterable[AlarmDefinition], store: AlarmStore, bus: str | None = None
@@ -48,7 +47,7 @@ class AlarmList:
         self.alarms = {definition.key: Alarm(definition) for definition in definitions}
         self._withdrawn: dict[str, Alarm] = {}
         self.known: Mapping[str, Alarm] = ChainMap(self.alarms, self._withdrawn)
-        """The alarms and those whose definition has ended: who follows the journal may be a moment late."""
+        """The alarms, and those whose definition has ended: followers of the journal may be a moment late."""
         self._place = bus or SITE
         self._store = store
         self._entries: list[JournalEntry] = []
@@ -56,13 +55,14 @@ class AlarmList:
         self._due: dict[str, UnixTime] = {}
         self._wake = asyncio.Event()
         self.writing = asyncio.Lock()
-        """Held while transitions are written: one that fails must not come after those that follow it."""
+        """Held while transitions are written: transitions that could not be written must not come after later
+        ones."""
         self._first_out = FirstOut()
         self._subscribers: list[AlarmSubscriber] = []
         self.annunciated: Counter[AlarmPriority] = Counter()
         """How often alarms were annunciated since the server started."""
         self.observed: ObservedSpan | None = None
-        """Since when its conditions are observed without a gap; None: they were not yet."""
+        """The time up to now in which the conditions were observed without a gap; None: not yet."""
         self._recorded: ObservedSpan | None = None
 
     def subscribe(self, subscriber: AlarmSubscriber) -> None:
@@ -70,7 +70,8 @@ class AlarmList:
         self._subscribers.append(subscriber)
 
     def load(self, stored: Mapping[str, StoredAlarm], now: UnixTime) -> None:
-        """Go on where the last run ended. Of what was active nothing is known until it is observed."""
+        """Continue from the states that the last run left. Whether an active alarm still holds is not known
+        until its condition is observed."""
         for key, kept in stored.items():
             alarm = self.alarms.get(key)
             if alarm is None:
@@ -81,7 +82,7 @@ class AlarmList:
             self._schedule(alarm)
 
     def put(self, alarm: Alarm) -> None:
-        """Take in an alarm while running, or another definition of one."""
+        """Add an alarm, or replace it by one with another definition."""
         self.alarms[alarm.definition.key] = alarm
         self._withdrawn.pop(alarm.definition.key, None)
         self._schedule(alarm)
@@ -93,7 +94,7 @@ class AlarmList:
         if len(self._withdrawn) > MAX_WITHDRAWN:
             del self._withdrawn[next(iter(self._withdrawn))]
 
-    # --- what happens to an alarm ---------------------------------------------------------------------
+    # --- changes of an alarm --------------------------------------------------------------------------
 
     def observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
         """Set whether the condition of an alarm holds; ``None``: it is not known."""
@@ -134,7 +135,7 @@ class AlarmList:
         self._wake.set()
 
     def apply(self, alarm: Alarm, changed: Changed, who: str = "", reason: str = "") -> None:
-        """Take over how an alarm has changed; ``who``: the person who acted."""
+        """Change an alarm as the rules found; ``who``: the person who acted."""
         alarm.facts, transitions = changed
         self._schedule(alarm)
         for each in transitions:
@@ -168,27 +169,27 @@ class AlarmList:
         for subscriber in self._subscribers:
             subscriber(alarm)
 
-    # --- to the disk ----------------------------------------------------------------------------------
+    # --- the journal ----------------------------------------------------------------------------------
 
     def take_unwritten(self) -> tuple[list[JournalEntry], list[Alarm]]:
-        """Hand over everything that is not on disk yet; the caller writes it, or gives it back."""
+        """Return everything that is not on disk yet; the caller writes it, or gives it back."""
         entries, alarms = self._entries, list(self._changed.values())
         self._entries, self._changed = [], {}
         return entries, alarms
 
     def give_back(self, entries: list[JournalEntry], alarms: list[Alarm]) -> None:
-        """Queue again what could not be written, before what came since."""
+        """Queue again what could not be written, before what has changed since."""
         self._entries = entries + self._entries
         self._changed = {alarm.definition.key: alarm for alarm in alarms} | self._changed
 
     async def write(self) -> None:
-        """Write everything that is not on disk yet. Raises StoreError; it then waits."""
+        """Write everything that is not on disk yet. Raises StoreError; the changes then wait."""
         async with self.writing:
             entries, alarms = self.take_unwritten()
             if not entries and not alarms:
                 return
             try:
-                # The end of the server cancels who waits, and must not take back what was handed over.
+                # The end of the server cancels this wait, and must not cancel the write.
                 await asyncio.shield(self._store.write(entries, alarms))
             except StoreError:
                 self.give_back(entries, alarms)
@@ -201,15 +202,15 @@ class AlarmList:
             self._recorded = self.observed
 
     def _is_observed_longer(self) -> bool:
-        """Whether the alarms were observed for so much longer than the store knows that it is to be
-        stored."""
+        """Whether the store has to learn until when the alarms were observed."""
         if self.observed is None or self._recorded is None:
             return self.observed is not None
-        is_other = self.observed.start != self._recorded.start
-        return is_other or self.observed.end - self._recorded.end >= OBSERVED_EVERY_S
+        is_new_span = self.observed.start != self._recorded.start
+        return is_new_span or self.observed.end - self._recorded.end >= OBSERVED_EVERY_S
 
     async def follow(self, tick: Callable[[], None], clock: Clock) -> None:
-        """Run ``tick`` every second, what is due at its time, and write what has changed, without end."""
+        """Call ``tick`` every second, apply what is due at its time, and write what has changed, without
+        end."""
         fault, ticked_at = "", UnixTime(0.0)
         while True:
             now = clock()
@@ -231,7 +232,7 @@ class AlarmList:
             await self._wait(ticked_at + TICK_S, clock())
 
     async def _wait(self, until: UnixTime, now: UnixTime) -> None:
-        """Wait until something has changed or is due, at the latest until ``until``."""
+        """Wait until something has changed or is due, at most until ``until``."""
         due = min((until, *self._due.values()))
         with suppress(TimeoutError):
             async with asyncio.timeout(max(0.0, due - now)):
@@ -240,8 +241,8 @@ class AlarmList:
 
 
 class ActTransaction:
-    """The changes of one act to alarms of ``lists``; ``who``: the name of the person. The caller holds
-    ``writing`` of each list until it is recorded."""
+    """The changes of one act of a person to alarms of ``lists``. The caller holds ``writing`` of each list
+    until they are recorded."""
 
     def __init__(self, who: str, lists: Iterable[AlarmList]) -> None:
         self._who = who
@@ -253,7 +254,7 @@ class ActTransaction:
     def change(
         self, of: AlarmList, alarm: Alarm, changed: Changed, reason: str = "", *, hides: bool = False
     ) -> None:
-        """Change an alarm of a list; where that ``hides`` it, it keeps by whom and why."""
+        """Change an alarm of a list. An act that ``hides`` the alarm leaves there who hid it and why."""
         before = (alarm.facts, alarm.hidden_by, alarm.reason)
         if hides:
             alarm.hidden_by, alarm.reason = self._who, reason
@@ -268,8 +269,8 @@ class ActTransaction:
         kind: EventKind,
         **fields: Unpack[EventFields],
     ) -> None:
-        """Record the act in the audit log, with the journal and what is written ``beside`` it. Raises
-        StoreError; every alarm is then as it was before, unless it has changed since."""
+        """Record the act in the audit log, together with the journal and what is written ``beside`` it.
+        Raises StoreError; every alarm is then as before, unless it has changed since."""
         taken = [(each, *each.take_unwritten()) for each in self._lists]
         written = [*beside, *(alarm_writer(entries, alarms) for _, entries, alarms in taken)]
 

@@ -1,4 +1,4 @@
-"""Alarms over HTTP: what is present, what people do with it, and the journal."""
+"""Alarms over HTTP: the present ones, what people do with them, the journal and its figures."""
 
 from __future__ import annotations
 
@@ -112,13 +112,13 @@ def alarm_message(alarm: Alarm, value: Message | None) -> Message:
 
 
 def present_value(alarms: LineAlarms, alarm: Alarm) -> Message | None:
-    """The present value of what it is about; None where it is about none, or that is not known."""
+    """Return the present value that an alarm is about; None where it is about none, or that is not known."""
     bus = alarm.definition.bus
     return alarms.site.present(alarm) if bus is None else alarms.buses[bus].present(alarm)
 
 
 def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
-    """An alarm as it is now."""
+    """Show an alarm as it is now."""
     definition, facts = alarm.definition, alarm.facts
     value = present_value(alarms, alarm)
     message = alarm_message(alarm, value)
@@ -152,7 +152,7 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
 
 
 def transition_json(entry: JournalEntry) -> AlarmTransition:
-    """An entry of the journal."""
+    """Show an entry of the journal."""
     return {
         "id": entry.id,
         "time": iso(entry.at),

@@ -1,4 +1,4 @@
-"""What needs a response: the alarms of each bus and of the site, their journal and its figures."""
+"""The feature of alarms: those of each bus and of the site, their journal and its figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The tables of alarms: their facts, the journal of every transition, and what it says of a span of time."""
+"""The tables of alarms: the facts of each, the journal of every transition, and what the journal says of a
+span: the occurrences for charts, and the figures of ISA-18.2."""
 
 from __future__ import annotations
 
@@ -37,14 +38,14 @@ T = TypeVar("T")
 _STORED_FACTS = tuple(
     field.name for field in fields(AlarmFacts) if field.name not in ("changing_since", "unknown_since")
 )
-"""A delay begins again after a restart, and what nothing is known of is not known then either."""
+"""A delay begins again after a restart, and whether a condition is known is found out again."""
 _FLAGS = ("active", "acknowledged", "latched", "silenced", "suppressed", "out_of_service", "shelved_once")
 _OF_ALARM = ("first_out", "hidden_by", "reason")
 
 
 @dataclass(frozen=True, slots=True)
 class NamedAlarm:
-    """An alarm with what it needs to be named without the configuration of its time."""
+    """An alarm of the journal, named without the configuration of its time."""
 
     alarm: Annotated[str, Field(description="Its id without the occurrence.")]
     code: str
@@ -54,14 +55,13 @@ class NamedAlarm:
 
     @property
     def shown_name(self) -> str | Message:
-        """The name as it is shown: a built-in alarm has a message, which each reader sees in their
-        language."""
+        """The name as it is shown: that of a built-in alarm is a message, in the language of each reader."""
         return Message(f"alarm_{self.code}") if self.alarm.endswith(f".{self.code}") else self.name
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedAlarm(NamedAlarm):
-    """An occurrence."""
+    """An occurrence of an alarm."""
 
     occurrence: int
     priority: AlarmPriority
@@ -69,7 +69,7 @@ class RecordedAlarm(NamedAlarm):
 
 @dataclass(frozen=True, slots=True)
 class JournalEntry(RecordedAlarm):
-    """One transition."""
+    """One transition of an alarm."""
 
     at: UnixTime
     trigger: AlarmTrigger
@@ -91,7 +91,7 @@ class JournalEntry(RecordedAlarm):
 def entry_of(
     definition: AlarmDefinition, change: Transition, who: str = "", reason: str = ""
 ) -> JournalEntry:
-    """The journal entry of a transition."""
+    """Make the journal entry of a transition."""
     return JournalEntry(
         at=change.at,
         alarm=definition.key,
@@ -111,8 +111,8 @@ def entry_of(
 
 @dataclass(frozen=True, slots=True)
 class JournalFilter:
-    """Which transitions: of ``alarms`` by their keys, None: of all; of a ``bus`` and a ``unit``, a priority,
-    into a state, from ``start`` up to ``end``."""
+    """A choice of transitions: of ``alarms`` by their keys (None: all), of a bus, a unit, a priority, into
+    the state ``after``, from ``start`` up to ``end``."""
 
     alarms: Sequence[str] | None = None
     bus: str | None = None
@@ -124,7 +124,7 @@ class JournalFilter:
 
     @property
     def sql(self) -> tuple[str, list[Any]]:
-        """Conditions, each after AND, and their values."""
+        """The conditions in SQL, each after AND, and their values."""
         comparisons = {
             "bus = ?": self.bus,
             "unit = ?": self.unit,
@@ -165,24 +165,24 @@ class AlarmStore:
         self._database = database
 
     async def load(self) -> dict[str, StoredAlarm]:
-        """The stored facts of each alarm, by its key."""
+        """Return the stored facts of each alarm, by its key."""
         return await self._database.read(_load)
 
     async def find(self, key: str) -> StoredAlarm | None:
-        """The stored facts of one alarm; None: it never left its first state."""
+        """Return the stored facts of one alarm; None: the alarm never left its first state."""
         return (await self._database.read(lambda connection: _load(connection, key))).get(key)
 
     async def write(self, entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> None:
-        """Transitions in order, and the facts that they led to, in one transaction."""
+        """Write transitions, in order, and the facts that they led to, in one transaction."""
         await self._database.write(alarm_writer(entries, alarms))
 
     async def write_observed(self, place: str, span: ObservedSpan) -> None:
-        """The alarms of a bus, or of the site, were observed so long."""
+        """Write the time in which the alarms of a bus, or of the site, were observed."""
         statement = upsert("alarm_observed", ("place", "starts"), ("ends",))
         await self._database.write(lambda connection: connection.execute(statement, (place, *span)))
 
     async def read_costly(self, work: Callable[[StoreConnection], T]) -> T:
-        """A read of many transitions. Raises TooCostlyError after a bounded time."""
+        """Read many transitions. Raises TooCostlyError after a bounded time."""
         return await self._database.read_costly(work)
 
     async def journal(
@@ -192,8 +192,8 @@ class AlarmStore:
         alarm: str | None = None,
         chosen: JournalFilter | None = None,
     ) -> list[JournalEntry]:
-        """Transitions, of all, of one alarm or as ``chosen``, newest first; ``before``: older than this
-        entry. Raises TooCostlyError where few of very many are chosen."""
+        """Return transitions, newest first: all, those of one alarm, or as ``chosen``; ``before``: those
+        older than this entry. Raises TooCostlyError where few of very many are chosen."""
         conditions, values = (chosen or JournalFilter(None if alarm is None else (alarm,))).sql
         where = f"id < ?{conditions} ORDER BY id DESC LIMIT ?"
         query = f"SELECT {', '.join(_COLUMNS)}, id FROM alarm_journal WHERE {where}"
@@ -206,8 +206,8 @@ class AlarmStore:
 def alarm_writer(
     entries: Sequence[JournalEntry], alarms: Iterable[Alarm]
 ) -> Callable[[StoreConnection], None]:
-    """Return a function that writes transitions and facts in a transaction. The rows are made now, as the
-    facts may change until they are written."""
+    """Return a function that writes transitions and facts in a transaction. The rows are made now: the facts
+    may change before they are written."""
     journal = [_values_of(entry) for entry in entries]
     facts = [(alarm.definition.key, *_facts_of(alarm.facts), *_marks_of(alarm)) for alarm in alarms]
 
@@ -239,8 +239,8 @@ _LAST = (
 
 @dataclass(frozen=True, slots=True)
 class Occurrence(RecordedAlarm):
-    """An alarm was annunciated at ``start`` and active until ``end``; None: it still is. One during which the
-    clock was set back by more than it had lasted ends at its start."""
+    """An alarm was annunciated at ``start`` and active until ``end``; None: it still is. Where the clock was
+    set back by more than the occurrence had lasted, the end is the start."""
 
     start: UnixTime
     end: UnixTime | None
@@ -248,7 +248,7 @@ class Occurrence(RecordedAlarm):
 
 _OF_OCCURRENCE = tuple(field.name for field in fields(RecordedAlarm))
 _EDGE = f"((before IN {_ACTIVE}) <> (after IN {_ACTIVE}))"
-"""An occurrence begins or ends; as the partial index ``alarm_journal_edges`` has it."""
+"""A transition with which an occurrence begins or ends, as in the partial index ``alarm_journal_edges``."""
 _BACKWARD = (
     "SELECT * FROM alarm_journal INDEXED BY alarm_journal_edges"
     f" WHERE alarm = ? AND id < ? AND {_EDGE} ORDER BY id DESC LIMIT ?"
@@ -258,14 +258,14 @@ _NEXT = (
     f" WHERE alarm = ? AND id > ? AND {_EDGE} ORDER BY id LIMIT 1"
 )
 _FEW, _MANY = 2, 100
-"""Rows of a read, the first and each further one: of most alarms only the newest occurrence is needed."""
+"""Rows of the first read and of each further one: of most alarms only the newest occurrence is needed."""
 
 
 async def occurrences(
     store: AlarmStore, alarms: Iterable[str], start: UnixTime, end: UnixTime
 ) -> list[Occurrence]:
-    """Occurrences of a span, also where they began before it; of more than MAX_OCCURRENCES the newest and one
-    more, oldest first. ``alarms``: their keys."""
+    """Return the occurrences of a span, oldest first, also those that began before it. Of more than
+    MAX_OCCURRENCES only the newest are returned, and one more. ``alarms``: the keys of alarms."""
     keys = list(alarms)
     return await store.read_costly(lambda connection: _found(connection, keys, start, end))
 
@@ -298,7 +298,8 @@ def _of_alarm(
 
 
 def _edges(connection: StoreConnection, alarm: str, last: int) -> Iterator[StoreRow]:
-    """Where occurrences begin and end, from an entry of the journal back. None is kept open between two."""
+    """Yield the rows at which occurrences begin and end, from an entry of the journal back. No cursor stays
+    open between two rows."""
     before, limit = last + 1, _FEW
     while rows := connection.execute(_BACKWARD, (alarm, before, limit)).fetchall():
         yield from rows
@@ -360,7 +361,7 @@ class FrequentAlarm(NamedAlarm):
 
 @dataclass(frozen=True, slots=True)
 class AlarmPerformance:
-    """The figures of a time, and in how much of it alarms were observed."""
+    """The figures of a span, and in how much of it alarms were observed."""
 
     start: Annotated[
         InstantObject,
@@ -373,11 +374,11 @@ class AlarmPerformance:
 
     @property
     def is_observed(self) -> bool:
-        """Whether enough of the time was observed for figures."""
+        """Whether enough of the span was observed for figures."""
         return self.observed_s >= WINDOW_S
 
     def covers(self, span_s: float) -> bool:
-        """Whether all of a time so long was observed, but for a restart."""
+        """Whether all of a span of this length was observed, but for a restart."""
         return span_s - self.observed_s < WINDOW_S
 
 

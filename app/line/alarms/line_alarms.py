@@ -1,7 +1,4 @@
-"""Every alarm of the site and its buses, and what people do with them.
-
-The alarms in the head of every page and on the tiles, as fields.
-"""
+"""Every alarm of the site and its buses, what people do with them, and what the head of every page shows."""
 
 from __future__ import annotations
 
@@ -28,7 +25,7 @@ from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
 PAUSE_EVERY = 100
-"""Alarms, in a change of many: what else the server does comes between."""
+"""Alarms, in a change of many, after which the server does what else is to be done."""
 
 
 class FoundAlarm(NamedTuple):
@@ -39,7 +36,7 @@ class FoundAlarm(NamedTuple):
 
 
 class LineAlarms:
-    """All alarms. An act of a person is in the audit log, the journal and the alarm together, or nowhere."""
+    """All alarms. An act of a person is in the audit log, in the journal and in the alarm, or nowhere."""
 
     def __init__(
         self,
@@ -61,7 +58,7 @@ class LineAlarms:
         self.subscribe(self._note)
 
     async def load(self) -> None:
-        """Take up the states that the last run left."""
+        """Continue from the states that the last run left."""
         stored = await self.store.load()
         self.site.load(stored)
         for bus in self.buses.values():
@@ -83,7 +80,7 @@ class LineAlarms:
                 index.pop(definition.key, None)
 
     async def write(self) -> None:
-        """Bring to disk what is not there yet, as far as it can be."""
+        """Write what is not on disk yet, as far as that is possible."""
         for each in self._lists:
             for work in (each.write, each.record_observed):
                 with suppress(StoreError):
@@ -91,12 +88,12 @@ class LineAlarms:
 
     def subscribe(self, subscriber: AlarmSubscriber) -> None:
         """Call ``subscriber`` with each alarm that has changed, of every bus and of the site, on the event
-        loop and before the journal is written. This is where all that follows from transitions begins."""
+        loop and before the journal is written."""
         for each in self._lists:
             each.subscribe(subscriber)
 
     def list_of(self, bus: str) -> AlarmList:
-        """The alarms of a bus; of the site where ``bus`` is empty."""
+        """Return the alarms of a bus, or of the site where ``bus`` is empty."""
         return self.buses[bus].list if bus else self.site.list
 
     def every(self) -> Iterator[Alarm]:
@@ -105,7 +102,7 @@ class LineAlarms:
             yield from each.alarms.values()
 
     def known(self, key: str) -> Alarm | None:
-        """The alarm of a key, also one whose definition has ended lately; None: there is none."""
+        """Return the alarm of a key, also one whose definition has ended lately; None for an unknown key."""
         return next((each.known[key] for each in self._lists if key in each.known), None)
 
     async def measure(self, start: UnixTime, end: UnixTime) -> AlarmPerformance:
@@ -115,15 +112,15 @@ class LineAlarms:
         return await measure(self.store, present, observed, start, end)
 
     def present(self) -> list[Alarm]:
-        """The alarms that are not normal, by :func:`rank`."""
+        """Return the alarms that are not normal, by :func:`rank`."""
         return sorted(self._present.values(), key=rank)
 
     def annunciated(self) -> list[Alarm]:
-        """The alarms that are active or wait for an acknowledgement and that nothing hides, in no order."""
+        """Return the alarms that are active or not acknowledged, and that nothing hides, in no order."""
         return [alarm for alarm in self._present.values() if alarm.is_annunciated]
 
     def sounding(self) -> list[Alarm]:
-        """The alarms that are audible, the most important first."""
+        """Return the alarms that are audible, the most important first."""
         sounding = (alarm for alarm in self._present.values() if alarm.facts.sounds)
         return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
 
@@ -133,8 +130,8 @@ class LineAlarms:
         return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
 
     def place(self, bus: str | None, unit: int | None) -> str:
-        """The name of a bus, or of a unit as on the pages of the site, which may be configured no longer;
-        empty for the site."""
+        """Return the name of a bus, or of a unit as the pages of the site show it; empty for the site. Bus
+        and unit may be configured no longer."""
         if bus is None:
             return ""
         names = self.buses[bus].unit_names() if bus in self.buses else {}
@@ -143,7 +140,7 @@ class LineAlarms:
         return name_on_site(bus, names[unit], self.buses)
 
     def find(self, alarm_id: str) -> FoundAlarm:
-        """The alarm of an id. Raises Problem 404, or 409 where the id names an earlier occurrence."""
+        """Return the alarm of an id. Raises Problem 404, or 409 where the id names an earlier occurrence."""
         key, _, occurrence = alarm_id.rpartition(".")
         for each in self._lists:
             alarm = each.alarms.get(key)
@@ -157,8 +154,8 @@ class LineAlarms:
         raise Problem(404, "unknown_alarm", Message.of("alarm_unknown", id=alarm_id[:200]))
 
     async def act(self, person: Person, act: AlarmAct, alarm_id: str, body: ActBody | None = None) -> Alarm:
-        """Do ``act`` to the occurrence of an id; ``body``: what was sent with it. Raises Problem 403, 404 or,
-        where it has come again or its state has no such transition, 409."""
+        """Do ``act`` to the occurrence of an id; ``body``: what was sent with the act. Raises Problem 403,
+        404 or, where the alarm has come again or its state has no such transition, 409."""
         act.check(person)
         body = body or act.body()
         async with self.find(alarm_id).list.writing:
@@ -177,8 +174,8 @@ class LineAlarms:
         return alarm
 
     async def silence_sounding(self, person: Person, until: UnixTime) -> None:
-        """End the sound of every alarm that began to sound by ``until``: of all or, where that cannot be
-        recorded, of none. Raises Problem 403 and StoreError."""
+        """End the sound of every alarm that began to sound by ``until``; where that cannot be recorded, no
+        alarm is silenced. Raises Problem 403 and StoreError."""
         SILENCE_SOUNDING.check(person)
         async with AsyncExitStack() as writing:
             for each in self._lists:
@@ -214,8 +211,8 @@ def _not_in_state(alarm: Alarm) -> Problem:
 
 
 def rank(alarm: Alarm) -> tuple[bool, bool, int, float]:
-    """The order of alarms on every surface: active before cleared, then by priority, the newest first; hidden
-    ones last. To acknowledge one moves none."""
+    """Return the place of an alarm in every list: active before cleared, then by priority, the newest first;
+    hidden alarms last. An acknowledgement moves no alarm."""
     facts = alarm.facts
     return (
         facts.is_hidden,
@@ -226,8 +223,8 @@ def rank(alarm: Alarm) -> tuple[bool, bool, int, float]:
 
 
 class AlarmBanner:
-    """What pages show of the alarms. ``changed`` is another text after each change, so that an open summary
-    draws itself again."""
+    """What the head of every page and the tiles show of the alarms, as fields. ``changed`` is another text
+    after each change, so that an open summary draws itself again."""
 
     def __init__(self, alarms: LineAlarms) -> None:
         self._alarms = alarms
@@ -238,9 +235,9 @@ class AlarmBanner:
         self._changed += 1
 
     def banner(self, translator: Translator, now: UnixTime) -> Fields:
-        """The first alarm with its state, and how many more there are: of those that are active or, while
-        none is, of those that have cleared. The head has the button to acknowledge it, so one that waits for
-        that comes first."""
+        """Return the first alarm with its state, and how many more there are: of the active alarms or, where
+        none is active, of those that have cleared. An alarm that waits for its acknowledgement comes first:
+        the head has the button for it."""
         found = self._alarms.annunciated()
         shown = [alarm for alarm in found if alarm.facts.active] or found
         first = min(shown, key=lambda alarm: (not alarm.is_unacknowledged, *rank(alarm)), default=None)
@@ -255,7 +252,7 @@ class AlarmBanner:
         }
 
     def _sound(self) -> Fields:
-        """The priority that sounds, and when the newest of those that do began to."""
+        """Return the priority that sounds, and when the newest alarm that sounds began to."""
         sounding = self._alarms.sounding()
         if not sounding:
             return {"sound": "", "sound_at": ""}
@@ -263,7 +260,8 @@ class AlarmBanner:
         return {"sound": sounding[0].definition.priority, "sound_at": repr(at)}
 
     def of_unit(self, bus: str, unit: int, translator: Translator, now: UnixTime) -> Fields:
-        """The first alarm of a unit, as it is drawn and in words, its page, and how many more there are."""
+        """Return the first alarm of a unit, as it is drawn and in words, its page, and how many more there
+        are."""
         found = self._alarms.of_unit(bus, unit)
         first = found[0] if found else None
         fields = _state(first, len(found), translator, now)
@@ -274,8 +272,8 @@ class AlarmBanner:
 
 
 def _state(alarm: Alarm | None, count: int, translator: Translator, now: UnixTime) -> Fields:
-    """The state of the first of ``count`` alarms and the time that matters: of a cleared one, when it
-    cleared; how many more there are; and the page of the first."""
+    """Return the state of the first of ``count`` alarms with its time (of a cleared alarm, when it cleared),
+    how many more there are, and the page of the first."""
     if alarm is None:
         return {"state": "", "more": "", "at": ""}
     facts = alarm.facts

@@ -1,7 +1,5 @@
-"""The site's own alarms: those of the configuration, and those that engineers add, change and remove.
-
-The site's own alarms over HTTP: listed, simulated over stored history, added, changed and removed.
-"""
+"""The alarms that the site defines: those of the configuration, and those that engineers add, change and
+remove, with their routes and the simulation of one over stored history."""
 
 from __future__ import annotations
 
@@ -42,13 +40,14 @@ from bus.messages import Message
 from bus.settings import BusSettings
 
 MAX_OWN = 500
-"""Alarms that are added on the page."""
+"""The most alarms that can be added on the page."""
 log = structlog.get_logger()
 
 
 @dataclass(slots=True)
 class OwnAlarm:
-    """An alarm that was added on the page; ``request``: who added it, with the Idempotency-Key."""
+    """An alarm that was added on the page; ``request``: the account that added it, and its
+    Idempotency-Key."""
 
     settings: AlarmSettings
     who: str
@@ -63,7 +62,7 @@ class OwnAlarm:
 
 @dataclass(frozen=True, slots=True)
 class OwnAlarmLeftAside:
-    """One that does not fit the configuration; it is not observed."""
+    """An alarm that does not fit the configuration, and is not observed."""
 
     id: str
     name: str
@@ -72,8 +71,8 @@ class OwnAlarmLeftAside:
 
 
 class OwnAlarmBook:
-    """The alarms of the site, configured and added. An act is in the audit log, the journal, the store and
-    the engine together, or nowhere. Call :meth:`load` before the alarms take up their states."""
+    """The alarms of the site, configured and added. An act is in the audit log, in the journal, in the store
+    and in effect, or nowhere. Call :meth:`load` before the states of the alarms are loaded."""
 
     def __init__(
         self,
@@ -93,10 +92,10 @@ class OwnAlarmBook:
         self._events = events
         self._clock = clock
         self._acting = asyncio.Lock()
-        """One act at a time: names and their number are checked before what is stored."""
+        """Held during an act: names and their number are checked before the alarm is stored."""
 
     async def load(self) -> None:
-        """Observe what is stored and fits the configuration, and note what does not."""
+        """Observe the stored alarms that fit the configuration, and leave the others aside."""
         for row in await self._database.read(_stored):
             name = row["alarm"]
             try:
@@ -117,13 +116,14 @@ class OwnAlarmBook:
         self.left_aside[row["alarm"]] = OwnAlarmLeftAside(row["alarm"], name, row["version"], why)
 
     def every(self) -> list[tuple[AlarmSettings, OwnAlarm | None]]:
-        """Return all that are observed; those of the configuration without what was added."""
+        """Return every alarm that is observed; None in place of the `OwnAlarm` for one of the
+        configuration."""
         configured = [(settings, None) for settings in self.configured.values()]
         added = [(own.settings, own) for own in self.added.values()]
         return [*configured, *added]
 
     def _fitting(self, written: Mapping[str, Any]) -> AlarmSettings:
-        """Raises Problem 422, or 409 where its name is taken."""
+        """Read an alarm as a person wrote it. Raises Problem 422, or 409 where its name is taken."""
         settings = proposed(written, self._bus_settings)
         if (settings.bus, settings.name) in {(each.bus, each.name) for each, _ in self.every()}:
             raise Problem(409, "taken", Message.of("own_alarm_taken", name=settings.name, bus=settings.bus))
@@ -132,7 +132,8 @@ class OwnAlarmBook:
     async def add(
         self, person: Person, written: Mapping[str, Any], key_of_request: str | None = None
     ) -> OwnAlarm:
-        """Observe another alarm from the next reading on. The same request adds it once. Raises Problem."""
+        """Add an alarm, which is observed from the next reading on. A repeated request adds it once. Raises
+        Problem."""
         ADD_OWN.check(person)
         request = f"{person.account}:{key_of_request}" if key_of_request else ""
         async with self._acting:
@@ -164,8 +165,9 @@ class OwnAlarmBook:
     async def change(
         self, person: Person, key: str, version: int, written: Mapping[str, Any], reason: str = ""
     ) -> OwnAlarm:
-        """Another definition under the same name and unit. The alarm ends; it comes again by the next reading
-        where that fulfills the new one. ``version``: of what was changed. Raises Problem."""
+        """Replace the definition of an alarm, whose name and unit stay. The alarm ends, and comes again by
+        the next reading that fulfills the new definition. ``version``: the one that was changed. Raises
+        Problem."""
         CHANGE_OWN.check(person)
         async with self._acting:
             former = self._of_version(key, version)
@@ -244,8 +246,7 @@ def _stored(connection: StoreConnection) -> list[StoreRow]:
 
 
 def _replace(connection: StoreConnection, key: str, own: OwnAlarm | None = None) -> None:
-    """Remove the row of ``key``, then add ``own``, which has its version afterwards; no version is used
-    twice."""
+    """Replace the row of ``key`` by ``own``, whose version is set, or remove it. No version is used twice."""
     connection.execute("DELETE FROM own_alarm WHERE alarm = ?", (key,))
     if own is not None:
         statement = (
@@ -258,7 +259,7 @@ def _replace(connection: StoreConnection, key: str, own: OwnAlarm | None = None)
 
 
 def in_words(settings: AlarmSettings) -> str:
-    """A definition in one line of the audit log, with the keys of ``[[alarm]]``."""
+    """Write a definition in one line for the audit log, with the keys of ``[[alarm]]``."""
     return "; ".join(in_toml(settings).splitlines()[1:])
 
 
@@ -297,7 +298,7 @@ class OwnAlarmRequest(StrictBody):
     response: WrittenText = ""
 
     def written(self) -> dict[str, Any]:
-        """The keys of ``[[alarm]]`` that were given."""
+        """Return the keys of ``[[alarm]]`` that were given."""
         beside = {"since", "until", "version", "reason"}
         return self.model_dump(exclude_unset=True, exclude_none=True, exclude=beside)
 
@@ -320,7 +321,7 @@ class OwnAlarmChangeRequest(OwnAlarmRequest):
 
 
 class OwnAlarmShown(AlarmSettings):
-    """One of them, with the keys of ``[[alarm]]``."""
+    """An alarm of the site, with the keys of ``[[alarm]]``."""
 
     model_config = ConfigDict(extra="ignore", json_schema_serialization_defaults_required=True)
 
@@ -335,7 +336,7 @@ class OwnAlarmShown(AlarmSettings):
 
 
 class OwnAlarmsShown(TypedDict):
-    """Those of the configuration, those that were added, and those that do not fit."""
+    """The alarms of the configuration, those that were added, and those that do not fit."""
 
     alarms: list[OwnAlarmShown]
     left_aside: list[OwnAlarmLeftAside]
@@ -398,7 +399,7 @@ async def simulate_alarm(
 
 
 def own_alarm_shown(settings: AlarmSettings, own: OwnAlarm | None) -> OwnAlarmShown:
-    """One of the site; ``own``: as it was added, None for one of the configuration."""
+    """Show an alarm of the site; ``own``: the alarm as it was added, None for one of the configuration."""
     return OwnAlarmShown.model_construct(
         **dict(settings),
         id=own_key(settings.bus, settings.unit, settings.name),

@@ -1,4 +1,4 @@
-"""Alarms that the site defines: as a person wrote one, its definition, and whether its condition holds."""
+"""Alarms that the site defines: read from what a person wrote, defined, and judged by readings."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _RECORD_TEXTS = ("cause", "consequence", "response")
 
 
 def own_definition(settings: AlarmSettings) -> AlarmDefinition:
-    """The definition of an alarm of the configuration; its texts are the site's."""
+    """Define an alarm by its settings; the site wrote its texts."""
     severity, time_to_respond = _OF_PRIORITY[settings.priority]
     cause, consequence, response = (
         Message.of("alarm_own_text", text=text) if text else Message("alarm_own_without_text")
@@ -87,12 +87,12 @@ _VALUES: dict[str, Callable[[UnitLive, Reading], int | None]] = {
 
 @dataclass(slots=True)
 class OwnCondition:
-    """The condition of one alarm of the site. Limits are compared in integers, which are computed again when
-    the decimals of the unit change."""
+    """The condition of one alarm that the site defined. Limits are compared in integers, which are computed
+    again when the decimals of the unit change: that costs 4 µs."""
 
     settings: AlarmSettings
     of_state: bool = field(init=False)
-    """Whether it is about an input or an output: only a change of the status bytes can change it."""
+    """Whether the alarm is about an input or an output, which only another status byte can change."""
     _value: Callable[[UnitLive, Reading], int | None] = field(init=False)
     _rate: ChangeRate = field(default_factory=ChangeRate)
     _decimals: int | None = None
@@ -105,8 +105,8 @@ class OwnCondition:
     def holds(
         self, bus: BusLive, unit: UnitLive, reading: Reading, decimals: int | None, active: bool
     ) -> bool | None:
-        """Whether it holds by a reading; None while what it needs was not read. ``decimals``: of the unit's
-        speeds, None while they are not known."""
+        """Return whether the condition holds by a reading; None while that is not known. ``decimals``: those
+        of the speeds of the unit, None while they are not known."""
         settings = self.settings
         if self.of_state:
             return self._bit(bus, reading) == (settings.state == "on")
@@ -127,7 +127,7 @@ class OwnCondition:
         self._rate.forget()
 
     def present(self, bus: BusLive, unit: UnitLive) -> Message | None:
-        """The present value as the unit shows it; None while it is not known."""
+        """Return the present value as the unit shows it; None while it is not known."""
         if unit.reading is None:
             return None
         if self.of_state:
@@ -147,7 +147,7 @@ class OwnCondition:
 
 
 def known_decimals(bus: BusLive, unit: UnitLive) -> int | None:
-    """The decimals of the speeds of a unit; None while they are not known, or may have changed."""
+    """Return the decimals of the speeds of a unit; None while they are not known, or may have changed."""
     decimals = None if unit.scale_is_old else speed_decimals(bus, unit)
     return None if decimals is None or decimals > MAX_DECIMALS else decimals
 
@@ -185,7 +185,7 @@ def _fault(details: ErrorDetails) -> Message:
 
 
 def in_toml(settings: AlarmSettings) -> str:
-    """The entry for lineside.toml; only what is not the default."""
+    """Return the entry for lineside.toml, with only what is not the default."""
     lines = ["[[alarm]]"]
     for key, value in settings.model_dump(mode="json", exclude_defaults=True).items():
         lines.append(f"{key} = {_toml(value)}")

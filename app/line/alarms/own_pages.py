@@ -1,4 +1,5 @@
-"""The page of the site's own alarms: those that there are, and a simulation of another before it is added."""
+"""The page of the alarms that the site defines, with the form for one and its simulation over stored
+history."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ WrittenField = Annotated[str, Field(max_length=80)]
 
 
 class OwnValueWords(NamedTuple):
-    """The name of a value in a reader's language, by the label of the unit where it has one, and its unit of
+    """The name of a value in a reader's language, by the label of the unit if that has one, and its unit of
     measure, empty where none is configured."""
 
     name: str
@@ -52,8 +53,8 @@ class OwnValueWords(NamedTuple):
 
 
 class WrittenAlarm(BaseModel):
-    """The form as it was filled in; without ``place``: not at all. ``change``: the key of the alarm to
-    change, and the ``version`` that it is changed from."""
+    """The form as it was filled in; without ``place`` it was not. ``change``: the key of the alarm to change,
+    from ``version``."""
 
     name: WrittenField = ""
     place: WrittenField = ""
@@ -176,7 +177,7 @@ def _places_of(own: OwnAlarmBook) -> set[str]:
 
 
 def _values(request: Request, place: str) -> dict[str, OwnValueWords]:
-    """The name and the unit of measure of each value of a unit; without labels where it is not configured."""
+    """Return the name and the unit of measure of each value of a unit; without labels for an unknown unit."""
     bus, _, number = place.partition("/")
     configured = service_of(request, History).buses.get(bus)
     units = () if configured is None else configured.unit
@@ -205,7 +206,7 @@ def _kept(own: OwnAlarmBook, key: str) -> dict[str, Any]:
 
 
 def _keys(request: Request, written: dict[str, str]) -> dict[str, Any]:
-    """The keys of ``[[alarm]]``; a number may have the decimal comma of the reader."""
+    """Return the keys of ``[[alarm]]``; a number may have the decimal comma of the reader."""
     formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
     bus, _, unit = written["place"].partition("/")
     keys: dict[str, Any] = {

@@ -39,8 +39,8 @@ MAX_ROWS = 100
 
 
 class AlarmRow(NamedTuple):
-    """An alarm as a page shows it: with where it is, the present value of what it is about, and whether it
-    came three times within a minute."""
+    """An alarm as a page shows it: with its place, the present value that it is about, and whether it came
+    three times within a minute."""
 
     alarm: Alarm
     place: str
@@ -51,8 +51,8 @@ class AlarmRow(NamedTuple):
 def listed(
     alarms: LineAlarms, chosen: dict[str, str], now: UnixTime, shown: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """What the list of alarms shows. ``shown``: the keys of the rows that a person sees. These stay in their
-    places, also where they match no longer, and new alarms come after them."""
+    """Return what the list of alarms shows. ``shown``: the keys of the rows that a person sees. These stay in
+    their places, also where they match no longer, and new alarms come after them."""
     known = (alarms.known(key) for key in shown)
     kept = dict.fromkeys(alarm for alarm in known if alarm is not None)
     new = [alarm for alarm in alarms.present() if alarm not in kept and _matches(alarm, chosen)]
@@ -96,7 +96,7 @@ def places_of(alarms: LineAlarms) -> list[tuple[str, str]]:
 
 
 def row_of(alarms: LineAlarms, alarm: Alarm, now: UnixTime) -> AlarmRow:
-    """An alarm as it is now."""
+    """Make the row of an alarm as it is now."""
     definition = alarm.definition
     place = alarms.place(definition.bus, definition.unit)
     chatters = alarms.rates.chatters(definition.key, now)
@@ -165,7 +165,7 @@ async def journal_page(
 
 
 def _named(alarms: LineAlarms, search: str, language: Language) -> list[str] | None:
-    """The keys of the alarms whose place or name has each word of a search; None without one."""
+    """Return the keys of the alarms whose place or name has each word of a search; None without a search."""
     words = search.casefold().split()
     if not words:
         return None
@@ -283,7 +283,7 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
 
 
 def _beside(alarms: LineAlarms, alarm: Alarm) -> list[Alarm]:
-    """The other alarms of its unit."""
+    """Return the other alarms of the same unit."""
     bus, unit = alarm.definition.bus, alarm.definition.unit
     if bus is None or unit is None:
         return []
@@ -299,9 +299,9 @@ async def acknowledge_shown(
     id: Annotated[list[str], Form(max_length=MAX_ROWS)],
     shown: Annotated[ShownKeys, Form(max_length=MAX_ROWS)] = (),
 ) -> Response:
-    """Acknowledge the alarms that the person saw. One that has changed since is left as it is, and the page
-    reports it. The list that they are acknowledged in keeps the places of its rows; the head of a page, which
-    follows the alarms, needs no response."""
+    """Acknowledge the alarms that the person saw. An alarm that has changed since is left as it is, and the
+    page reports it. A list keeps the places of its rows; the head of a page, which follows the alarms by
+    itself, needs no response."""
     left_out = 0
     for alarm_id in id:
         try:
@@ -364,8 +364,8 @@ def given_reason(reason: str) -> str:
 def _figure(
     figure: AlarmFigure, formats: Formats, observed_s: float
 ) -> tuple[Message, str, str, bool | None]:
-    """Its name, its value and its target as the page shows them, and whether it meets that. A figure
-    of a day is not known of less than one."""
+    """Return the name, the value and the target of a figure as the page shows them, and whether the target is
+    met. A figure per day is not known before a day was observed."""
 
     def shown(value: float | None) -> str:
         if value is None:

@@ -35,7 +35,8 @@ AddressSetting = Annotated[
 
 
 class AlarmSettings(StrictModel):
-    """A limit of a value, its rate of change, or a state that lasts too long; numbers as on the display."""
+    """An alarm of a value beyond a limit, of its rate of change, or of a state that lasts too long; numbers
+    as on the display."""
 
     name: Annotated[OneLine, Field(min_length=1, max_length=80)]
     bus: str
@@ -68,7 +69,7 @@ class AlarmSettings(StrictModel):
         return self
 
     def _condition_fault(self) -> str | None:
-        """The code of what keeps it from having exactly one condition."""
+        """Return the code of the reason why the alarm does not have exactly one condition."""
         is_bit = self.value in INPUT_VALUES or self.value.startswith("output.")
         limited = self.above is not None or self.below is not None
         if is_bit and (limited or self.change_per_s is not None or self.deadband):
@@ -93,7 +94,7 @@ class AlarmSettings(StrictModel):
 
 
 def refuse_misplaced(alarms: Iterable[AlarmSettings], buses: Iterable[BusSettings]) -> None:
-    """Raises PydanticCustomError for an alarm on a unit that is not configured, or a name given twice."""
+    """Raise PydanticCustomError for an alarm on a unit that is not configured, or a name given twice."""
     units = _units_of(buses)
     names: set[tuple[str, str]] = set()
     for index, alarm in enumerate(alarms):
@@ -132,23 +133,23 @@ class BuiltInAlarmSettings(StrictModel):
 
     @property
     def place(self) -> tuple[str, str | None, int | None]:
-        """Its code, bus and unit."""
+        """Code, bus and unit."""
         return self.code, self.bus, self.unit
 
     @property
     def changed(self) -> dict[str, Decimal | float]:
-        """The limits and delays that it sets."""
+        """The limits and delays that the entry sets."""
         return self.model_dump(exclude={"code", "bus", "unit"}, exclude_none=True)
 
     def covers(self, code: str, bus: str | None, unit: int | None) -> bool:
-        """Whether it is about this alarm at this place."""
+        """Whether the entry is about this alarm at this place."""
         return self.code == code and self.bus in (None, bus) and self.unit in (None, unit)
 
 
 def tuning_of(
     entries: Iterable[BuiltInAlarmSettings], code: str, bus: str | None, unit: int | None
 ) -> Tuning:
-    """The limits and delays of an alarm: what is set for its unit before its bus, and that before everywhere,
+    """Return the limits and delays of an alarm: what is set for its unit, else for its bus, else everywhere,
     else those of its condition."""
     found = CONDITIONS[code].tuning
     covering = [each for each in entries if each.covers(code, bus, unit)]
@@ -158,12 +159,12 @@ def tuning_of(
 
 
 SettingFault = tuple[str, str, dict[str, str | int]]
-"""The code of its message, the key that is wrong, and more values of the message."""
+"""The code of a message, the key that is wrong, and further values of the message."""
 
 
 def refuse_built_in(entries: Sequence[BuiltInAlarmSettings], buses: Iterable[BusSettings]) -> None:
-    """Raises PydanticCustomError for an entry at a place where its alarm is not, one that sets nothing or
-    what its alarm has not, one given twice, and limits that no value can keep."""
+    """Raise PydanticCustomError for an entry at a place that its alarm does not have, one that sets nothing
+    or what its alarm does not have, one given twice, and limits that no value can keep."""
     units = _units_of(buses)
     for index, each in enumerate(entries):
         if each.code in FORMER_ALARMS:
@@ -208,5 +209,5 @@ def _units_of(buses: Iterable[BusSettings]) -> dict[str, set[int]]:
 
 
 def _refusal(message: Message, *at: int | str) -> PydanticCustomError:
-    """``at``: where the fault is, from the table on that is judged."""
+    """Make the error; ``at``: the place of the fault within the table that is judged."""
     return PydanticCustomError("alarm", "not an alarm", {"message": message, "at": at})

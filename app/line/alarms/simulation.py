@@ -1,7 +1,5 @@
-"""An alarm of the site over stored readings, judged by the rules that judge the present. Pure.
-
-Runs simulations: one at a time, each within its bounds, in pieces that leave time for everything else.
-"""
+"""Simulates an alarm of the site over stored readings, by the rules that judge the present: one simulation at
+a time, each within its bounds, in pieces that leave time for everything else."""
 
 from __future__ import annotations
 
@@ -51,7 +49,7 @@ class Annunciations:
     stands_since: UnixTime | None = None
 
     def see(self, transitions: Sequence[Transition]) -> None:
-        """Take in what happened."""
+        """Add transitions of the alarm."""
         for each in transitions:
             stands = each.after == "unack_active"
             if stands and self.stands_since is None:
@@ -61,7 +59,7 @@ class Annunciations:
                 self.end(each.at)
 
     def end(self, at: UnixTime) -> None:
-        """End the present annunciation: the alarm cleared, was hidden, or the time is over."""
+        """End the present annunciation: the alarm cleared or was hidden, or the simulation ends."""
         if self.stands_since is not None:
             self.lengths.append(at - self.stands_since)
             self.stands_since = None
@@ -101,13 +99,13 @@ class AlarmSimulation:
 
 
 ZeroStep = tuple[int, bool]
-"""From when on zero, or another speed, was commanded to a unit."""
+"""The time (µs) from which on zero, or another speed, was commanded to a unit."""
 AtRest = Callable[[int], bool]
 
 
 def rest_of(units: Sequence[Sequence[ZeroStep]]) -> AtRest:
-    """Whether the line was at rest at a time, by the steps of each unit in order. One without any is no proof
-    of rest; before its first step, a unit was as it is then."""
+    """Return a function that tells whether the line was at rest at a time, by the steps of each unit in
+    order. A unit without steps is no proof of rest; before its first step a unit was as after it."""
     if not units or not all(units):
         return lambda _: False
     states = [steps[0][1] for steps in units]
@@ -160,8 +158,8 @@ class Replay:
             self._set_parameter(step)
 
     def passes(self, row: Rollup) -> bool:
-        """Take in a minute in which the alarm cannot have begun: no reading is missing, and neither extreme
-        fulfills its condition. False: its readings have to be seen, as those of a rate of change have."""
+        """Pass a minute in which the alarm cannot have begun: no reading is missing, and neither extreme
+        fulfills the condition. Return False where the readings of the minute have to be judged."""
         self._set_parameters(row.start)
         fewer, self._readings = row.readings < USUAL_SHARE * self._readings, row.readings
         is_quiet = self._holds is False and not self._facts.active and self._facts.changing_since is None
@@ -174,7 +172,8 @@ class Replay:
         return True
 
     def see_run(self, run: Run, at_rest: AtRest) -> None:
-        """Equal readings; for a rate of change also the one after the shortest time for a rate."""
+        """Judge a run of equal readings: the first and the last, and for a rate of change the one after the
+        shortest time for a rate."""
         begins, ends = max(run.at, self._start), min(run.until, self._end)
         if begins > ends:
             return
@@ -188,7 +187,7 @@ class Replay:
             self._see(_reading(self._settings.unit, run, at), rests, inside=at != begins)
 
     def end(self, at: UnixTime) -> None:
-        """End the simulation at a time. An annunciation that stands then is counted up to it."""
+        """End the simulation at a time, up to which an annunciation that stands is counted."""
         self._pass_gap(at)
         self._apply(state_machine.advance(self._facts, self._definition.attributes, at))
         if self._unknown_since is not None:
@@ -237,7 +236,7 @@ class Replay:
         self._apply(state_machine.observe(self._facts, self._definition.attributes, holds, at))
 
     def _hide(self, at: UnixTime) -> None:
-        """An alarm that is neither active nor about to be is left alone."""
+        """Begin or end the suppression of the alarm, unless it is neither active nor about to be."""
         facts = self._facts
         if facts.suppressed or facts.active or self._holds:
             self._apply(state_machine.suppress(facts, self._suppresses(), at))
@@ -269,8 +268,8 @@ def _reading(unit: int, run: Run, at: int) -> Reading:
 
 
 def extremes(unit: int, value: str, row: Rollup) -> tuple[Reading, Reading]:
-    """Two readings with the least and the greatest that ``value`` can have been in a minute; for a bit: with
-    what was on in every reading, and what in any. Neither needs to have been sent."""
+    """Return two readings with the least and the greatest that ``value`` can have been in a minute; for a
+    bit: with the bits that were on in every reading, and in any. Neither reading needs to have been sent."""
     speeds = (row.commanded_min, row.actual_min), (row.commanded_max, row.actual_max)
     if value == "deviation":
         # Where the two ranges overlap, they may have been equal.
@@ -294,7 +293,7 @@ WORK_S = 10.0
 
 
 class Simulator:
-    """Simulates alarms of all buses. ``work_s``: CPU time that one simulation may take."""
+    """Simulates alarms of all buses."""
 
     def __init__(self, history: History, work_s: float = WORK_S) -> None:
         self._history = history
@@ -304,8 +303,8 @@ class Simulator:
     async def run(
         self, bus: BusSettings, settings: AlarmSettings, start: UnixTime, end: UnixTime, account: str
     ) -> AlarmSimulation:
-        """What an alarm would have done from ``start`` to ``end``. Raises StoreError where history cannot be
-        read, TooManyWaitingError where too many simulations of the account wait."""
+        """Return what an alarm would have done from ``start`` to ``end``. Raises StoreError where history
+        cannot be read, TooManyWaitingError where too many simulations of the account wait."""
         async with self._turns.turn(account):
             return await self._run(bus, settings, start, end)
 
@@ -330,7 +329,7 @@ class Simulator:
                 costly=True,
             )
             spent += took
-            # As long as it took: what others do comes first.
+            # A pause as long as the work: what others do comes first.
             await asyncio.sleep(took)
             since = until
         reached = max(covered_from, UnixTime(min(since, micros(end)) / SECOND))
@@ -342,7 +341,7 @@ class Simulator:
 def _extent(
     connection: tables.StoreConnection, tail: Tail, bus: str, unit: int
 ) -> tuple[int | None, Sequence[ParameterStep]]:
-    """From when on the readings of a unit are stored (µs; None: there are none), and its parameters that
+    """Return when the stored readings of a unit begin (µs; None: no readings), and its parameters that
     scale."""
     key = tables.find_unit(connection, bus, unit)
     if key is None:
@@ -434,7 +433,7 @@ class StoredHour:
         return self._rest(at)
 
     def _zero_steps(self, unit: int) -> list[ZeroStep]:
-        """By the minute, where in each minute either zero or another speed was commanded all the time."""
+        """Return the steps of a unit; by the minute where none had both zero and another commanded speed."""
         source = self._source(unit)
         if source is None:
             return []

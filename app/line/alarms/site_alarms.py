@@ -1,4 +1,4 @@
-"""The alarms of the site: its records, its disk, its clock, and the certificates and tokens that expire."""
+"""The alarms of the site, observed every second, and a watch for certificates and tokens that expire."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from bus.messages import Message, number
 
 LOOK_EVERY_S = 60.0
 Expiry = tuple[UnixTime, str]
-"""The moment at which something ends, and its name."""
+"""When something expires, and its name."""
 
 
 class ExpiryWatch:
-    """``token`` and ``certificate``: what ends first of those that are to be replaced; False: nothing, and
-    None until it has looked."""
+    """Looks every minute for tokens and certificates that have to be replaced. ``token`` and ``certificate``
+    name the one that ends first; False: none has to be replaced, None: not known yet."""
 
     def __init__(
         self,
@@ -41,8 +41,8 @@ class ExpiryWatch:
     ) -> None:
         self._tokens = tokens
         self._ends = {**dict.fromkeys(authorities, max), **dict.fromkeys(certificates, min)}
-        """Of several certificates in a file, the last to end may be the one that counts; of the server's
-        and those that lead to its authority, all are needed."""
+        """Which certificate of each file counts: of several authorities the last to end may be the one in
+        use; of the server's chain, every certificate is needed."""
         self._clock = clock
         self.token: Message | Literal[False] | None = None
         self.certificate: Message | Literal[False] | None = None
@@ -78,7 +78,8 @@ def _first(endings: Iterable[Expiry]) -> Message | Literal[False]:
 
 
 def _ending(path: Path, which: Callable[[Iterable[UnixTime]], UnixTime]) -> Expiry | None:
-    """Return when the certificates of a file end; None for a file that holds none, which its user reports."""
+    """Return when the certificates of a file end; None for a file without any, which the code that uses the
+    file reports."""
     try:
         found = certificates_in(path.read_text(encoding="ascii", errors="replace"))
     except (OSError, MalformedCertificateError):
@@ -91,7 +92,7 @@ SiteCondition = Callable[[], Message | bool | None]
 
 
 class SiteAlarms:
-    """The alarms of the site, whose conditions are looked at every second."""
+    """The alarms of the site. The features that know their conditions add them by :meth:`watch`."""
 
     def __init__(
         self,
@@ -102,7 +103,7 @@ class SiteAlarms:
     ) -> None:
         self._conditions: dict[str, SiteCondition] = {}
         self._about: dict[str, Message | None] = {}
-        """By the code of an alarm, what it is about."""
+        """What an alarm is about, by its code."""
         self._clock, self._monotonic = clock, monotonic
         self._clock_watch = ClockWatch(clock(), monotonic())
         self.list = AlarmList((built_in(code, None, None, tuned) for code in SERVER_ALARMS), store)
@@ -112,15 +113,15 @@ class SiteAlarms:
         self._conditions[code] = condition
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:
-        """Take up the states that the last run left."""
+        """Continue from the states that the last run left."""
         self.list.load(stored, self._clock())
 
     async def follow(self) -> None:
-        """Look, and keep the journal, without end."""
+        """Observe the conditions, and keep the journal, without end."""
         await self.list.follow(self.tick, self._clock)
 
     def tick(self) -> None:
-        """Look once."""
+        """Observe every condition once."""
         now = self._clock()
         self._see_clock(now)
         for code, condition in self._conditions.items():
@@ -136,7 +137,7 @@ class SiteAlarms:
         self.list.observe(self.list.alarms[key_of(None, None, code)], holds, now)
 
     def _see_clock(self, now: UnixTime) -> None:
-        """A step is over at once; the off-delay of its alarm keeps it active for a while."""
+        """Observe the clock. A step is over at once; the off-delay keeps its alarm active for a while."""
         step_s = self._clock_watch.step(now, self._monotonic())
         if step_s:
             self.list.clock_stepped(step_s)

@@ -1,4 +1,5 @@
-"""What people and programs are sent: texts in the language of the site, JSON, and links to an alarm."""
+"""Writes what people and programs are sent: letters in the language of the site, JSON, and links to
+alarms."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ VALID_S = 7 * 86_400
 
 @dataclass(frozen=True, slots=True)
 class Letter:
-    """A message for people. ``subject`` is one line."""
+    """A message for people, whose ``subject`` is one line."""
 
     id: str
     subject: str
@@ -47,7 +48,7 @@ class Composer:
     def letter(
         self, delivery: NotificationDelivery, now: UnixTime, pages: Sequence[Attachment] = ()
     ) -> Letter:
-        """One message of all items of a delivery. ``pages``: of its reports."""
+        """Write one message of all items of a delivery. ``pages``: the pages of its reports."""
         items = sorted(delivery.items, key=_rank)
         summary = [
             "\n".join((page.name, *(_one_line(self.language.t(line)) for line in page.summary)))
@@ -102,7 +103,7 @@ class Composer:
 
 
 def hook_body(site: str, delivery: NotificationDelivery, now: UnixTime) -> dict[str, Any]:
-    """The body of a webhook; its texts are English, as those of the API."""
+    """Return the body of a webhook, with English texts as in the API."""
     item = delivery.items[0]
     notice = item.alarm_notice
     body: dict[str, Any] = {"id": delivery.message_id, "kind": item.kind, "time": iso(now), "site": site}
@@ -128,7 +129,7 @@ def hook_body(site: str, delivery: NotificationDelivery, now: UnixTime) -> dict[
 
 
 def _rank(item: OutboxItem) -> tuple[int, bool, int]:
-    """Alarms by priority, then what is about none, then all-clears."""
+    """Return the place of an item: alarms by priority, then what is about no alarm, then all-clears."""
     notice = item.alarm_notice
     priority = len(PRIORITIES) if notice is None else PRIORITIES.index(notice.priority)
     return priority if item.kind != "clear" else len(PRIORITIES) + 1, item.kind == "clear", item.id
@@ -140,7 +141,7 @@ def _is_urgent(item: OutboxItem) -> bool:
 
 
 def _one_line(text: str) -> str:
-    """A name with a line break must not become a header or a line that looks like ours."""
+    """Return a text on one line: a name with a line break must not become a header or a line of its own."""
     return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
 
 

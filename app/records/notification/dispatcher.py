@@ -1,4 +1,4 @@
-"""Takes the outbox to its addresses: one message after another for each, all addresses at once."""
+"""Delivers the outbox: one message after another to each address, to all addresses at once."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from bus.messages import Message
 HEARTBEAT_CHECK_S = 20.0
 STORE_RETRY_S = 1.0
 TEST_S = 12.0
-"""For which a test waits for its result."""
+"""How long a test waits for its result."""
 log = structlog.get_logger()
 
 
 class Dispatcher:
-    """``failing`` holds, always current, the keys of the addresses that cannot be reached."""
+    """Delivers what the outbox has, sends the daily heartbeat, and knows which addresses fail."""
 
     def __init__(
         self,
@@ -58,10 +58,10 @@ class Dispatcher:
         self._failures = dict.fromkeys(plan.endpoints, 0)
         self._wakes = {key: asyncio.Event() for key in plan.endpoints}
         self.attempted = asyncio.Event()
-        """Set after the next attempt; another one is in its place then."""
+        """Set after the next attempt, and then replaced by a new one."""
 
     def wake(self) -> None:
-        """Look at the outbox at once: something new is in it."""
+        """Look at the outbox at once, because something new is in it."""
         for each in self._wakes.values():
             each.set()
 
@@ -71,7 +71,7 @@ class Dispatcher:
         self.wake()
 
     async def follow(self) -> None:
-        """Deliver what there is, without end."""
+        """Deliver what the outbox has, without end."""
         if not self.plan.endpoints:
             await asyncio.Event().wait()
         await self._outbox.interrupted(self.plan.endpoints, self._clock(), Message("notify_address_removed"))
@@ -83,8 +83,8 @@ class Dispatcher:
                 tasks.create_task(self._serve(endpoint))
 
     async def test(self, endpoint: NotificationEndpoint) -> NotificationDelivery | None:
-        """Send a test message on the way of all others; its delivery after the first attempt, None where that
-        takes longer than a person waits."""
+        """Send a test message like all others, and return its delivery after the first attempt; None where
+        that takes longer than a person waits."""
         key = f"test:{secrets.token_hex(8)}"
         await self.add([OutboxItem(key, endpoint.key, "test", self._clock())])
         with suppress(TimeoutError):
@@ -118,7 +118,7 @@ class Dispatcher:
                 log.error("notifications wait", error=str(error))
                 await asyncio.sleep(STORE_RETRY_S)
             except Exception:
-                # One address must not end the others, whose messages may be under way.
+                # A fault of one address must not end the others, whose messages may be under way.
                 log.exception("notifications of one address wait")
                 await asyncio.sleep(STORE_RETRY_S)
 
@@ -150,7 +150,8 @@ class Dispatcher:
         attempted.set()
 
     async def _conclude(self, endpoint: NotificationEndpoint, ended: NotificationDelivery) -> None:
-        """Try until the result is on disk: a message that has left must not leave again for a busy store."""
+        """Store the result of an attempt, however long that takes: a message that has left must not leave
+        again because the store was busy."""
         while True:
             try:
                 await self._record(endpoint, ended)
@@ -161,7 +162,8 @@ class Dispatcher:
                 return
 
     async def _record(self, endpoint: NotificationEndpoint, ended: NotificationDelivery) -> None:
-        """Write the result; the first failure and the end are events, which attempts between would hide."""
+        """Write the result of an attempt. The first failure and the end are events; the attempts between are
+        not, as they would hide other events."""
         if ended.state == "retrying" and ended.attempts > 1:
             await self._outbox.conclude(ended)
             return
@@ -192,7 +194,7 @@ class Dispatcher:
 
 
 def subject_of(delivery: NotificationDelivery) -> Message:
-    """What a message is about, for events and the page."""
+    """Return what a message is about, for events and the page."""
     first = delivery.items[0] if delivery.items else None
     if first is None or len(delivery.items) > 1:
         return Message.of("notify_several", n=len(delivery.items))

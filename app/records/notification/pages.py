@@ -1,4 +1,4 @@
-"""The page of notification, and the one that the link of a notification leads to."""
+"""The page of notification, and the page to which the link of a message leads."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ async def linked_alarm(
     until: Annotated[int, Query(ge=0, le=2**62)],
     signature: Annotated[str, Query(max_length=100)],
 ) -> str:
-    """The id of the alarm of a link. Raises Problem 403 for one that this dashboard did not make."""
+    """Return the id of the alarm of a link. Raises Problem 403 for a link that this dashboard did not
+    make."""
     notification.links.check(alarm, until, signature)
     return alarm
 
@@ -47,7 +48,7 @@ async def notification_page(
     notification: Notifying,
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> Response:
-    """Whether the path works, who is on duty, maintenance, and what was sent."""
+    """Show whether the path works, who is on duty, maintenance, and what was sent."""
     found = await notification.outbox.deliveries(ON_A_PAGE + 1, before)
     addresses = {key: each.address for key, each in notification.plan.endpoints.items()}
     return render(
@@ -106,8 +107,8 @@ async def end_maintenance(
 
 @router.get("/notifications/acknowledge")
 async def acknowledge_page(request: Request, _: Viewer, alarms: Alarms, alarm: LinkedAlarm) -> Response:
-    """The alarm of a link, with the button. Opening it changes nothing: programs that look for malware open
-    links, too."""
+    """Show the alarm of a link, with the button. Opening the link changes nothing: programs that look for
+    malware open links, too."""
     found = alarms.find(alarm).alarm
     definition = found.definition
     return render(

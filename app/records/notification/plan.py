@@ -1,4 +1,4 @@
-"""The addresses and rules of the configuration."""
+"""The addresses and rules of notification, made of the configuration."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ ProgramSettings = WebhookSettings | AppriseSettings
 
 @dataclass(frozen=True, slots=True)
 class NotificationEndpoint:
-    """``address``: as people may see it; a URL is not shown, as it may be a secret."""
+    """An address that is notified. ``address``: as people may see it, without a URL, which may be a
+    secret."""
 
     kind: EndpointKind
     address: str
@@ -36,13 +37,13 @@ class NotificationEndpoint:
 
     @property
     def key(self) -> str:
-        """Identifies it in the outbox, also after a restart."""
+        """Identifies the address in the outbox, also after a restart."""
         return f"{self.kind}:{self.address}"
 
 
 class NotificationPlan:
-    """The configuration: endpoints by key, rosters of keys by group, and rules. ``readers``: addresses that
-    get reports, and are notified of nothing by that."""
+    """Endpoints by key, rosters of keys by group, and rules. ``readers``: addresses that get reports, which
+    alone notifies them of nothing."""
 
     def __init__(self, settings: NotifySettings, readers: Iterable[str] = ()) -> None:
         self.settings = settings
@@ -62,15 +63,15 @@ class NotificationPlan:
         self.endpoints = {endpoint.key: endpoint for endpoint in every}
 
     def on_duty(self, group: str, local: datetime) -> list[str]:
-        """The addresses of a group that are notified at a local time."""
+        """Return the addresses of a group that are notified at a local time."""
         return [self.endpoints[key].address for key in self.rosters[group].on_duty(local)]
 
     def present(self, local: datetime) -> tuple[str, ...]:
-        """The key of every address that some rule notifies at a local time."""
+        """Return the key of every address that some rule notifies at a local time."""
         return tuple(dict.fromkeys(key for rule in self.rules for key in rule.roster.on_duty(local)))
 
     def gaps(self, group: str) -> list[Message]:
-        """Each span of the week in which no one of a group is on duty."""
+        """Return each span of the week in which no one of a group is on duty."""
         return [
             Message.of(
                 "notify_roster_gap",
@@ -85,7 +86,7 @@ class NotificationPlan:
 
 
 def _rule(settings: SmtpSettings | ProgramSettings, keys: tuple[str, ...]) -> NotificationRule:
-    """The rule of addresses that are notified at once and at any time."""
+    """Make the rule of addresses that are notified at once and at any time."""
     buses = () if isinstance(settings, SmtpSettings) else settings.buses
     return NotificationRule(settings.priorities, buses, 0.0, DutyRoster(keys))
 
@@ -108,7 +109,8 @@ def _mail(addresses: Iterable[str]) -> tuple[str, ...]:
 
 
 def _program(settings: ProgramSettings) -> NotificationEndpoint:
-    """Its address is the host, or the name of the file, and a mark that distinguishes two of one name."""
+    """Make the endpoint of a program. Its address is the host, or the name of the file, and a mark that
+    distinguishes two of one name."""
     url = settings.url if isinstance(settings, WebhookSettings) else None
     source = url or str(settings.url_file)
     name = urlsplit(url).hostname if url else settings.url_file and settings.url_file.name

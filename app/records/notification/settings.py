@@ -1,4 +1,4 @@
-"""The people and programs that are notified of alarms, and how (``[notify]`` of lineside.toml)."""
+"""The settings of notification: who is notified of which alarms, and how (``[notify]`` of lineside.toml)."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ DEFAULT_PRIORITIES: tuple[NotifiedPriority, ...] = ("urgent", "high")
 
 
 def minute_of_day(clock: str) -> int:
-    """``06:30`` → 390."""
+    """Return the minute of the day: ``06:30`` → 390."""
     hours, minutes = clock.split(":")
     return 60 * int(hours) + int(minutes)
 
 
 def clock_of(minute: int) -> str:
-    """390 → ``06:30``; of a minute of the week, the time of its day."""
+    """Return the time of a minute of the day or the week: 390 → ``06:30``."""
     hours, minutes = divmod(minute % (24 * 60), 60)
     return f"{hours:02}:{minutes:02}"
 
@@ -76,7 +76,7 @@ class SmtpSettings(StrictModel):
     user: Annotated[OneLine, Field(max_length=200)] = ""
     password_file: Path | None = None
     ca_file: Path | None = None
-    """Whom to trust instead of the authorities of the machine."""
+    """The authorities to trust instead of those of the machine."""
     to: Addresses = ()
     priorities: Priorities = DEFAULT_PRIORITIES
 
@@ -100,7 +100,8 @@ class WebhookSettings(StrictModel):
 
     @field_serializer("url")
     def _without_its_path(self, url: str | None) -> str | None:
-        """In the record of the configuration: the URL may be a secret, and its change is to be seen."""
+        """Return the host and a digest for the record of the configuration: the URL may be a secret, and a
+        change of it has to show."""
         return url and f"{urlsplit(url).hostname}#{blake2b(url.encode(), digest_size=8).hexdigest()}"
 
     @model_validator(mode="after")
@@ -119,7 +120,7 @@ class AppriseSettings(StrictModel):
 
 
 class DutySettings(StrictModel):
-    """People on duty on these days; ``ends`` not after ``starts``: on the next day."""
+    """People who are on duty on these days; ``ends`` not after ``starts``: on the next day."""
 
     days: Annotated[tuple[DayOfWeek, ...], Field(min_length=1)] = DAYS
     starts: ClockTime
@@ -128,7 +129,8 @@ class DutySettings(StrictModel):
 
 
 class GroupSettings(StrictModel):
-    """People who are notified together. ``to``: at any time; ``duty``: the others by roster."""
+    """People who are notified together. ``to``: those notified at any time; ``duty``: the others, by
+    roster."""
 
     name: GroupName
     to: Addresses = ()
@@ -142,7 +144,7 @@ class GroupSettings(StrictModel):
 
 
 class RuleSettings(StrictModel):
-    """Which alarms a group is notified of; ``after_s``: only of those not acknowledged by then."""
+    """The alarms of which a group is notified; ``after_s``: only of those not acknowledged by then."""
 
     group: GroupName
     priorities: Priorities = DEFAULT_PRIORITIES
@@ -151,27 +153,27 @@ class RuleSettings(StrictModel):
 
 
 class MaintenanceSettings(StrictModel):
-    """Nothing is notified on these days; ``ends`` not after ``starts``: on the next day."""
+    """A recurring time in which nothing is notified; ``ends`` not after ``starts``: on the next day."""
 
     days: Annotated[tuple[DayOfWeek, ...], Field(min_length=1)] = DAYS
     starts: ClockTime
     ends: ClockTime
     until: CalendarDay
-    """The last day on which it begins: what is not notified ends some day."""
+    """The last day on which the maintenance begins: silence has to end some day."""
     reason: Annotated[OneLine, Field(min_length=1, max_length=200)]
     buses: BusNames = ()
     """Empty: all, and the server's own alarms."""
 
 
 class NotifySettings(StrictModel):
-    """The path of notification. Without any address nothing is sent."""
+    """The settings of notification. Without any address nothing is sent."""
 
     dashboard_url: WebUrl | None = None
-    """How people reach the dashboard; without it a notification has no link."""
+    """How people reach the dashboard; without it a message has no link."""
     heartbeat_at: ClockTime = "07:00"
-    """When each address gets the daily proof that the path works, local time."""
+    """The local time at which each address gets the daily proof that the path works."""
     flood: Annotated[int, Field(strict=True, ge=1, le=1000)] = 10
-    """So many messages to one address in ten minutes are single ones; further alarms are collected."""
+    """After so many messages to one address in ten minutes, further alarms are collected."""
     digest_s: Annotated[float, Field(strict=True, ge=5, le=3600)] = 60.0
     """How often what was collected is sent."""
     smtp: SmtpSettings | None = None
@@ -183,19 +185,19 @@ class NotifySettings(StrictModel):
 
     @property
     def certificates(self) -> set[Path]:
-        """The files of certificates that it names."""
+        """The files of certificates that the settings name."""
         named = [None if self.smtp is None else self.smtp.ca_file, *(each.ca_file for each in self.webhook)]
         return {path for path in named if path is not None}
 
 
 def _refusal(message: Message, *at: int | str) -> PydanticCustomError:
-    """``at``: where the fault is, from the table on that is judged."""
+    """Make the error; ``at``: the place of the fault within the table that is judged."""
     return PydanticCustomError("notify", "not a notification", {"message": message, "at": at})
 
 
 def refuse_unknown_names(notify: NotifySettings, buses: Iterable[BusSettings]) -> None:
-    """Raises PydanticCustomError for a group or a bus that is not configured, a group that is configured
-    twice, and for mail without a mail server."""
+    """Raise PydanticCustomError for a group or a bus that is not configured, a group that is configured
+    twice, and mail without a mail server."""
     for message, *at in _unknown_names(notify, {bus.name for bus in buses}):
         raise _refusal(message, "notify", *at)
 

@@ -1,1 +1,1 @@
-"""The states of an alarm and what changes them. Pure: the time is passed in."""
+"""The rules of alarms: their states, their detection and their figures. Pure: the time is passed in."""
