@@ -2,6 +2,6 @@
 
 from pathlib import Path
 
-from bus.messages.texts import add_texts
+from bus.messages import add_texts
 
 add_texts(Path(__file__).parent)

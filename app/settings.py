@@ -39,7 +39,7 @@ from bus import configuration
 from bus.configuration import ConfigurationError
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
-from bus.text import OneLine
+from bus.validation import OneLine
 
 __all__ = ["ConfigurationError", "ServerSettings", "Settings", "Site", "load", "parse"]
 

@@ -14,10 +14,9 @@ from playwright.sync_api import Page
 from benchmarks.onlookers import onlookers
 from benchmarks.page import viewer_page
 from benchmarks.tables import median, milliseconds, quantile, show
-from bus.catalogue.status import status_bits
+from bus.catalogue.values import status_bits
 from bus.settings import Dialect
-from bus.wire.bodies import parse_reply
-from bus.wire.commands import ReadStatusRequest, StatusReply
+from bus.wire.commands import ReadStatusRequest, StatusReply, parse_reply
 from tests.e2e.site import Site, eventually, site
 
 BROWSERS = 20

@@ -11,7 +11,6 @@ import httpx
 
 from benchmarks.tables import median, milliseconds, quantile, show
 from bus.settings import Dialect, wire_seconds
-from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import (
     Ack,
     ExecuteSpeedRequest,
@@ -20,6 +19,8 @@ from bus.wire.commands import (
     Request,
     StageSpeedRequest,
     StatusReply,
+    encode_reply,
+    encode_request,
 )
 from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import Site, eventually, site

@@ -16,8 +16,7 @@ from pydantic_core import ErrorDetails
 from bus.errors import LinesideError
 from bus.messages import Message
 from bus.settings import BusSettings
-from bus.text import MASK, without_credentials
-from bus.validation import fault_message
+from bus.validation import MASK, fault_message, without_credentials
 
 KeyStep = str | int
 KeyPath = tuple[KeyStep, ...]

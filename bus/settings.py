@@ -22,7 +22,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from bus.messages import Message
-from bus.text import OneLine
+from bus.validation import OneLine
 
 Baud = Literal[300, 600, 1200, 2400, 4800, 9600]
 BAUDS: tuple[Baud, ...] = (300, 600, 1200, 2400, 4800, 9600)

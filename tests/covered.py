@@ -21,7 +21,7 @@ PURE = (
 )
 TESTS = {
     "bus/catalogue/parameters.py": "tests/bus/test_catalogue_parameters.py",
-    "bus/wire/bodies.py": "tests/bus/test_commands.py",
+    "bus/wire/commands.py": "tests/bus/test_commands.py",
     "bus/wire/fence.py": "tests/bus/test_exchange_fence.py",
     "app/records/notification/rules.py": "tests/app/records/test_notification_rules.py",
     "app/line/alarms/rules/state_machine.py": "tests/app/line/test_alarm_state_machine.py",

@@ -10,10 +10,8 @@ from typing import cast
 import serial_asyncio
 
 from bus.settings import Dialect, wire_seconds
-from bus.wire.bodies import encode_request
-from bus.wire.commands import ReadStatusRequest
+from bus.wire.commands import ReadStatusRequest, encode_request, longest_reply_bytes
 from bus.wire.framing import FrameDecoder, ReceivedFrame
-from bus.wire.lengths import longest_reply_bytes
 
 DIALECT = Dialect()
 TURNAROUND_S = 0.05

@@ -1,18 +1,166 @@
-"""The 40 parameters of a DIGIMAX IV as a table (manual, section 4.0).
+"""The 40 parameters of a DIGIMAX IV as a table, and their numbers by name (manual, section 4.0).
 
 Number, name, type and range are as printed: #31 alone ends at 1387Fh = 79999. What the list leaves out
-carries its mark of evidence; an undocumented choice is not named and is shown by its number. The columns are
-explained in ``parameter``.
+carries its mark of evidence (A stated in the manual, B stated for the sibling DFS-1 and consistent, C
+inferred, U unknown); an undocumented choice is not named and is shown by its number.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
 from types import MappingProxyType
+from typing import Literal
 
-from bus.catalogue import numbers
-from bus.catalogue.parameter import Parameter, Scale
-from bus.messages import PARAMETER_NAMES
+from bus.errors import CallerError
+from bus.messages import PARAMETER_NAMES, Message
+
+MAX_RPM = 1
+MAX_DISPLAY = 2
+DECIMALS = 3
+BASE_RATIO = 4
+ENCODER_PPR = 5
+ACCELERATION = 6
+DECELERATION = 7
+FOLLOWER_MODE = 8
+PRESET_SPEED = 9
+JUMP_UP = 10
+JUMP_DOWN = 11
+AT_SPEED_WINDOW = 12
+JUMP_MODE = 13
+FREEZE_MODE = 14
+DISPLAY_RATE = 15
+SETUP_DURING_RUN = 16
+OWN_ADDRESS = 17
+"""Every unit has it and only its panel changes it (manual, 4.0), so its value is known beforehand. If it
+reads as another address, another unit responds there; the address in a response is no evidence, because it
+repeats that of the request.
+"""
+BAUD_RATE = 18
+CONTROL_MODE = 19
+SPEED_SETPOINT = 20
+PASSWORD = 21
+ANALOG_IN_LOW = 22
+ANALOG_IN_HIGH = 23
+ANALOG_IN_MODE = 24
+ANALOG_IN_RATE = 25
+ANALOG_IN_TRIM = 26
+PROTOCOL = 27
+ANALOG_OUT_SOURCE = 28
+ANALOG_OUT_LOW = 29
+ANALOG_OUT_HIGH = 30
+MAX_RATIO = 31
+PRESET_INPUT_MODE = 32
+REVERSE_INPUT_MODE = 33
+UP_INPUT_MODE = 34
+DOWN_INPUT_MODE = 35
+INSTALLED_OPTION = 36
+RATIO_SETPOINT = 37
+MIN_RATIO = 38
+DEBOUNCE = 39
+AT_SPEED_SOURCE = 40
+SETPOINTS = (SPEED_SETPOINT, RATIO_SETPOINT)
+"""In these a unit keeps what a host or a panel commands; every other one changes by its set-up alone."""
+
+
+DataType = Literal["UCHR", "UINT", "ULNG"]
+Evidence = Literal["A", "B", "C", "U"]
+
+
+class Scale(StrEnum):
+    """How the integer on the wire becomes the number that people use."""
+
+    PLAIN = "plain"
+    SPEED = "speed"
+    """Display units with #3 decimals."""
+    SPEED_OR_RATIO = "speed or ratio"
+    """Display units in a master; in a follower a ratio with four decimals."""
+    RATIO = "ratio"
+    """Four implied decimals: 10000 is 1.0000."""
+    TENTHS = "tenths of a second"
+    BAUD = "hundreds of baud"
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One row. Ranges are raw integers, both ends included."""
+
+    number: int
+    name: str
+    type: DataType
+    minimum: int
+    maximum: int
+    evidence: Evidence
+    """Of the meaning and the scale; number, name, type and range are always A."""
+    group: str
+    meaning: str
+    scale: Scale = Scale.PLAIN
+    unit: str = ""
+    """Unit of the engineering value where it is the same for every drive."""
+    choices: Mapping[int, str] = field(default_factory=dict, hash=False)
+    allowed: frozenset[int] | None = None
+    """The only legal values where the range has holes."""
+    never_writable: bool = False
+    dangerous: str = ""
+    """What a write can do to the link; empty where it is harmless to it."""
+    harmless: frozenset[int] = frozenset()
+    """Values of a dangerous parameter that cannot have the effect in ``dangerous``."""
+    secret: bool = False
+    not_while_running: bool = False
+    """The unit allows no change during RUN."""
+
+
+class IllegalValue(CallerError):
+    """A value that a parameter cannot take; ``nearest`` is the closest that it can."""
+
+    def __init__(self, message: Message, nearest: int) -> None:
+        super().__init__(message)
+        self.nearest = nearest
+
+
+def danger_of_writing(parameter: Parameter, raw: int) -> str:
+    """Return what writing ``raw`` can do to the link; empty where it is harmless to it."""
+    return "" if raw in parameter.harmless else parameter.dangerous
+
+
+def check_writable_value(parameter: Parameter, raw: int) -> None:
+    """Raises CallerError for a parameter that is never written, IllegalValue for a value out of range."""
+    if parameter.never_writable:
+        raise CallerError(Message.of("parameter_not_by_link", number=parameter.number, called=parameter.name))
+    nearest = nearest_legal(parameter, raw)
+    if nearest != raw:
+        raise IllegalValue(_refusal(parameter, raw, nearest), nearest)
+
+
+def _refusal(parameter: Parameter, raw: int, nearest: int) -> Message:
+    legal = _legal_values(parameter)
+    if parameter.secret:
+        # The message goes into the log, and what was typed may be the secret but for one digit too many.
+        return Message.of("parameter_takes", number=parameter.number, called=parameter.name, values=legal)
+    return Message.of(
+        "parameter_cannot_be",
+        number=parameter.number,
+        called=parameter.name,
+        raw=raw,
+        values=legal,
+        nearest=nearest,
+    )
+
+
+def nearest_legal(parameter: Parameter, raw: int) -> int:
+    """The value closest to ``raw`` that the parameter takes; of two equally close the smaller."""
+    if parameter.allowed is not None:
+        return min(sorted(parameter.allowed), key=lambda legal: abs(legal - raw))
+    return min(max(raw, parameter.minimum), parameter.maximum)
+
+
+def _legal_values(parameter: Parameter) -> Message:
+    if parameter.allowed is None:
+        return Message.of("value_range", lowest=parameter.minimum, highest=parameter.maximum)
+    *others, last = sorted(parameter.allowed)
+    return Message.of("one_of_values", others=list(others), last=last)
+
 
 SPEED, MODES, RATIO, RAMPS = "Speed and display", "Mode", "Ratio", "Ramps"
 STEPS, INPUTS = "Presets and jumps", "Inputs"
@@ -133,10 +281,10 @@ PARAMETERS: Mapping[int, Parameter] = MappingProxyType({row.number: row for row 
 """Every parameter by its number, 1 to 40."""
 PARAMETER_NAMES.update({row.number: row.name for row in _ROWS})
 NEEDED_TO_SHOW = (
-    *(numbers.MAX_RPM, numbers.MAX_DISPLAY, numbers.DECIMALS, numbers.FOLLOWER_MODE, numbers.AT_SPEED_WINDOW),
-    *(numbers.ANALOG_IN_LOW, numbers.ANALOG_IN_HIGH),
-    *(numbers.ANALOG_OUT_SOURCE, numbers.ANALOG_OUT_LOW, numbers.ANALOG_OUT_HIGH),
+    *(MAX_RPM, MAX_DISPLAY, DECIMALS, FOLLOWER_MODE, AT_SPEED_WINDOW),
+    *(ANALOG_IN_LOW, ANALOG_IN_HIGH),
+    *(ANALOG_OUT_SOURCE, ANALOG_OUT_LOW, ANALOG_OUT_HIGH),
 )
 """Without these a reading cannot be shown right."""
-NEEDED_TO_JUDGE = (numbers.MAX_RATIO, numbers.MIN_RATIO)
+NEEDED_TO_JUDGE = (MAX_RATIO, MIN_RATIO)
 """Without these a ratio cannot be judged before it is sent: they are a follower's limits."""

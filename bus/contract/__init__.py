@@ -8,33 +8,33 @@ Times are seconds since the epoch on the sender's clock (float, microsecond reso
 and analog values are the raw integers of the wire.
 """
 
+from bus.contract.actions import BUFFER_AGE_S as BUFFER_AGE_S
+from bus.contract.actions import CONTRACT_VERSION as CONTRACT_VERSION
+from bus.contract.actions import MAX_FRAME as MAX_FRAME
+from bus.contract.actions import MAX_MEANING as MAX_MEANING
+from bus.contract.actions import MAX_MEANINGS as MAX_MEANINGS
+from bus.contract.actions import MAX_UPDATES as MAX_UPDATES
 from bus.contract.actions import Action as Action
+from bus.contract.actions import BusLinkState as BusLinkState
 from bus.contract.actions import ChangeBaud as ChangeBaud
+from bus.contract.actions import Direction as Direction
 from bus.contract.actions import ExecuteAll as ExecuteAll
 from bus.contract.actions import ExecuteSpeed as ExecuteSpeed
+from bus.contract.actions import Outcome as Outcome
 from bus.contract.actions import ReadParameters as ReadParameters
 from bus.contract.actions import ReadTrace as ReadTrace
 from bus.contract.actions import ScanBus as ScanBus
 from bus.contract.actions import SetLine as SetLine
 from bus.contract.actions import SetSpeed as SetSpeed
+from bus.contract.actions import Stage as Stage
+from bus.contract.actions import TaggedStruct as TaggedStruct
 from bus.contract.actions import UnitAction as UnitAction
+from bus.contract.actions import UnitLinkState as UnitLinkState
+from bus.contract.actions import UnitScale as UnitScale
 from bus.contract.actions import WireAction as WireAction
 from bus.contract.actions import WriteAnalogOutput as WriteAnalogOutput
 from bus.contract.actions import WriteOutput as WriteOutput
 from bus.contract.actions import WriteParameter as WriteParameter
-from bus.contract.bounds import BUFFER_AGE_S as BUFFER_AGE_S
-from bus.contract.bounds import CONTRACT_VERSION as CONTRACT_VERSION
-from bus.contract.bounds import MAX_FRAME as MAX_FRAME
-from bus.contract.bounds import MAX_MEANING as MAX_MEANING
-from bus.contract.bounds import MAX_MEANINGS as MAX_MEANINGS
-from bus.contract.bounds import MAX_UPDATES as MAX_UPDATES
-from bus.contract.bounds import BusLinkState as BusLinkState
-from bus.contract.bounds import Direction as Direction
-from bus.contract.bounds import Outcome as Outcome
-from bus.contract.bounds import Stage as Stage
-from bus.contract.bounds import TaggedStruct as TaggedStruct
-from bus.contract.bounds import UnitLinkState as UnitLinkState
-from bus.contract.bounds import UnitScale as UnitScale
 from bus.contract.session import AppMessage as AppMessage
 from bus.contract.session import Batch as Batch
 from bus.contract.session import Cancel as Cancel

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, field
 
-from bus.contract.bounds import (
+from bus.contract.actions import (
     MAX_FRAMES,
     MAX_MEANING,
     MAX_MEANINGS,

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from bus.catalogue.numbers import OWN_ADDRESS
+from bus.catalogue.parameters import OWN_ADDRESS
 from bus.contract import BusFigures, UnitFigures
 from bus.instants import Monotonic, UnixTime
 from bus.line.poll_schedule import PollSchedule

@@ -14,14 +14,12 @@ from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from bus.catalogue.numbers import OWN_ADDRESS
-from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.status import status_bits
+from bus.catalogue.parameters import OWN_ADDRESS, PARAMETERS
+from bus.catalogue.values import status_bits
 from bus.line.send import NO_NOISE, LineNoise
 from bus.line.timing import MARGIN_S
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
-from bus.wire.bodies import encode_request
 from bus.wire.commands import (
     Nak,
     ParameterReply,
@@ -30,6 +28,7 @@ from bus.wire.commands import (
     Reply,
     Request,
     StatusReply,
+    encode_request,
 )
 from bus.wire.framing import DLE, checksum
 

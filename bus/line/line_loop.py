@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from bus.catalogue.numbers import SETPOINTS
+from bus.catalogue.parameters import SETPOINTS
 from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Update
 from bus.errors import CallerError, WireError
 from bus.instants import Monotonic
@@ -46,8 +46,8 @@ from bus.wire.commands import (
     Request,
     StageSpeedRequest,
     WriteParameterRequest,
+    usual_reply_bytes,
 )
-from bus.wire.lengths import usual_reply_bytes
 
 CLOSED_TO_OFFLINE_S = 3.0
 NOT_OPENED = Message("port_not_opened")

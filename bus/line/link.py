@@ -23,11 +23,10 @@ from bus.line.timing import MARGIN_S, QUIET_BYTES, LineClock, PortPace, Window
 from bus.line.trace import Trace, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
-from bus.wire.commands import Request
+from bus.wire.commands import Request, longest_reply_bytes
 from bus.wire.exchange import Duplicate, Echo, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
 from bus.wire.fence import PendingByUnit, PendingResponses
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
-from bus.wire.lengths import longest_reply_bytes
 
 
 class CurrentExchange(msgspec.Struct):

@@ -15,7 +15,7 @@ from bus.line.line_loop import LineLoop
 from bus.line.open_port import open_port
 from bus.line.port import EndedWhileOpening, OpenPort, Receiver, is_device, programs_of, users_of
 from bus.messages import Message
-from bus.reconnect_delay import STABLE_S, ReconnectDelay, is_worth_logging
+from bus.pacing import STABLE_S, ReconnectDelay, is_worth_logging
 
 RETRY_S = 0.5
 CHECK_S = 0.5

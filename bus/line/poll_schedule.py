@@ -23,8 +23,15 @@ from enum import StrEnum
 
 import msgspec
 
-from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, MAX_DISPLAY, OWN_ADDRESS
-from bus.catalogue.parameters import NEEDED_TO_JUDGE, NEEDED_TO_SHOW, PARAMETERS
+from bus.catalogue.parameters import (
+    DECIMALS,
+    FOLLOWER_MODE,
+    MAX_DISPLAY,
+    NEEDED_TO_JUDGE,
+    NEEDED_TO_SHOW,
+    OWN_ADDRESS,
+    PARAMETERS,
+)
 from bus.instants import Monotonic
 
 UnitParameter = tuple[int, int]

@@ -22,11 +22,10 @@ from bus.line.send import LineNoise
 from bus.line.timing import MARGIN_S, LineClock, RealClock, Window
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
-from bus.wire.commands import ReadStatusRequest
+from bus.wire.commands import ReadStatusRequest, longest_reply_bytes
 from bus.wire.exchange import Duplicate, Echo, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
 from bus.wire.fence import PendingByUnit
 from bus.wire.framing import DLE, DoubledChecksum, FrameDecoder, Noise, ReceivedFrame
-from bus.wire.lengths import longest_reply_bytes
 
 _PLAIN = Dialect()
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.simulator.faults import EVERY_UNIT, FaultKind
 from bus.simulator.line import SimulatedLine
 from bus.simulator.plant import Plant

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.settings import UnitLabels, UnitSettings
 from bus.simulator.plant import Plant, Script
 from bus.simulator.section import Section

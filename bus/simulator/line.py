@@ -18,8 +18,7 @@ from bus.simulator.plant import STEP_S, Plant
 from bus.simulator.record import WireEventKind, WireRecord
 from bus.simulator.responding import ALL_UNITS, Turn, respond
 from bus.simulator.unit import Unit
-from bus.wire.bodies import reply_body
-from bus.wire.commands import Nak
+from bus.wire.commands import Nak, reply_body
 from bus.wire.framing import DLE, FrameDecoder, ReceivedFrame, encode_frame
 
 IDLE_S = 1.5 * STEP_S

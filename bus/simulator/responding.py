@@ -15,13 +15,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.errors import UnitErrorCode
 from bus.simulator.unit import Mode, Unit, width_by_type
-from bus.wire.bodies import IllegalRequest, parse_request
 from bus.wire.commands import (
     Ack,
     ExecuteSpeedRequest,
+    IllegalRequest,
     Nak,
     ParameterReply,
     ReadParameterRequest,
@@ -33,6 +33,7 @@ from bus.wire.commands import (
     WriteAnalogOutputRequest,
     WriteOutputRequest,
     WriteParameterRequest,
+    parse_request,
 )
 
 ALL_UNITS = 0

@@ -11,7 +11,7 @@ import math
 import random
 from dataclasses import dataclass, field
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.simulator.unit import Unit
 from bus.wire.commands import LARGEST_VALUE
 

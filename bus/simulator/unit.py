@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal
 
-from bus.catalogue import numbers
-from bus.catalogue.parameter import nearest_legal
-from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue import parameters as numbers
+from bus.catalogue.parameters import PARAMETERS, nearest_legal
 from bus.settings import Dialect
 from bus.wire.commands import StatusReply
 

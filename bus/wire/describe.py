@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.status import StatusBits, status_bits
+from bus.catalogue.values import StatusBits, status_bits
 from bus.errors import unit_error
 from bus.messages import Message, parameter_name
 from bus.settings import Dialect
-from bus.wire.bodies import IllegalRequest, parse_reply, parse_request
 from bus.wire.commands import (
     TRAITS,
     Ack,
+    IllegalRequest,
     Nak,
     ParameterReply,
     ReadParameterRequest,
@@ -32,6 +32,8 @@ from bus.wire.commands import (
     WriteOutputRequest,
     WriteParameterRequest,
     is_secret,
+    parse_reply,
+    parse_request,
 )
 from bus.wire.framing import ACK, NAK, FrameDecoder, Noise, Received, ReceivedFrame, checksum
 

@@ -23,8 +23,7 @@ import msgspec
 
 from bus.instants import Monotonic
 from bus.settings import Dialect
-from bus.wire.bodies import parse_reply, request_body
-from bus.wire.commands import Reply, Request, is_secret
+from bus.wire.commands import Reply, Request, is_secret, parse_reply, request_body
 from bus.wire.fence import PendingResponses
 from bus.wire.framing import DoubledChecksum, FrameDecoder, Noise, ReceivedFrame, encode_frame
 

@@ -31,12 +31,19 @@ from typing import NamedTuple
 
 import msgspec
 
-from bus.catalogue.numbers import OWN_ADDRESS
+from bus.catalogue.parameters import OWN_ADDRESS
 from bus.errors import UnitErrorCode
 from bus.settings import Dialect
-from bus.wire.commands import TRAITS, ReadParameterRequest, ReadStatusRequest, Request, is_secret, is_write
+from bus.wire.commands import (
+    TRAITS,
+    ReadParameterRequest,
+    ReadStatusRequest,
+    Request,
+    acknowledged_lengths,
+    is_secret,
+    is_write,
+)
 from bus.wire.framing import ACK, NAK
-from bus.wire.lengths import acknowledged_lengths
 
 LONG_RUN = 3
 """Equal reads in a row beyond this are as good as any number of them."""

@@ -11,7 +11,7 @@ from typing import TextIO, cast
 import structlog
 from structlog.typing import EventDict, WrappedLogger
 
-from bus.text import escaped
+from bus.validation import escaped
 
 
 class BestEffortStream(io.TextIOBase):

@@ -27,7 +27,7 @@ from bus.contract import (
     Watch,
     WireAction,
 )
-from bus.contract.clock_offset import ClockOffset
+from bus.contract.session import ClockOffset
 from bus.instants import UnixTime
 from bus.line.commands.catalogue import command_run_of
 from bus.line.line_loop import LineLoop

@@ -14,7 +14,6 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosedOK, InvalidStatus, WebSocketException
 from websockets.http11 import Response
 
-from bus.bucket import Bucket
 from bus.contract import (
     BUFFER_AGE_S,
     CONTRACT_VERSION,
@@ -33,10 +32,10 @@ from bus.contract import (
     decode_from_app,
     encode,
 )
-from bus.contract.clock_offset import ClockOffset
+from bus.contract.session import ClockOffset
 from bus.errors import LinesideError
 from bus.instants import Clock, Monotonic
-from bus.reconnect_delay import ReconnectDelay
+from bus.pacing import Bucket, ReconnectDelay
 from bus.worker.addresses import AppAddresses, is_encrypted
 from bus.worker.outbox import Outbox
 

@@ -22,7 +22,7 @@ from bus.contract import (
     encode,
 )
 from bus.contract import MalformedMessageError as Malformed
-from bus.contract.clock_offset import ClockOffset
+from bus.contract.session import ClockOffset
 from bus.worker.outbox import Outbox
 from bus.worker.service import MAX_COMMANDS, MAX_RESULTS
 from bus.worker.trace_reports import MAX_TRACES

@@ -1,4 +1,4 @@
-"""The parameter table: as the manual prints it, and sound in itself."""
+"""The parameter table and its names against the manual, and which values a parameter may be given."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from typing import Any
 
 import pytest
 
-from bus.catalogue.parameter import (
+from bus.catalogue import parameters as numbers
+from bus.catalogue.parameters import (
+    NEEDED_TO_SHOW,
+    PARAMETERS,
     IllegalValue,
     Parameter,
     Scale,
@@ -16,9 +19,119 @@ from bus.catalogue.parameter import (
     danger_of_writing,
     nearest_legal,
 )
-from bus.catalogue.parameters import NEEDED_TO_SHOW, PARAMETERS
 from bus.errors import CallerError
+from bus.messages import parameter_name
 from bus.settings import BAUDS
+
+REPOSITORY = Path(__file__).parents[2]
+NAMES_IN_MANUAL = {
+    "Maximum Motor Speed": "MAX_RPM",
+    "Maximum Display Value": "MAX_DISPLAY",
+    "Decimal Location": "DECIMALS",
+    "Base Ratio": "BASE_RATIO",
+    "Encoder PPR": "ENCODER_PPR",
+    "Acceleration Ramp Rate": "ACCELERATION",
+    "Deceleration Ramp Rate": "DECELERATION",
+    "Master/Slave/Inverse Mode": "FOLLOWER_MODE",
+    "Preset Speed": "PRESET_SPEED",
+    "Jump Up Delta": "JUMP_UP",
+    "Jump Down Delta": "JUMP_DOWN",
+    "Up to Speed Tolerance": "AT_SPEED_WINDOW",
+    "MOP/Jump Mode": "JUMP_MODE",
+    "Freeze/Float Mode": "FREEZE_MODE",
+    "Display Sample Rate": "DISPLAY_RATE",
+    "Allow Setup During Run": "SETUP_DURING_RUN",
+    "Unit ID Number": "OWN_ADDRESS",
+    "Baud Rate": "BAUD_RATE",
+    "Local/Remote/Keylock": "CONTROL_MODE",
+    "Speed Setpoint": "SPEED_SETPOINT",
+    "Operator Password": "PASSWORD",
+    "A to D Low Engr Units": "ANALOG_IN_LOW",
+    "A to D High Engr Units": "ANALOG_IN_HIGH",
+    "A to D Display Mode": "ANALOG_IN_MODE",
+    "A to D Sample Rate": "ANALOG_IN_RATE",
+    "A to D Trim Enable": "ANALOG_IN_TRIM",
+    "Communications Protocol": "PROTOCOL",
+    "D to A Source": "ANALOG_OUT_SOURCE",
+    "D to A Low Engineering Units": "ANALOG_OUT_LOW",
+    "D to A High Engineering Units": "ANALOG_OUT_HIGH",
+    "Maximum Ratio": "MAX_RATIO",
+    "Preset Input Mode": "PRESET_INPUT_MODE",
+    "Reverse Input Mode": "REVERSE_INPUT_MODE",
+    "Up Input Mode": "UP_INPUT_MODE",
+    "Down Input Mode": "DOWN_INPUT_MODE",
+    "Installed Option Enable": "INSTALLED_OPTION",
+    "Command Ratio Setpoint": "RATIO_SETPOINT",
+    "Minimum Ratio": "MIN_RATIO",
+    "Debounce Value": "DEBOUNCE",
+    "At Speed Source": "AT_SPEED_SOURCE",
+}
+"""In the order of the printed list, which begins with 1."""
+NAMED = {name: value for name, value in vars(numbers).items() if name.isupper() and isinstance(value, int)}
+
+
+def test_every_name_stands_for_the_number_of_its_printed_title() -> None:
+    assert {name: number for number, name in enumerate(NAMES_IN_MANUAL.values(), start=1)} == NAMED
+
+
+RANGE = Parameter(6, "Ramp", "UINT", 1, 6000, "A", "ramps", "how fast")
+CHOICE = Parameter(18, "Baud", "UCHR", 3, 96, "A", "link", "speed", allowed=frozenset({3, 12, 96}))
+SECRET = Parameter(21, "Password", "UINT", 0, 9999, "A", "link", "opens", secret=True)
+FIXED = Parameter(37, "Display", "ULNG", 0, 99999, "A", "readings", "shown", never_writable=True)
+LINK = Parameter(
+    17, "Address", "UCHR", 1, 255, "A", "link", "who", dangerous="cut off", harmless=frozenset({1})
+)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "raw", "nearest"),
+    [
+        *((RANGE, raw, nearest) for raw, nearest in ((0, 1), (1, 1), (77, 77), (6000, 6000), (6001, 6000))),
+        *((CHOICE, raw, nearest) for raw, nearest in ((0, 3), (7, 3), (8, 12), (54, 12), (55, 96), (96, 96))),
+    ],
+)
+def test_the_nearest_legal_value_is_the_smaller_of_two_equally_close(
+    parameter: Parameter, raw: int, nearest: int
+) -> None:
+    assert nearest_legal(parameter, raw) == nearest
+
+
+@pytest.mark.parametrize(("parameter", "raw"), [(RANGE, 1), (RANGE, 6000), (CHOICE, 12), (SECRET, 9999)])
+def test_a_legal_value_may_be_written(parameter: Parameter, raw: int) -> None:
+    check_writable_value(parameter, raw)
+
+
+def test_a_value_outside_its_range_is_refused_with_the_nearest() -> None:
+    with pytest.raises(IllegalValue) as refused:
+        check_writable_value(RANGE, 9999)
+    assert (
+        str(refused.value) == f"{parameter_name(6)} cannot be 9999: it takes 1 to 6000; the nearest is 6000"
+    )
+    assert refused.value.nearest == 6000
+
+
+def test_a_value_between_the_legal_ones_is_refused_with_all_of_them() -> None:
+    with pytest.raises(IllegalValue, match=r"cannot be 9: it takes 3, 12 or 96; the nearest is 12$"):
+        check_writable_value(CHOICE, 9)
+
+
+def test_the_refusal_of_a_secret_does_not_repeat_it() -> None:
+    with pytest.raises(IllegalValue) as refused:
+        check_writable_value(SECRET, 12345)
+    assert str(refused.value) == f"{parameter_name(21)} takes 0 to 9999"
+
+
+def test_a_parameter_that_is_never_written_takes_no_value() -> None:
+    with pytest.raises(CallerError, match="cannot be changed over the bus") as refused:
+        check_writable_value(FIXED, 5)
+    assert not isinstance(refused.value, IllegalValue)
+
+
+def test_a_write_is_dangerous_by_its_value() -> None:
+    assert danger_of_writing(LINK, 2) == "cut off"
+    assert danger_of_writing(LINK, 1) == ""
+    assert danger_of_writing(RANGE, 2) == ""
+
 
 PRINTED: list[dict[str, Any]] = json.loads(
     (Path(__file__).parent.parent / "vectors" / "manual_parameters.json").read_text()

@@ -1,4 +1,4 @@
-"""The eight commands and their responses, both ways, and which response fits which request."""
+"""The eight commands and their responses, both ways; their lengths; which response fits which request."""
 
 from __future__ import annotations
 
@@ -12,18 +12,11 @@ from hypothesis import strategies as st
 
 from bus.errors import CallerError
 from bus.settings import Dialect, wire_seconds
-from bus.wire.bodies import (
-    IllegalRequest,
-    encode_reply,
-    encode_request,
-    is_request,
-    parse_reply,
-    parse_request,
-)
 from bus.wire.commands import (
     LARGEST_VALUE,
     Ack,
     ExecuteSpeedRequest,
+    IllegalRequest,
     Nak,
     ParameterReply,
     ReadParameterRequest,
@@ -36,11 +29,19 @@ from bus.wire.commands import (
     WriteAnalogOutputRequest,
     WriteOutputRequest,
     WriteParameterRequest,
+    acknowledged_lengths,
+    encode_reply,
+    encode_request,
+    is_request,
     is_secret,
     is_write,
+    least_reply_bytes,
+    longest_reply_bytes,
+    parse_reply,
+    parse_request,
+    usual_reply_bytes,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
-from bus.wire.lengths import longest_reply_bytes, usual_reply_bytes
 
 BINARY, BCD = Dialect(), Dialect(parameter_numbers="bcd")
 
@@ -278,3 +279,52 @@ def test_what_has_the_password_is_secret() -> None:
     assert not is_secret(ReadParameterRequest(1, 20))
     assert not is_secret(ReadParameterRequest(1, 41))
     assert not is_secret(ReadStatusRequest(1))
+
+
+PLAIN, TWO_BYTES, DOUBLED = Dialect(), Dialect(parameter_reply_bytes=2), Dialect(checksum_10h="twice")
+
+
+@pytest.mark.parametrize(
+    ("request_", "lengths"),
+    [
+        (ReadStatusRequest(1), {11}),
+        (StageSpeedRequest(1, 5), {0}),
+        (ExecuteSpeedRequest(1), {0}),
+        (SetAndExecuteSpeedRequest(1, 5), {0}),
+        (ReadParameterRequest(1, 3), {1, 2, 4}),
+        (WriteParameterRequest(1, 3, 4), {0, 1, 2, 4}),
+        (WriteOutputRequest(1, 1, True), {0}),
+        (WriteAnalogOutputRequest(1, 3), {0}),
+    ],
+)
+def test_data_of_an_acknowledgement(request_: Request, lengths: set[int]) -> None:
+    assert acknowledged_lengths(request_, PLAIN) == lengths
+
+
+def test_a_dialect_may_fix_the_width_of_a_read_parameter_and_of_nothing_else() -> None:
+    assert acknowledged_lengths(ReadParameterRequest(1, 3), TWO_BYTES) == {2}
+    assert acknowledged_lengths(WriteParameterRequest(1, 3, 4), TWO_BYTES) == {0, 1, 2, 4}
+
+
+@pytest.mark.parametrize(
+    ("request_", "dialect", "least", "usual", "longest"),
+    [
+        # 10 02 UID ACK, data, 10 03 checksum; the longest has every byte of its body doubled.
+        (ReadStatusRequest(1), PLAIN, 18, 18, 31),
+        (ReadParameterRequest(1, 3), PLAIN, 8, 11, 17),
+        (ReadParameterRequest(1, 3), TWO_BYTES, 9, 9, 13),
+        (ReadParameterRequest(1, 3), Dialect(parameter_reply_bytes=4), 11, 11, 17),
+        (StageSpeedRequest(1, 5), PLAIN, 7, 8, 11),
+        (WriteParameterRequest(1, 3, 1), PLAIN, 7, 11, 17),
+        (StageSpeedRequest(1, 5), DOUBLED, 7, 8, 12),
+        (ExecuteSpeedRequest(0), DOUBLED, 0, 0, 0),
+    ],
+)
+def test_bytes_on_the_wire(request_: Request, dialect: Dialect, least: int, usual: int, longest: int) -> None:
+    assert least_reply_bytes(request_, dialect) == least
+    assert usual_reply_bytes(request_, dialect) == usual
+    assert longest_reply_bytes(request_, dialect) == longest
+
+
+def test_a_byte_is_ten_bits() -> None:
+    assert wire_seconds(960, 9600) == 1.0

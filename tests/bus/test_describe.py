@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.settings import Dialect
-from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import (
     Ack,
     Nak,
@@ -20,6 +19,8 @@ from bus.wire.commands import (
     ReadStatusRequest,
     StatusReply,
     WriteParameterRequest,
+    encode_reply,
+    encode_request,
 )
 from bus.wire.describe import Described, DescribedNoise, describe_bytes
 

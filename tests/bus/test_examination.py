@@ -21,13 +21,13 @@ from bus.line.examination import (
 from bus.line.send import LineNoise
 from bus.messages import Message
 from bus.settings import Dialect
-from bus.wire.bodies import encode_request
 from bus.wire.commands import (
     Nak,
     ParameterReply,
     ReadParameterRequest,
     ReadStatusRequest,
     StatusReply,
+    encode_request,
     is_write,
 )
 

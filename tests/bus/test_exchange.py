@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from bus.errors import CallerError
 from bus.settings import Dialect
-from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import (
     Ack,
     ExecuteSpeedRequest,
@@ -23,6 +22,8 @@ from bus.wire.commands import (
     StatusReply,
     WriteOutputRequest,
     WriteParameterRequest,
+    encode_reply,
+    encode_request,
 )
 from bus.wire.exchange import Duplicate, Echo, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
 from bus.wire.fence import PendingResponses

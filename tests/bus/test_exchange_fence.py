@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.settings import Dialect
-from bus.wire.bodies import encode_reply
 from bus.wire.commands import (
     Ack,
     ExecuteSpeedRequest,
@@ -25,6 +24,7 @@ from bus.wire.commands import (
     WriteAnalogOutputRequest,
     WriteOutputRequest,
     WriteParameterRequest,
+    encode_reply,
     is_write,
 )
 from bus.wire.exchange import Exchange, Responded

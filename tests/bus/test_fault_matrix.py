@@ -19,7 +19,7 @@ from decimal import Decimal
 import pytest
 import structlog
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.contract import (
     Action,
     Result,

@@ -7,7 +7,7 @@ import dataclasses
 
 import pytest
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.catalogue.parameters import NEEDED_TO_SHOW
 from bus.contract import (
     Action,

@@ -19,7 +19,6 @@ from bus.line.timing import MARGIN_S, PortPace
 from bus.line.trace import HIDDEN, Interpreter, Trace, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect
-from bus.wire.bodies import encode_reply
 from bus.wire.commands import (
     Ack,
     ExecuteSpeedRequest,
@@ -31,6 +30,7 @@ from bus.wire.commands import (
     SetAndExecuteSpeedRequest,
     StatusReply,
     WriteParameterRequest,
+    encode_reply,
 )
 from tests.bus.played_clock import PlayedClock
 

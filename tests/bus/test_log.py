@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 from structlog.dev import ConsoleRenderer
 from structlog.typing import EventDict
 
-from bus.text import OneLine
+from bus.validation import OneLine
 from bus.worker.log import BestEffortStream, without_escapes
 
 

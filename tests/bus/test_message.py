@@ -7,8 +7,7 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from bus.messages import Message, joined, number
-from bus.messages.message import DEEPEST, LARGEST, MAX_TEXT
+from bus.messages import DEEPEST, LARGEST, MAX_TEXT, Message, joined, number
 
 _DECODE = msgspec.msgpack.Decoder(Message).decode
 

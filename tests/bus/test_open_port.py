@@ -29,8 +29,7 @@ from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.serve import LineServer
-from bus.wire.bodies import encode_request
-from bus.wire.commands import ReadStatusRequest
+from bus.wire.commands import ReadStatusRequest, encode_request
 
 PATIENCE_S = 20.0
 POLL = encode_request(ReadStatusRequest(1), Dialect())

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.contract import BusFigures, Frame, Frames, Progress, Reading, Result, UnitLink, Update
-from bus.contract.clock_offset import ClockOffset
+from bus.contract.session import ClockOffset
 from bus.worker.outbox import MAX_OTHERS, MAX_READINGS, Outbox
 
 

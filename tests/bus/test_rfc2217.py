@@ -16,8 +16,7 @@ from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
 from bus.simulator.serve import LineServer
-from bus.wire.bodies import encode_request
-from bus.wire.commands import SetAndExecuteSpeedRequest
+from bus.wire.commands import SetAndExecuteSpeedRequest, encode_request
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
 from tests.bus.rfc2217_server import DeviceServer

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from bus.catalogue.numbers import (
+from bus.catalogue.parameters import (
     ANALOG_OUT_HIGH,
     ANALOG_OUT_LOW,
     ANALOG_OUT_SOURCE,

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.contract import Result, ScanBus
 from bus.line.examination import LATE, Found
 from bus.line.scanner import BaudScan, ScanPort, scan_addresses

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.settings import Dialect, wire_seconds
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import FaultKind, Faults
@@ -17,7 +17,6 @@ from bus.simulator.line import SimulatedLine
 from bus.simulator.pacer import WAKE_S, ReplyLine, RequestLine
 from bus.simulator.record import WireEventKind, WireRecord
 from bus.simulator.unit import ORDINARY, Mode, Traits
-from bus.wire.bodies import encode_request
 from bus.wire.commands import (
     ExecuteSpeedRequest,
     ReadStatusRequest,
@@ -25,6 +24,7 @@ from bus.wire.commands import (
     SetAndExecuteSpeedRequest,
     StageSpeedRequest,
     WriteParameterRequest,
+    encode_request,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 

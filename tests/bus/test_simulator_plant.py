@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.settings import BusSettings
 from bus.simulator.demo import DemoLine, demo_line
 from bus.simulator.plant import STEP_S, Habit, Plant, Script
 from bus.simulator.responding import respond
 from bus.simulator.section import Section
 from bus.simulator.unit import Unit
-from bus.wire.bodies import encode_reply
+from bus.wire.commands import encode_reply
 
 
 def responses(line: DemoLine) -> bytes:

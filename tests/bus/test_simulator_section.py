@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.simulator.section import Section
 from bus.simulator.unit import Memory, Unit
 

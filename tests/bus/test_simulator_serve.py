@@ -20,7 +20,6 @@ from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
-from bus.wire.bodies import encode_request, parse_reply
 from bus.wire.commands import (
     Ack,
     Nak,
@@ -30,6 +29,8 @@ from bus.wire.commands import (
     Request,
     SetAndExecuteSpeedRequest,
     StatusReply,
+    encode_request,
+    parse_reply,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from tests import fork_server

@@ -6,13 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import UnitErrorCode as Code
 from bus.settings import Dialect
 from bus.simulator.responding import respond
 from bus.simulator.unit import Inputs, Memory, Mode, Traits, Unit
-from bus.wire.bodies import encode_reply, encode_request, parse_reply
 from bus.wire.commands import (
     Ack,
     ExecuteSpeedRequest,
@@ -28,7 +27,10 @@ from bus.wire.commands import (
     WriteAnalogOutputRequest,
     WriteOutputRequest,
     WriteParameterRequest,
+    encode_reply,
+    encode_request,
     is_write,
+    parse_reply,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from bus.catalogue.numbers import BAUD_RATE
+from bus.catalogue.parameters import BAUD_RATE
 from bus.contract import Action, ReadParameters, SetLine, SetSpeed
-from bus.contract.durations import POLL_BYTES
+from bus.contract.actions import POLL_BYTES
 from bus.line.arbiter import COMMANDS_AT_A_STRETCH_S
 from bus.settings import BAUDS, wire_seconds
 from tests.bus.virtual_line import VirtualLine, run

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.contract import ExecuteAll, Progress, Result, SetLine, SetSpeed, Staged
 from bus.simulator.faults import FaultKind
 from bus.simulator.record import WireEventKind

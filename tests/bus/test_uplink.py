@@ -26,7 +26,7 @@ from bus.contract import (
     WantSnapshot,
     Watch,
 )
-from bus.contract.clock_offset import ClockOffset
+from bus.contract.session import ClockOffset
 from bus.worker.addresses import feed_url
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import GOING_AWAY, Uplink, _about_status

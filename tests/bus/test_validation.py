@@ -11,8 +11,7 @@ import pytest
 from pydantic import AwareDatetime, Field, TypeAdapter, ValidationError
 
 from app.core.web.shape import StrictBody
-from bus.text import OneLine
-from bus.validation import fault_message
+from bus.validation import OneLine, fault_message
 
 
 class _Part(StrictBody):

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.contract import (
     Batch,
     BusFigures,

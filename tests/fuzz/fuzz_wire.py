@@ -13,13 +13,17 @@ import atheris
 with atheris.instrument_imports(include=["bus.wire"]):
     from bus.errors import CallerError
     from bus.settings import Dialect
-    from bus.wire.bodies import IllegalRequest, encode_reply, parse_reply, parse_request, request_body
     from bus.wire.commands import (
+        IllegalRequest,
         ReadParameterRequest,
         ReadStatusRequest,
         Request,
         SetAndExecuteSpeedRequest,
         WriteParameterRequest,
+        encode_reply,
+        parse_reply,
+        parse_request,
+        request_body,
     )
     from bus.wire.describe import describe_bytes
     from bus.wire.exchange import Exchange, Responded

@@ -15,7 +15,7 @@ import httpx
 
 from bus import contract
 from bus.contract import CONTRACT_VERSION, BusLink, Hello, Reading, Snapshot, Watch
-from bus.contract.clock_offset import ClockOffset
+from bus.contract.session import ClockOffset
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 from tests import fork_server

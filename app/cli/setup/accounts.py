@@ -19,7 +19,7 @@ from app.people.auth.store import Token, User, tokens, users
 from app.settings import load
 from bus.errors import CallerError
 from bus.messages import Message
-from bus.text import composed
+from bus.validation import composed
 
 T = TypeVar("T")
 MAX_LINE = 10_000

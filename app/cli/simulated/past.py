@@ -41,7 +41,7 @@ from app.records.handover.notes import Note
 from app.records.handover.rules.shifts import shift_at, site_time
 from app.records.handover.signatures import WRITE_NOTE
 from app.settings import Settings
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.catalogue.parameters import PARAMETERS
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message, term

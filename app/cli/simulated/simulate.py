@@ -12,7 +12,7 @@ import click
 
 from app.cli.ending import wrong_option
 from app.cli.options import ADDRESS, PATH, TCP_PORT
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.errors import LinesideError
 from bus.messages import Message
 from bus.settings import BAUDS, Dialect

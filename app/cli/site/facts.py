@@ -24,9 +24,9 @@ from app.system.backup.folder import next_due
 from app.system.backup.service import newest_in
 from app.system.backup.stores import STORES
 from app.system.postgresql.outbox import read_cursor
-from bus.certificate import Certificate, MalformedCertificateError, certificates_in
 from bus.instants import UnixTime
 from bus.messages import Message
+from bus.tls import Certificate, MalformedCertificateError, certificates_in
 
 
 @dataclass(frozen=True, slots=True)

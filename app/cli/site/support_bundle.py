@@ -33,7 +33,7 @@ from app.version import VERSION
 from bus.configuration import ConfigurationError
 from bus.errors import LinesideError
 from bus.messages import Message
-from bus.text import MASK, without_credentials
+from bus.validation import MASK, without_credentials
 
 MAX_EVENTS, MAX_LOG_LINES = 500, 2000
 JOURNAL = (

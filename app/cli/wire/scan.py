@@ -19,7 +19,7 @@ from bus.line.examination import PASSES, Found, conclude, no_response_s, setting
 from bus.line.scanner import BaudScan, scan_baud
 from bus.messages import Message, listed, number
 from bus.settings import BAUDS, check_port
-from bus.text import without_credentials
+from bus.validation import without_credentials
 
 FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
 """9600 is the default of a unit, and the quickest to try."""

@@ -16,7 +16,7 @@ from app.core.web.services import service_of
 from app.core.web.templating import PAGES, render, templates_of
 from app.feature import Feature, Services
 from bus.messages import Message
-from bus.text import OneLine
+from bus.validation import OneLine
 
 router = APIRouter(include_in_schema=False)
 Typed = Annotated[OneLine, Query(max_length=80)]

@@ -24,7 +24,7 @@ from app.errors import Problem
 from app.feature import Feature, Services
 from app.version import VERSION
 from bus.messages import Message
-from bus.text import OneLine
+from bus.validation import OneLine
 
 router = APIRouter(include_in_schema=False)
 TypedHelp = Annotated[OneLine, Query(max_length=80)]

@@ -16,8 +16,8 @@ from enum import Enum, auto
 from starlette.types import Scope
 
 from app.core.server.addresses import Network, is_within, source_of
-from bus.bucket import Bucket
 from bus.instants import Monotonic
+from bus.pacing import Bucket
 
 CONNECTION = "lineside.connection"
 """Key of the connection in the ``state`` of an ASGI scope."""

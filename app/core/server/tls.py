@@ -11,12 +11,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from app.core.server.settings import TlsSettings
-from bus.certificate import Certificate
 from bus.instants import Clock, unix_now
 from bus.messages import Message
 from bus.tls import (
     HTTP_ALPN,
     WORKER_ALPN,
+    Certificate,
     FileStamp,
     TlsFileError,
     date_fault,

@@ -32,8 +32,8 @@ from app.core.web.access import Requires, Role, Viewer, address_of, caller_of, p
 from app.core.web.problems import too_many_requests
 from app.core.web.request_rules import MAX_PLAIN_BODY_BYTES, bounded, refuse
 from app.errors import Problem
-from bus.bucket import Bucket
 from bus.instants import Monotonic
+from bus.pacing import Bucket
 
 
 def as_get(scope: Scope, send: Send) -> tuple[Scope, Send]:

@@ -41,7 +41,7 @@ from app.people.audit.entry import Event
 from app.people.audit.queries import Filter
 from bus.instants import UnixTime
 from bus.messages import Message
-from bus.text import Lines, OneLine
+from bus.validation import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["recipes"], route_class=ApiRoute)
 

@@ -22,11 +22,11 @@ from app.line.commands.service import permitted
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import BusLive
 from app.line.live.requests import bus_or_404
-from bus.catalogue.numbers import DECIMALS
+from bus.catalogue.parameters import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
 from bus.messages import Message
-from bus.text import Lines, OneLine, TypedText
+from bus.validation import Lines, OneLine, TypedText
 
 router = APIRouter(include_in_schema=False)
 

@@ -21,8 +21,8 @@ from app.line.commands.values import (
 )
 from app.line.live.api.schemas import UnitAddress
 from app.line.live.bus_live import BusLive, UnitLive, follower
-from bus.catalogue.numbers import RATIO_SETPOINT
-from bus.contract.durations import change_s
+from bus.catalogue.parameters import RATIO_SETPOINT
+from bus.contract.actions import change_s
 from bus.instants import UnixTime
 from bus.messages import Message, number, term
 

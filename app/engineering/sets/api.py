@@ -35,7 +35,7 @@ from app.line.live.requests import bus_or_404, unit_or_404
 from app.people.audit.api import Events
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
-from bus.text import Lines, OneLine
+from bus.validation import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
 MAX_SETS = 1000

@@ -21,11 +21,15 @@ from app.line.commands.values import parameter_scale
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import BusLive, UnitLive
 from app.line.live.requests import bus_or_404
-from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
-from bus.catalogue.parameter import Parameter, Scale, check_writable_value
-from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.status import StatusBits
-from bus.catalogue.values import is_follower, parameter_raw
+from bus.catalogue.parameters import (
+    DECIMALS,
+    FOLLOWER_MODE,
+    PARAMETERS,
+    Parameter,
+    Scale,
+    check_writable_value,
+)
+from bus.catalogue.values import StatusBits, is_follower, parameter_raw
 from bus.contract import ReadParameters, UnitScale, WriteParameter
 from bus.errors import CallerError
 from bus.messages import Message

@@ -12,11 +12,8 @@ from app.core.web.shape import MessageObject, iso
 from app.line.commands.values import in_measure
 from app.line.live.api.schemas import Time
 from app.line.live.bus_live import BusLive, UnitLive
-from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
-from bus.catalogue.parameter import Parameter
-from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.status import StatusBits, status_bits
-from bus.catalogue.values import is_follower, parameter_message, parameter_unit
+from bus.catalogue.parameters import DECIMALS, FOLLOWER_MODE, PARAMETERS, Parameter
+from bus.catalogue.values import StatusBits, is_follower, parameter_message, parameter_unit, status_bits
 from bus.contract import ParameterValue
 from bus.instants import UnixTime
 from bus.messages import Message, term

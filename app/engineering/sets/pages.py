@@ -23,7 +23,7 @@ from app.line.live.bus_live import LiveState
 from app.line.live.requests import bus_or_404, unit_or_404
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
-from bus.text import Lines, OneLine
+from bus.validation import Lines, OneLine
 
 router = APIRouter(include_in_schema=False)
 Readings = Annotated[SetReadings, service(SetReadings)]

@@ -15,10 +15,14 @@ from typing import Literal
 
 from app.engineering.sets.model import ParameterDifference, UnitRows, differences
 from app.errors import Problem
-from bus.catalogue import numbers
-from bus.catalogue.numbers import CONTROL_MODE, FOLLOWER_MODE
-from bus.catalogue.parameter import check_writable_value, danger_of_writing
-from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue import parameters as numbers
+from bus.catalogue.parameters import (
+    CONTROL_MODE,
+    FOLLOWER_MODE,
+    PARAMETERS,
+    check_writable_value,
+    danger_of_writing,
+)
 from bus.contract import Outcome
 from bus.errors import CallerError
 from bus.instants import UnixTime

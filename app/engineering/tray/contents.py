@@ -19,8 +19,7 @@ from app.line.commands.review import SetpointChange
 from app.line.commands.undo import PlaceKind, ValuePlace, Values
 from app.line.commands.values import measure_of_value, parameter_message
 from app.line.live.bus_live import BusLive, UnitLive, follower
-from bus.catalogue.parameter import danger_of_writing
-from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.parameters import PARAMETERS, danger_of_writing
 from bus.contract import UnitScale
 from bus.instants import Monotonic
 from bus.messages import Message, number, term

@@ -13,7 +13,7 @@ from app.core.web.shape import StrictBody
 from app.line.alarms.rules import state_machine
 from app.line.alarms.rules.state_machine import Changed
 from app.people.audit.acts import Act
-from bus.text import OneLine
+from bus.validation import OneLine
 
 MAX_MINUTES = 720
 """A shift. An alarm that has to be hidden for longer is taken out of service."""

@@ -18,7 +18,7 @@ from app.line.alarms.settings import INPUT_VALUES, SPEED_VALUES, AlarmSettings, 
 from app.line.conditions.condition import MATRIX, AlarmPriority, Consequence, TimeToRespond
 from app.line.live.bus_live import BusLive, UnitLive, speed_decimals
 from app.line.live.unit_status import bits_of
-from bus.catalogue.numbers import ANALOG_IN_HIGH, ANALOG_IN_LOW
+from bus.catalogue.parameters import ANALOG_IN_HIGH, ANALOG_IN_LOW
 from bus.catalogue.values import MAX_DECIMALS, analog_input_value
 from bus.contract import Reading
 from bus.messages import Message, number, term

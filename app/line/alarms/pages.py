@@ -32,7 +32,7 @@ from app.line.live.hub import Hub
 from app.line.live.screen import ALARM_GROUP
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
-from bus.text import OneLine, TypedText
+from bus.validation import OneLine, TypedText
 
 MAX_ROWS = 100
 """Rows of the summary: as many as can be acknowledged together."""

@@ -16,7 +16,7 @@ from app.line.conditions.catalogue import BUS_ALARMS, CONDITIONS, SERVER_ALARMS,
 from app.line.conditions.condition import AlarmPriority, Tuning
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
-from bus.text import OneLine
+from bus.validation import OneLine
 
 SpeedValue = Literal["commanded", "actual", "deviation"]
 """``deviation``: the distance of actual from commanded speed."""

@@ -18,9 +18,9 @@ from app.line.alarms.settings import BuiltInAlarmSettings
 from app.line.conditions import catalogue
 from app.line.conditions.catalogue import CERTIFICATE_EXPIRING, SERVER_ALARMS, TOKEN_EXPIRING
 from app.people.auth.store import Token
-from bus.certificate import MalformedCertificateError, certificates_in
 from bus.instants import Clock, ClockWatch, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, number
+from bus.tls import MalformedCertificateError, certificates_in
 
 LOOK_EVERY_S = 60.0
 Expiry = tuple[UnixTime, str]

@@ -38,8 +38,7 @@ from app.line.commands.values import (
     wordings_by_unit,
 )
 from app.line.live.bus_live import BusLive
-from bus.catalogue.parameter import danger_of_writing
-from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.parameters import PARAMETERS, danger_of_writing
 from bus.contract import (
     Action,
     ChangeBaud,
@@ -54,7 +53,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.contract.durations import longest_stage_s
+from bus.contract.actions import longest_stage_s
 from bus.messages import Message, term
 
 SCALE_READS = 3

@@ -24,8 +24,7 @@ from app.line.live.sources import Sources
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
 from app.people.auth.rights import Rights
-from bus.catalogue.parameter import Parameter
-from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.instants import unix_now
 from bus.messages import parameter_name
 

@@ -32,7 +32,7 @@ from app.line.live.bus_live import (
     unit_link_now,
 )
 from app.line.live.unit_status import bits_of
-from bus.catalogue.numbers import ACCELERATION, DECELERATION, DECIMALS, MAX_DISPLAY, RATIO_SETPOINT
+from bus.catalogue.parameters import ACCELERATION, DECELERATION, DECIMALS, MAX_DISPLAY, RATIO_SETPOINT
 from bus.contract import Outcome, Result, UnitOutcome, UnitScale
 from bus.errors import unit_error
 from bus.instants import UnixTime

@@ -25,7 +25,7 @@ from typing import Literal
 from app.errors import Problem
 from app.line.commands.limits import HIGHEST_SETPOINT, CommandBlock, Limits
 from app.line.live.bus_live import BusLive, UnitLive, follower, setpoint_decimals
-from bus.catalogue.numbers import (
+from bus.catalogue.parameters import (
     ANALOG_OUT_HIGH,
     ANALOG_OUT_LOW,
     DECIMALS,
@@ -33,13 +33,14 @@ from bus.catalogue.numbers import (
     MAX_DISPLAY,
     MAX_RATIO,
     MIN_RATIO,
+    PARAMETERS,
     RATIO_SETPOINT,
     SPEED_SETPOINT,
+    IllegalValue,
+    Parameter,
+    check_writable_value,
 )
-from bus.catalogue.parameter import IllegalValue, Parameter, check_writable_value
-from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.status import OUTPUT_NUMBERS, status_bits
-from bus.catalogue.values import ratio_text, speed_text
+from bus.catalogue.values import OUTPUT_NUMBERS, ratio_text, speed_text, status_bits
 from bus.contract import ChangeBaud, SetLine, WriteAnalogOutput, WriteOutput, WriteParameter
 from bus.errors import CallerError
 from bus.instants import Monotonic

@@ -17,9 +17,9 @@ from app.line.commands.limits import CommandBlock, Limits, ReadOnly, Restriction
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from app.people.auth.rights import Rights
-from bus.bucket import Bucket
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message, term
+from bus.pacing import Bucket
 
 SET_LIMITS = Act("set_speed_limits", Role.ENGINEER, "limits", "event_limits_changed")
 BLOCK = Act("block_commands", Role.OPERATOR, "block", "event_unit_blocked")

@@ -47,9 +47,7 @@ from app.line.feed.channel import Channel
 from app.line.live.bus_live import BusLive, UnitLive
 from app.line.live.requests import new_command_id, unit_of_bus_or_404
 from app.people.auth.rights import Rights
-from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
-from bus.catalogue.parameter import Scale
-from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.parameters import DECIMALS, FOLLOWER_MODE, PARAMETERS, RATIO_SETPOINT, Scale
 from bus.catalogue.values import is_follower, parameter_raw, ratio_raw, speed_raw
 from bus.contract import Action, Command, Outcome, ReadParameters, Result, UnitOutcome, UnitScale
 from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now

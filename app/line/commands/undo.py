@@ -20,7 +20,7 @@ from app.line.commands.review import REVIEW_LASTS_S, present_setpoint
 from app.line.commands.values import Scales, parameter_message, scales_of, setpoint_message
 from app.line.live.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.status import output_is_on
+from bus.catalogue.values import output_is_on
 from bus.contract import (
     Action,
     ExecuteSpeed,

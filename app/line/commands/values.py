@@ -16,7 +16,7 @@ from app.errors import Problem
 from app.line.commands.rules import KIND_OF_PARAMETER, SetpointKind, commanded_setpoint, kind_of
 from app.line.live.bus_live import BusLive, UnitLive, follower, setpoint_decimals
 from bus.catalogue import values as unit_values
-from bus.catalogue.numbers import (
+from bus.catalogue.parameters import (
     ANALOG_OUT_HIGH,
     ANALOG_OUT_LOW,
     ANALOG_OUT_SOURCE,
@@ -25,11 +25,11 @@ from bus.catalogue.numbers import (
     MAX_DISPLAY,
     MAX_RATIO,
     MIN_RATIO,
+    PARAMETERS,
+    Parameter,
+    Scale,
 )
-from bus.catalogue.parameter import Parameter, Scale
-from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.status import OUTPUT_NUMBERS, output_is_on
-from bus.catalogue.values import parameter_unit
+from bus.catalogue.values import OUTPUT_NUMBERS, output_is_on, parameter_unit
 from bus.contract import (
     Action,
     ExecuteAll,

@@ -13,9 +13,8 @@ from decimal import Decimal
 from typing import Generic, Literal, NamedTuple, Protocol, TypeVar, get_args
 
 from app.line.conditions.draw import Draw
-from bus.catalogue.numbers import FOLLOWER_MODE
-from bus.catalogue.status import StatusBits
-from bus.catalogue.values import is_follower
+from bus.catalogue.parameters import FOLLOWER_MODE
+from bus.catalogue.values import StatusBits, is_follower
 from bus.contract import BusFigures, ParameterValue, Reading
 from bus.messages import TEXTS, Message
 from bus.settings import BusSettings, UnitSettings

@@ -23,9 +23,15 @@ from app.line.conditions.condition import (
     follower,
     reads_ratio,
 )
-from bus.catalogue.numbers import MAX_DISPLAY, MAX_RATIO, MIN_RATIO, OWN_ADDRESS, RATIO_SETPOINT
-from bus.catalogue.parameter import Parameter
-from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.parameters import (
+    MAX_DISPLAY,
+    MAX_RATIO,
+    MIN_RATIO,
+    OWN_ADDRESS,
+    PARAMETERS,
+    RATIO_SETPOINT,
+    Parameter,
+)
 from bus.catalogue.values import plausible_parameter
 from bus.contract import Reading
 from bus.messages import Message, joined, term

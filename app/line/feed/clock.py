@@ -16,7 +16,7 @@ from typing import TypeVar
 import msgspec
 
 from bus.contract import TaggedStruct
-from bus.contract.clock_offset import ClockOffset
+from bus.contract.session import ClockOffset
 from bus.instants import ClockWatch, Monotonic, UnixTime
 
 SAME_CLOCK_S = 0.05

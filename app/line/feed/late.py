@@ -13,7 +13,7 @@ from math import inf
 from app.line.feed.plausibility import LIVE_S
 from app.line.pipeline import KEPT
 from bus.contract import Batch, Reading, Update
-from bus.contract.bounds import MAX_UPDATES
+from bus.contract.actions import MAX_UPDATES
 from bus.instants import UnixTime
 
 FIRST_S = 900.0

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 
-from bus.bucket import Bucket
 from bus.contract import (
     Batch,
     BusFigures,
@@ -23,6 +22,7 @@ from bus.contract import (
     WorkerMessage,
 )
 from bus.instants import Monotonic
+from bus.pacing import Bucket
 
 PER_S = 2_000.0
 """Updates of the live state, each of which goes to every open page."""

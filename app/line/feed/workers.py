@@ -10,9 +10,9 @@ from app.line.feed.bus_feed import BusFeed, WorkerConnection, send_away
 from app.line.feed.holders import Credential, refusal
 from app.line.live.change_recorder import ChangeRecorder
 from app.line.pipeline import refusal_of_worker
-from bus.bucket import Bucket
 from bus.contract import Hello, MalformedMessageError, decode_from_worker
 from bus.instants import monotonic_now, unix_now
+from bus.pacing import Bucket
 
 TOO_OFTEN = "this bus was connected to too often; wait a minute"
 HELLO_WITHIN_S = 10.0

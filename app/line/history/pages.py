@@ -27,7 +27,7 @@ from app.line.history.views import MAX_QUERY, TrendView, TrendViews
 from app.people.audit.api import Events
 from app.settings import Settings
 from bus.instants import unix_now
-from bus.text import OneLine
+from bus.validation import OneLine
 
 router = APIRouter(include_in_schema=False)
 SEE_OTHER = 303

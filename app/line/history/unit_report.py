@@ -27,7 +27,7 @@ from app.line.history.unit_history import (
     runs_between,
     stored_unit,
 )
-from bus.catalogue.numbers import FOLLOWER_MODE
+from bus.catalogue.parameters import FOLLOWER_MODE
 from bus.settings import BusSettings
 
 MAX_READINGS = 1_500_000

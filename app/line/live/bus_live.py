@@ -20,7 +20,7 @@ from app.line.conditions.condition import follower as follower
 from app.line.conditions.draw import NO_DRAW, Draw, SectionSpeed, draw_between
 from app.line.conditions.unit import DRAW_OUT_OF_BAND, SETTLED
 from app.line.live.unit_status import Motion, Onset, Onsets, bits_of, conditions_of
-from bus.catalogue.numbers import (
+from bus.catalogue.parameters import (
     ACCELERATION,
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,
@@ -42,7 +42,7 @@ from bus.contract import (
     UnitLinkState,
     Update,
 )
-from bus.contract.durations import POLL_BYTES
+from bus.contract.actions import POLL_BYTES
 from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import BusSettings, Seam, UnitSettings, wire_seconds

@@ -19,11 +19,11 @@ from app.line.conditions.unit import BY_READING, UNIT_OFFLINE
 from app.line.live.unit_status import status_conditions
 from app.people.audit.entry import EventKind
 from app.people.audit.log import EventLog
-from bus.bucket import Bucket
-from bus.catalogue.status import status_bits
+from bus.catalogue.values import status_bits
 from bus.contract import BusFigures, BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
 from bus.instants import Monotonic, UnixTime, monotonic_now
 from bus.messages import Message
+from bus.pacing import Bucket
 from bus.settings import BusSettings
 
 PORT_REMARKS = frozenset(("diagnosis_port_changed", "diagnosis_port_changed_by", "diagnosis_port_shared"))

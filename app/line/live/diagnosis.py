@@ -40,7 +40,7 @@ from app.line.live.bus_live import (
 )
 from app.line.live.unit_status import Onset, bits_of, is_driven, later, mode_of
 from bus.contract import Reading, UnitLinkState
-from bus.contract.durations import POLL_BYTES
+from bus.contract.actions import POLL_BYTES
 from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import wire_seconds

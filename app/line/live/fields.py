@@ -35,9 +35,14 @@ from app.line.live.bus_live import (
 )
 from app.line.live.diagnosis import Cause
 from app.line.live.unit_status import MotionState, bits_of, mode_of
-from bus.catalogue.numbers import ANALOG_IN_HIGH, ANALOG_IN_LOW, AT_SPEED_WINDOW, MAX_DISPLAY, RATIO_SETPOINT
-from bus.catalogue.status import StatusBits
-from bus.catalogue.values import RATIO_DECIMALS, analog_input_value
+from bus.catalogue.parameters import (
+    ANALOG_IN_HIGH,
+    ANALOG_IN_LOW,
+    AT_SPEED_WINDOW,
+    MAX_DISPLAY,
+    RATIO_SETPOINT,
+)
+from bus.catalogue.values import RATIO_DECIMALS, StatusBits, analog_input_value
 from bus.contract import MAX_MEANING, Frame, Reading, Stage, UnitFigures, UnitLinkState
 from bus.errors import unit_error
 from bus.instants import UnixTime

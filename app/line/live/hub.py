@@ -31,9 +31,9 @@ from app.line.live.fields import (
 from app.line.live.requests import Admission, key_of
 from app.line.live.screen import ALARM_GROUP, LINE_GROUP, Screen, holders
 from app.line.live.sources import LineFields, Sources
-from bus.bucket import Bucket
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
+from bus.pacing import Bucket
 
 FLOOD = 60
 WINDOW_S = 0.25

@@ -10,7 +10,7 @@ from app.errors import StoreError
 from app.line.conditions.catalogue import STATUS
 from app.line.live.bus_live import BusLive, LiveState, offline_after_s, scan_s_of
 from app.line.live.unit_status import Onset, WordSpan, onset_in
-from bus.catalogue.status import status_bits
+from bus.catalogue.values import status_bits
 from bus.instants import Clock, UnixTime
 
 LOOK_EVERY_S = 1.0

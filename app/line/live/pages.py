@@ -23,7 +23,7 @@ from app.line.live.fields import unit_key
 from app.line.live.hub import Hub
 from app.line.live.requests import bus_or_404
 from app.line.live.screen import strip_of
-from bus.catalogue.numbers import DECIMALS, MAX_DISPLAY
+from bus.catalogue.parameters import DECIMALS, MAX_DISPLAY
 from bus.settings import UnitLabels
 
 FirstStep = Literal["worker", "port", "scan"]

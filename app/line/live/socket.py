@@ -22,9 +22,9 @@ from app.core.web.templating import WEBSOCKET_LINES, templates_of
 from app.errors import Problem
 from app.line.live.browser import Browser
 from app.line.live.hub import Hub
-from bus.bucket import Bucket
 from bus.instants import monotonic_now
 from bus.messages import Message
+from bus.pacing import Bucket
 
 router = APIRouter()
 

@@ -14,8 +14,8 @@ from typing import Literal
 
 from app.line.conditions.catalogue import STATUS
 from app.line.conditions.condition import BusValues, UnitValues
-from bus.catalogue.numbers import CONTROL_MODE
-from bus.catalogue.status import StatusBits, status_bits
+from bus.catalogue.parameters import CONTROL_MODE
+from bus.catalogue.values import StatusBits, status_bits
 from bus.contract import Reading
 from bus.instants import UnixTime
 

@@ -16,9 +16,9 @@ from app.core.web.routes import RateLimit
 from app.core.web.services import service_of
 from app.errors import Problem
 from app.people.audit.entry import EventKind
-from bus.bucket import Bucket
 from bus.instants import Monotonic, monotonic_now
 from bus.messages import TEXTS, Message, ParamValue
+from bus.pacing import Bucket
 
 MAX_ACTS, ACTS_PER_S = 600, 5.0
 """At once, and in the long run: more than a program needs to acknowledge a flood of alarms."""

@@ -26,7 +26,7 @@ from app.people.audit.proof import AuditVerification
 from app.people.audit.queries import Filter
 from bus.instants import UnixTime
 from bus.messages import term
-from bus.text import TypedText
+from bus.validation import TypedText
 
 router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)
 MAX_EVENTS = 1000

@@ -30,7 +30,7 @@ from app.people.audit.log import EventLog
 from app.people.audit.queries import Filter, UnitPlace
 from bus.messages import Message
 from bus.settings import BusSettings
-from bus.text import TypedText
+from bus.validation import TypedText
 
 router = APIRouter(include_in_schema=False)
 ON_A_PAGE = 100

@@ -68,7 +68,7 @@ from app.people.auth.single_sign_on import (
 )
 from bus.errors import CallerError
 from bus.messages import Message
-from bus.text import composed
+from bus.validation import composed
 
 router = APIRouter(include_in_schema=False)
 

@@ -17,7 +17,7 @@ from argon2.exceptions import InvalidHashError, VerificationError
 
 from bus.errors import CallerError
 from bus.messages import Message
-from bus.text import composed
+from bus.validation import composed
 
 MIN_PASSWORD, MAX_PASSWORD = 12, 256
 MAX_CODE_POINTS = 4 * MAX_PASSWORD

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from app.core.server.settings import WebUrl, is_loopback, url_refusal
 from bus.messages import Message
 from bus.settings import StrictModel
-from bus.text import OneLine
+from bus.validation import OneLine
 
 
 class Sessions(StrictModel):

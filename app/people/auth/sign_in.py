@@ -32,7 +32,7 @@ from app.people.auth.throttle import Attempt, Throttle
 from bus.errors import CallerError
 from bus.instants import Clock, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message, term
-from bus.text import composed
+from bus.validation import composed
 
 _WRONG = {False: Message("name_or_password_wrong"), True: Message("name_or_pin_wrong")}
 """The error for a person, and for a panel."""

@@ -30,11 +30,11 @@ from app.people.auth.settings import OidcSettings
 from app.people.auth.sign_in import SignedIn, SignIn, count_refusal
 from app.people.auth.store import CompanyAccount, User
 from app.people.auth.throttle import MAX_KEPT, Bounded
-from bus.bucket import Bucket
 from bus.errors import CallerError, LinesideError
 from bus.instants import MonotonicClock, monotonic_now
 from bus.messages import Message
-from bus.text import composed
+from bus.pacing import Bucket
+from bus.validation import composed
 
 if TYPE_CHECKING:
     from app.people.auth.provider import Provider

@@ -16,8 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from bus.bucket import Bucket
 from bus.instants import Monotonic
+from bus.pacing import Bucket
 
 K = TypeVar("K")
 V = TypeVar("V")

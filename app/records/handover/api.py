@@ -38,7 +38,7 @@ from app.records.handover.signatures import SIGN, WRITE_NOTE
 from app.records.handover.signing import ShiftSignRequest, Signing
 from bus.instants import UnixTime
 from bus.messages import Message
-from bus.text import Lines, OneLine
+from bus.validation import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1/shifts", tags=["shifts"], route_class=ApiRoute)
 

@@ -17,9 +17,9 @@ from app.core.web.routes import RateLimit
 from app.errors import Problem
 from app.line.alarms.journal import JournalEntry
 from app.records.handover.rules.shifts import Shift
-from bus.bucket import Bucket
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
+from bus.pacing import Bucket
 
 MAX_AGE_DAYS = 31
 """How long ago a shift may have ended that gets notes or signatures: a plant may be closed for weeks."""

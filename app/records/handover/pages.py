@@ -28,7 +28,7 @@ from app.records.handover.sheet import notes_json
 from app.records.handover.signatures import SIGN, WRITE_NOTE, SignedPart
 from app.records.handover.signing import ShiftSignRequest
 from bus.instants import UnixTime
-from bus.text import Lines, OneLine
+from bus.validation import Lines, OneLine
 
 router = APIRouter(include_in_schema=False)
 

@@ -19,7 +19,7 @@ from app.records.handover.service import Handover
 from app.records.handover.signatures import SIGN, SIGNATURES, SignedPart, SignedSheet
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
-from bus.text import OneLine, TypedText
+from bus.validation import OneLine, TypedText
 
 PageWriter = Callable[[bytes], bytes]
 """Makes the page of a sheet, in the language of the site, from its JSON."""

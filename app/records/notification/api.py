@@ -31,7 +31,7 @@ from app.records.notification.service import (
     NotificationGroup,
     RecurringMaintenanceShown,
 )
-from bus.text import OneLine
+from bus.validation import OneLine
 
 router = APIRouter(prefix="/api/v1/notifications", tags=["alarms"], route_class=ApiRoute)
 

@@ -18,7 +18,7 @@ from app.records.notification.dispatcher import subject_of
 from app.records.notification.service import BEGIN_MAINTENANCE, END_MAINTENANCE, MAX_MINUTES, SEND_TEST
 from app.records.notification.settings import DAYS
 from bus.messages import Message
-from bus.text import OneLine
+from bus.validation import OneLine
 
 router = APIRouter(include_in_schema=False)
 

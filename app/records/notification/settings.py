@@ -16,7 +16,7 @@ from pydantic_core import PydanticCustomError
 from app.core.server.settings import WebUrl
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
-from bus.text import OneLine
+from bus.validation import OneLine
 
 NotifiedPriority = Literal["urgent", "high", "medium", "low"]
 DayOfWeek = Literal["mon", "tue", "wed", "thu", "fri", "sat", "sun"]

@@ -21,7 +21,7 @@ from app.records.handover.rules.shifts import Scope, Shift
 from app.records.reports.document import ReportDocuments, file_name, stops_text, units_text
 from app.records.reports.report import SpanReport
 from app.records.reports.service import Reports
-from bus.text import OneLine
+from bus.validation import OneLine
 
 router = APIRouter(prefix="/api/v1/report", tags=["reports"], route_class=ApiRoute)
 

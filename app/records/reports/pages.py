@@ -24,7 +24,7 @@ from app.records.reports.rules import SpanName
 from app.records.reports.service import Reports
 from bus.instants import UnixTime
 from bus.messages import Message, term
-from bus.text import OneLine
+from bus.validation import OneLine
 
 router = APIRouter(include_in_schema=False)
 

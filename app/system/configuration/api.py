@@ -45,7 +45,7 @@ from app.system.configuration.tables import (
     text_of,
 )
 from bus.messages import Message
-from bus.text import OneLine
+from bus.validation import OneLine
 
 
 def act_on(place: TablePlace) -> Act:

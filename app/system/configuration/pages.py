@@ -49,7 +49,7 @@ from app.system.configuration.tables import (
 from bus.configuration import lines_of, statements
 from bus.errors import CallerError
 from bus.messages import Message
-from bus.text import OneLine
+from bus.validation import OneLine
 
 router = APIRouter(include_in_schema=False)
 

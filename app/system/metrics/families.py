@@ -23,7 +23,7 @@ from app.line.live.bus_live import BusLive, LiveState, draw_of, speed_decimals, 
 from app.people.audit.anchor import AnchorStatus
 from app.system.postgresql.publisher import PublisherStatus
 from app.version import VERSION
-from bus.catalogue.status import OUTPUT_NUMBERS, output_is_on
+from bus.catalogue.values import OUTPUT_NUMBERS, output_is_on
 from bus.instants import UnixTime, unix_now
 
 _COUNTED = {

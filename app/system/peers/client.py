@@ -31,9 +31,8 @@ from app.system.peers.summary import MAX_POINTS, CauseSummary, EventSummary, Lin
 from app.version import VERSION
 from bus.errors import LinesideError
 from bus.instants import Monotonic, UnixTime
-from bus.messages import TEXTS, Message
-from bus.messages.message import MAX_TEXT
-from bus.text import OneLine
+from bus.messages import MAX_TEXT, TEXTS, Message
+from bus.validation import OneLine
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator

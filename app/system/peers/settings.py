@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from app.core.server.settings import WebUrl, is_loopback, url_refusal
 from bus.messages import Message
 from bus.settings import StrictModel
-from bus.text import OneLine
+from bus.validation import OneLine
 
 
 def _server_address(written: str) -> str:

@@ -17,7 +17,7 @@ from bus.contract import (
     UnitScale,
     WireAction,
 )
-from bus.contract.durations import stage_s
+from bus.contract.actions import stage_s
 from bus.errors import unit_error
 from bus.instants import Monotonic
 from bus.line.commands import staging, writes

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from msgspec.structs import replace
 
-from bus.catalogue.status import status_bits
+from bus.catalogue.values import status_bits
 from bus.contract import Outcome, UnitOutcome, UnitScale
 from bus.errors import unit_refused
 from bus.line.commands.procedure import (

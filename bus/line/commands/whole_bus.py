@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from bus.catalogue.numbers import BAUD_RATE
+from bus.catalogue.parameters import BAUD_RATE
 from bus.contract import FoundUnit, Outcome, UnitOutcome
-from bus.contract.durations import POLL_BYTES
+from bus.contract.actions import POLL_BYTES
 from bus.errors import unit_refused
 from bus.line.commands.procedure import (
     CommandContext,

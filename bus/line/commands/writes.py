@@ -15,10 +15,8 @@ from typing import TypeAlias
 
 from msgspec.structs import replace
 
-from bus.catalogue.numbers import FOLLOWER_MODE, RATIO_SETPOINT, SPEED_SETPOINT
-from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.status import StatusBits, output_is_on, status_bits
-from bus.catalogue.values import is_follower
+from bus.catalogue.parameters import FOLLOWER_MODE, PARAMETERS, RATIO_SETPOINT, SPEED_SETPOINT
+from bus.catalogue.values import StatusBits, is_follower, output_is_on, status_bits
 from bus.contract import (
     ExecuteSpeed,
     Outcome,

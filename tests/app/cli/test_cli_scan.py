@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 
 from app.cli.wire import scan
 from app.cli.wire.scan import announcement, bauds_to_try
-from bus.catalogue import numbers
+from bus.catalogue import parameters as numbers
 from bus.errors import WireError
 from bus.line.examination import Found
 from bus.line.scanner import Prober

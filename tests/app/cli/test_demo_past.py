@@ -23,7 +23,7 @@ from app.people.audit.log import EventLog
 from app.people.audit.proof import heads_of
 from app.people.audit.queries import Filter
 from app.settings import Settings, load
-from bus.catalogue.numbers import ACCELERATION
+from bus.catalogue.parameters import ACCELERATION
 from bus.instants import UnixTime, unix_now
 from bus.simulator.demo import DemoLine, demo_line
 

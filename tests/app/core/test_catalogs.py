@@ -15,8 +15,7 @@ import pytest
 from app.core.messages import Languages
 from app.core.messages.languages import DEFAULT, FOLDER, catalogs, compiled
 from app.line.conditions.catalogue import CONDITIONS
-from bus.messages import PARAMETER, TEXTS, Message, Plural, listed, number, parameter_name, term
-from bus.messages.texts import add_texts
+from bus.messages import PARAMETER, TEXTS, Message, Plural, add_texts, listed, number, parameter_name, term
 from hatch_build import different_names
 from tests.catalogs import catalog_at, in_code, in_templates, key_of, leftovers, wanted
 

@@ -16,7 +16,7 @@ from app.line.commands.catalogue import SCALE_READS, timeout_s_for
 from app.line.commands.service import CommandService
 from app.line.live.bus_live import LiveState
 from bus.contract import BusLink, Result, SetLine
-from bus.contract.durations import POLL_BYTES, change_s, longest_stage_s, stage_s
+from bus.contract.actions import POLL_BYTES, change_s, longest_stage_s, stage_s
 from bus.settings import BAUDS
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA, a_bus, responding

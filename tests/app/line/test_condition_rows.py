@@ -22,7 +22,7 @@ from app.line.conditions.draw import NO_DRAW, UNKNOWN_DRAW, Draw
 from app.line.conditions.unit import suspicion
 from app.line.feed.plausibility import believed_reading
 from app.line.live.bus_live import BusLive
-from bus.catalogue.status import status_bits
+from bus.catalogue.values import status_bits
 from bus.contract import BusFigures, ParameterValue, Staged
 from bus.instants import UnixTime
 from bus.messages import TEXTS

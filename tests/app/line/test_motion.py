@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from app.line.live.unit_status import Motion
-from bus.catalogue.status import status_bits
+from bus.catalogue.values import status_bits
 from bus.contract import Reading
 
 AT_SPEED, REMOTE, RUN, HEALTHY = 0x80, 0x40, 0x01, 0x02

@@ -8,8 +8,7 @@ from app.line.live.fields import frame_fields
 from bus.contract import MAX_MEANING, Frame
 from bus.messages import Message
 from bus.settings import Dialect
-from bus.wire.bodies import encode_request
-from bus.wire.commands import WriteParameterRequest
+from bus.wire.commands import WriteParameterRequest, encode_request
 from bus.wire.describe import describe_bytes
 from tests.app.screens import translator
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from app.line.feed.clock import MAX_DELAY_S, SAME_CLOCK_S, WorkerClock, shifted
 from bus.contract import Frame, Reading, Result, UnitOutcome
-from bus.contract.clock_offset import WINDOW_S, ClockOffset
+from bus.contract.session import WINDOW_S, ClockOffset
 from bus.messages import term
 
 DELAYS = st.lists(st.floats(0.0005, 5.0), min_size=1, max_size=50)

@@ -47,7 +47,7 @@ from app.line.live.api.view import parameter_json
 from app.line.live.bus_live import BusLive, UnitLive
 from app.line.live.requests import unit_of_bus_or_404
 from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.status import OUTPUT_NUMBERS
+from bus.catalogue.values import OUTPUT_NUMBERS
 from bus.contract import (
     Action,
     ChangeBaud,

@@ -35,7 +35,7 @@ from app.line.commands.safeguards import (
 from app.line.live.api.schemas import DisplayedValue
 from app.line.live.api.view import setpoint_text
 from bus.messages import Message
-from bus.text import OneLine, TypedText
+from bus.validation import OneLine, TypedText
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"], route_class=ApiRoute)
 

@@ -40,7 +40,7 @@ from bus.contract import (
 from bus.errors import unit_error
 from bus.messages import Message, term
 from bus.settings import BAUDS
-from bus.text import OneLine, TypedText
+from bus.validation import OneLine, TypedText
 
 router = APIRouter(include_in_schema=False)
 SEE_OTHER = 303

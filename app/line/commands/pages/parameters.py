@@ -18,8 +18,7 @@ from app.line.commands.rules import parameter_bounds
 from app.line.commands.service import permitted, permitted_writer
 from app.line.commands.values import measure_of_value, parameter_message, parameter_scale, scale_text
 from app.line.live.api.view import parameter_json
-from bus.catalogue.parameter import Parameter, danger_of_writing
-from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.parameters import PARAMETERS, Parameter, danger_of_writing
 from bus.contract import ReadParameters, Result, UnitScale, WriteParameter
 from bus.errors import CallerError
 from bus.messages import Message

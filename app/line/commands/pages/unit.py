@@ -27,13 +27,12 @@ from app.line.commands.service import permitted, permitted_writer
 from app.line.commands.values import analog_scale, measure_of_setpoint, scale_text, setpoint_scale
 from app.line.conditions.condition import follower
 from app.line.live.bus_live import UnitLive, setpoint_decimals
-from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE
-from bus.catalogue.status import output_is_on
-from bus.catalogue.values import analog_output_volts, speed_raw, speed_text
+from bus.catalogue.parameters import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE
+from bus.catalogue.values import analog_output_volts, output_is_on, speed_raw, speed_text
 from bus.contract import WriteAnalogOutput, WriteOutput
 from bus.errors import CallerError
 from bus.messages import Message, number, term
-from bus.text import OneLine
+from bus.validation import OneLine
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 TypedLimit = Annotated[str, Form(max_length=20)]

@@ -20,7 +20,7 @@ from app.line.history.series.downsampling import Series
 from app.line.history.series.rollup import Rollup
 from app.line.history.series.runs import MINUTE, Run
 from app.line.history.series.values import LONG_GAP, VALUES, Marks, Scaling, holes, usual_interval
-from bus.catalogue.status import status_bits
+from bus.catalogue.values import status_bits
 
 StopCause = Literal["estop", "run_off", "speed_zero", "unknown"]
 SpeedOf = Callable[[int, int], float]

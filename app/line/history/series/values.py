@@ -10,7 +10,7 @@ from operator import itemgetter, ne, sub
 from typing import Literal, NamedTuple
 
 from app.line.history.series.runs import MINUTE, SECOND, PlainRun, Run
-from bus.catalogue.numbers import ANALOG_IN_HIGH, ANALOG_IN_LOW, DECIMALS, FOLLOWER_MODE
+from bus.catalogue.parameters import ANALOG_IN_HIGH, ANALOG_IN_LOW, DECIMALS, FOLLOWER_MODE
 from bus.catalogue.values import RATIO_DECIMALS
 from bus.settings import BusSettings, UnitSettings
 

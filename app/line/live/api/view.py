@@ -30,15 +30,15 @@ from app.line.live.diagnosis import Cause, unit_cause
 from app.line.live.fields import Translator, cause_texts
 from app.line.live.sources import Sources
 from app.line.live.unit_status import bits_of, mode_of
-from bus.catalogue.numbers import (
+from bus.catalogue.parameters import (
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,
     AT_SPEED_WINDOW,
     DECIMALS,
     MAX_DISPLAY,
     MAX_RPM,
+    PARAMETERS,
 )
-from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import (
     analog_input_value,
     parameter_text,

@@ -1,4 +1,4 @@
-"""Retries that fail soon slow down, and so do their events; what worked is retried at once."""
+"""How often something is allowed; retries that fail soon slow down, and what worked is retried at once."""
 
 from __future__ import annotations
 
@@ -10,22 +10,53 @@ from types import SimpleNamespace
 import pytest
 from structlog.testing import capture_logs
 
-from bus.contract.clock_offset import ClockOffset
+from bus.contract.session import ClockOffset
 from bus.errors import WireError
 from bus.line.opener import Opener
 from bus.line.port import EndedWhileOpening, OpenPort, Receiver
 from bus.messages import Message
-from bus.reconnect_delay import (
-    JITTER,
-    MAX_PAUSE_S,
-    MAX_USEFUL_PAUSE_S,
-    STABLE_S,
-    ReconnectDelay,
-)
+from bus.pacing import JITTER, MAX_PAUSE_S, MAX_USEFUL_PAUSE_S, STABLE_S, Bucket, ReconnectDelay
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import REFUSED_PAUSE_S, RefusedByAppError, Uplink
 from tests.bus.test_uplink import FakeReceiver
 from tests.bus.virtual_line import run_virtually
+
+
+def test_it_is_used_up_and_comes_back() -> None:
+    bucket = Bucket(per_s=2.0, capacity=3)
+    assert [bucket.take(0.0) for _ in range(4)] == [True, True, True, False]
+    assert [bucket.take(0.5) for _ in range(2)] == [True, False]
+    assert [bucket.take(100.0) for _ in range(4)] == [True, True, True, False]
+
+
+def test_an_amount_is_taken_as_one_or_not_at_all() -> None:
+    bucket = Bucket(per_s=2.0, capacity=3)
+    assert [bucket.take(0.0, 2), bucket.take(0.0, 2), bucket.take(0.0, 1)] == [True, False, True]
+    assert bucket.wait_s(0.0, 2) == pytest.approx(1.0)
+
+
+def test_a_clock_that_steps_back_costs_nothing() -> None:
+    bucket = Bucket(per_s=2.0, capacity=3)
+    assert all(bucket.take(100.0) for _ in range(3))
+    assert [bucket.take(at) for at in (0.0, 0.4, 0.5)] == [False, False, True]
+
+
+def test_an_amount_over_the_capacity_returns_the_time_to_wait() -> None:
+    bucket = Bucket(per_s=10.0, capacity=100.0)
+    assert bucket.pour(100.0, 0.0) == 0.0
+    assert bucket.pour(5.0, 0.0) == pytest.approx(0.5)
+    assert bucket.wait_s(0.0) == pytest.approx(0.6)
+    assert bucket.pour(0.0, 0.5) == 0.0
+    assert bucket.pour(100.0, 1e9) == 0.0, "what was not used does not add up"
+
+
+def test_removed_amounts_leave_room_up_to_the_capacity() -> None:
+    bucket = Bucket(per_s=1.0, capacity=1)
+    bucket.fill(0.0)
+    assert not bucket.has_room(0.0)
+    bucket.pour(-5.0, 0.0)
+    assert [bucket.take(0.0) for _ in range(2)] == [True, False]
+
 
 DAY_S = 86_400.0
 CAUSES = ("connection_refused", "connection_closed")

@@ -1,0 +1,90 @@
+"""How often something may be done, and how soon to try again what ends soon after it begins. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bus.instants import Monotonic
+
+
+@dataclass(slots=True)
+class Bucket:
+    """A leaky bucket: ``capacity`` at once, ``per_s`` in the long run. A clock set back costs nothing."""
+
+    per_s: float
+    capacity: float
+    _level: float = 0.0
+    _at: Monotonic = Monotonic(0.0)
+
+    def level(self, now: Monotonic) -> float:
+        self._level = max(0.0, self._level - max(0.0, now - self._at) * self.per_s)
+        self._at = now
+        return self._level
+
+    def has_room(self, now: Monotonic, amount: float = 1.0) -> bool:
+        """Whether so much more fits."""
+        return self.level(now) + amount <= self.capacity
+
+    def take(self, now: Monotonic, amount: float = 1.0) -> bool:
+        """Add all of it, where it fits."""
+        if not self.has_room(now, amount):
+            return False
+        self._level += amount
+        return True
+
+    def pour(self, amount: float, now: Monotonic) -> float:
+        """Add ``amount`` (below 0: take out), beyond the capacity too; for how many seconds nothing more
+        should come (0.0: at once)."""
+        self._level = max(0.0, self.level(now) + amount)
+        return max(0.0, self._level - self.capacity) / self.per_s
+
+    def wait_s(self, now: Monotonic, amount: float = 1.0) -> float:
+        """Return in how many seconds ``amount`` more fits; 0.0: now."""
+        return max(0.0, self.level(now) + amount - self.capacity) / self.per_s
+
+    def fill(self, now: Monotonic) -> None:
+        self._level = max(self.level(now), self.capacity)
+
+
+STABLE_S = 10.0
+"""What lasts so long has worked."""
+FIRST_PAUSE_S = 0.5
+MAX_PAUSE_S = 30.0
+MAX_USEFUL_PAUSE_S = 0.5
+"""While it is of use in between: a plug with a bad contact."""
+JITTER = 0.25
+
+
+@dataclass(slots=True)
+class ReconnectDelay:
+    """The pause before something that ended is tried again.
+
+    What worked for a while and then breaks, a cable that is pulled or an app that restarts, is tried again at
+    once. What begins and ends again and again, such as a device server that accepts and closes, is tried ever
+    more seldom, and only some of its ends are worth a line in the log. ``random`` gives numbers from 0 to 1;
+    many that lost the same server must not come back together.
+    """
+
+    random: Callable[[], float]
+    count: int = 0
+    """How often in a row it ended too soon."""
+
+    def ended(self, lasted_s: float, *, useful: bool = False) -> float:
+        """Note an end after ``lasted_s``, ``useful`` where something came of it; return seconds to wait."""
+        if lasted_s >= STABLE_S:
+            self.count = 0
+            return 0.0
+        self.count += 1
+        longest = MAX_USEFUL_PAUSE_S if useful else MAX_PAUSE_S
+        pause = min(FIRST_PAUSE_S * 2.0 ** min(self.count - 1, 16), longest)
+        return pause * (1.0 - JITTER + 2.0 * JITTER * self.random())
+
+    @property
+    def is_worth_logging(self) -> bool:
+        return is_worth_logging(self.count)
+
+
+def is_worth_logging(count: int) -> bool:
+    """Whether to log what happens for this time: the first three, then each time that it has doubled."""
+    return count <= 3 or count & (count - 1) == 0
