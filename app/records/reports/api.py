@@ -30,7 +30,7 @@ DocumentsOf = Annotated[ReportDocuments, service(ReportDocuments)]
 
 
 class WantedReport(NamedTuple):
-    """What a request names."""
+    """The span and the places of a requested report."""
 
     span: Shift
     scope: Scope

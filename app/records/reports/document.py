@@ -1,7 +1,4 @@
-"""A report as templates show it, as one HTML file that needs no server, and as CSV.
-
-A figure that is not known is empty.
-"""
+"""A report for templates, as one HTML file that needs no server, and as CSV. An unknown figure is empty."""
 
 from __future__ import annotations
 
@@ -50,12 +47,12 @@ STOP_COLUMNS = (
 
 
 def units_text(report: Mapping[str, Any], form: CsvForm) -> str:
-    """The file with a unit in a row."""
+    """Write the CSV file with one unit in a row."""
     return form.head(UNIT_COLUMNS) + form.rows(UNIT_COLUMNS, _unit_rows(report))
 
 
 def stops_text(report: Mapping[str, Any], form: CsvForm) -> str:
-    """The file with a stop in a row, those of one unit after those of the other."""
+    """Write the CSV file with one stop in a row, unit by unit."""
     return form.head(STOP_COLUMNS) + form.rows(STOP_COLUMNS, _stop_rows(report, form))
 
 
@@ -94,7 +91,7 @@ STYLE = "css/report-document.css"
 
 
 class ReportDocuments:
-    """Renders reports apart from any request."""
+    """Renders reports as files, without a request."""
 
     def __init__(self, reports: Reports, templates: Templates, assets: Assets, alarms: LineAlarms) -> None:
         self._reports = reports
@@ -103,7 +100,7 @@ class ReportDocuments:
         self._alarms = alarms
 
     def document(self, report: Mapping[str, Any], scope: Scope) -> str:
-        """A report as a file."""
+        """Render a report as an HTML file."""
         return self._templates.text(
             self._templates.site.language,
             "reports/document.html",
@@ -114,14 +111,14 @@ class ReportDocuments:
         )
 
     async def attachment(self, notice: ReportNotice) -> Attachment:
-        """The report of a notice, as a mail has it. Raises Problem for a unit that is gone; StoreError."""
+        """Make the attachment of a mail. Raises Problem for a unit that is gone, and StoreError."""
         scope = self._reports.scope(notice.bus, notice.unit)
         report = await self._reports.report(Shift(UnixTime(notice.start), UnixTime(notice.end)), scope)
         return Attachment(f"{file_name(report, scope)}.html", self.document(report, scope), summary(report))
 
 
 def shown(report: Mapping[str, Any]) -> dict[str, Any]:
-    """What templates show of a report: itself, with a message for the cause of each stop, and its summary."""
+    """Return the variables of templates: the report with the cause of each stop as a message, its summary."""
     found = readable(report)
     for unit in found["units"]:
         for stop in unit.get("stops", ()):
@@ -130,7 +127,7 @@ def shown(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def summary(report: Mapping[str, Any]) -> tuple[Message, ...]:
-    """The report in a few words."""
+    """Summarize a report in a few words."""
     stops = [stop["seconds"] for unit in report["units"] for stop in unit.get("stops", ())]
     stopped = Message.of("report_stops", n=len(stops), lasting=lasting(sum(stops)))
     return (
@@ -142,12 +139,12 @@ def summary(report: Mapping[str, Any]) -> tuple[Message, ...]:
 
 
 def _is_read(report: Mapping[str, Any]) -> bool:
-    """Whether any unit was read: of the others it is not known whether they stopped."""
+    """Tell whether any unit was read; whether the others stopped is not known."""
     return any(unit.get("known_s") for unit in report["units"])
 
 
 def file_name(report: Mapping[str, Any], scope: Scope) -> str:
-    """Without its suffix: the place and the first minute, UTC."""
+    """Return the name of a file without its suffix: the place and the first minute, UTC."""
     place = "-".join(str(each) for each in scope if each is not None)
     start = str(report["start"])[:16].replace(":", "")
     return "-".join(part for part in ("report", place, f"{start}Z") if part)

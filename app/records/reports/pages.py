@@ -49,7 +49,7 @@ async def report_page(
     since: Annotated[OneLine, Query(max_length=40)] = "",
     until: Annotated[OneLine, Query(max_length=40)] = "",
 ) -> Response:
-    """The report that the address names, of the shift under way without one; or why there is none."""
+    """Show the report that the address names, without a span that of the present shift; or why it fails."""
     report, fault, scope = None, None, EVERYTHING
     name = next((name for name in SPANS if name == span), None)
     wanted = reports.named(name or "shift")
@@ -83,12 +83,12 @@ def _address(place: str, **more: str) -> str:
 
 
 def _local(reports: Reports, at: UnixTime) -> str:
-    """A moment as a field for a date and a time takes it, by the clock of the site."""
+    """Format a moment for a field of date and time, by the clock of the site."""
     return datetime.fromtimestamp(float(at), reports.zone).strftime("%Y-%m-%dT%H:%M")
 
 
 def _files(span: Shift, place: str) -> dict[str, str]:
-    """The query of the files of a report."""
+    """Return the addresses of the files of a report."""
     bus, _, unit = place.partition("/")
     named = {name: value for name, value in (("bus", bus), ("unit", unit)) if value}
     query = urlencode({"from": iso(span.start), "to": iso(span.end), **named})

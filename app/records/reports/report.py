@@ -1,5 +1,5 @@
-"""The report of a span from the stores alone: what each unit did, the alarms that came, and what the sheet of
-a hand-over has."""
+"""The report of a span, read from the stores: what each unit did, the alarms that came, and the contents of a
+hand-over sheet."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ _AT_END = """(
         ORDER BY n.id LIMIT 1
     ), 9223372036854775807) ORDER BY l.id DESC LIMIT 1
 )"""
-"""The state of an occurrence at the end of a span."""
+"""Selects the state of an alarm at the end of a span."""
 _RISEN = "FROM alarm_journal j WHERE trigger = 'rise' AND at >= ? AND at < ?"
 _COMMANDS = "FROM events WHERE about IS NULL AND kind = 'command' AND time >= ? AND time < ?"
 
 
 class ReportedStop(TypedDict):
-    """A time in which a unit stood still, cut at the ends of the span."""
+    """A time in which a unit stood still, within the span."""
 
     start: Instant
     end: Instant
@@ -51,7 +51,7 @@ class ReportedStop(TypedDict):
 
 
 class ReportedDraw(TypedDict):
-    """In percent, over the time in which the unit and the one before it were both at speed."""
+    """The draw in percent, over the time in which the unit and the one before it were both at speed."""
 
     average: Annotated[float, Field(description="Of all web that passed.")]
     least: Annotated[float, Field(description="Of the minute with the least.")]
@@ -59,7 +59,7 @@ class ReportedDraw(TypedDict):
 
 
 class ReportedUnit(TypedDict):
-    """What a unit did. Without ``running_s`` its speeds are ratios to a master, and do not show it."""
+    """What a unit did. Without ``running_s`` its speeds are ratios to a master, which do not show it."""
 
     bus: str
     unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
@@ -96,13 +96,13 @@ class ReportedUnit(TypedDict):
 
 
 class ReportedAlarm(AlarmTransition):
-    """That an alarm came."""
+    """An alarm that came."""
 
     at_end: Annotated[AlarmStateShown, Field(description="Its state at the end of the span.")]
 
 
 class SpanReport(SignedShiftSheet):
-    """What the units did in a span up to ``until``, and what people have to know of it."""
+    """What the units did in a span up to ``until``, and what people have to know about it."""
 
     signed: Annotated[ShiftSignatures | None, Field(description="Where the span is a shift that was signed.")]
     units: Annotated[list[ReportedUnit], Field(description="Empty where there is no history.")]
@@ -110,21 +110,21 @@ class SpanReport(SignedShiftSheet):
 
 
 class CountsByUnit(NamedTuple):
-    """How many alarms came and how many commands were sent, by bus and address."""
+    """The number of alarms that came and of commands that were sent, by bus and address."""
 
     alarms: dict[tuple[str, int], int]
     commands: dict[tuple[str, int], int]
 
 
 class ReportedBus(NamedTuple):
-    """The units of a bus that a report is about."""
+    """A bus that a report is about, and the reader of its units."""
 
     settings: BusSettings
     figures: BusReport
 
 
 def reported_buses(settings: Settings, scope: Scope, span: Shift, now: UnixTime) -> list[ReportedBus]:
-    """Each bus of a scope, with what its units are read by."""
+    """Return each bus of a scope with the reader of its units."""
     buses = [bus for bus in settings.bus if scope.bus in (None, bus.name)]
     wanted = micros(span.start), micros(min(span.end, now))
     share = MAX_READINGS // max(1, len(buses))
@@ -139,7 +139,7 @@ def span_report(
     scope: Scope,
     found: Sequence[tuple[BusSettings, UnitReport]],
 ) -> dict[str, Any]:
-    """The report as the stores are; in a transaction. ``found``: what the units did, in floor order."""
+    """Read a report from the stores, in a transaction. ``found``: what the units did, in floor order."""
     until, signed = min(span.end, now), signed_sheet(connection, span.start)
     where, values = scope.conditions()
     came = connection.execute(

@@ -21,14 +21,14 @@ MAX_UNIT_DAYS = 1800
 """Units times days: all 255 units of a bus for a week."""
 DAY_S = 86_400.0
 SETTLE_S = 300.0
-"""So long after its end the report of a shift is sent: what readings come late are stored then."""
+"""The report of a shift is sent so long after its end, when late readings are stored."""
 LATE_S = 43_200.0
-"""A report that was due longer ago is not sent: the server was off, or the schedule is new."""
+"""A report that was due longer ago is not sent, as the server was off or the schedule is new."""
 _MIDNIGHT = (0,)
 
 
 def named_span(name: SpanName, now: UnixTime, starts: Sequence[int], zone: ZoneInfo) -> Shift:
-    """The span that people name; ``week``: today and the six days before."""
+    """Return the span of a name; ``week``: today and the six days before."""
     if name in ("shift", "last_shift"):
         present = shift_at(now, starts, zone)
         return present if name == "shift" else shift_at(present.start - 1.0, starts, zone)
@@ -39,7 +39,7 @@ def named_span(name: SpanName, now: UnixTime, starts: Sequence[int], zone: ZoneI
 
 
 def span_fault(span: Shift, now: UnixTime, units: int) -> Message | None:
-    """Why there is no report of a span of so many units; None: there is one."""
+    """Return the reason why a span of so many units has no report, if there is one."""
     days = (min(span.end, now) - span.start) / DAY_S
     if not UnixTime(0.0) < span.start < min(span.end, now):
         return Message("report_span_malformed")
@@ -54,8 +54,10 @@ def span_fault(span: Shift, now: UnixTime, units: int) -> Message | None:
 def last_due(
     every: ReportEvery, minute: int, now: UnixTime, starts: Sequence[int], zone: ZoneInfo
 ) -> Shift | None:
-    """The last complete span whose report is due; None where that was too long ago. ``minute``: of the day,
-    at which that of a day is sent, and on Mondays that of a week."""
+    """Return the last complete span whose report is due; None if it was due too long ago.
+
+    ``minute``: of the day, at which the report of a day is sent, and on Mondays that of a week.
+    """
     if every == "shift":
         span = shift_at(shift_at(now - SETTLE_S, starts, zone).start - 1.0, starts, zone)
         due = span.end + SETTLE_S
@@ -73,12 +75,12 @@ def _day(at: UnixTime, zone: ZoneInfo) -> Shift:
 
 
 def _days_before(at: UnixTime, days: int, zone: ZoneInfo) -> UnixTime:
-    """The midnight so many days before that of a moment."""
+    """Return the midnight so many days before that of a moment."""
     return _day(_at_minute(at, days, 12 * 60, zone), zone).start
 
 
 def _at_minute(at: UnixTime, days: int, minute: int, zone: ZoneInfo) -> UnixTime:
-    """The moment at which the clock shows a minute, so many days before the day of another."""
+    """Return the moment at which the clock shows a minute of the day, so many days before ``at``."""
     local = datetime.fromtimestamp(float(at), zone).replace(tzinfo=None) - timedelta(days=days)
     local = local.replace(hour=minute // 60, minute=minute % 60, second=0, microsecond=0)
     return UnixTime(local.replace(tzinfo=zone).timestamp())

@@ -24,7 +24,7 @@ from app.records.notification.plan import NotificationEndpoint
 from app.records.reports.report import reported_buses, span_report
 from app.records.reports.rules import SpanName, last_due, named_span, span_fault
 from app.settings import Settings
-from bus.instants import Clock, UnixTime, unix_now
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 from bus.settings import BusSettings
 
@@ -34,26 +34,25 @@ log = structlog.get_logger()
 
 
 class ReportSchedule:
-    """The outbox takes each report once for each of its addresses: a server that was off sends the report
-    that it missed, and none twice."""
+    """Puts reports that are due into the outbox. That takes each once for an address: a server that was off
+    sends the report that it missed, and none twice."""
 
-    def __init__(self, settings: Settings, send: Send, clock: Clock = unix_now) -> None:
+    def __init__(self, settings: Settings, send: Send) -> None:
         self._settings = settings
         self._send = send
-        self._clock = clock
 
     async def follow(self) -> None:
-        """Look for due reports, without end."""
+        """Send reports when they are due, indefinitely."""
         while True:
             try:
-                await self.look()
+                await self.send_due()
             except StoreError as error:
                 log.error("reports wait", error=str(error))
             await asyncio.sleep(CHECK_S)
 
-    async def look(self) -> None:
+    async def send_due(self) -> None:
         """Put the reports that are due now into the outbox."""
-        items = list(self._due(self._clock()))
+        items = list(self._due(unix_now()))
         if items:
             await self._send(items)
 
@@ -83,26 +82,22 @@ class ReportSchedule:
 class Reports:
     """Reads a report from the stores of the running server."""
 
-    def __init__(
-        self, settings: Settings, database: Database, history: History, clock: Clock = unix_now
-    ) -> None:
+    def __init__(self, settings: Settings, database: Database, history: History) -> None:
         self.settings = settings
         self.zone = ZoneInfo(settings.site.zone)
         self._database = database
         self._history = history
-        self._clock = clock
 
     def named(self, name: SpanName) -> Shift:
-        """A span by its name, as of now."""
-        return named_span(name, self._clock(), self.settings.shift.minutes, self.zone)
+        """Return the span of a name, as of now."""
+        return named_span(name, unix_now(), self.settings.shift.minutes, self.zone)
 
     def span(self, since: str, until: str) -> Shift:
-        """A span by its ends as a field of a page has them, by the clock of the site; empty ``until``: now.
-        Raises Problem 422."""
-        return Shift(self._moment(since, "from"), self._moment(until, "to") if until else self._clock())
+        """Parse the ends of a span in fields of a page; empty ``until`` is now. Raises Problem 422."""
+        return Shift(self._moment(since, "from"), self._moment(until, "to") if until else unix_now())
 
     def scope(self, bus: str | None, unit: int | None) -> Scope:
-        """A line or a unit that is configured. Raises Problem 404, and 422 for a unit without its bus."""
+        """Return the scope of a configured bus or unit. Raises Problem 404, 422 for a unit without bus."""
         if bus is None and unit is not None:
             raise Problem(422, "invalid", Message("report_unit_without_bus"))
         if bus is None:
@@ -115,7 +110,7 @@ class Reports:
         return Scope(bus, unit)
 
     def scope_of(self, place: str) -> Scope:
-        """A scope as ``dry-end`` or ``dry-end/4``; empty: the site. Raises Problem 404."""
+        """Parse a scope, such as ``dry-end`` or ``dry-end/4``; empty is the site. Raises Problem 404."""
         bus, slash, address = place.partition("/")
         unit = parse_integer(address, 3) if slash else None
         if slash and unit is None:
@@ -123,8 +118,8 @@ class Reports:
         return self.scope(bus or None, unit)
 
     async def report(self, span: Shift, scope: Scope) -> dict[str, Any]:
-        """The report of a span, of one under way up to now. Raises Problem 422, and StoreError."""
-        now = self._clock()
+        """Make the report of a span, up to now if it is under way. Raises Problem 422, and StoreError."""
+        now = unix_now()
         fault = span_fault(span, now, self._count(scope))
         if fault is not None:
             raise Problem(422, "invalid", fault)
@@ -139,7 +134,7 @@ class Reports:
     async def _figures(
         self, span: Shift, scope: Scope, now: UnixTime
     ) -> list[tuple[BusSettings, UnitReport]]:
-        """Each unit in a read apart: others come in between."""
+        """Read what each unit did, one by one, so that other reads come in between."""
         found = []
         for bus, figures in reported_buses(self.settings, scope, span, now):
             for unit in figures.units:
@@ -152,7 +147,7 @@ class Reports:
         return found
 
     def _count(self, scope: Scope) -> int:
-        """How many units a scope has, at least one."""
+        """Count the units of a scope, at least one."""
         places = ((bus.name, unit.id) for bus in self.settings.bus for unit in bus.unit)
         return max(1, sum(scope.holds(*place) for place in places))
 

@@ -19,8 +19,8 @@ class ReportSettings(StrictModel):
 
     every: ReportEvery
     at: ClockTime = "06:00"
-    """When that of a day is sent, and on Mondays that of a week, local time; that of a shift is sent five
-    minutes after its end."""
+    """Local time at which the report of a day is sent, and on Mondays that of a week; that of a shift is sent
+    five minutes after its end."""
     bus: str | None = None
     """None: all."""
     unit: Annotated[int, Field(strict=True, ge=1, le=255)] | None = None
@@ -36,8 +36,8 @@ class ReportSettings(StrictModel):
 def refuse_unsendable(
     reports: Iterable[ReportSettings], notify: NotifySettings, buses: Iterable[BusSettings]
 ) -> None:
-    """Raises PydanticCustomError for a report of a bus or unit that is not configured, and for one without a
-    mail server."""
+    """Raise PydanticCustomError for a report of a bus or unit that is not configured, or if there is no mail
+    server."""
     units = {bus.name: {unit.id for unit in bus.unit} for bus in buses}
     for index, report in enumerate(reports):
         if report.bus is not None and report.bus not in units:

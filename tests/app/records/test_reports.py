@@ -202,8 +202,8 @@ async def test_a_day_is_sent_once_to_each_address_as_a_page(tmp_path: Path, mail
     async with mill(tmp_path, MAIL.format(port=mail.port, at=at)) as house:
         notification = house.services[Notification]
         schedule = ReportSchedule(house.services.settings, notification.dispatcher.add)
-        await schedule.look()
-        await schedule.look()
+        await schedule.send_due()
+        await schedule.send_due()
         received = [await mail.mail(count) for count in (1, 2, 3)]
     assert len(mail.mails) == 3
     subjects = sorted(str(each["Subject"]) for each in received)
