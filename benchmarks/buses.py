@@ -15,10 +15,9 @@ from benchmarks.processes import cpu_seconds, family, memory_mib
 from benchmarks.served import served_lines
 from benchmarks.tables import microseconds, show
 from benchmarks.witness import SHORTEST_POLL_RESPONSE
-from bus.simulator.demo import demo_line
-from bus.simulator.line import SimulatedLine
+from bus.simulator.line import SimulatedLine, WireEventKind
+from bus.simulator.plant import demo_line
 from bus.simulator.ports import PtyPort
-from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
 from tests.e2e.site import eventually
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from bus.settings import wire_seconds
-from bus.simulator.pacer import ReplyLine, RequestLine, Wake
-from bus.simulator.record import WireEventKind, WireRecord
+from bus.simulator.line import WireEventKind, WireRecord
+from bus.simulator.ports import ReplyLine, RequestLine, Wake
 
 REGISTERS = 6
 _REQUEST_BYTES = 8

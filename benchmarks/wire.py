@@ -21,11 +21,9 @@ from benchmarks.served import CONFIG, LINESIDE, served_line
 from benchmarks.tables import microseconds, show
 from benchmarks.witness import Seen, look
 from bus.settings import BITS_PER_BYTE
-from bus.simulator.demo import demo_line
-from bus.simulator.faults import FaultKind, Faults
-from bus.simulator.line import SimulatedLine
+from bus.simulator.line import FaultKind, Faults, SimulatedLine, WireEvent, WireEventKind
+from bus.simulator.plant import demo_line
 from bus.simulator.ports import PtyPort
-from bus.simulator.record import WireEvent, WireEventKind
 from bus.simulator.serve import LineServer
 from tests.e2e.limits import START_S
 from tests.e2e.site import end, eventually

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from benchmarks.tables import median, quantile
-from bus.simulator.record import WireEvent, WireEventKind
+from bus.simulator.line import WireEvent, WireEventKind
 
 SHORTEST_POLL_RESPONSE = 10
 """Bytes; the response to a parameter read or a write has fewer."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from app.core.messages.languages import catalogs
 from app.core.web.access import Role
 from bus.catalogue.parameters import PARAMETERS
-from bus.simulator.demo import demo_line
+from bus.simulator.plant import demo_line
 from tests.catalogs import catalog_at, wanted
 
 ROOT = Path(__file__).resolve().parent.parent

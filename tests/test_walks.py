@@ -23,8 +23,7 @@ from websockets.asyncio.client import ClientConnection
 from app.core.web.access import Role
 from app.line.feed.bus_feed import BusFeed
 from app.line.feed.channel import Channel
-from app.line.feed.ingest import Ingest, IngestPosition
-from app.line.feed.rates import FeedQuota
+from app.line.feed.ingest import FeedQuota, Ingest, IngestPosition
 from app.line.live.browser import Browser
 from app.line.live.hub import Hub
 from app.line.pipeline import Pipeline

@@ -128,7 +128,7 @@ cli = Lazy(
 
 
 def main() -> None:
-    from bus.worker.parent import named_parent, tie_to
+    from bus.worker.process import named_parent, tie_to
 
     if parent := named_parent():
         tie_to(parent)

@@ -3,22 +3,95 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import gc
+import io
+import logging
 import os
 import signal
+import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO, cast
 
+import structlog
 import uvloop
+from structlog.typing import EventDict, WrappedLogger
 
 from bus.settings import BusSettings
-from bus.worker.log import configure_log
-from bus.worker.parent import named_parent, tie_to
+from bus.validation import escaped
 from bus.worker.service import run_worker
 
 if TYPE_CHECKING:
-    from bus.worker.uplink_tls import UplinkTls
+    from bus.worker.uplink import UplinkTls
+
+
+class BestEffortStream(io.TextIOBase):
+    """Drops log lines that cannot be written (disk full, pipe closed): the log never stops the line."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with suppress(OSError, ValueError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError, ValueError):
+            self._stream.flush()
+
+
+def without_escapes(_logger: WrappedLogger, _method: str, event: EventDict) -> EventDict:
+    """A line of the log for a terminal, which obeys nothing that a client has sent."""
+    return {name: escaped(value) if isinstance(value, str) else value for name, value in event.items()}
+
+
+def configure_log() -> None:
+    """Log on standard error: for people on a terminal, one JSON object a line otherwise."""
+    renderers = (
+        [without_escapes, structlog.dev.ConsoleRenderer()]
+        if sys.stderr.isatty()
+        else [structlog.processors.JSONRenderer()]
+    )
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            structlog.processors.format_exc_info,
+            *renderers,
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
+        logger_factory=structlog.PrintLoggerFactory(cast(TextIO, BestEffortStream(sys.stderr))),
+        cache_logger_on_first_use=True,
+    )
+
+
+PARENT = "LINESIDE_PARENT"
+"""The environment's name for the process that a child belongs to."""
+_PR_SET_PDEATHSIG = 1
+
+
+def tied_environment() -> dict[str, str]:
+    """The environment for a child of this process."""
+    return {**os.environ, PARENT: str(os.getpid())}
+
+
+def named_parent() -> int | None:
+    """Return the parent process id from the environment, and remove it there so that no child inherits it."""
+    named = os.environ.pop(PARENT, "")
+    return int(named) if named.isdecimal() else None
+
+
+def tie_to(parent: int) -> None:
+    """End this process by SIGTERM when ``parent`` ends; at once when it has ended. Called first of all."""
+    if sys.platform != "linux":
+        return
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    if os.getppid() != parent:
+        raise SystemExit(1)
+
 
 PRIORITY = -10
 """The worker sleeps 97 % of the time; when a response is complete its next request is due at once."""

@@ -36,13 +36,11 @@ from bus.line.opener import Opener, OpenFunction
 from bus.line.timing import LineClock, RealClock
 from bus.messages import Message, in_english
 from bus.settings import BusSettings
-from bus.worker.addresses import is_encrypted
-from bus.worker.outbox import Outbox
-from bus.worker.trace_reports import TraceReports
-from bus.worker.uplink import Uplink
+from bus.worker.outbox import Outbox, TraceReports
+from bus.worker.uplink import Uplink, is_encrypted
 
 if TYPE_CHECKING:
-    from bus.worker.uplink_tls import UplinkTls
+    from bus.worker.uplink import UplinkTls
 
 MAX_RESULTS = 2_000
 MAX_COMMANDS = 300
@@ -225,7 +223,7 @@ async def run_worker(
     """
     worker = BusWorker(bus)
     if tls is None and any(map(is_encrypted, apps)):
-        from bus.worker.uplink_tls import UplinkTls
+        from bus.worker.uplink import UplinkTls
 
         tls = UplinkTls()
     uplink = Uplink(apps, token, worker.outbox, worker, worker.app_clock, worker._epoch, tls)

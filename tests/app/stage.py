@@ -36,8 +36,8 @@ from app.line.commands.safeguards import Safeguards
 from app.line.commands.service import CommandService
 from app.line.feed.bus_feed import BusFeed
 from app.line.feed.channel import Channel
+from app.line.feed.socket import Workers
 from app.line.feed.socket import router as feed_router
-from app.line.feed.workers import Workers
 from app.line.history.status import HistoryStatus
 from app.line.live.api.routes import router as live_router
 from app.line.live.api.view import LineView

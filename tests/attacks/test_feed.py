@@ -20,12 +20,10 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 from app.core.web.access import Role
-from app.line.feed.bus_feed import BusFeed, WorkerLeft
+from app.line.feed.bus_feed import BusFeed, Credential, WorkerLeft
 from app.line.feed.channel import Channel
-from app.line.feed.holders import Credential
-from app.line.feed.ingest import Ingest
-from app.line.feed.rates import FeedQuota
-from app.line.feed.workers import MAX_HELLOS_AT_ONCE, TOO_OFTEN, Workers
+from app.line.feed.ingest import FeedQuota, Ingest
+from app.line.feed.socket import MAX_HELLOS_AT_ONCE, TOO_OFTEN, Workers
 from app.line.live.browser import Browser
 from app.line.live.bus_live import Audience, BusLive
 from app.line.live.change_recorder import ChangeRecorder

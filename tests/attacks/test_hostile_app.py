@@ -23,9 +23,8 @@ from bus.contract import (
 )
 from bus.contract import MalformedMessageError as Malformed
 from bus.contract.session import ClockOffset
-from bus.worker.outbox import Outbox
+from bus.worker.outbox import MAX_TRACES, Outbox
 from bus.worker.service import MAX_COMMANDS, MAX_RESULTS
-from bus.worker.trace_reports import MAX_TRACES
 from bus.worker.uplink import MAX_MESSAGES_AT_ONCE, MESSAGES_PER_S, Uplink
 from tests.attacks.hostile import GARBAGE, broken, encoded, of_type
 from tests.bus.fake_app import TOKEN

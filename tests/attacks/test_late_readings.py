@@ -10,11 +10,10 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from app.line.feed.bus_feed import BusFeed
-from app.line.feed.holders import Credential
-from app.line.feed.late import FIRST_S
-from app.line.feed.rates import MAX_VALUES_AT_ONCE
-from app.line.feed.workers import Workers
+from app.line.feed.bus_feed import BusFeed, Credential
+from app.line.feed.ingest import MAX_VALUES_AT_ONCE
+from app.line.feed.plausibility import FIRST_S
+from app.line.feed.socket import Workers
 from app.line.history import tables
 from app.line.history.series.runs import HOUR, Run, merge, micros
 from app.line.history.service import History

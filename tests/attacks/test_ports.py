@@ -18,8 +18,8 @@ import pytest
 from bus.errors import WireError
 from bus.line.open_port import open_port
 from bus.line.port import EndedWhileOpening, OpenPort, PortUnavailable
-from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
+from bus.simulator.plant import demo_line
 from bus.simulator.ports import PtyPort
 from bus.simulator.serve import LineServer
 from tests.bus.rfc2217_server import DeviceServer

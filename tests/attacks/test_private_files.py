@@ -15,7 +15,7 @@ from app.core.database import Database
 from app.core.database.files import make_file, make_private, write_file
 from app.errors import StoreError
 from bus import __main__ as worker
-from bus.worker import parent
+from bus.worker import process as parent
 from tests import fork_server
 
 CONFIG = """\

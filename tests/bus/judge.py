@@ -22,7 +22,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.simulator.record import WireEvent, WireEventKind, WireRecord
+from bus.simulator.line import WireEvent, WireEventKind, WireRecord
 from bus.simulator.unit import Unit
 from bus.wire.framing import ACK, NAK
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.worker.addresses import AppAddresses
+from bus.worker.uplink import AppAddresses
 
 A, B = "http://a:8000", "https://b:8000/"
 

@@ -16,10 +16,9 @@ from bus.line.device_server import TCP_LOST_AFTER_MS
 from bus.line.open_port import open_port
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
-from bus.simulator.demo import demo_line
-from bus.simulator.line import SimulatedLine
+from bus.simulator.line import SimulatedLine, WireEventKind
+from bus.simulator.plant import demo_line
 from bus.simulator.ports import TcpLinePort
-from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp

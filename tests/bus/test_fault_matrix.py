@@ -31,11 +31,9 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.settings import BusSettings, Dialect
-from bus.simulator.demo import demo_line
-from bus.simulator.faults import FaultKind, Faults
-from bus.simulator.line import SimulatedLine
+from bus.simulator.line import FaultKind, Faults, SimulatedLine, WireEventKind, WireRecord
+from bus.simulator.plant import demo_line
 from bus.simulator.ports import PtyPort
-from bus.simulator.record import WireEventKind, WireRecord
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Mode, Unit
 from bus.wire.framing import FrameDecoder, ReceivedFrame

@@ -32,8 +32,7 @@ from bus.line.arbiter import RESERVED_S
 from bus.line.poll_schedule import LOOK_ELSEWHERE_S
 from bus.line.port import OpenPort, Receiver
 from bus.messages import Message, parameter_name
-from bus.simulator.faults import FaultKind
-from bus.simulator.record import WireEventKind
+from bus.simulator.line import FaultKind, WireEventKind
 from tests.bus.judge import made_up
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 

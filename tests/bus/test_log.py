@@ -11,7 +11,7 @@ from structlog.dev import ConsoleRenderer
 from structlog.typing import EventDict
 
 from bus.validation import OneLine
-from bus.worker.log import BestEffortStream, without_escapes
+from bus.worker.process import BestEffortStream, without_escapes
 
 
 class FullDisk(io.StringIO):

@@ -25,8 +25,8 @@ from bus.line.open_port import open_port
 from bus.line.port import OpenPort, PartlySent, PortUnavailable, users_of, why_not
 from bus.messages import Message
 from bus.settings import Dialect
-from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
+from bus.simulator.plant import demo_line
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.serve import LineServer
 from bus.wire.commands import ReadStatusRequest, encode_request

@@ -8,10 +8,10 @@ import signal
 import subprocess
 import sys
 
-from bus.worker.parent import PARENT, tied_environment
+from bus.worker.process import PARENT, tied_environment
 
 CHILD = """
-from bus.worker.parent import named_parent, tie_to
+from bus.worker.process import named_parent, tie_to
 if parent := named_parent():
     tie_to(parent)
 print('tied', flush=True)
@@ -19,7 +19,7 @@ input()
 """
 PARENT_OF_CHILD = f"""
 import subprocess, sys
-from bus.worker.parent import tied_environment
+from bus.worker.process import tied_environment
 subprocess.run([sys.executable, "-c", {CHILD!r}], env=tied_environment())
 """
 

@@ -21,10 +21,9 @@ from bus.line import opener
 from bus.line.device import PortSettings, differences, open_device
 from bus.messages import Message
 from bus.settings import BusSettings, Dialect, UnitSettings
-from bus.simulator.demo import demo_line
-from bus.simulator.line import SimulatedLine
+from bus.simulator.line import SimulatedLine, WireEventKind
+from bus.simulator.plant import demo_line
 from bus.simulator.ports import PtyPort
-from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
 from bus.wire.framing import FrameDecoder, ReceivedFrame, encode_frame
 from bus.worker import service

@@ -8,7 +8,7 @@ import random
 import pytest
 
 from bus.contract import SetSpeed
-from bus.simulator.faults import FaultKind
+from bus.simulator.line import FaultKind
 from tests.bus.virtual_line import VirtualLine, run
 from tests.sizes import sizes
 

@@ -12,8 +12,8 @@ from bus.errors import WireError
 from bus.line.open_port import open_port
 from bus.line.port import PortUnavailable
 from bus.settings import BusSettings, Dialect, UnitSettings
-from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
+from bus.simulator.plant import demo_line
 from bus.simulator.ports import PtyPort
 from bus.simulator.serve import LineServer
 from bus.wire.commands import SetAndExecuteSpeedRequest, encode_request

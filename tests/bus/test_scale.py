@@ -43,7 +43,7 @@ from bus.contract import (
 from bus.errors import CallerError
 from bus.settings import wire_seconds
 from bus.simulator.line import SimulatedLine
-from bus.simulator.pacer import Wake
+from bus.simulator.ports import Wake
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 from tests.path.independent_unit import Unit, cut_frame
 from tests.sizes import sizes

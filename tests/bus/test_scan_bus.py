@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import Awaitable
 
 from bus.contract import FoundUnit, ParameterValue, Progress, Reading, Result, ScanBus, UnitLink
-from bus.simulator.faults import FaultKind
-from bus.simulator.section import Section
+from bus.simulator.line import FaultKind
+from bus.simulator.plant import Section
 from bus.simulator.unit import Memory, Unit
 from tests.bus.virtual_line import VirtualLine, run
 

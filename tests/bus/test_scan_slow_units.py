@@ -10,10 +10,8 @@ from bus.catalogue import parameters as numbers
 from bus.contract import Result, ScanBus
 from bus.line.examination import LATE, Found
 from bus.line.scanner import BaudScan, ScanPort, scan_addresses
-from bus.simulator.demo import demo_line
-from bus.simulator.faults import Faults
-from bus.simulator.line import SimulatedLine
-from bus.simulator.section import Section
+from bus.simulator.line import Faults, SimulatedLine
+from bus.simulator.plant import Section, demo_line
 from bus.simulator.unit import Memory, Traits, Unit
 from tests.bus.virtual_line import VirtualClock, VirtualLine, VirtualPort, run, run_virtually
 

@@ -25,7 +25,7 @@ from bus.contract import (
 )
 from bus.line.diagnosis import UnitSymptoms, diagnose, responds_for_all
 from bus.messages import Message
-from bus.simulator.faults import FaultKind
+from bus.simulator.line import FaultKind
 from tests import fork_server
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.settings import Dialect
-from bus.simulator.faults import HUGE_BYTES, FaultKind, Faults, Piece
+from bus.simulator.line import HUGE_BYTES, FaultKind, Faults, Piece
 from bus.wire.framing import FrameDecoder, Noise, ReceivedFrame, encode_frame
 
 BODY = bytes.fromhex("04 06 00 00 04 B0 00 00 04 AF 80 C0 43")

@@ -11,11 +11,9 @@ from hypothesis import strategies as st
 
 from bus.catalogue import parameters as numbers
 from bus.settings import Dialect, wire_seconds
-from bus.simulator.demo import demo_line
-from bus.simulator.faults import FaultKind, Faults
-from bus.simulator.line import SimulatedLine
-from bus.simulator.pacer import WAKE_S, ReplyLine, RequestLine
-from bus.simulator.record import WireEventKind, WireRecord
+from bus.simulator.line import FaultKind, Faults, SimulatedLine, WireEventKind, WireRecord
+from bus.simulator.plant import demo_line
+from bus.simulator.ports import WAKE_S, ReplyLine, RequestLine
 from bus.simulator.unit import ORDINARY, Mode, Traits
 from bus.wire.commands import (
     ExecuteSpeedRequest,

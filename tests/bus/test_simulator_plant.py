@@ -6,11 +6,8 @@ import pytest
 
 from bus.catalogue import parameters as numbers
 from bus.settings import BusSettings
-from bus.simulator.demo import DemoLine, demo_line
-from bus.simulator.plant import STEP_S, Habit, Plant, Script
-from bus.simulator.responding import respond
-from bus.simulator.section import Section
-from bus.simulator.unit import Unit
+from bus.simulator.plant import STEP_S, DemoLine, Habit, Plant, Script, Section, demo_line
+from bus.simulator.unit import Unit, respond
 from bus.wire.commands import encode_reply
 
 

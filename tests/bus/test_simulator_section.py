@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bus.catalogue import parameters as numbers
-from bus.simulator.section import Section
+from bus.simulator.plant import Section
 from bus.simulator.unit import Memory, Unit
 
 DT = 0.05

@@ -14,12 +14,10 @@ import pytest
 import serial
 
 from bus.settings import Dialect
-from bus.simulator.control import control_port
-from bus.simulator.demo import demo_line
-from bus.simulator.line import SimulatedLine
+from bus.simulator.line import SimulatedLine, WireEventKind
+from bus.simulator.plant import demo_line
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
-from bus.simulator.record import WireEventKind
-from bus.simulator.serve import LineServer
+from bus.simulator.serve import LineServer, control_port
 from bus.wire.commands import (
     Ack,
     Nak,

@@ -10,8 +10,7 @@ from bus.catalogue import parameters as numbers
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import UnitErrorCode as Code
 from bus.settings import Dialect
-from bus.simulator.responding import respond
-from bus.simulator.unit import Inputs, Memory, Mode, Traits, Unit
+from bus.simulator.unit import Inputs, Memory, Mode, Traits, Unit, respond
 from bus.wire.commands import (
     Ack,
     ExecuteSpeedRequest,

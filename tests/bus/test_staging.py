@@ -8,8 +8,7 @@ import pytest
 
 from bus.catalogue import parameters as numbers
 from bus.contract import ExecuteAll, Progress, Result, SetLine, SetSpeed, Staged
-from bus.simulator.faults import FaultKind
-from bus.simulator.record import WireEventKind
+from bus.simulator.line import FaultKind, WireEventKind
 from bus.simulator.unit import Mode
 from tests.bus.virtual_line import VirtualLine, run
 

@@ -27,9 +27,8 @@ from bus.contract import (
     Watch,
 )
 from bus.contract.session import ClockOffset
-from bus.worker.addresses import feed_url
 from bus.worker.outbox import Outbox
-from bus.worker.uplink import GOING_AWAY, Uplink, _about_status
+from bus.worker.uplink import GOING_AWAY, Uplink, _about_status, feed_url
 from tests.bus.fake_app import TOKEN, FakeApp
 
 

@@ -14,7 +14,7 @@ from websockets.asyncio.server import serve
 from websockets.exceptions import WebSocketException
 
 from bus.tls import HTTP_ALPN, TlsFileError
-from bus.worker.uplink_tls import UplinkTls
+from bus.worker.uplink import UplinkTls
 from tests.certificates import certificates, renew
 
 

@@ -34,11 +34,9 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.simulator.demo import demo_line
-from bus.simulator.faults import FaultKind
-from bus.simulator.line import SimulatedLine
+from bus.simulator.line import FaultKind, SimulatedLine, WireEventKind
+from bus.simulator.plant import demo_line
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
-from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Mode
 from tests import fork_server

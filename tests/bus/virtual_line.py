@@ -27,10 +27,8 @@ from bus.line.open_port import OpenPort, Receiver
 from bus.line.timing import Timer
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
-from bus.simulator.demo import demo_line
-from bus.simulator.faults import Faults
-from bus.simulator.line import SimulatedLine
-from bus.simulator.record import WireEventKind
+from bus.simulator.line import Faults, SimulatedLine, WireEventKind
+from bus.simulator.plant import demo_line
 from bus.worker.service import BusWorker
 
 T = TypeVar("T")

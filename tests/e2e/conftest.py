@@ -18,7 +18,7 @@ from playwright.sync_api import Browser, BrowserContext, Locator, Page, Viewport
 
 from app.cli.simulated.past import write_past
 from app.settings import load
-from bus.simulator.demo import demo_line
+from bus.simulator.plant import demo_line
 from tests.e2e import site as sites
 from tests.e2e.limits import PAGE_MS, PAGE_S
 from tests.e2e.site import AT_REST, PASSWORD, Site, eventually

@@ -33,7 +33,7 @@ from app.core.web.assets import Assets, static_dir, templates_dir
 from app.core.web.templating import Templates
 from app.people.auth.accounts import Accounts
 from app.settings import Site as SiteSettings
-from bus.simulator.demo import demo_line
+from bus.simulator.plant import demo_line
 from tests import fork_server
 from tests.administrator import BY
 from tests.e2e.limits import CALL_S, COMMAND_S, START_S, UNIT_S

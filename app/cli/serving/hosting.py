@@ -37,7 +37,7 @@ from app.version import VERSION
 from bus.errors import LinesideError
 from bus.instants import Monotonic
 from bus.messages import Message
-from bus.worker.log import configure_log
+from bus.worker.process import configure_log
 
 SWITCH_S = 0.001
 """How long a thread that computes (a parameter set, a search, an export) keeps the interpreter from the event

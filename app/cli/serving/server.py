@@ -26,7 +26,7 @@ from app.core.server.refusal_log import ErrorLines, RefusalLog
 from app.core.server.refusals import TLS_REQUIRED
 from app.core.server.tls import Encryption
 from app.feature import Services
-from app.line.feed.workers import Workers
+from app.line.feed.socket import Workers
 from app.line.live.api.stream import LineStream
 from app.main import create_app
 from app.people.auth.sign_in import FirstAdmin

@@ -15,7 +15,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 
 if TYPE_CHECKING:
-    from bus.worker.uplink_tls import UplinkTls
+    from bus.worker.uplink import UplinkTls
 
 WORKER_TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
 
@@ -66,7 +66,7 @@ def _tls(
         return None
     if (certificate is None) != (key is None):
         raise CallerError(Message("certificate_without_key"))
-    from bus.worker.uplink_tls import UplinkTls
+    from bus.worker.uplink import UplinkTls
 
     tls = UplinkTls(ca, (certificate, key) if certificate and key else None)
     tls.context()

@@ -16,7 +16,7 @@ import structlog
 from app.cli.serving.watchdog import LOOK_S, Watchdog
 from bus.instants import Monotonic, monotonic_now
 from bus.pacing import ReconnectDelay
-from bus.worker.parent import tied_environment
+from bus.worker.process import tied_environment
 
 log = structlog.get_logger()
 

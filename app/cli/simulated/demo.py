@@ -21,7 +21,7 @@ from app.settings import load
 from bus.instants import monotonic_now
 from bus.messages import Message
 from bus.settings import UnitSettings
-from bus.worker.parent import tied_environment
+from bus.worker.process import tied_environment
 
 HOST, PORT = "127.0.0.1", 8000
 CHOOSE = Message("choose_port_demo")
@@ -44,7 +44,7 @@ def demo(units: int, port: int | None) -> None:
             # The simulator begins in its own process while this one reads the rest.
             from app.cli.serving.hosting import host
             from app.cli.simulated.past import write_past
-            from bus.simulator.demo import demo_line
+            from bus.simulator.plant import demo_line
 
             line, config = demo_line(units), here / "lineside.toml"
             config.write_text(configuration(here / "line", taken, line.settings), encoding="utf-8")

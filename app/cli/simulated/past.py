@@ -45,8 +45,7 @@ from bus.catalogue import parameters as numbers
 from bus.catalogue.parameters import PARAMETERS
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message, term
-from bus.simulator.demo import DemoLine
-from bus.simulator.section import TENSION_AT_REST, TENSION_RUNNING
+from bus.simulator.plant import TENSION_AT_REST, TENSION_RUNNING, DemoLine
 from bus.simulator.unit import Unit
 
 DAY_S, HOUR_S = 86_400.0, 3600.0

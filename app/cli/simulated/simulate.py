@@ -16,12 +16,10 @@ from bus.catalogue import parameters as numbers
 from bus.errors import LinesideError
 from bus.messages import Message
 from bus.settings import BAUDS, Dialect
-from bus.simulator.control import control_port
-from bus.simulator.demo import demo_line
-from bus.simulator.faults import Faults
-from bus.simulator.line import SimulatedLine
+from bus.simulator.line import Faults, SimulatedLine
+from bus.simulator.plant import demo_line
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
-from bus.simulator.serve import LineServer
+from bus.simulator.serve import LineServer, control_port
 from bus.simulator.unit import Traits
 
 F = TypeVar("F", bound=Callable[..., Any])

@@ -7,7 +7,7 @@ from app.feature import Feature, Services
 from app.line.feed import socket
 from app.line.feed.bus_feed import BusFeed
 from app.line.feed.channel import Channel
-from app.line.feed.workers import Workers
+from app.line.feed.socket import Workers
 from app.line.history.service import History
 from app.line.live.bus_live import BusLive
 from app.line.live.change_recorder import ChangeRecorder

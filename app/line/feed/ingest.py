@@ -1,8 +1,8 @@
-"""The messages of one worker, in their fixed order: bytes in, messages out, no socket.
+"""The messages of one worker, in their fixed order, on the app's clock and within a quota: no socket.
 
-``Hello`` → Welcome → ``Snapshot`` → backlog → ``Batch`` after ``Batch``. A batch counts once for each
-worker and number; a missing number requests a new snapshot. A malformed message is not applied at all; of a
-well-formed one only what is plausible (:mod:`app.line.feed.plausibility`).
+``Hello`` → Welcome → ``Snapshot`` → backlog → ``Batch`` after ``Batch``. A batch counts once for each worker
+and number; a missing number requests a new snapshot. A malformed message is not applied at all; of a
+well-formed one only what is plausible (``app.line.feed.plausibility``).
 """
 
 from __future__ import annotations
@@ -11,29 +11,186 @@ import asyncio
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from math import inf
+from typing import TypeVar
+
+import msgspec
 
 from app.line.feed.channel import Channel, MessageSink
-from app.line.feed.clock import WorkerClock, shifted
-from app.line.feed.late import Coverage, LateReadings
-from app.line.feed.plausibility import judge_snapshot, sort_updates
-from app.line.feed.rates import FeedQuota
+from app.line.feed.plausibility import Coverage, LateReadings, judge_snapshot, sort_updates
 from app.line.pipeline import IMPLAUSIBLE, KNOWN, OVER_QUOTA, Pipeline
 from bus.contract import (
     Batch,
+    BusFigures,
+    BusLink,
     ClockSync,
     Delivered,
+    Frames,
     Hello,
     MalformedMessageError,
+    ParameterValue,
     Progress,
+    Reading,
     Result,
     Snapshot,
+    TaggedStruct,
+    UnitLink,
     Update,
     WantSnapshot,
     WorkerMessage,
     decode_from_worker,
 )
-from bus.instants import Clock, UnixTime, monotonic_now, unix_now
+from bus.contract.session import ClockOffset
+from bus.instants import Clock, ClockWatch, Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
+from bus.pacing import Bucket
+
+PER_S = 2_000.0
+"""Updates of the live state, each of which goes to every open page."""
+MAX_AT_ONCE = 10_000.0
+"""A complete snapshot, or the backlog of a quarter of an hour."""
+LATE_COST = 0.25
+"""Of an update that goes to history only."""
+TEXT_COST = 40.0
+"""Of a state, which history keeps and whose cause is translated for each language, or a diagnosis."""
+MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE = 100_000.0, 16_000_000.0
+"""Of all messages; below 9 GB a day. A full buffer of a worker, with a complete snapshot, is 3 MB."""
+MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE = 100.0, 40_000.0
+"""Stored readings and parameters: twice what a worker polls at 9600 baud, and all that it keeps at once."""
+
+
+@dataclass(slots=True)
+class FeedQuota:
+    """What comes for one bus, over all connections of its workers."""
+
+    _updates: Bucket = field(default_factory=partial(Bucket, PER_S, MAX_AT_ONCE))
+    _bytes: Bucket = field(default_factory=partial(Bucket, MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE))
+    _values: Bucket = field(default_factory=partial(Bucket, MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE))
+
+    def pause_s(self, message: WorkerMessage, size: int, now: Monotonic) -> float:
+        """Count a message of ``size`` bytes; for how many seconds nothing more is read."""
+        return max(self._updates.pour(cost_of(message), now), self._bytes.pour(size, now))
+
+    def admits(self, update: Update, now: Monotonic) -> bool:
+        """Count an update to be stored; False where a wire cannot have carried it."""
+        match update:
+            case Reading() | ParameterValue():
+                return self._values.take(now)
+            case UnitLink() | BusLink():
+                return self._values.take(now, TEXT_COST)
+        return True
+
+
+def cost_of(message: WorkerMessage) -> float:
+    """What a message costs the app, in updates of the live state."""
+    match message:
+        case Batch(updates=updates, live=True):
+            return 1.0 + sum(map(_cost_of_update, updates))
+        case Batch(updates=updates):
+            return 1.0 + LATE_COST * len(updates)
+        case Snapshot(units=units):
+            return TEXT_COST + sum(2 + len(unit.parameters) / 8 for unit in units)
+    return 1.0
+
+
+def _cost_of_update(update: Update) -> float:
+    match update:
+        case Frames(frames=frames):
+            return float(len(frames))
+        case BusFigures(units=units):
+            return TEXT_COST + len(units) / 8
+        case UnitLink() | BusLink():
+            return TEXT_COST
+    return 1.0
+
+
+SAME_CLOCK_S = 0.05
+"""Clocks this near are one clock: most workers run on the app's own machine."""
+MAX_DELAY_S = 5.0
+"""A message that seems to be later than this shows another clock."""
+STEP_S = 0.5
+SETTLED_S = 2.5
+"""How long after a step of the app's own clock a message may still have been on its way, or its worker not
+have the time since, which is sent once a second."""
+
+M = TypeVar("M", bound=TaggedStruct)
+
+_TIMES = ("at", "sent_at", "acknowledged_at", "proven_at")
+
+
+class WorkerClock:
+    """What to add to one worker's times, in seconds, from messages with their time of sending.
+
+    A message arrives late by as much as its way and a busy server take, and a clock judged by one direction
+    alone is wrong by that much. So the worker states how prompt the app's messages were for it: the true
+    offset is between the two (RFC 5905, 8). A message in transit while the app's clock was set back seems to
+    have arrived long before it was sent, so after a step nothing is judged until such messages are in.
+    """
+
+    def __init__(self) -> None:
+        self.offset_s = 0.0
+        self._difference = ClockOffset()
+        self._own: ClockWatch | None = None
+        self._settled_at = Monotonic(-inf)
+
+    def observe(
+        self,
+        sent_at: UnixTime,
+        received_at: UnixTime,
+        running: Monotonic,
+        app_behind_s: float | None = None,
+    ) -> float:
+        """Take in one message; gives by how much a *known* clock has stepped, mostly 0.0. ``running``: when
+        it was received by a clock that cannot be set. ``app_behind_s``: see Snapshot."""
+        if self._own_stepped(received_at, running):
+            return 0.0
+        first = self._difference.seconds is None
+        self._difference.observe(sent_at, received_at)
+        difference = self._difference.seconds or 0.0
+        return self._settle(0.0 if _is_one_clock(difference, app_behind_s) else difference, first)
+
+    def _own_stepped(self, received_at: UnixTime, running: Monotonic) -> bool:
+        """Whether this is too soon after a step of the app's clock. A worker of another machine is off by
+        that step now; one of this machine has made it too."""
+        self._own = self._own or ClockWatch(received_at, running)
+        step = self._own.step(received_at, running)
+        if step:
+            self._difference = ClockOffset()
+            self._settled_at = running + SETTLED_S
+            if self.offset_s:
+                self.offset_s += step
+        return running < self._settled_at
+
+    def _settle(self, wanted: float, first: bool) -> float:
+        change = wanted - self.offset_s
+        if abs(change) < SAME_CLOCK_S and wanted != 0.0:
+            return 0.0
+        self.offset_s = wanted
+        return change if abs(change) >= STEP_S and not first else 0.0
+
+
+def _is_one_clock(difference: float, app_behind_s: float | None) -> bool:
+    """Whether messages that were only late, in either direction, would differ as much."""
+    if app_behind_s is None or app_behind_s <= -SAME_CLOCK_S:
+        return abs(difference) < SAME_CLOCK_S
+    return -SAME_CLOCK_S < difference < MAX_DELAY_S
+
+
+def shifted(message: M, offset_s: float) -> M:
+    """The same message, and all its parts, with every time moved by ``offset_s``."""
+    if offset_s == 0.0:
+        return message
+    changed: dict[str, object] = {}
+    for name in message.__struct_fields__:
+        value = getattr(message, name)
+        if name in _TIMES and value is not None:
+            changed[name] = value + offset_s
+        elif isinstance(value, TaggedStruct):
+            changed[name] = shifted(value, offset_s)
+        elif isinstance(value, list) and value and isinstance(value[0], TaggedStruct):
+            changed[name] = [shifted(part, offset_s) for part in value]
+    return msgspec.structs.replace(message, **changed)
 
 
 @dataclass(slots=True)

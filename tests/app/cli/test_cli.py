@@ -145,7 +145,7 @@ def test_help_reads_nothing_heavy() -> None:
     )
     loaded = set(done.stdout.split())
     assert "serve" in done.stdout
-    assert not loaded & {"fastapi", "pydantic", "sqlite3", "httpx", "bus.simulator.demo", "app.main"}
+    assert not loaded & {"fastapi", "pydantic", "sqlite3", "httpx", "bus.simulator.plant", "app.main"}
 
 
 def test_workers_begin_before_the_dashboard_is_imported() -> None:

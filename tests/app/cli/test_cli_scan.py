@@ -21,11 +21,9 @@ from bus.line.examination import Found
 from bus.line.scanner import Prober
 from bus.messages import Message
 from bus.settings import Dialect
-from bus.simulator.faults import FaultKind, Faults
-from bus.simulator.line import SimulatedLine
-from bus.simulator.plant import Plant
+from bus.simulator.line import FaultKind, Faults, SimulatedLine
+from bus.simulator.plant import Plant, Section
 from bus.simulator.ports import PtyPort
-from bus.simulator.section import Section
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Memory, Traits, Unit
 

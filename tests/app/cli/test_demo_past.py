@@ -25,7 +25,7 @@ from app.people.audit.queries import Filter
 from app.settings import Settings, load
 from bus.catalogue.parameters import ACCELERATION
 from bus.instants import UnixTime, unix_now
-from bus.simulator.demo import DemoLine, demo_line
+from bus.simulator.plant import DemoLine, demo_line
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import uvloop
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
-from bus.worker.uplink_tls import UplinkTls
+from bus.worker.uplink import UplinkTls
 from tests.app.tls_site import GET, TlsSite, tls_site
 
 

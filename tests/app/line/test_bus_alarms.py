@@ -13,7 +13,7 @@ from app.line.alarms.alarm import Alarm
 from app.line.alarms.own_condition import own_definition
 from app.line.alarms.rules import state_machine
 from app.line.alarms.settings import AlarmSettings
-from app.line.feed.holders import Credential, refusal
+from app.line.feed.bus_feed import Credential, refusal
 from bus.contract import CONTRACT_VERSION, BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
 from bus.settings import Seam
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus

@@ -15,7 +15,7 @@ from app.core.web.routes import Turns
 from app.core.web.shape import iso
 from app.line.commands.api.trace_file import parse_trace_line
 from app.line.commands.service import MAX_AT_ONCE
-from app.line.feed.rates import FeedQuota
+from app.line.feed.ingest import FeedQuota
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Command,

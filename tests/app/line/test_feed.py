@@ -11,7 +11,7 @@ import pytest
 import websockets
 
 from app.line.feed import bus_feed
-from app.line.feed.holders import Ending
+from app.line.feed.bus_feed import Ending
 from app.line.feed.socket import GOING_AWAY
 from app.line.pipeline import OTHER_RELEASE
 from app.people.audit.queries import Filter

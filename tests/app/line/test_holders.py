@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.feed.holders import Credential, Ending, Holder
+from app.line.feed.bus_feed import Credential, Ending, Holder
 
 A = Credential("a", "dry-end", "192.0.2.1")
 B = Credential("b", "dry-end", "192.0.2.2")

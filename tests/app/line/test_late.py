@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from app.line.feed.late import FIRST_S, OFFSET_ERROR_S, REPEATED_S, Coverage, LateReadings, LateWindow
+from app.line.feed.plausibility import FIRST_S, OFFSET_ERROR_S, REPEATED_S, Coverage, LateReadings, LateWindow
 from bus.contract import (
     MAX_UPDATES,
     Batch,

@@ -6,7 +6,7 @@ from itertools import repeat
 
 import pytest
 
-from app.line.feed.rates import (
+from app.line.feed.ingest import (
     MAX_AT_ONCE,
     MAX_BYTES_PER_S,
     MAX_VALUES_AT_ONCE,

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.line.feed.clock import MAX_DELAY_S, SAME_CLOCK_S, WorkerClock, shifted
+from app.line.feed.ingest import MAX_DELAY_S, SAME_CLOCK_S, WorkerClock, shifted
 from bus.contract import Frame, Reading, Result, UnitOutcome
 from bus.contract.session import WINDOW_S, ClockOffset
 from bus.messages import term
