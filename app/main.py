@@ -99,8 +99,8 @@ def create_app(
     app.state.services = services
     for feature in FEATURES:
         feature.make(services)
-        # Not by include_router: that builds every route again, which is a third of a second of the start.
-        # Copies: an app guards its own routes, and a process may have several apps.
+        # Copies, which take a millisecond: an app guards its own routes, and a process may have several apps.
+        # An included router would share them, or build every route again.
         app.router.routes.extend(copy(route) for router in feature.routers for route in router.routes)
     for feature in FEATURES:
         services[Templates].permit({act.name: act.role for act in feature.acts})

@@ -165,7 +165,7 @@ def _import_server() -> Any:
     BaseModel.model_config["defer_build"] = True
     # FastAPI silences it where it makes a model, which is now built later.
     warnings.filterwarnings("ignore", category=UnsupportedFieldAttributeWarning)
-    # First, so that what is imported fills the 3 MiB that Babel reads and `locale_of` leaves out.
+    # First, so that what is imported fills the memory of what Babel reads and `locale_of` leaves out.
     for path in catalogs().values():
         locale_of(path.stem)
     return import_module("app.cli.serving.server")

@@ -38,7 +38,7 @@ ACTIONS = (
 async def find_page(
     request: Request, person: Viewer, typed: Typed = "", near: Near = "", part: bool = False
 ) -> Response:
-    """What the typed text finds. ``part``: the list alone."""
+    """Show what the typed text finds. ``part``: only the list."""
     templates = templates_of(request)
     language = templates.language_of(request)
     may = partial(templates.may, person)

@@ -1,7 +1,5 @@
-"""Which names a typed text finds, and which of them first. Pure.
-
-What can be found: each feature adds what finds its things, and they are looked for together.
-"""
+"""What can be found: each feature adds finders of its things, and all look together. Names are matched
+without case, accents and order of words."""
 
 from __future__ import annotations
 
@@ -16,24 +14,24 @@ from app.core.web.formats import Formats
 from bus.messages import Message
 
 EXACT, BEGINS, WORD_BEGINS, WITHIN = range(4)
-"""How a word is found in a name, the best first."""
+"""The ways in which a word is found in a name, the best first."""
 _WORD = re.compile(r"\w+")
 
 
 def folded(text: str) -> str:
-    """Without case and accents, so that "kuhl" finds "Kühlwalze"."""
+    """Return a text without case and accents, so that "kuhl" finds "Kühlwalze"."""
     apart = unicodedata.normalize("NFKD", text.casefold())
     return "".join(letter for letter in apart if not unicodedata.combining(letter))
 
 
 def words_of(typed: str) -> list[str]:
-    """The words of a query, folded, each once."""
+    """Return the words of a query, folded, each once."""
     return list(dict.fromkeys(_WORD.findall(folded(typed))))
 
 
 def rank(words: Sequence[str], names: Iterable[str]) -> int | None:
-    """How well all ``words`` are found in ``names``, 0 the best; None where one is in none of them. A number
-    is found as a number: "2" is not in "12"."""
+    """Return how well all ``words`` are found in ``names``, 0 the best; None if one is in none of them. A
+    number is found as a number: "2" is not in "12"."""
     among = [folded(name) for name in names if name]
     total = 0
     for word in words:
@@ -45,7 +43,7 @@ def rank(words: Sequence[str], names: Iterable[str]) -> int | None:
 
 
 def missing(words: Iterable[str], names: Sequence[str]) -> list[str]:
-    """The words that are in none of ``names``."""
+    """Return the words that are in none of ``names``."""
     return [word for word in words if rank([word], names) is None]
 
 
@@ -62,7 +60,7 @@ def _found(word: str, name: str) -> int | None:
 
 
 MAX_OF_KIND = 6
-"""How many things of a kind are shown; the best of them."""
+"""How many things of a kind are shown, the best of them."""
 Text = str | Message
 
 
@@ -83,8 +81,8 @@ class Search:
 
 
 class FoundPlace(NamedTuple):
-    """A thing that was found. ``label`` names it, ``detail`` is what or where it is; ``rank``: 0 is the best.
-    ``is_name``: a label that a person wrote, of any script."""
+    """A thing that was found. ``label`` names it, ``detail`` says what or where it is; ``rank``: 0 is the
+    best. ``is_name``: a person wrote the label, in any script."""
 
     label: Text
     href: str
@@ -120,11 +118,11 @@ class Finders:
         self._finders: dict[str, list[Finder]] = {}
 
     def add(self, kind: str, finder: Finder) -> None:
-        """``kind``: the code of its heading."""
+        """Add a finder of things of a kind; ``kind``: the code of its heading."""
         self._finders.setdefault(kind, []).append(finder)
 
     def add_links(self, kind: str, links: Sequence[FixedPlace]) -> None:
-        """Pages or actions, each for those who may use it."""
+        """Add pages or actions, each found by those who may use it."""
 
         async def find(search: Search) -> Iterable[FoundPlace]:
             return _linked(links, search)
@@ -132,7 +130,7 @@ class Finders:
         self.add(kind, find)
 
     async def find(self, search: Search) -> list[FoundKind]:
-        """What ``search`` finds; nothing for a text without a letter or digit."""
+        """Return what ``search`` finds; nothing for a text without a letter or digit."""
         if not search.words:
             return []
         found = []
@@ -145,7 +143,7 @@ class Finders:
 
 
 def matched(search: Search, place: FoundPlace, *names: str) -> Iterator[FoundPlace]:
-    """``place`` with its rank, if the words of ``search`` are in ``names``."""
+    """Yield ``place`` with its rank if the words of ``search`` are in ``names``."""
     how_well = rank(search.words, names)
     if how_well is not None:
         yield place._replace(rank=how_well)

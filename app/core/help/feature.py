@@ -32,7 +32,7 @@ TypedHelp = Annotated[OneLine, Query(max_length=80)]
 
 @router.get("/help", dependencies=[SEARCH])
 async def help_page(request: Request, _: Viewer, typed: TypedHelp = "") -> Response:
-    """The list of the chapters, or what the typed words find in them."""
+    """Show the list of the chapters, or what the typed words find in them."""
     handbook, language = service_of(request, Handbook), _language(request)
     groups, hits = await parse_apart(
         lambda: (_chapters_by_group(handbook, language), handbook.search(typed, language))
@@ -41,7 +41,7 @@ async def help_page(request: Request, _: Viewer, typed: TypedHelp = "") -> Respo
 
 
 def _chapters_by_group(handbook: Handbook, language: str) -> list[tuple[Message, list[tuple[Chapter, str]]]]:
-    """Each chapter with its title."""
+    """Return each chapter with its title, by group."""
     titles = [(chapter, handbook.chapter(chapter, language).title) for chapter in CHAPTERS]
     return [(group, list(each)) for group, each in groupby(titles, key=lambda title: title[0].group)]
 
@@ -52,7 +52,7 @@ def _language(request: Request) -> str:
 
 @router.get("/help/pictures/{name}")
 async def picture(request: Request, _: Viewer, name: str) -> Response:
-    """A picture of the handbook."""
+    """Return a picture of the handbook."""
     path = service_of(request, Handbook).picture(name)
     if path is None:
         raise Problem(404, "not_found", Message("no_such_page"))
@@ -61,7 +61,7 @@ async def picture(request: Request, _: Viewer, name: str) -> Response:
 
 @router.get("/help/{name:path}")
 async def chapter_page(request: Request, _: Viewer, name: str) -> Response:
-    """One chapter, in the language of the reader where it is written in it."""
+    """Show one chapter, in the language of the reader if it is written in it."""
     chapter = BY_NAME.get(name)
     if chapter is None:
         raise Problem(404, "not_found", Message("no_such_page"))
@@ -75,7 +75,7 @@ async def chapter_page(request: Request, _: Viewer, name: str) -> Response:
 
 @router.get("/docs")
 async def api_reference(request: Request, _: Viewer) -> Response:
-    """Every call of the API, with what it takes and returns."""
+    """Show every call of the API, with what it takes and returns."""
     return render(request, "help/api.html", tags=await parse_apart(partial(_calls, request.app)))
 
 

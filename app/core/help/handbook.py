@@ -1,10 +1,8 @@
-"""The chapters of the handbook, in the order of their list. Pure.
+"""The chapters of the handbook, and their HTML: links between files become links between pages, and each
+section can be found.
 
-Each is a Markdown file of docs/, which the repository shows as well as the page *Help*.
-
-Chapters as HTML: links between files become links between pages, and each section can be found.
-
-What renders Markdown is imported with the first page of the handbook, which most servers never show.
+Each chapter is a Markdown file of docs/, which the repository shows as well as the page *Help*. What renders
+Markdown is imported with the first page of the handbook, as most servers never show one.
 """
 
 from __future__ import annotations
@@ -41,22 +39,22 @@ class Chapter:
 
     @property
     def name(self) -> str:
-        """What its address ends with."""
+        """The end of the address of the chapter."""
         return str(PurePosixPath(self.file).with_suffix("")).removeprefix("guide/")
 
     @property
     def is_one_page(self) -> bool:
-        """Whether it is printed on one page."""
+        """Whether the chapter is printed on one page."""
         return self.name.removesuffix("-page") in WITH_A_PAGE
 
     def file_in(self, language: str) -> str:
-        """The file for a reader of this language."""
+        """Return the file for a reader of this language."""
         return self.file.removesuffix(".md") + f".{language}.md" if language in self.languages else self.file
 
 
 GERMAN = ("de",)
 WITH_A_PAGE = ("operator", "electrician", "engineer", "administrator")
-"""Those who have one page to print."""
+"""Roles that have a chapter of one page to print."""
 CHAPTERS = (
     Chapter("guide/tutorial.md", LEARN),
     Chapter("guide/operator.md", LEARN, GERMAN),
@@ -103,13 +101,14 @@ FITTED = (
     ("</table>", "</table></div>"),
     ("<th></th>", "<td></td>"),
 )
-"""What may be wider than a phone scrolls, and the keyboard reaches it. A column without a heading has none to
-read out."""
+"""Replacements in the HTML: what may be wider than a phone scrolls, and the keyboard reaches it; a column
+without a heading has none to read out."""
 
 
 @dataclass(frozen=True, slots=True)
 class HelpSection:
-    """A heading with the text below it, up to the next heading. ``anchor``: of the heading in its chapter."""
+    """A heading with the text below it, up to the next heading. ``anchor``: that of the heading in its
+    chapter."""
 
     chapter: Chapter
     title: str
@@ -153,12 +152,12 @@ class Handbook:
         return render(chapter, text, posixpath.dirname(file), [section.anchor for section in english])
 
     def picture(self, name: str) -> Path | None:
-        """A picture of the handbook; None where there is none of this name."""
+        """Return a picture of the handbook; None if there is none of this name."""
         path = self._folder / _PICTURES / name
         return path if re.fullmatch(r"[\w-]+\.png", name) and path.is_file() else None
 
     def search(self, typed: str, language: str) -> list[Hit]:
-        """The sections with all of these words, those that have them in their title first."""
+        """Return the sections with all of these words, those that have them in their title first."""
         words = typed.casefold().split()
         if not words:
             return []
@@ -169,8 +168,8 @@ class Handbook:
 
 
 def render(chapter: Chapter, text: str, folder: str, anchors: Sequence[str] = ()) -> Rendered:
-    """A chapter from its Markdown. ``folder``: that of its file below docs/, from which its links lead.
-    ``anchors``: of its headings, where they are not made from their words."""
+    """Render a chapter from its Markdown. ``folder``: that of its file below docs/, from which its links
+    lead. ``anchors``: those of its headings, if they are not made from their words."""
     from markdown_it import MarkdownIt
 
     parser = MarkdownIt("commonmark", {"html": False}).enable("table")

@@ -1,6 +1,7 @@
-"""How numbers and dates are written, by Babel, without the rest of its data.
+"""The languages with their texts, by gettext, and how each writes numbers and dates, by Babel.
 
-The languages with their texts, by gettext, and which of them a reader gets.
+Only `locale_of` uses private members of Babel, for the 4.7 MiB that this saves (decision 20);
+`pyproject.toml` bounds the version.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ _UNUSED = (
 
 @cache
 def locale_of(name: str) -> Locale:
-    """Return the locale of a name such as ``en_GB``. Of two, Babel would keep 4 MiB in memory: currencies,
-    units, territories, and which language is likely where. Raises babel.UnknownLocaleError, and ValueError
-    for what is no name."""
+    """Return the locale of a name such as ``en_GB``, without what Babel keeps of two locales in 4.7 MiB:
+    currencies, units, territories, and which language is likely where. Raises babel.UnknownLocaleError, and
+    ValueError for what is no name."""
     locale = Locale.parse(name)
     _ = locale.number_symbols  # it is read here, and the locale keeps it
     data = localedata.load(str(locale))
@@ -45,28 +46,28 @@ def locale_of(name: str) -> Locale:
 
 
 def moment(at: datetime, locale: Locale) -> str:
-    """Date and time to the second."""
-    # Only here, as below, because importing it takes long, and the command line shows none.
+    """Return date and time to the second."""
+    # Imported here, as below, because it takes long, and the command line shows no dates.
     from babel.dates import format_datetime
 
     return format_datetime(at, "medium", locale=locale)
 
 
 def minute(at: datetime, locale: Locale) -> str:
-    """Date and time to the minute."""
+    """Return date and time to the minute."""
     return f"{day(at, locale)}, {at:%H:%M}"
 
 
 def day(at: datetime, locale: Locale) -> str:
-    """The date."""
+    """Return the date."""
     from babel.dates import format_date
 
     return format_date(at.date(), "medium", locale=locale)
 
 
 class Language:
-    """``path`` is its catalog, named after the locale for numbers and dates; it is read with the first
-    text that is wanted. ``time_zone``: that of the site, by its IANA name."""
+    """The texts of one language. ``path``: its catalog, named after the locale for numbers and dates, which
+    is read with the first text. ``time_zone``: that of the site, by its IANA name."""
 
     def __init__(self, path: Path, kept_in: Path | None = None, time_zone: str = UTC) -> None:
         self.locale = path.stem
@@ -79,24 +80,24 @@ class Language:
         return self.tag
 
     def t(self, text: str | Message, /, **values: object) -> str:
-        """The text in this language (in English when it is not translated), ``{names}`` filled in."""
+        """Return a text in this language, in English if it is not translated, with ``{names}`` filled in."""
         if isinstance(text, Message):
             return text.render(self)
         text = self.term(text)
         return text.format(**self._isolated(values)) if values else text
 
     def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
-        """The text for a count: ``one`` for exactly one, else ``many`` (as this language divides them);
-        ``{n}`` in it is the count."""
+        """Return the text for a count: ``one`` for exactly one, else ``many`` (as this language divides
+        them); ``{n}`` in it is the count."""
         return self.catalog.ngettext(one, many, n).format(n=n, **self._isolated(values))
 
     def term(self, text: str) -> str:
-        """A text of the catalog in this language; as it is where there is no translation."""
+        """Return a text of the catalog in this language; unchanged if there is no translation."""
         return self.catalog.gettext(text) if text else ""
 
     def time(self, text: str) -> str:
-        """A date or a time in ISO 8601 by the clock of the site; one without a zone is by that clock already.
-        What is no such time stays as it is."""
+        """Return a date or a time in ISO 8601 by the clock of the site; one without a zone is by that clock
+        already. Any other text is returned unchanged."""
         locale = locale_of(self.locale)
         try:
             at = datetime.fromisoformat(text)
@@ -109,11 +110,11 @@ class Language:
             return text
 
     def isolated(self, text: str) -> str:
-        """As it is: in mail, CSV and the API, programs compare names."""
+        """Return a name unchanged: in mail, CSV and the API, programs compare names."""
         return text
 
     def _isolated(self, values: Mapping[str, object]) -> dict[str, object]:
-        """Markup has its own isolation, by its elements."""
+        """Isolate each text; markup is isolated by its elements."""
         return {name: self.isolated(value) if type(value) is str else value for name, value in values.items()}
 
     @cached_property
@@ -122,7 +123,7 @@ class Language:
         return _OnScreen(self)
 
     def template(self, code: str, n: object) -> str | None:
-        """The text of a message, its names in braces; None: there is no such code."""
+        """Return the text of a message, its names in braces; None if there is no such code."""
         english = TEXTS.get(code)
         if isinstance(english, Plural):
             count = n if isinstance(n, int) else 0
@@ -134,12 +135,12 @@ class Language:
         _ = self.catalog
 
     def compile(self) -> None:
-        """Let the catalog be kept compiled, to be read within milliseconds with the first text."""
+        """Keep the catalog compiled, so that it is read within milliseconds with the first text."""
         compiled(self._path, self._kept_in)
 
     @cached_property
     def name(self) -> str:
-        """What the language calls itself."""
+        """The name of the language in this language."""
         return str(locale_of(self.locale).languages.get(self.tag, self.tag))
 
     @cached_property
@@ -153,8 +154,8 @@ class Language:
 
 
 FIRST_STRONG_ISOLATE, POP_DIRECTIONAL_ISOLATE = "\u2068", "\u2069"
-"""Around a text whose own letters decide its direction, as ``<bdi>`` does (Unicode Annex 9), but also in
-titles, in attributes and in what a script shows."""
+"""Characters around a text whose own letters decide its direction, as ``<bdi>`` does (Unicode Annex 9). They
+work in titles, in attributes and in what a script shows, too."""
 _FROM_RIGHT_TO_LEFT = frozenset(("R", "AL"))
 
 
@@ -166,7 +167,7 @@ class _OnScreen(Language):
         self._plain = plain
 
     def isolated(self, text: str) -> str:
-        """The text between isolates where it has such letters; no other character of it changes."""
+        """Return a text between isolates if it has such letters; no other character changes."""
         if text.isascii() or _FROM_RIGHT_TO_LEFT.isdisjoint(map(unicodedata.bidirectional, text)):
             return text
         return f"{FIRST_STRONG_ISOLATE}{text}{POP_DIRECTIONAL_ISOLATE}"
@@ -177,11 +178,11 @@ class _OnScreen(Language):
 
 
 DIGEST_BYTES = 32
-"""Of the source, before the catalog that was compiled from it."""
+"""Length of the digest of the source, which stands before the catalog compiled from it."""
 
 
 def compiled(path: Path, kept_in: Path | None) -> gettext.GNUTranslations:
-    """The catalog of a ``.po`` file. To parse one takes a tenth of a second, so what comes of it is kept in
+    """Return the catalog of a ``.po`` file. Parsing one takes a tenth of a second, so the result is kept in
     ``kept_in`` until the file changes. A folder that cannot be written costs that time and nothing else."""
     source = path.read_bytes()
     digest = hashlib.sha256(source).digest()
@@ -202,12 +203,12 @@ def compiled(path: Path, kept_in: Path | None) -> gettext.GNUTranslations:
 
 
 def _parsed(source: bytes, locale: str) -> bytes:
-    # Only here, because importing it takes as long as half a catalog.
+    # Imported here because it takes as long as half a catalog.
     from babel.messages.mofile import write_mo
     from babel.messages.pofile import read_po
 
     target = BytesIO()
-    # Of a catalog without a locale, Babel leaves the rule for plurals out.
+    # Without a locale, Babel leaves out the rule for plurals.
     write_mo(target, read_po(BytesIO(source), locale=locale))
     return target.getvalue()
 
@@ -220,7 +221,7 @@ MAX_HEADER = 400
 
 class Languages:
     """Every language that has a catalog. ``kept_in``: where catalogs stay compiled between starts.
-    ``time_zone``: as of a Language."""
+    ``time_zone``: that of the site."""
 
     def __init__(self, folder: Path = FOLDER, kept_in: Path | None = None, time_zone: str = UTC) -> None:
         self._all = {tag: _language(path, kept_in, time_zone) for tag, path in catalogs(folder).items()}
@@ -232,11 +233,11 @@ class Languages:
         return tag in self._all
 
     def __getitem__(self, tag: str) -> Language:
-        """The language, English for a tag there is no catalog for."""
+        """Return the language, or English for a tag without a catalog."""
         return self._all.get(tag) or self._all[DEFAULT]
 
     def choose(self, preferred: str, accept_language: str, otherwise: str) -> Language:
-        """The person's own choice, else the browser's (RFC 9110, 12.5.4), else the site's."""
+        """Return the person's own choice, else the browser's (RFC 9110, 12.5.4), else the site's."""
         if preferred in self._all:
             return self._all[preferred]
         for tag in _by_preference(accept_language):
@@ -246,16 +247,17 @@ class Languages:
 
 
 def catalogs(folder: Path = FOLDER) -> dict[str, Path]:
-    """Each language's tag and its catalog: ``en_GB.po`` is the catalog of ``en``."""
+    """Return the catalog of each language, by its tag: ``en_GB.po`` is the catalog of ``en``."""
     return {path.stem.split("_")[0]: path for path in sorted(folder.glob("*.po"))}
 
 
 _language = cache(Language)
-"""One for each file, so that a catalog is read once in a process."""
+"""Returns one language for each file, so that a catalog is read once in a process."""
 
 
 def _by_preference(accept_language: str) -> list[str]:
-    """``de-AT,de;q=0.9,en;q=0.8`` → ``["de-at", "de", "en"]``, each tag followed by its main part."""
+    """Return the tags of ``de-AT,de;q=0.9,en;q=0.8``, each followed by its main part: ``["de-at", "de",
+    "en"]``."""
     weighed: list[tuple[float, str]] = []
     for part in accept_language[:MAX_HEADER].split(","):
         tag, _, weight = part.strip().partition(";q=")

@@ -1,1 +1,1 @@
-"""The abnormal conditions, one row each: read by the live state, the alarms, the screen."""
+"""The abnormal conditions, one row each, which the live state, the alarms and the screen read."""

@@ -1,9 +1,4 @@
-"""The conditions of a bus. Pure.
-
-The conditions of the server, by what its services report. Pure.
-
-All abnormal conditions by code, and what tiles name by the code of its cause. Pure.
-"""
+"""The conditions of a bus and of the server, and all conditions by code. Pure."""
 
 from __future__ import annotations
 
@@ -29,7 +24,7 @@ CONTROL_IDLE_S = 120.0
 
 
 def _wire_overloaded(bus: BusFacts) -> bool | None:
-    """Longer than the cable and its units explain."""
+    """Return whether a scan takes longer than the cable and its units explain."""
     if not bus.is_readable or bus.scan_s is None:
         return None
     return bus.scan_s > SCAN_BUDGET * bus.longest_scan_s
@@ -110,32 +105,32 @@ DAY_S = 86_400.0
 CERTIFICATE_S = 30 * DAY_S
 TOKEN_S = 14 * DAY_S
 TOKEN_SHARE = 0.1
-"""Share of its life: a token for a day is no alarm from the start."""
+"""Share of the life of a token: one for a day is no alarm from the start."""
 BACKUP_S = 26 * 3600.0
-"""A day, and time for one that is large."""
+"""A day, and time for a large backup."""
 PUBLISHER_S = 300.0
-"""A restart of a database is no alarm."""
+"""Long enough that a restart of the database is no alarm."""
 IN_USE_S = 30 * DAY_S
-"""A token that no program has used for so long is not missed."""
+"""A token that no program has used for so long is no alarm."""
 
 
 def certificate_expires(ends_at: UnixTime, now: UnixTime) -> bool:
-    """Whether a certificate ends soon, or has ended."""
+    """Return whether a certificate ends soon, or has ended."""
     return ends_at - now < CERTIFICATE_S
 
 
 def token_expires(
     created_at: UnixTime, expires_at: UnixTime | None, used_at: UnixTime | None, now: UnixTime
 ) -> bool:
-    """Whether a token that is in use ends soon, or has ended."""
+    """Return whether a token that is in use ends soon, or has ended."""
     if expires_at is None or used_at is None or now - used_at > IN_USE_S:
         return False
     return expires_at - now < min(TOKEN_S, TOKEN_SHARE * (expires_at - created_at))
 
 
 def backup_is_overdue(newest: UnixTime | None, now: UnixTime, after_s: float = BACKUP_S) -> bool:
-    """Whether backups are missing; ``newest``: None where there are to be none. A time in the future is of a
-    clock that was wrong, and proves as little as one long past."""
+    """Return whether backups are missing; ``newest``: None where there are to be none. A time in the future
+    is of a clock that was wrong, and proves as little as one long past."""
     return newest is not None and abs(now - newest) > after_s
 
 
@@ -233,19 +228,19 @@ PLACES: dict[Place, tuple[Condition[Any], ...]] = {"unit": OF_UNIT, "bus": OF_BU
 CONDITIONS = {row.code: row for rows in PLACES.values() for row in rows}
 TILES = {cause: row for row in CONDITIONS.values() for cause in row.tiles}
 STATUS = {row.code: row.status for row in BY_READING if row.status is not None}
-"""The conditions that are single bits of ST1 or ST2 (manual, 81h)."""
+"""The conditions that are a single bit of ST1 or ST2 (manual, 81h)."""
 UNIT_ALARMS, BUS_ALARMS, SERVER_ALARMS = (
     tuple(row.code for row in rows if row.is_alarm) for rows in PLACES.values()
 )
 
 
 def tile_text(cause: str, **params: ParamValue) -> Message | None:
-    """What a tile names of a cause; None where that has no words in advance."""
+    """Return what a tile names of a cause; None if that has no words in advance."""
     message = Message.of(f"tile_{cause}", **params)
     return message if message.code in TEXTS else None
 
 
 def tile_check(cause: str) -> Message | None:
-    """What to check for a cause; None where only time or a decision helps."""
+    """Return what to check for a cause; None if only time or a decision helps."""
     message = Message(f"tile_{cause}_check")
     return message if message.code in TEXTS else None

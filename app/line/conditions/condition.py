@@ -1,8 +1,6 @@
-"""Priority by consequence and time to respond (EEMUA 191, 4.4; ISA-18.2-2016, clause 9).
+"""What one row states about an abnormal condition, its priority, and the facts that predicates judge. Pure.
 
-What predicates of conditions judge: facts as plain values, or what they read of the live state. Pure.
-
-What one row states about an abnormal condition. Pure.
+A priority follows from the consequence and the time to respond (EEMUA 191, 4.4; ISA-18.2-2016, clause 9).
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ AlarmPriority = Literal["urgent", "high", "medium", "low"]
 PRIORITIES: tuple[AlarmPriority, ...] = ("urgent", "high", "medium", "low")
 Consequence = Literal["minor", "major", "severe"]
 TimeToRespond = Literal["minutes", "half_hour", "shift"]
-"""Until the consequence can no longer be averted: ten minutes, thirty, or the rest of the shift."""
+"""The time until the consequence can no longer be averted: ten minutes, thirty, or the rest of the shift."""
 
 MATRIX: dict[tuple[Consequence, TimeToRespond], AlarmPriority] = {
     ("severe", "minutes"): "urgent",
@@ -39,7 +37,8 @@ MATRIX: dict[tuple[Consequence, TimeToRespond], AlarmPriority] = {
 
 
 class UnitFacts(NamedTuple):
-    """A unit by a reading. ``motion``: a MotionState; ``is_late``: a response is really overdue."""
+    """The facts about a unit by a reading. ``motion``: a MotionState; ``is_late``: a response is really
+    overdue."""
 
     bits: StatusBits
     motion: str
@@ -49,7 +48,8 @@ class UnitFacts(NamedTuple):
 
 
 class LinkFacts(NamedTuple):
-    """The link of a unit. ``is_alone``: of several units, no other has responded since it was lost."""
+    """The facts about the link of a unit. ``is_alone``: of several units, no other has responded since it was
+    lost."""
 
     bus_is_readable: bool
     is_lost: bool
@@ -58,8 +58,8 @@ class LinkFacts(NamedTuple):
 
 
 class BusFacts(NamedTuple):
-    """A bus. ``units``: how many it has; ``lost``: those that do not respond; ``unread``: those that have not
-    responded yet and still have their time; ``scan_s``: of a scan, None while it is not measured;
+    """The facts about a bus. ``units``: how many it has; ``lost``: how many do not respond; ``unread``: how
+    many have not responded yet and still have time; ``scan_s``: of a scan, None while it is not measured;
     ``longest_scan_s``: of one in which each unit takes its full turnaround."""
 
     worker_is_lost: bool
@@ -88,7 +88,7 @@ class MotionValue(Protocol):
 
 
 class UnitValues(Protocol):
-    """The live state of a unit."""
+    """What predicates read of the live state of a unit, which is above them."""
 
     @property
     def settings(self) -> UnitSettings: ...
@@ -104,7 +104,7 @@ class UnitValues(Protocol):
 
 
 class BusValues(Protocol):
-    """The live state of a bus."""
+    """What predicates read of the live state of a bus, which is above them."""
 
     @property
     def settings(self) -> BusSettings: ...
@@ -115,7 +115,7 @@ class BusValues(Protocol):
 
 
 LimitCheck = Callable[[int, int], bool]
-"""Takes a value and its full scale; whether the value passes the limits of the alarm."""
+"""Takes a value and its full scale; returns whether the value passes the limits of the alarm."""
 StatusPredicate = Callable[[StatusBits], bool]
 ReadingPredicate = Callable[[UnitFacts], bool]
 ValuePredicate = Callable[[BusValues, UnitValues, Reading, LimitCheck], bool | None]
@@ -124,18 +124,19 @@ DrawPredicate = Callable[[Draw], bool | None]
 LinkPredicate = Callable[[LinkFacts], bool | None]
 BusPredicate = Callable[[BusFacts], bool | None]
 CountPredicate = Callable[[int, int], bool]
-"""Takes how many there were in a minute, and how many of them had a fault."""
+"""Takes how many polls a minute had, and how many of them had a fault."""
 StatePredicate = Callable[[str], bool]
 
 
 def follower(unit: UnitValues) -> bool | None:
-    """Whether #8 makes the unit follow a master by a ratio; None while it was not read."""
+    """Return whether #8 makes the unit follow a master by a ratio; None while it was not read."""
     mode = unit.parameter_raw(FOLLOWER_MODE)
     return None if mode is None else is_follower(mode)
 
 
 def reads_ratio(bus: BusValues, unit: UnitValues) -> bool:
-    """Whether commanded and actual speed of a unit are ratios to its master, in the dialect of its bus."""
+    """Return whether commanded and actual speed of a unit are ratios to its master, in the dialect of its
+    bus."""
     return bus.settings.follower_speed == "ratio" and bool(follower(unit))
 
 
@@ -143,7 +144,8 @@ Predicate = TypeVar("Predicate")
 Rung = Literal["e-stop", "run", "mode", "link", "ramp"]
 """A rung of the ladder: what a unit needs to be at speed, each of which needs the one before."""
 SuppressionGroup = Literal["bus", "cable", "unit", "speed"]
-"""What the rows that ``suppress`` it hide; ``speed``: also an e-stop of the unit, and a line at rest."""
+"""What is hidden while a row that ``suppresses`` it holds; ``speed`` also by an e-stop of the unit and a line
+at rest."""
 
 AlarmGroup = Literal["drive", "communication", "parameters", "system", "own"]
 """What an alarm is about. ``drive``: what the machine does; ``communication``: units, cable, port, worker;
@@ -163,7 +165,7 @@ class Tuning:
 
     @property
     def fault(self) -> str:
-        """The code of what is wrong with its limits; empty where nothing is."""
+        """The code of what is wrong with the limits; empty if nothing is."""
         above, below = self.above_percent, self.below_percent
         if above is None:
             return ""
@@ -190,9 +192,10 @@ class Condition(Generic[Predicate]):
     """One row. Its texts are messages named after its code. ``rated``: how severe it is, and how soon a
     person has to respond; ``means``: in the documentation, after *while*.
 
-    On the ladder, ``broken`` is when its rung is, where that is more than ``holds``; ``names``: what its text
-    names; ``status``: the bit whose changes are known, also from the history; ``since``: the bits that make
-    it begin, its own by default. Raises ValueError for a row without a text."""
+    On the ladder, ``broken`` states when its rung is broken, if that is more than ``holds``; ``names``: what
+    its text names; ``status``: the bit whose changes are known, also from the history; ``since``: the bits
+    that make it begin, its own by default. Raises ValueError for a row without a text.
+    """
 
     code: str
     rated: tuple[Consequence, TimeToRespond]
@@ -202,14 +205,14 @@ class Condition(Generic[Predicate]):
     latching: bool = False
     group: SuppressionGroup | None = None
     about: AlarmGroup | None = None
-    """Where that does not follow from its place."""
+    """Set if it does not follow from the place of the condition."""
     suppresses: tuple[SuppressionGroup, ...] = ()
-    """What follows from it, on all of its bus."""
+    """What follows from it, on the complete bus."""
     is_alarm: bool = True
     """False: a person caused it, it ends within seconds, or another condition has the alarm."""
     tiles: tuple[str, ...] = ()
-    """The causes that tiles name where it holds, by their codes for programs. Named after them are two
-    messages: what the tile names and, unless only time or a decision helps, what to check."""
+    """The causes that tiles name while it holds, by their codes for programs. Two messages are named after
+    each: what the tile names and, unless only time or a decision helps, what to check."""
     event: ConditionEvent | None = None
     rung: Rung | None = None
     broken: ReadingPredicate | None = None
@@ -224,11 +227,11 @@ class Condition(Generic[Predicate]):
 
     @property
     def priority(self) -> AlarmPriority:
-        """By the matrix; the same on every surface."""
+        """The priority by the matrix; the same on every surface."""
         return MATRIX[self.rated]
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """The codes of its texts as an alarm: name, cause, consequence, response; none without an alarm."""
+        """The codes of its texts as an alarm: name, cause, consequence, response; none if it is no alarm."""
         parts = ("", "_cause", "_consequence", "_response") if self.is_alarm else ()
         return tuple(f"alarm_{self.code}{part}" for part in parts)

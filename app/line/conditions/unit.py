@@ -37,7 +37,7 @@ from bus.contract import Reading
 from bus.messages import Message, joined, term
 
 DEGRADED_SHARE = 0.05
-"""Share of polls without a valid response in a minute. An operator cannot see it, and it only gets worse."""
+"""Share of polls of a minute without a valid response. An operator cannot see it, and it only gets worse."""
 MIN_FAULTS = 3
 SETTLED = frozenset(("at_speed", "off_speed"))
 RUNNING = SETTLED | {"ramping_up", "ramping_down"}
@@ -53,12 +53,12 @@ def _ratio_out_of_limits(_: BusValues, unit: UnitValues) -> bool | None:
 
 
 def suspicion(bus: BusValues, unit: UnitValues) -> Message | None:
-    """Why the values shown for ``unit`` may be another's; None where there is no sign of it.
+    """Return why the values shown for ``unit`` may be those of another; None without a sign of it.
 
-    A response carries only the address that was requested: one that comes from a unit with a broken address
-    decoder looks like the right one. Two signs show it: the address that the responding unit reads in its own
-    #17, and that every response but its own comes twice. It warns and forbids nothing: an address changed
-    at the panel (#17) may apply from the next power-up only.
+    A response carries only the address that was requested, so one from a unit with a broken address decoder
+    looks right. Two signs show it: the address that the responding unit has in its own #17, and that every
+    response but its own comes twice. The suspicion warns and forbids nothing: an address changed at the panel
+    (#17) may apply from the next power-up only.
     """
     own = unit.parameter_raw(OWN_ADDRESS)
     if own not in (None, unit.settings.id) and _most_read_their_own_address(bus):
@@ -70,14 +70,15 @@ def suspicion(bus: BusValues, unit: UnitValues) -> Message | None:
 
 
 def _most_read_their_own_address(bus: BusValues) -> bool:
-    """Where they do not, #17 of these units has another meaning, and no address can be checked."""
+    """Return whether most units have their address in #17. If not, #17 has another meaning here, and no
+    address can be checked."""
     read = [(unit.parameter_raw(OWN_ADDRESS), unit.settings.id) for unit in bus.units.values()]
     matches = [own == address for own, address in read if own is not None]
     return 2 * sum(matches) > len(matches)
 
 
 def _deviation(bus: BusValues, unit: UnitValues, reading: Reading, passes: LimitCheck) -> bool | None:
-    """Also where the unit itself reports AT SPEED; not known while #2 is not."""
+    """Judge the deviation, also while the unit reports AT SPEED; it is not known while #2 is not."""
     if unit.motion.state not in SETTLED or reads_ratio(bus, unit):
         return False
     full_scale, deviation = unit.parameter_raw(MAX_DISPLAY), reading.deviation
@@ -85,7 +86,7 @@ def _deviation(bus: BusValues, unit: UnitValues, reading: Reading, passes: Limit
 
 
 def implausible_of(unit: UnitValues) -> Message | None:
-    """What the unit sent that the manual rules out, as bytes and raw numbers; None where there is nothing."""
+    """Return what the unit sent that the manual rules out, as bytes and raw numbers; None for nothing."""
     found = [
         _implausible_parameter(PARAMETERS[number], value.raw)
         for number, value in unit.parameters.items()
@@ -233,7 +234,7 @@ VALUE_IMPLAUSIBLE: Condition[ParameterPredicate] = Condition(
     group="unit",
     tiles=("value_implausible",),
 )
-"""Judged by each reading, too."""
+"""Judged by each reading as well."""
 
 BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
     VALUE_IMPLAUSIBLE,
@@ -264,7 +265,7 @@ BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
         group="unit",
     ),
 )
-"""Conditions that are judged by what is read or reported now and then."""
+"""Conditions that are judged when a parameter is read or a report comes."""
 
 UNIT_OFFLINE: Condition[LinkPredicate] = Condition(
     "unit_offline",
@@ -301,7 +302,7 @@ PARAMETER_DRIFT: Condition[Callable[[object], bool]] = Condition(
     means="a parameter differs from the golden set",
     tiles=("drift",),
 )
-"""Judged by whether, or in what, a unit differs."""
+"""Judged by what in a unit differs."""
 BLOCKED: Condition[Callable[[object], bool]] = Condition(
     "blocked",
     ("minor", "shift"),

@@ -1,1 +1,2 @@
-"""The live state: the newest reading of every unit, with its age, and the subscribers of its changes."""
+"""The live state: the newest reading of every unit with its age, and what pages and programs are sent of
+it."""

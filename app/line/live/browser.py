@@ -1,7 +1,7 @@
 """One open page: it gets the newest values, never a queue.
 
-What changed while the socket was busy goes together as one update, so a slow browser is always shown the
-present and costs no more than a few references: all who missed the same share what it is made of.
+What changes while its socket is busy goes together as one update. A slow browser is always shown the present,
+and costs a few references: all that missed the same share what it is made of.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ encode = msgspec.json.Encoder().encode
 
 @dataclass(eq=False)
 class Diff:
-    """What changed between the numbers ``before`` and ``after``, the same object for all of a language."""
+    """What changed between the numbers ``before`` and ``after``: one object for all pages of a language."""
 
     before: int
     after: int
@@ -39,12 +39,13 @@ class Diff:
 
     @cached_property
     def text(self) -> str:
-        """Encoded once for all browsers."""
+        """The diff in JSON, encoded once for all browsers."""
         message = {"is": "diff", "p": self.before, "n": self.after, "t": round(self.at, 3), "f": self.groups}
         return encode(message).decode()
 
     def after_all(self, earlier: Sequence[Diff]) -> Diff:
-        """This diff and the ``earlier`` ones as one; made once for all browsers that missed the same."""
+        """Return this diff and the ``earlier`` ones as one, made once for all browsers that missed the
+        same."""
         if not earlier:
             return self
         before = earlier[0].before
@@ -56,19 +57,20 @@ class Diff:
 
 @dataclass(eq=False)
 class LinesUpdate:
-    """Fields of lines that changed, the same object for all of a language that follow them."""
+    """Changed fields of lines: one object for all pages of a language that follow them."""
 
     groups: Groups
 
     @cached_property
     def text(self) -> str:
-        """Encoded once for all browsers."""
+        """The update in JSON, encoded once for all browsers."""
         return encode({"is": "lines", "f": self.groups}).decode()
 
 
 @dataclass(eq=False, slots=True)
 class Browser:
-    """What one open page wants and has not had yet. ``units``: the pages' own, for the worker's schedule."""
+    """What one open page wants and has not had yet. ``units``: the units it shows, for the worker's
+    schedule."""
 
     name: str
     role: str
@@ -76,7 +78,7 @@ class Browser:
     units: frozenset[tuple[str, int]] = frozenset()
     trace: str = ""
     lines: bool = False
-    """It shows all lines of all servers."""
+    """Whether it shows the lines of all servers."""
     _waiting: list[Diff] = field(default_factory=list)
     _snapshot: dict[str, Any] | None = None
     _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))
@@ -84,7 +86,7 @@ class Browser:
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
 
     def send_diff(self, diff: Diff) -> None:
-        """Newest wins: it goes together with what has not been sent."""
+        """Send a diff, together with what has not been sent yet."""
         if len(self._waiting) >= MAX_WAITING:
             self._waiting = [diff.after_all(self._waiting)]
         else:
@@ -92,8 +94,8 @@ class Browser:
         self._wake.set()
 
     def send(self, message: dict[str, Any]) -> None:
-        """Send a snapshot, before any diff. It replaces pending messages, and is encoded when it is sent:
-        repeated requests yield one."""
+        """Send a snapshot, before any diff. It replaces pending messages and is encoded when it is sent, so
+        that repeated requests yield one."""
         self._waiting.clear()
         self._snapshot = message
         self._wake.set()
@@ -104,7 +106,7 @@ class Browser:
         self._wake.set()
 
     def show_lines(self, update: LinesUpdate) -> None:
-        """Send what changed of the lines, with what has not been sent."""
+        """Send what changed of the lines, together with what has not been sent yet."""
         held = self._lines
         self._lines = update if held is None else LinesUpdate(merge_groups({}, held.groups, update.groups))
         self._wake.set()

@@ -1,15 +1,9 @@
-"""Fixed words of live states, in English, of which each reading shows some: `Language.term` translates a word
-20 times as fast as a message.
+"""The texts and positions that pages show of units, buses, frames and causes, and the differences between two
+states. Pure.
 
-Fields in groups, of which only those that differ go on: to pages and to ``GET /stream`` alike. Pure.
-
-One unit, one bus, one frame as the texts and positions that a browser puts on the page. Pure.
-
-A group (``bus/unit``, ``bus``, ``line``) has fields; a field is a short text, rendered here once per language
-for all browsers, or a list of typed values. Positions are fractions as text; bits are strings of ``0`` and
-``1``, of which a lamp shows one place. An empty text means: not known.
-
-A cause in the reader's language: the condition, since when, and what to check. Pure.
+A group (``bus/unit``, ``bus``, ``line_summary``) has fields. A field is a short text, rendered once per
+language for all browsers, or a list of typed values. Positions are fractions as text; bits are strings of
+``0`` and ``1``, of which a lamp shows one place. An empty text means: not known.
 """
 
 from __future__ import annotations
@@ -48,6 +42,8 @@ from bus.errors import unit_error
 from bus.instants import UnixTime
 from bus.messages import Message
 
+# English words, of which each reading shows some: `Language.term` translates a word 20 times as fast as a
+# message.
 STATE_WORDS: dict[MotionState, str] = {
     "": "not known",
     "at_speed": "at speed",
@@ -60,7 +56,7 @@ STATE_WORDS: dict[MotionState, str] = {
     "turning": "turning without run",
 }
 TURNING = "turning"
-"""Beside a cause that names the run input."""
+"""The word for a unit that turns without run, beside a cause that names the run input."""
 STOPPED_WITH_RUN = "stopped with run input on"
 MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEYLOCK"}
 STAGE_WORDS: dict[Stage, str] = {
@@ -73,14 +69,14 @@ STAGE_WORDS: dict[Stage, str] = {
 
 
 Fields = dict[str, Any]
-"""Each a text, or a list that a script of the page reads: ``setpoint`` is [raw, decimals]."""
+"""By name, a text, or a list that a script of the page reads: ``setpoint`` is [raw, decimals]."""
 Groups = dict[str, Fields]
 K = TypeVar("K")
 
 
 class FlatFields:
-    """The fields of groups by ``group.field``, as templates read them. Not a dictionary: for a long line it
-    would be a megabyte for each page that opens."""
+    """The fields of groups by ``group.field``, as templates read them. A dictionary of them would be a
+    megabyte for each page that opens a long line."""
 
     def __init__(self, groups: Groups) -> None:
         self._groups = groups
@@ -90,13 +86,13 @@ class FlatFields:
         return self._groups[group][name]
 
     def get(self, key: str, default: Any = None) -> Any:
-        """The field, or ``default`` where there is none."""
+        """Return a field, or ``default`` if there is none."""
         group, _, name = key.rpartition(".")
         return self._groups.get(group, {}).get(name, default)
 
 
 def put_fields(shown: dict[K, Fields], group: K, fields: Fields) -> dict[K, Fields]:
-    """Show ``fields`` in ``group``; return those that differ from before, and no group where none does."""
+    """Put ``fields`` into ``group`` of what is shown; return those that differ, and no group if none does."""
     before = shown.setdefault(group, {})
     changed = {name: value for name, value in fields.items() if before.get(name) != value}
     before.update(changed)
@@ -104,7 +100,7 @@ def put_fields(shown: dict[K, Fields], group: K, fields: Fields) -> dict[K, Fiel
 
 
 def merge_groups(groups: Groups, *later: Groups) -> Groups:
-    """Return ``groups``, with the fields of each that is ``later`` in the place of earlier ones."""
+    """Put the fields of ``later`` groups into ``groups``, over earlier ones; return ``groups``."""
     for each in later:
         for group, fields in each.items():
             groups.setdefault(group, {}).update(fields)
@@ -117,7 +113,7 @@ DEVIATION_WINDOWS = 3
 
 @dataclass(frozen=True, slots=True)
 class Translator:
-    """The texts of one language."""
+    """The texts and formats of one language."""
 
     language: Language
     formats: Formats
@@ -126,11 +122,11 @@ class Translator:
         return self.language.t(text, **values)
 
     def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
-        """The text for a count: ``one`` for exactly one, else ``many``; ``{n}`` in it is the count."""
+        """Return the text for a count: ``one`` for exactly one, else ``many``; ``{n}`` in it is the count."""
         return self.language.tn(one, many, n, **values)
 
     def isolated(self, text: str) -> str:
-        """A name beside other text, as it is put into a text of this language."""
+        """Return a name as it is put beside other text of this language."""
         return self.language.isolated(text)
 
 
@@ -139,13 +135,13 @@ def unit_key(bus: str, unit: int) -> str:
 
 
 def name_on_site(bus: str, name: str, buses: Collection[str]) -> str:
-    """The name of a unit on the pages of a site: where it has several buses, two may each have a unit of that
-    name, and the bus comes first."""
+    """Return the name of a unit on the pages of a site. With several buses the bus comes first, as two may
+    have a unit of that name."""
     return f"{bus} · {name}" if len(buses) > 1 else name
 
 
 def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, translator: Translator) -> Fields:
-    """What a page shows of one unit as it reads."""
+    """Return what a page shows of one unit by its reading."""
     state = unit.motion.state
     fields = {"link": link, "staged": _staged(unit, translator), "ratio": _ratio(bus, unit, translator)}
     reading = unit.reading
@@ -153,7 +149,7 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, translator: T
         return fields | _NEVER | {"state_text": translator.t(STATE_WORDS[""])}
     bits = bits_of(bus, reading)
     mode = mode_of(unit, bits)
-    # One dictionary that grows, thirty-seven times a second: | would make a new one at each step.
+    # One dictionary that grows: this runs 37 times a second, and | would make a new one at each step.
     fields |= _numbers(bus, unit, reading, translator)
     fields |= _positions(unit, reading)
     fields |= {
@@ -169,7 +165,7 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, translator: T
 
 
 def draw_fields(draw: Draw, translator: Translator) -> Fields:
-    """``draw``: as ``+5.3 %``, empty where there is none."""
+    """Return the draw as ``+5.3 %``, empty if there is none, and its state."""
     text = UNKNOWN if draw.state == "unknown" else ""
     return {
         "draw": text if draw.tenths is None else draw_text(draw.tenths, translator),
@@ -178,12 +174,12 @@ def draw_fields(draw: Draw, translator: Translator) -> Fields:
 
 
 def draw_text(tenths: int, translator: Translator) -> str:
-    """A draw in tenths of a percent, with its sign."""
+    """Return a draw in tenths of a percent as text with its sign."""
     return f"{_signed(tenths, DRAW_DECIMALS, translator)} %"
 
 
 def bus_fields(bus: BusLive, translator: Translator, now: UnixTime) -> Fields:
-    """The figures of one bus, and for how long its units' readings count as fresh."""
+    """Return the figures of one bus, and for how long the readings of its units count as fresh."""
     scan_s = scan_s_of(bus)
     cause = translator.t(bus.link.cause) if bus.link.cause is not None and bus.link.link == "closed" else ""
     fields = {
@@ -219,12 +215,12 @@ def bus_fields(bus: BusLive, translator: Translator, now: UnixTime) -> Fields:
 
 
 def scan_text(translator: Translator, scan_s: float) -> str:
-    """A scan time; unknown where it is 0 because no unit responds."""
+    """Return a scan time as text; unknown if it is 0 because no unit responds."""
     return f"{translator.formats.number(scan_s, 2)} s" if scan_s > 0 else UNKNOWN
 
 
 def health_fields(figures: UnitFigures, translator: Translator) -> Fields:
-    """How one unit responds, for its open page."""
+    """Return how one unit responds, for its open page."""
     naks = [f"{count} x {translator.t(unit_error(code))}" for code, count in sorted(figures.naks.items())]
     median, most = figures.response_s_median, figures.response_s_max
     times = ""
@@ -275,7 +271,7 @@ def _speed(raw: int | None, decimals: int | None, translator: Translator) -> str
 
 
 def _state_text(unit: UnitLive, translator: Translator) -> str:
-    """How it moves, and that its numbers may be in another scale by now."""
+    """Return how a unit moves, and that its numbers may be in another scale by now."""
     state = translator.t(STATE_WORDS[unit.motion.state])
     return f"{state} · {translator.t(Message('scale_being_read'))}" if unit.scale_is_old else state
 
@@ -287,7 +283,8 @@ def _staged(unit: UnitLive, translator: Translator) -> str:
 
 
 def _ratio(bus: BusLive, unit: UnitLive, translator: Translator) -> str:
-    """What a follower holds to its master: where its commanded speed is a speed, #37 as last read."""
+    """Return the ratio of a follower to its master: where its commanded speed is a speed, #37 as last
+    read."""
     if not follower(unit):
         return ""
     if bus.settings.follower_speed == "speed":
@@ -298,7 +295,7 @@ def _ratio(bus: BusLive, unit: UnitLive, translator: Translator) -> str:
 
 
 def _signed(raw: int, decimals: int | None, translator: Translator) -> str:
-    """Nothing too has its sign: the three are of one width in a typeface, where a space is not."""
+    """Return a number with its sign, ``±`` for 0, so that all are of one width in any typeface."""
     sign = "+" if raw > 0 else MINUS if raw < 0 else "±"
     return sign + translator.formats.fixed(abs(raw), decimals)
 
@@ -341,7 +338,8 @@ def _bits(*bits: bool) -> str:
 
 
 def frame_fields(frame: Frame, translator: Translator) -> dict[str, Any]:
-    """``at``: seconds since the epoch; ``hex``: the bytes; ``meaning``: in the language of ``translator``."""
+    """Return a frame for the trace: ``at`` in seconds since the epoch, ``hex``, its bytes, and its
+    ``meaning``."""
     return {
         "at": round(frame.at, 4),
         "direction": frame.direction,
@@ -355,7 +353,7 @@ MINUTE_S, LONG_RAMP_S = 60, 120
 
 
 class CauseTexts(NamedTuple):
-    """``text``: the condition; ``since``: its time, empty where none is known; ``line``: both in one."""
+    """The texts of a cause: the condition, ``since`` when (empty if not known), and both in one ``line``."""
 
     text: str
     since: str
@@ -363,14 +361,14 @@ class CauseTexts(NamedTuple):
 
 
 def cause_texts(cause: Cause, translator: Translator, now: UnixTime) -> CauseTexts:
-    """``Stopped: run input off``, ``since 02:22`` and ``Stopped: run input off since 02:22``."""
+    """Return ``Stopped: run input off``, ``since 02:22`` and ``Stopped: run input off since 02:22``."""
     motion, what, why = _motion(cause, translator), _what(cause, translator), _why(cause, translator)
     since = _since(cause, translator, now)
     return CauseTexts(joined(motion, what, why), since, joined(motion, f"{what} {since}".rstrip(), why))
 
 
 def _since(cause: Cause, translator: Translator, now: UnixTime) -> str:
-    """A ramp shows the time left instead."""
+    """Return since when a cause holds; nothing for a ramp, which shows the time left."""
     onset = cause.onset
     if onset is None or cause.code == "ramping":
         return ""
@@ -379,13 +377,13 @@ def _since(cause: Cause, translator: Translator, now: UnixTime) -> str:
 
 
 def check_text(cause: Cause | None, translator: Translator) -> str:
-    """What to check; empty where nothing is to be done."""
+    """Return what to check; empty if nothing is to be done."""
     check = None if cause is None else tile_check(cause.code)
     return "" if check is None else translator.t(check)
 
 
 def joined(*parts: str) -> str:
-    """Parts that explain each other as one text with a capital at its head; empty ones are left out."""
+    """Return parts that explain each other as one text with a capital at its head, without empty ones."""
     text = ": ".join(part for part in parts if part)
     return text[:1].upper() + text[1:]
 

@@ -28,7 +28,8 @@ OnsetKey = tuple[str, int, str, Onset]
 
 @dataclass(eq=False)
 class OnsetLookup:
-    """Corrects the onsets of all units. ``_changed`` is called with bus and unit when one is news."""
+    """Corrects the onsets of all units. ``_changed`` is called with bus and unit when an onset is
+    corrected."""
 
     _live: LiveState
     _words: StatusWords
@@ -46,7 +47,7 @@ class OnsetLookup:
             await self.look()
 
     async def look(self) -> None:
-        """Look up each open onset that is due, and when a unit that has not responded yet last did."""
+        """Look up each open onset that is due, and the last response of units that have not responded yet."""
         for bus_name, number in self._unread():
             try:
                 self._live.buses[bus_name].units[number].last_response = await self._last_end(

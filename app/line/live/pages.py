@@ -1,7 +1,4 @@
-"""What to do next on a bus of which no unit has responded yet. Pure.
-
-The pages that only show: the line. Texts and positions come from the hub's screen, as in the browser.
-"""
+"""The page of the line. Texts and positions come from the hub's screen, as in the browser."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ FirstStep = Literal["worker", "port", "scan"]
 
 
 def next_step(bus: BusLive) -> FirstStep | None:
-    """Return the first missing part; None once a unit responds, or where one has responded before."""
+    """Return the first missing part of a bus; None once a unit responds, or if one has responded before."""
     if any(unit.reading or unit.last_response for unit in bus.units.values()):
         return None
     if not bus.worker_connected:
@@ -55,7 +52,7 @@ YEAR_S = 365 * 24 * 3600
 
 @dataclass(frozen=True, slots=True)
 class UnitOnLine:
-    """What of a unit does not change while a page is open. ``pad``: places that align the decimals."""
+    """What does not change of a unit while a page is open. ``pad``: places that align the decimals."""
 
     key: str
     id: int
@@ -89,7 +86,8 @@ class BusOnLine:
 
 @router.get("/")
 async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Response:
-    """Every unit in floor order, the abnormal ones first; a server that has only peers shows their lines."""
+    """Show every unit in floor order, the abnormal ones first; a server that has only peers shows their
+    lines."""
     if service_of(request, PageLines).is_overview:
         return RedirectResponse(LINES.href, 303)
     hub = service_of(request, Hub)
@@ -115,7 +113,7 @@ async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Res
 
 @router.get("/bus/{bus}/first-steps")
 async def first_steps(request: Request, _: Engineer, bus: str) -> Response:
-    """What to do until the first unit of a bus responds; then the line."""
+    """Show what to do until the first unit of a bus responds; then the line."""
     guide = _first_steps(bus_or_404(service_of(request, Hub).live, bus))
     if guide["step"] is None:
         return Response(headers={"HX-Redirect": "/"})
@@ -127,12 +125,12 @@ def _first_steps(bus: BusLive) -> dict[str, Any]:
 
 
 def view_for(units: int) -> View:
-    """As generous as the number of units allows."""
+    """Return the view that is as generous as the number of units allows."""
     return "tiles" if units <= MAX_TILES else "matrix"
 
 
 def unit_on_line(bus: str, unit: UnitLive, most_decimals: int = 0) -> UnitOnLine:
-    """A unit as the templates want it."""
+    """Return a unit as the templates show it."""
     settings = unit.settings
     decimals = unit.parameter_raw(DECIMALS) or 0
     return UnitOnLine(
@@ -147,7 +145,7 @@ def unit_on_line(bus: str, unit: UnitLive, most_decimals: int = 0) -> UnitOnLine
 
 
 def digits_of(unit: UnitLive) -> int:
-    """The width of the unit's highest speed in characters, its decimal sign included."""
+    """Return the width of the highest speed of a unit in characters, its decimal sign included."""
     decimals = unit.parameter_raw(DECIMALS) or 0
     span = unit.parameter_raw(MAX_DISPLAY) or 99999
     return max(len(str(span)), decimals + 1) + (1 if decimals else 0)

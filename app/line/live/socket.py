@@ -34,12 +34,12 @@ IDLE_TIMEOUT_S = 30.0
 
 MESSAGES_A_SECOND, MAX_MESSAGES_AT_ONCE = 2.0, 10
 SNAPSHOTS_A_SECOND, MAX_SNAPSHOTS_AT_ONCE = 0.5, 3
-"""Per page. The complete state is a quarter of a megabyte for a large line."""
+"""Limits of a page. The complete state of a large line is a quarter of a megabyte."""
 
 
 class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
     """The message of a page. ``units``: the units it shows, as ``bus/unit``; ``trace``: a bus to follow, for
-    an engineer, because the frames show every value that passed; ``lines``: it shows all lines."""
+    an engineer, as the frames show every value that passed; ``lines``: whether it shows all lines."""
 
     want: Literal["", "snapshot"] = ""
     units: Annotated[list[Annotated[str, msgspec.Meta(max_length=48)]], msgspec.Meta(max_length=512)] = []
@@ -52,7 +52,8 @@ _decoder = msgspec.json.Decoder(PageMessage)
 
 @router.websocket("/live")
 async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None:
-    """One page from its opening to its end. ``language``: the page's own, so that both are the same."""
+    """Serve one page from its opening to its end. ``language``: that of the page, so that both are the
+    same."""
     hub, address = service_of(websocket, Hub), source_of(websocket.client.host if websocket.client else "")
     if not hub.admission.enter(person.account, address):
         problem = Problem(429, "too_many", Message("too_many_pages"))
@@ -66,10 +67,10 @@ async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None
 
 @router.get("/live", include_in_schema=False)
 async def no_socket(request: Request, person: Viewer, failed: bool = False) -> None:
-    """Respond to what has to be a WebSocket: a proxy has left the upgrade out of a handshake, or a page
-    without a socket tries whether the server responds at all; ``failed``: it does, and no socket opens.
+    """Respond to a request that is no WebSocket handshake: a proxy has left out the upgrade, or a page
+    without a socket asks whether the server responds at all. ``failed``: it does, and no socket opens.
 
-    Raises Problem 426, and 429 where sockets are refused for another reason.
+    Raises Problem 426, and 429 if sockets are refused for another reason.
     """
     hub, address = service_of(request, Hub), source_of(request.client.host if request.client else "")
     if not hub.admission.enter(person.account, address):
@@ -106,13 +107,13 @@ async def _write(websocket: WebSocket, browser: Browser) -> None:
 
 
 async def _send(websocket: WebSocket, texts: list[str]) -> None:
-    """Nothing keeps the texts while the page waits for its next: a snapshot is up to 250 KiB."""
+    """Send texts, and keep none while the page waits for its next: a snapshot is up to 250 KiB."""
     for text in texts:
         await websocket.send_text(text)
 
 
 async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
-    """A page that sends more than its share is read more slowly."""
+    """Read what a page sends, more slowly if it sends more than its share."""
     messages = Bucket(MESSAGES_A_SECOND, MAX_MESSAGES_AT_ONCE)
     snapshots = Bucket(SNAPSHOTS_A_SECOND, MAX_SNAPSHOTS_AT_ONCE)
     while True:
@@ -129,7 +130,7 @@ async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
 
 
 def _follow(hub: Hub, browser: Browser, text: str) -> bool:
-    """Apply a message of a page; whether it requests a snapshot too. Raises msgspec.DecodeError."""
+    """Apply a message of a page; return whether it requests a snapshot too. Raises msgspec.DecodeError."""
     message = _decoder.decode(text)
     may_trace = Role(browser.role).includes(Role.ENGINEER)
     hub.follow(browser, tuple(message.units), message.trace if may_trace else "", lines=message.lines)

@@ -1,1 +1,1 @@
-"""The present state over HTTP."""
+"""The live state over HTTP."""

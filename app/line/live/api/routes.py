@@ -1,4 +1,4 @@
-"""``GET /line``, the buses and the units: the live state."""
+"""``GET /line``, the buses, the units and ``GET /stream``: the live state over HTTP."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ SECONDS: dict[str, Any] = {
         }
     ]
 }
-"""Required in the document alone: a generated call would otherwise never return."""
+"""Required only in the document, as a generated call would otherwise never return."""
 Stream = Annotated[LineStream, service(LineStream)]
 
 
 async def _admitted(connection: HTTPConnection, person: Viewer, stream: Stream) -> AsyncIterator[None]:
-    """Until the response has ended. Raises Problem 429."""
+    """Count a reader until its response has ended. Raises Problem 429."""
     address = source_of(connection.client.host if connection.client else "")
     if not stream.admission.enter(person.account, address):
         raise Problem(429, "too_many", Message("too_many_streams")).with_headers(Retry_After="10")

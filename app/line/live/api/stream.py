@@ -1,11 +1,9 @@
-"""The newest Server-Sent Events (WHATWG HTML, 9.2) of ``GET /stream``, numbered without a gap: what a program
-missed a moment ago is still here. Pure.
+"""What ``GET /stream`` sends: changes of the line as they are reported, the same for every program.
 
-What ``GET /stream`` sends: changes of the line as they are reported, the same for every program.
-
-A change is found once, by comparing what the API shows of a unit with what it showed before; nothing is
-compared while no one reads. A program that reads too slowly, or was away for too long, gets a snapshot in
-place of what it missed: no queue grows for it.
+Each change is a Server-Sent Event (WHATWG HTML, 9.2), numbered without a gap. It is found once, by comparing
+what the API shows of a unit with what it showed before; nothing is compared while no one reads. A program
+that reads too slowly, or was away for too long, gets a snapshot in place of what it missed: no queue grows
+for it.
 """
 
 from __future__ import annotations
@@ -31,20 +29,21 @@ from bus.contract import Update
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
 
 PIECE_BYTES = 64 * 1024
-"""How much a program is given at a time."""
+"""Bytes that a program is given at a time."""
 
 _encode = msgspec.json.Encoder().encode
 
 
 class StreamEvent(NamedTuple):
-    """``bus``: None for the site."""
+    """An event as it is sent. ``bus``: None for the site."""
 
     bus: str | None
     text: bytes
 
 
 class RecentEvents:
-    """``run``: distinguishes the numbers of this server from those before it was started."""
+    """The newest events. ``run``: distinguishes the numbers of this server from those before it was
+    started."""
 
     def __init__(self, run: str, most_bytes: int) -> None:
         self._run = run
@@ -54,7 +53,7 @@ class RecentEvents:
         self.newest = 0
 
     def add(self, kind: str, bus: str | None, data: dict[str, Any]) -> None:
-        """One more; the oldest go where it would be too many."""
+        """Add an event; drop the oldest if there are too many."""
         self.newest += 1
         event = StreamEvent(bus, self.text(kind, self.newest, data))
         self._events[self.newest] = event
@@ -64,29 +63,28 @@ class RecentEvents:
             self._size -= len(oldest.text)
 
     def interrupt(self) -> None:
-        """Events were not noted for a while: no client can resume before it."""
+        """Drop all events, as none were noted for a while: no client can resume before this."""
         self._events.clear()
         self._size = 0
         self.newest += 1
 
     def text(self, kind: str, number: int, data: dict[str, Any]) -> bytes:
-        """An event as it is sent. JSON has no line break, which would end it."""
+        """Return an event as it is sent. JSON has no line break, which would end it."""
         id_ = f"{self._run}-{number}"
         return f"id: {id_}\nevent: {kind}\ndata: ".encode() + _encode(data) + b"\n\n"
 
     def number_of(self, last_event_id: str) -> int | None:
-        """The number in an id; None where it is none of this run."""
+        """Return the number in an id; None if the id is not of this run."""
         run, _, number = last_event_id.rpartition("-")
         return parse_integer(number) if run == self._run else None
 
     def has_all_after(self, number: int) -> bool:
-        """Whether every event after this number is still here."""
+        """Return whether every event after this number is still here."""
         return self.newest - len(self._events) <= number <= self.newest
 
     def after(self, number: int, bus: str | None) -> tuple[int, bytes]:
-        """Events after ``number``, which are all here, in one piece, and the number of the last of them.
-        ``bus``: only those of this bus and of the site; None: all.
-        """
+        """Return the events after ``number``, which are all here, in one piece, and the number of the last of
+        them. ``bus``: only those of this bus and of the site; None: all."""
         texts: list[bytes] = []
         size = 0
         while number < self.newest and size < PIECE_BYTES:
@@ -100,19 +98,20 @@ class RecentEvents:
 
 TICK_S = 0.1
 TICKS_OF_ALL = 10
-"""To compare a long line at once would hold up everything else for tens of milliseconds."""
+"""Ticks in which every unit is compared once: a long line at once would hold up everything else for tens of
+milliseconds."""
 HEARTBEAT_TICKS = 50
 AWAY_S = 60.0
-"""For so long after the last program has left, events are noted for its return."""
+"""How long events are noted for the return of the last program that has left."""
 PAUSE_S = 0.05
-"""From one piece to the next for one program: what comes in between goes together."""
+"""Pause between two pieces for one program: what comes in between goes together."""
 SNAPSHOT_S = 1.0
-"""A snapshot of this age serves another program: what changed since then follows it."""
+"""Age at which a snapshot still serves another program: what changed since then follows it."""
 MAX_BYTES = 4 * 1024 * 1024
-"""Of events kept: for the longest line at four readings a second some ten seconds."""
+"""Bytes of events that are kept: some ten seconds of the longest line at four readings a second."""
 MAX_OF_ACCOUNT, MAX_OF_ADDRESS = 16, 64
 RETRY = b"retry: 2000\n"
-"""Milliseconds after which a client connects again; of the first event."""
+"""Sent first: the milliseconds after which a client connects again."""
 
 
 @dataclass(eq=False, repr=False)
@@ -143,7 +142,7 @@ class LineStream:
 
     @contextmanager
     def reading(self) -> Iterator[None]:
-        """While a program reads, and for a while after, changes are noted."""
+        """Note changes while a program reads, and for a while after."""
         self._readers += 1
         if not self._is_noting:
             self._take_up()
@@ -156,9 +155,8 @@ class LineStream:
     async def pieces(
         self, bus: str | None, last_event_id: str = "", seconds: float | None = None
     ) -> AsyncIterator[bytes]:
-        """Yield all events after the one of this id, or a snapshot and all after it, for ``seconds`` or
-        until the server ends. ``bus``: only of this one and of the site.
-        """
+        """Yield all events after the one of this id, or a snapshot and all after it, for ``seconds`` or until
+        the server ends. ``bus``: only events of this bus and of the site."""
         loop = asyncio.get_running_loop()
         end = None if seconds is None else loop.time() + seconds
         yield RETRY
@@ -178,7 +176,7 @@ class LineStream:
             await asyncio.sleep(PAUSE_S)
 
     def end(self) -> None:
-        """The server ends, and so does every response."""
+        """End every response, as the server ends."""
         self._is_ending = True
         self._has_more.set()
 
@@ -194,7 +192,7 @@ class LineStream:
     # --- what changes ---------------------------------------------------------------------------------
 
     async def follow(self) -> None:
-        """Run until canceled: what has aged, and the heartbeats."""
+        """Look for what has aged and send heartbeats, until canceled."""
         ticks = 0
         while True:
             await asyncio.sleep(TICK_S)
@@ -202,7 +200,7 @@ class LineStream:
             self.tick(with_heartbeat=ticks % HEARTBEAT_TICKS == 0)
 
     def tick(self, *, with_heartbeat: bool) -> None:
-        """What has changed without a report: a response that is overdue, a block."""
+        """Note what has changed without a report: an overdue response, a block."""
         if self._is_noting and not self._readers and self.monotonic() - self._left_at > AWAY_S:
             self._is_noting, self._shown, self._snapshots = False, {}, {}
             self._recent.interrupt()
@@ -213,7 +211,7 @@ class LineStream:
             self.add("heartbeat", None, lambda: {"time": iso(self.clock())})
 
     def add(self, kind: str, bus: str | None, make: Callable[[], Any]) -> None:
-        """One more event, made where someone reads. ``bus``: None for the site."""
+        """Add an event, which is made only if someone reads. ``bus``: None for the site."""
         if self._is_noting:
             self._recent.add(kind, bus, make())
             self._wake()
@@ -246,6 +244,6 @@ class LineStream:
         if unit is None:
             return bus_fields(self._view.live.buses[bus_name])
         fields = self._view.unit(bus_name, unit, self.clock())
-        # It grows on its own, and ``read_at`` does not.
+        # The age grows without a change; ``read_at`` is there too.
         del fields["age_ms"]
         return fields

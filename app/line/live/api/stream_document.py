@@ -1,7 +1,7 @@
-"""``GET /api/v1/asyncapi.json``: the events of ``GET /stream`` as an AsyncAPI 3.0 document, made of the types
-with which the API describes the line and its alarms.
+"""``GET /api/v1/asyncapi.json``: the events of ``GET /stream`` as an AsyncAPI 3.0 document.
 
-The sockets ``/live`` and ``/feed`` are not in it: they are between the parts of one version.
+It is made of the types with which the API describes the line and its alarms. The sockets ``/live`` and
+``/feed`` are not in it, as they are between the parts of one release.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ router = APIRouter(include_in_schema=False)
 
 @dataclass(frozen=True, slots=True)
 class AlarmType:
-    """``shown``: the type of the data of an ``alarm``. Alarms know the live state, which knows no alarm."""
+    """``shown``: the type of the data of an ``alarm``. The feature of alarms adds it, as the live state knows
+    none."""
 
     shown: type
 
@@ -48,7 +49,7 @@ MEANINGS = {
     "alarm": "An alarm that has changed, as in GET /alarms.",
     "heartbeat": "Every 5 s.",
 }
-"""By the name of an event."""
+"""What an event means, by its name."""
 EXAMPLES: dict[str, Any] = {
     "change": {"bus": "dry-end", "unit": 1, "actual_raw": 12001, "actual": "1200.1"},
     "heartbeat": {"time": "2026-11-21T03:12:00.125+00:00"},
@@ -58,7 +59,7 @@ _REF = "#/components/schemas/"
 
 @router.get("/api/v1/asyncapi.json")
 async def asyncapi(request: Request, _: Viewer, alarm: Annotated[AlarmType, service(AlarmType)]) -> Response:
-    """The description of the stream."""
+    """Return the description of the stream."""
     description = await parse_apart(partial(_rendered_once, alarm))
     return description.response(request, "no-cache")
 
@@ -72,7 +73,7 @@ def _rendered_once(alarm: AlarmType) -> Asset:
 
 
 def stream_document(alarm: AlarmType) -> dict[str, Any]:
-    """The document."""
+    """Return the AsyncAPI document."""
     payloads = {"snapshot": Line, "alarm": alarm.shown, "heartbeat": Heartbeat}
     names = {name: schema_name(kind.__name__) for name, kind in payloads.items()} | {"change": "Change"}
     messages = {name: {"$ref": f"#/components/messages/{name}"} for name in MEANINGS}
@@ -147,7 +148,7 @@ def _schemas(*kinds: type) -> dict[str, Any]:
 
 
 def _part_of(schema: dict[str, Any], unit: dict[str, Any], leave_out: tuple[str, ...]) -> dict[str, Any]:
-    """Some members of an object, with the bus and unit that they are of."""
+    """Return a schema of some members of an object, with the bus and unit they belong to."""
     members = {name: each for name, each in schema["properties"].items() if name not in leave_out}
     place = {"bus": {"type": "string"}, "unit": unit}
     return {"type": "object", "required": ["bus", "unit"], "properties": members | place}

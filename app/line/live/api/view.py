@@ -1,8 +1,7 @@
-"""A unit, a bus and the line as the API shows them. Pure: time is passed in.
+"""A unit, a bus and the line as the API shows them. Pure: the time is passed in.
 
-Speeds are decimal texts in the unit's own decimals (#3), null while those are not known; a field
-that was never read is null. ``…_raw`` are the integers of the wire. ``suspect``: why another unit
-may be responding in place of this one; null without a sign of it.
+Speeds are decimal texts in the unit's own decimals (#3), null while those are not known; a field that was
+never read is null. ``…_raw`` are the integers on the wire.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ class LineView:
     english: Translator
 
     def line(self, now: UnixTime, only: str | None = None) -> Json:
-        """Every bus, or ``only`` one, with its units in floor order."""
+        """Return every bus, or ``only`` one, with its units in floor order."""
         return {
             "site": self.site,
             "time": iso(now),
@@ -86,12 +85,12 @@ class LineView:
         }
 
     def bus(self, name: str, now: UnixTime) -> Json:
-        """One bus with its units."""
+        """Return one bus with its units."""
         bus = self.live.buses[name]
         return bus_fields(bus) | {"units": [self.unit(name, unit, now) for unit in bus.units]}
 
     def unit(self, name: str, number: int, now: UnixTime) -> Json:
-        """One unit of a bus, with the age of its reading by the server's clock."""
+        """Return one unit of a bus, with the age of its reading by the server's clock."""
         bus = self.live.buses[name]
         unit = bus.units[number]
         draw = draw_of(bus, unit, now)
@@ -119,7 +118,7 @@ class LineView:
 
 
 def bus_fields(bus: BusLive) -> Json:
-    """One bus without its units."""
+    """Return one bus without its units."""
     return wire_json(bus.figures) | {
         "name": bus.settings.name,
         "port": bus.settings.port,
@@ -133,7 +132,7 @@ def bus_fields(bus: BusLive) -> Json:
 
 
 def wire_json(figures: BusFigures | None) -> Json:
-    """The measurements of the wire of a bus; None: there are none."""
+    """Return the measurements of the wire of a bus; null without figures."""
     if figures is None:
         return _NOT_MEASURED
     return {
@@ -149,7 +148,7 @@ _COUNTS = ("noise_bytes", "echoes", "updates_lost", "responds_for_all")
 
 
 def figures_json(bus: str, figures: BusFigures | None) -> Json:
-    """The figures of a bus, None where no worker measures them."""
+    """Return the figures of a bus; null if no worker measures them."""
     measured: Json = {name: getattr(figures, name, None) for name in _COUNTS} | wire_json(figures)
     units = [_statistics_json(unit) for unit in figures.units] if figures else []
     at = iso(figures.at) if figures else None
@@ -165,7 +164,7 @@ def _statistics_json(unit: UnitFigures) -> Json:
 
 
 def cause_json(cause: Cause | None, now: UnixTime, english: Translator) -> Json | None:
-    """A cause as a code with parameters, in words, and since when; None where there is none."""
+    """Return a cause as a code with parameters, in words, and since when; None without a cause."""
     if cause is None:
         return None
     why = cause.params.get("why")
@@ -184,7 +183,7 @@ def _plain(value: Any) -> Any:
 
 
 def parameter_json(unit: UnitLive, number: int) -> Json:
-    """One of the 40 as last read; ``available`` null: not read yet. A secret is masked."""
+    """Return one of the 40 parameters as last read; ``available`` null: not read yet. A secret is masked."""
     parameter = PARAMETERS[number]
     known = unit.parameters.get(number)
     raw = known.raw if known is not None else None
@@ -212,7 +211,7 @@ def parameter_json(unit: UnitLive, number: int) -> Json:
 
 
 def setpoint_text(unit: UnitLive, raw: int) -> str | None:
-    """A setpoint as the unit takes it: a ratio for a follower, else a speed; None: decimals not known."""
+    """Return a setpoint as the unit takes it, for a follower a ratio; None while decimals are not known."""
     return _speed_text(raw, setpoint_decimals(unit))
 
 
