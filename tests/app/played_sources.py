@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from app.core.web.templating import BusControl
 from app.line.live.fields import Translator
-from app.line.live.sources import Drifted, Sources
+from app.line.live.sources import BusControl, Drifted, Sources
 from bus.messages import Message
 
 

@@ -34,7 +34,7 @@ Via = Literal["session", "token", "worker", "demo", "console"]
 
 
 class Author(TypedDict):
-    """Whose an event is."""
+    """The author of an event."""
 
     who: str
     origin: Via
@@ -107,12 +107,12 @@ class Caller:
 
     @property
     def author(self) -> Author:
-        """As the author of an event: ``events.record(**person.author, …)``."""
+        """Return the caller as the author of an event: ``events.record(**person.author, …)``."""
         return {"who": self.name, "origin": self.via}
 
     @property
     def sender(self) -> str:
-        """Identifies the account, distinct from an earlier one of the same name."""
+        """Return a text that identifies the account, distinct from an earlier one of the same name."""
         return f"{self.account} {self.created_at!r}"
 
     def granted(self, role: Role) -> Person:
@@ -126,23 +126,24 @@ class Person(Caller):
 
 
 def account_of(name: str, *, token: bool) -> str:
-    """A user and a token may have the same name. No name has a space, so none can pass for another."""
+    """Return the account of a user or a token, which may have the same name. No name has a space, so none can
+    pass for another."""
     return f"{name}{_TOKEN}" if token else name
 
 
 def account_shown(account: str) -> str | Message:
-    """The account as the value of a message, in the reader's language where it is a program."""
+    """Return the account as the value of a message: a token in the reader's language."""
     name, is_token = name_of(account)
     return Message.of("account_of_token", name=name) if is_token else account
 
 
 def name_of(account: str) -> tuple[str, bool]:
-    """The name of an account, and whether it is a token."""
+    """Return the name of an account, and whether it is a token."""
     return account.removesuffix(_TOKEN), account.endswith(_TOKEN)
 
 
 def address_of(connection: HTTPConnection) -> str:
-    """The address of the client; empty where the server knows none."""
+    """Return the address of the client; empty if the server knows none."""
     return connection.client.host if connection.client else ""
 
 
@@ -204,11 +205,11 @@ def refuse_without(role: Role, person: Caller) -> None:
 
 
 async def public() -> None:
-    """For ``dependencies=[Depends(public)]``: a route without sign-in."""
+    """Declare a route that needs no sign-in: ``dependencies=[Depends(public)]``."""
 
 
 def not_signed_in() -> Problem:
-    """The refusal of a request without a user."""
+    """Return the refusal of a request without a caller."""
     problem = Problem(401, "unauthorized", Message("sign_in_needed"))
     return problem.with_headers(WWW_Authenticate="Bearer")
 
@@ -231,18 +232,19 @@ def is_encrypted(connection: HTTPConnection) -> bool:
 
 
 def cookie_name(connection: HTTPConnection, name: str) -> str:
-    """The name of a cookie under the scheme and the port of a request: one of another is not read."""
+    """Return the name of a cookie under the scheme and the port of a request; cookies of others are not
+    read."""
     port = _PORT.search(connection.headers.get("host", ""))
     return _of_scheme(connection, f"{name}_{port[1]}" if port else name)
 
 
 def cookie_of(connection: HTTPConnection, name: str) -> str:
-    """The value of a cookie; empty where there is none."""
+    """Return the value of a cookie; empty without one."""
     return connection.cookies.get(cookie_name(connection, name), "")
 
 
 def session_name(connection: HTTPConnection) -> str:
-    """The name of the cookie that has the session of a request: without a port where the session began
+    """Return the name of the cookie that has the session of a request: without a port if the session began
     before names had one."""
     name = cookie_name(connection, SESSION)
     return name if name in connection.cookies else _of_scheme(connection, SESSION)

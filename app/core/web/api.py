@@ -1,18 +1,13 @@
-"""A route of the API: repeated and unknown parameters of a request are refused, not guessed at.
+"""The routes of the API and the OpenAPI document.
 
-Where the next page of a list is, for a list that is an array and has no member for it (RFC 8288).
+Repeated and unknown parameters of a request are refused, not guessed at. The document is what FastAPI knows,
+under published names, with every parameter described, every refusal as a problem of RFC 9457, and an example
+of each request and response: requests are written, as only some members go together; a response is made of
+its schema, so that it has every member.
 
-The OpenAPI document: what FastAPI knows, under published names, every parameter described, every refusal
-as a problem of RFC 9457.
-
-The names of schemas are those of their classes: clients are generated from them. They are published, so such
-a class is not renamed; ``tests/app/openapi_names.txt`` lists them and the operations, which have the names of
-their functions.
-
-An example of each request and response of the OpenAPI document. Pure.
-
-Requests are written, as only some members go together; a response is made of its schema, so that it has every
-member.
+The names of schemas are those of their classes: clients are generated from them, so such a class is not
+renamed. ``tests/app/openapi_names.txt`` lists them and the operations, which have the names of their
+functions.
 """
 
 from __future__ import annotations
@@ -74,7 +69,7 @@ class ApiRoute(APIRoute):
         super().__init__(path, endpoint, **{**options, "responses": usual | (options.get("responses") or {})})
 
     def get_route_handler(self) -> RouteHandler:
-        """As FastAPI has it, behind the checks."""
+        """Return FastAPI's handler behind the checks."""
         handle = super().get_route_handler()
         expected = get_flat_params(self.dependant)
         known = {
@@ -121,7 +116,8 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_query(query: QueryParams, known: Mapping[str, bool]) -> None:
-    """``known``: by name whether it may be given several times. Raises Problem 422."""
+    """Raises Problem 422 for an unknown parameter, and for one given twice unless ``known`` allows it by its
+    name."""
     for name in query:
         if name not in known:
             names = {"known": ", ".join(known)} if known else {}
@@ -146,7 +142,8 @@ NEXT_PAGE: dict[int | str, dict[str, Any]] = {
 
 
 def link_next(request: Request, response: Response, before: int) -> None:
-    """Name the page of what is before an id, with the other parameters of the request."""
+    """Name the page of what is before an id in the ``Link`` header (RFC 8288), with the other parameters of
+    the request."""
     url = request.url.include_query_params(before=before)
     response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'
 
@@ -160,13 +157,13 @@ RATE_LIMIT = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """For ``responses=``: problems of these statuses."""
+    """Return ``responses=`` with problems of these statuses."""
     return {status: _response(PARTS["statuses"][str(status)]) for status in statuses}
 
 
 def limited(status: int) -> dict[int | str, dict[str, Any]]:
-    """For ``responses=`` of an operation with a limit: its headers where it succeeds (``status``) and where
-    it is refused."""
+    """Return ``responses=`` of an operation with a limit: its headers on success (``status``) and on
+    refusal."""
     return {
         status: {"headers": _header_references(*RATE_LIMIT)},
         429: {
@@ -181,7 +178,7 @@ def _header_references(*names: str) -> dict[str, Any]:
 
 
 def usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[str, Any]]:
-    """For every operation of the API, by its path and methods."""
+    """Return the problems that any operation of the API may have, by its path and methods."""
     statuses = {401, 403, 422, 503}
     statuses |= {404} if "{" in path else set()
     statuses |= {409} if set(methods) - {"GET", "HEAD"} else set()
@@ -195,7 +192,8 @@ def usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[st
 
 
 def problem_schemas(schemas: Mapping[str, Any]) -> dict[str, Any]:
-    """The schemas of a problem. Where a command was sent, its result's members are in the problem too."""
+    """Return the schemas of a problem, which also has the members of a command's result where one was
+    sent."""
     result, own = schemas["CommandResult"]["properties"], PARTS["schemas"]
     problem = {**own["Problem"], "properties": {**result, **own["Problem"]["properties"]}}
     return {**own, "Problem": problem, "ProblemCode": {**own["ProblemCode"], "enum": sorted(CODES)}}
@@ -212,13 +210,13 @@ router = APIRouter(include_in_schema=False)
 
 @router.get("/api/v1/openapi.json")
 async def openapi(request: Request, _: Viewer) -> Response:
-    """The description of every call."""
+    """Send the OpenAPI document."""
     description = await parse_apart(partial(rendered_once, request.app))
     return description.response(request, "no-cache")
 
 
 def rendered_once(app: FastAPI) -> Asset:
-    """The document as it is sent; to make it takes a second, to compress it tens of milliseconds."""
+    """Return the document as it is sent. Making it takes a second, compressing it tens of milliseconds."""
     known: Asset | None = getattr(app.state, "description", None)
     if known is None:
         text = json.dumps(openapi_document(app), ensure_ascii=False, separators=(",", ":"))
@@ -228,7 +226,7 @@ def rendered_once(app: FastAPI) -> Asset:
 
 
 def openapi_document(app: Any) -> dict[str, Any]:
-    """The document of an app. Raises ValueError where two schemas would have one name."""
+    """Return the document of an app. Raises ValueError where two schemas would have one name."""
     document = with_published_names(
         get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
     )
@@ -266,13 +264,14 @@ _REF = "#/components/schemas/"
 
 
 def schema_name(model: str) -> str:
-    """The name of the class, without the ending that it has where a class of the domain has that name:
-    ``AlarmShown`` → ``Alarm``, ``CommandRequestBody`` → ``CommandRequest``."""
+    """Return the published name of a class, without the ending that distinguishes it from a class of the
+    domain: ``AlarmShown`` → ``Alarm``, ``CommandRequestBody`` → ``CommandRequest``."""
     return model.removesuffix("Shown").removesuffix("Body")
 
 
 def with_published_names(document: dict[str, Any]) -> dict[str, Any]:
-    """The document with every schema under its published name. Raises ValueError where two would have one."""
+    """Return the document with every schema under its published name. Raises ValueError where two would have
+    one."""
     schemas = document["components"]["schemas"]
     named = {schema_name(name): schema for name, schema in schemas.items()}
     if len(named) < len(schemas):
@@ -283,7 +282,7 @@ def with_published_names(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _portable(schema: dict[str, Any]) -> dict[str, Any]:
-    """The schema of a dictionary with a pattern for its keys, in the form that generators understand."""
+    """Return the schema of a dictionary whose keys have a pattern in the form that generators understand."""
     patterns = schema.get("patternProperties", {})
     if len(patterns) != 1:
         return schema
@@ -338,7 +337,7 @@ def _operations(document: Schema) -> Iterator[dict[str, Any]]:
 
 
 def example_of(schema: Schema, schemas: Schema, name: str = "") -> Any:
-    """A value of the schema; of a member of this name."""
+    """Return a value of the schema; ``name``: of the member that it is for."""
     match schema:
         case {"examples": [example, *_]}:
             return example

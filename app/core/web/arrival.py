@@ -29,7 +29,7 @@ SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 
 
 def made_at(connection: HTTPConnection) -> Monotonic:
-    """When this request was made; of one that only reads, when it arrived.
+    """Return when this request was made; of one that only reads, when it arrived.
 
     Raises Problem 422 where the ``Lineside-Sent-At`` of a write cannot be.
     """
@@ -55,7 +55,7 @@ def _only_reads(connection: HTTPConnection) -> bool:
 
 
 def _program_sent_at(connection: HTTPConnection) -> UnixTime | None:
-    """Seconds since the epoch."""
+    """Return when a program says it sent the request, Unix time in seconds. Raises Problem 422."""
     given = connection.headers.getlist(SENT_AT)
     if not given:
         return None
@@ -77,7 +77,8 @@ def _moment(text: str) -> UnixTime | None:
 
 
 def _page_requested_at(connection: HTTPConnection) -> UnixTime | None:
-    """Seconds since the epoch by the server's clock, as sent to the page; None without one."""
+    """Return when the person clicked, Unix time in seconds by the server's clock, which the page knows; None
+    if it does not say."""
     headers, query = connection.headers, connection.query_params
     given = [headers.get(name) for name in _CLICKED_AT] + [query.get(name) for name in _CLICKED_AT_IN_QUERY]
     value = next((each for each in given if each), "")
@@ -100,12 +101,12 @@ class Deadline:
 
     @classmethod
     def within(cls, timeout_s: float) -> Deadline:
-        """The deadline of a command that is made now."""
+        """Return the deadline of a command that is made now."""
         return cls(monotonic_now(), timeout_s)
 
     @property
     def left_s(self) -> float:
-        """Seconds until then; negative once it has passed."""
+        """Return the seconds until the deadline; negative once it has passed."""
         return self.made_at + self.timeout_s - monotonic_now()
 
     def refuse_passed(self, now: Monotonic | None = None) -> None:

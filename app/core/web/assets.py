@@ -36,7 +36,7 @@ _TEXT = ("text/", "application/javascript", "application/json", "application/man
 
 
 def _folder(name: str) -> Path:
-    """In a wheel the files lie inside the package, in a checkout at its root."""
+    """Return a folder of the project: inside the package in a wheel, at its root in a checkout."""
     packed = _PACKED / name
     return packed if packed.is_dir() else _ROOT / name
 
@@ -54,12 +54,13 @@ def docs_dir() -> Path:
 
 
 def _beside(name: str, path: str) -> str:
-    """The name of a file that another one names by its own place."""
+    """Return the name of a file that another file names by its own place."""
     return posixpath.normpath(posixpath.join(posixpath.dirname(name), path))
 
 
 def _without_comments(name: str, body: bytes) -> bytes:
-    """The lines of a module keep their numbers. Third-party files keep the comments with their licenses."""
+    """Return a file without comments. The lines of a module keep their numbers; third-party files keep the
+    comments with their licenses."""
     if name.startswith("vendor/"):
         return body
     if name.endswith(".css"):
@@ -95,7 +96,8 @@ class Asset:
         return is_packed
 
     def response(self, request: Request, cache_control: str) -> Response:
-        """Gzipped for a client that takes it; without content for one that has it already."""
+        """Send the file, gzipped for a client that takes it, and without content to one that has it
+        already."""
         # Weak: the same content may be sent in two encodings (RFC 9110, 8.8.1).
         headers = {"Cache-Control": cache_control, "Vary": "Accept-Encoding", "ETag": f"W/{self.tag}"}
         if self.tag in request.headers.get("if-none-match", ""):
@@ -125,7 +127,7 @@ class Assets:
         return digest.hexdigest()[:12]
 
     def url(self, name: str) -> str:
-        """The address of a file, for example ``asset("css/lineside.css")``."""
+        """Return the address of a file, for example ``asset("css/lineside.css")``."""
         return f"/static/{self.version}/{name}"
 
     def get(self, name: str) -> Asset:
@@ -138,16 +140,16 @@ class Assets:
         return self._loaded[name]
 
     def _read(self, name: str) -> bytes:
-        """A stylesheet with what it imports in the place of each import: a request for every part would keep
-        the first page waiting. Without comments, which are a quarter of what a first visit loads."""
+        """Read a file without comments, which are a quarter of what a first visit loads; a stylesheet with
+        what it imports, as a request for every part would keep the first page waiting."""
         body = _without_comments(name, self._files[name].read_bytes())
         if not name.endswith(".css"):
             return body
         return _STYLES_IMPORT.sub(lambda found: self._read(_beside(name, found[1].decode())), body)
 
     def imports(self, module: str) -> list[str]:
-        """The addresses of every module that one needs before it runs, for a page to request them all at once
-        and not for one after the other. What it imports later, by a call, is left out. Raises Problem 404."""
+        """Return the addresses of every module that one needs before it runs, for a page to request all at
+        once. What it imports later, by a call, is left out. Raises Problem 404."""
         if module not in self._imports:
             needed: dict[str, None] = {}
             self._add_imports(module, needed)
@@ -166,5 +168,5 @@ class Assets:
         return iter(self._files)
 
     def pack(self, name: str) -> None:
-        """What the first request of a file would wait for. Raises Problem 404."""
+        """Compress a file before its first request. Raises Problem 404."""
         self.get(name).pack()

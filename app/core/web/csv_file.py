@@ -1,6 +1,5 @@
 """CSV (RFC 4180) in two forms, for programs and for the spreadsheet of a reader. Every download of CSV is
-written here.
-"""
+written here."""
 
 from __future__ import annotations
 
@@ -63,13 +62,13 @@ class CsvForm:
         return ";" if self.decimal_sign == "," else ","
 
     def head(self, columns: Sequence[Column]) -> str:
-        """The beginning of a file, with its line of headings."""
+        """Return the beginning of a file, with its line of headings."""
         if self.language is None:
             return self._text([[guarded(column.name) for column in columns]])
         return BYTE_ORDER_MARK + self._text([list(self._headings(columns, self.language))])
 
     def rows(self, columns: Sequence[Column], rows: Iterable[Sequence[Cell]]) -> str:
-        """Lines of the file."""
+        """Return lines of the file."""
         return self._text(self._cells(columns, row) for row in rows)
 
     def _headings(self, columns: Sequence[Column], language: Language) -> Iterator[str]:
@@ -113,12 +112,12 @@ class CsvForm:
 
 
 def guarded(text: str) -> str:
-    """Text that a spreadsheet would take for a formula is kept text (OWASP, CSV injection)."""
+    """Return text that a spreadsheet would take for a formula marked as text (OWASP, CSV injection)."""
     return text if _NUMBER.fullmatch(text) else _FORMULA.sub("'", text)
 
 
 def number_or_text(text: str | None) -> Cell:
-    """Text as a number where it is one."""
+    """Return text as a number if it is one."""
     return Number(text) if text is not None and _PLAIN_NUMBER.fullmatch(text) else text
 
 
@@ -129,7 +128,7 @@ async def wanted_form(
     request: Request,
     form: Annotated[Literal["data", "reader"], Query()] = "data",
 ) -> CsvForm:
-    """The form that a request names: ``reader`` is for the spreadsheet of the one who downloads."""
+    """Return the form that a request names: ``reader`` is for the spreadsheet of whoever downloads it."""
     templates = templates_of(request)
     if form == "data":
         return FOR_PROGRAMS
@@ -137,7 +136,8 @@ async def wanted_form(
 
 
 def reader_form(language: Language, zone: str) -> CsvForm:
-    """Separator, decimal sign, headings and times as the spreadsheet of a reader takes them."""
+    """Return the form with the separator, decimal sign, headings and times that the spreadsheet of a reader
+    expects."""
     return CsvForm(language, ZoneInfo(zone), language.point)
 
 

@@ -22,7 +22,7 @@ MINUS = "\N{MINUS SIGN}"
 
 
 def lasting(seconds: float) -> str:
-    """Hours, minutes and seconds, such as 7:05:00, in every language."""
+    """Format a duration in hours, minutes and seconds, such as 7:05:00, the same in every language."""
     all_minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(all_minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}"
@@ -37,53 +37,54 @@ class Formats:
         self._zone = ZoneInfo(time_zone)
 
     def point(self, text: str) -> str:
-        """A number written with a point, with this locale's sign instead."""
+        """Replace the point of a number by this locale's decimal sign."""
         return text.replace(".", self.decimal_sign)
 
     def typed_number(self, text: str) -> str:
-        """User input, with a point where it is a number in this locale's format."""
+        """Return user input, with a point if it is a number in this locale's format."""
         number = re.fullmatch(rf"\s*(-?\d+){re.escape(self.decimal_sign)}(\d+)\s*", text)
         return f"{number[1]}.{number[2]}" if number else text
 
     def fixed(self, raw: int | None, decimals: int | None) -> str:
-        """An integer of display units with implied decimals: (12345, 1) → ``1234.5``; no grouping."""
+        """Format an integer of display units with implied decimals: (12345, 1) → ``1234.5``; no grouping."""
         if raw is None:
             return UNKNOWN
         return self.point(f"{Decimal(raw).scaleb(-(decimals or 0)):f}")
 
     def number(self, value: float | Decimal | None, digits: int = 0) -> str:
-        """A measured value with a fixed count of digits after the sign."""
+        """Format a measured value with a fixed number of decimals."""
         return UNKNOWN if value is None else self.point(f"{value:.{digits}f}").replace("-", MINUS)
 
     def local(self, at: UnixTime | datetime) -> datetime:
-        """An instant (seconds since the epoch, or aware) at the site."""
+        """Return an instant (seconds since the epoch, or aware) in the time zone of the site."""
         if isinstance(at, datetime):
             return at.astimezone(self._zone)
         return datetime.fromtimestamp(float(at), self._zone)
 
     def moment(self, at: UnixTime | datetime | None) -> str:
-        """Date and time to the second."""
+        """Format date and time to the second."""
         if at is None:
             return UNKNOWN
         return moment(self.local(at), self.locale)
 
     def minute(self, at: UnixTime | datetime) -> str:
-        """Date and time to the minute."""
+        """Format date and time to the minute."""
         return minute(self.local(at), self.locale)
 
     def hours(self, start: UnixTime | datetime, end: UnixTime | datetime) -> str:
-        """A span of less than a day: its date and the time of day to the minute at each end."""
+        """Format a span of less than a day: its date, and the time of day to the minute at each end."""
         return f"{self.minute(start)}\N{EN DASH}{self.local(end):%H:%M}"
 
     def day(self, at: UnixTime | datetime) -> str:
         return day(self.local(at), self.locale)
 
     def clock(self, at: UnixTime | datetime) -> str:
-        """The time of day to the second."""
+        """Format the time of day to the second."""
         return format_time(self.local(at).time(), "medium", locale=self.locale)
 
     def since(self, at: UnixTime, now: UnixTime) -> str:
-        """The time of day to the minute, with its date where that was neither today nor half a day ago."""
+        """Format the time of day to the minute, with the date unless it was today or less than half a day
+        ago."""
         then, today = self.local(at), self.local(now)
         clock = f"{then:%H:%M}"
         if then.date() == today.date() or 0 <= now - at < HALF_DAY_S:
@@ -92,14 +93,14 @@ class Formats:
         return f"{day}, {clock}"
 
     def lasting(self, seconds: float | None) -> str:
-        """A duration as :func:`lasting`."""
+        """Format a duration as :func:`lasting` does."""
         return UNKNOWN if seconds is None else lasting(seconds)
 
     def span(self, start: UnixTime | datetime, end: UnixTime | datetime) -> str:
-        """Two moments to the minute, with the date of the second where it is another or a day later."""
+        """Format two moments to the minute, the second with its date if they are a day or more apart."""
         is_short = (self.local(end) - self.local(start)).total_seconds() < 2 * HALF_DAY_S
         return self.hours(start, end) if is_short else f"{self.minute(start)} \N{EN DASH} {self.minute(end)}"
 
     def iso(self, at: UnixTime | datetime) -> str:
-        """ISO 8601 with zone, for ``<time datetime>``."""
+        """Format an instant for ``<time datetime>``: ISO 8601 with its zone."""
         return self.local(at).isoformat(timespec="milliseconds")

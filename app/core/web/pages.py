@@ -26,7 +26,7 @@ FOREVER = "public, max-age=31536000, immutable"
 
 @router.get("/static/{version}/{name:path}")
 async def static_file(request: Request, version: str, name: str) -> Response:
-    """A file under the address that names its version; under another version it is not kept."""
+    """Send a file under the address that names its version; under another version it is not cached."""
     assets = service_of(request, Assets)
     return assets.get(name).response(request, FOREVER if version == assets.version else "no-cache")
 
@@ -39,7 +39,7 @@ async def health() -> dict[str, str]:
 
 @router.get("/manifest.webmanifest")
 async def manifest(request: Request) -> Response:
-    """The app's name, colors and icons; another name and icon where no drive is connected."""
+    """Send the app's name, colors and icons; another name and icon if no drive is connected."""
     assets, templates = service_of(request, Assets), templates_of(request)
     name, unreal = templates.site.name, templates.is_unreal
     icon = "icons/lineside-unreal" if unreal else "icons/lineside"
@@ -64,7 +64,7 @@ async def manifest(request: Request) -> Response:
 
 @router.get("/sw.js")
 async def service_worker(request: Request) -> Response:
-    """The service worker, for the site; it changes with the assets."""
+    """Send the service worker of the site; it changes with the assets."""
     assets = service_of(request, Assets)
     kept = json.dumps([assets.url(name) for name in KEPT])
     head = f"const OFFLINE = {json.dumps(OFFLINE)};\nconst KEPT = {kept};\n"
@@ -74,12 +74,12 @@ async def service_worker(request: Request) -> Response:
 
 @router.get(OFFLINE)
 async def offline(request: Request) -> Response:
-    """What a device shows that reaches no server: that it does not."""
+    """Send the page that a device shows while it reaches no server."""
     return render(request, "web/offline.html")
 
 
 @router.get("/favicon.ico")
 async def favicon(request: Request) -> Response:
-    """For browsers that request it without reading the page."""
+    """Redirect browsers that request the icon without reading the page."""
     icon = "icons/lineside-unreal.svg" if templates_of(request).is_unreal else "icons/lineside.svg"
     return RedirectResponse(service_of(request, Assets).url(icon))

@@ -1,4 +1,4 @@
-"""Every refusal and failure as RFC 9457 for programs and as a page or fragment for people."""
+"""Turns every refusal and failure into RFC 9457 for programs, and into a page or fragment for people."""
 
 from __future__ import annotations
 
@@ -58,7 +58,8 @@ def is_fragment(connection: HTTPConnection) -> bool:
 
 
 class _ProblemResponse(JSONResponse):
-    """A key of a JSON body may hold half a surrogate pair, which UTF-8 cannot encode."""
+    """A problem whose body may hold half a surrogate pair, as a key of a request may, which UTF-8 cannot
+    encode."""
 
     media_type = "application/problem+json"
 
@@ -68,7 +69,7 @@ class _ProblemResponse(JSONResponse):
 
 
 def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
-    """The problem as ``application/problem+json``; ``detail`` replaces its English text."""
+    """Return the problem as ``application/problem+json``; ``detail`` replaces its English text."""
     reason = reason_shown(problem.message)
     # A value that is a member of the problem is stated there alone.
     params = {name: value for name, value in reason["params"].items() if name not in problem.extra}
@@ -94,7 +95,7 @@ async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
 
 
 def respond(request: HTTPConnection, problem: Problem) -> Response:
-    """The problem in the form that the client can read."""
+    """Return the problem in the form that the client can read."""
     # Of a read alone: clients such as urllib3 repeat a PUT on their own where a 503 has a time, and a
     # command is never sent late.
     if problem.status == 503 and request.scope.get("method") in ("GET", "HEAD"):
@@ -109,7 +110,7 @@ def respond(request: HTTPConnection, problem: Problem) -> Response:
 
 
 def _page_left(request: HTTPConnection) -> str:
-    """The path of the page whose form was sent; empty where the browser does not name it."""
+    """Return the path of the page whose form was sent; empty if the browser does not name it."""
     page = urlsplit(request.headers.get("referer", ""))
     # Browsers take two slashes for another host.
     path = f"/{page.path.lstrip('/')}" if page.scheme in ("http", "https") else ""
@@ -117,8 +118,8 @@ def _page_left(request: HTTPConnection) -> str:
 
 
 def _detail(request: HTTPConnection, problem: Problem) -> str:
-    """A page that calls the API shows the text to a person, in that person's language; a program with a
-    token gets it in English."""
+    """Return the text of a problem: English for a program with a token, in the reader's language for a page
+    that calls the API."""
     person = caller_of(request)
     if person is None or person.via != "session":
         return problem.detail
@@ -126,7 +127,7 @@ def _detail(request: HTTPConnection, problem: Problem) -> str:
 
 
 def too_many_requests() -> Problem:
-    """The refusal of a request where too many of its account or address wait for their turn."""
+    """Return the refusal of a request while too many of its account or address wait for their turn."""
     return Problem(429, "too_many", Message("too_many_requests")).with_headers(Retry_After=str(RETRY_AFTER_S))
 
 
@@ -135,7 +136,8 @@ def _place(location: Sequence[int | str]) -> str:
 
 
 def invalid(errors: Sequence[Any]) -> Problem:
-    """Malformed input, each fault named; its place may be a key of the request. Nothing was done."""
+    """Return the refusal of malformed input, which names each fault; its place may be a key of the
+    request."""
     if any(error["type"] == "json_invalid" for error in errors):
         return Problem(422, "invalid", Message("body_not_json"))
     found = [(_place(error["loc"]), fault_message(error)) for error in errors[:MAX_FAULTS]]
@@ -145,14 +147,15 @@ def invalid(errors: Sequence[Any]) -> Problem:
 
 
 def _methods(request: HTTPConnection) -> list[str]:
-    """All that the path takes: the router names only those of the first route that it finds there."""
+    """Return all methods that the path takes: the router names only those of the first route that it
+    finds."""
     routes = [route for route in request.app.routes if route.matches(request.scope)[0] is not Match.NONE]
     methods = {method for route in routes for method in getattr(route, "methods", None) or ()}
     return sorted(methods | ({"HEAD"} if "GET" in methods else set()))
 
 
 def is_below_a_path(connection: HTTPConnection) -> bool:
-    """Whether the path is none of ours, and is one without its first part: a proxy serves us below a path."""
+    """Whether the path is none of ours, but is one without its first part: a proxy serves us below a path."""
     scope, routes = connection.scope, connection.scope["app"].routes
     tail = scope["path"][1:].partition("/")
     candidates = ({**scope, "path": f"/{tail[2]}"}, scope)
@@ -161,7 +164,7 @@ def is_below_a_path(connection: HTTPConnection) -> bool:
 
 
 def _of_http(request: HTTPConnection, error: HTTPException) -> Problem:
-    """What Starlette and FastAPI refuse."""
+    """Return what Starlette and FastAPI refuse as a problem."""
     path = request.url.path
     match error.status_code:
         case _ if isinstance(error.__cause__, Problem):

@@ -1,14 +1,10 @@
-"""Refuses requests before the app sees them: of foreign pages, under other host names, with ambiguous
-headers.
+"""The rules that every request must meet before the app reads it: headers, host, origin and length.
 
-A request that changes something, and every WebSocket handshake, must come from our own pages when a browser
-sends it: browsers name the page's origin in ``Origin``. One without ``Origin`` is not from a browser's
-foreign page (all of them send it with such requests), so scripts need not invent one.
-
-``Origin`` alone does not protect a server that responds under every name: a page whose name is given our
-address afterwards (DNS rebinding) is of one origin with us for the browser.
-
-Rules of a request, checked before anything reads it; large input is parsed beside the event loop.
+A request that changes something, and every WebSocket handshake, must come from our own pages if a browser
+sends it: browsers name the page's origin in ``Origin``. A request without ``Origin`` is not from a browser's
+foreign page, as all browsers send it with such requests, so scripts need not invent one. ``Origin`` alone
+does not protect a server that responds under every name: a page whose name is given our address afterwards
+(DNS rebinding) is of one origin with us for the browser.
 
 The bounds also keep out what the libraries below handle in more than linear time.
 """
@@ -54,14 +50,14 @@ def same_origin(origin: str, host: str) -> bool:
 
 
 def foreign_problem(scope: Scope) -> Problem | None:
-    """The refusal of what a foreign page makes a browser send."""
+    """Return the refusal of a request that a foreign page makes a browser send; None for any other."""
     if not _is_foreign(scope):
         return None
     return Problem(403, "foreign_origin", _foreign_message(Headers(scope=scope)))
 
 
 def _foreign_message(headers: Headers) -> Message:
-    """Names the header that a proxy has to pass for its page to be ours."""
+    """Return the reason, which names the header that a proxy has to pass for its page to be ours."""
     origin, host = headers.get("origin", "another site"), headers.get("host", "")
     forwarded = headers.get("x-forwarded-host", "")
     if "://" not in origin:
@@ -100,8 +96,8 @@ ONCE = ("host", "authorization", "content-type", "content-encoding", "transfer-e
 
 
 def header_problem(scope: Scope) -> Problem | None:
-    """The refusal of a header given twice, a missing Host, a path below which a proxy serves us, or a coding
-    of the body that is not decoded."""
+    """Return the refusal of a header given twice, a missing Host, a path below which a proxy serves us, or a
+    coding of the body that is not decoded."""
     headers = Headers(scope=scope)
     for name in ONCE:
         if len(headers.getlist(name)) > 1:
@@ -118,7 +114,7 @@ def header_problem(scope: Scope) -> Problem | None:
 
 
 def _unknown_coding(name: str, status: int) -> Problem:
-    """RFC 9112, 6.1 and RFC 9110, 15.5.16."""
+    """Return the refusal of a coding (RFC 9112, 6.1 and RFC 9110, 15.5.16)."""
     return Problem(status, "unsupported_type", Message.of("coding_unknown", name=name))
 
 
@@ -128,7 +124,7 @@ OPEN_PATH = "/healthz"
 
 
 def host_problem(scope: Scope, allowed: Collection[str]) -> Problem | None:
-    """The refusal, 421, under any name but these; an empty list allows all."""
+    """Return the refusal, 421, of a request under any name but the allowed ones; an empty list allows all."""
     if not allowed or scope["path"] == OPEN_PATH:
         return None
     host = host_name(Headers(scope=scope).get("host", ""))
@@ -138,7 +134,7 @@ def host_problem(scope: Scope, allowed: Collection[str]) -> Problem | None:
 
 
 def host_name(text: str) -> str:
-    """The name in a Host header, without port, in lower case; empty for an invalid one."""
+    """Return the name in a Host header, without port, in lower case; empty for an invalid one."""
     try:
         return canonical((urlsplit(f"//{text}").hostname or "").rstrip("."))
     except ValueError:
@@ -146,7 +142,8 @@ def host_name(text: str) -> str:
 
 
 def _is_local(scope: Scope, host: str) -> bool:
-    """From this machine, under its address: the bus workers of ``serve`` do so."""
+    """Whether a request comes from this machine, under its address, as those of the bus workers of ``serve``
+    do."""
     client = (scope.get("client") or ("", 0))[0]
     server = canonical((scope.get("server") or ("", 0))[0])
     return client in (*LOOPBACK, server) and host in (*LOOPBACK, server)
@@ -231,7 +228,7 @@ _THREAD = ThreadPoolExecutor(1, thread_name_prefix="parsing")
 
 
 async def parse_apart(parse: Callable[[], T]) -> T:
-    """What ``parse`` returns or raises; it runs after all that was given before."""
+    """Run ``parse`` in the thread for large input, one after the other, and return its result."""
     return await asyncio.get_running_loop().run_in_executor(_THREAD, parse)
 
 

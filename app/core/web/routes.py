@@ -1,15 +1,8 @@
-"""The rules for every route: it declares a role or is public, the role is checked before a byte of the body
-is read, and GET also responds to HEAD.
+"""What stands before every route: its grant, the bound of its body, and its turn.
 
-Turns at what costs much: an account has few at a time, and its others wait while other people's go on.
-
-Requests without a person: few at a time of each address, so that a flood of them delays itself.
-
-The rest of a limit, as response headers.
-
-The three fields are those of the IETF draft "RateLimit header fields for HTTP" up to its version 6, which
-clients and gateways read. Its later versions have one structured field, which few read, and are not yet an
-RFC.
+Every route declares a role or is public; the app does not start otherwise. What costs much has turns: an
+account has few at a time, and while its other requests wait, those of other people go on. Requests without a
+caller have turns by address, so that a flood of them delays itself.
 """
 
 from __future__ import annotations
@@ -24,7 +17,6 @@ from fastapi import Depends, FastAPI
 from fastapi.routing import APIRoute, RouteContext, iter_route_contexts
 from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from starlette.types import Message as AsgiMessage
 
 from app.core.server.addresses import source_of
 from app.core.server.turns import FairQueue, TooManyWaitingError
@@ -61,7 +53,8 @@ def _calls(dependant: Any) -> Iterator[Any]:
 
 
 def required(app: FastAPI) -> Iterator[tuple[RouteContext, list[Any]]]:
-    """Each route with what it declares: its `Requires`, or that it is `public`; an empty list: nothing."""
+    """Yield each route with what it declares: its `Requires`, or that it is `public`; nothing if it declares
+    none."""
     for route in iter_route_contexts(app.routes):
         dependant = getattr(route, "dependant", None)
         calls = _calls(dependant) if dependant is not None else ()
@@ -69,7 +62,8 @@ def required(app: FastAPI) -> Iterator[tuple[RouteContext, list[Any]]]:
 
 
 def demands(app: FastAPI) -> list[tuple[RouteContext, set[Role | None]]]:
-    """The roles that each route requires; ``None``: public, an empty set: none declared."""
+    """Return the roles that each route requires; ``None`` stands for public, an empty set for none
+    declared."""
     return [(route, {getattr(each, "role", None) for each in calls}) for route, calls in required(app)]
 
 
@@ -174,9 +168,9 @@ without the rest it would wait for another page each time."""
 
 
 class AnonymousLimiter:
-    """Serves a request without a person in its turn, and only once its body has arrived.
+    """Serves a request without a caller in its turn, and only once its body has arrived.
 
-    Otherwise a burst of them would be begun in one iteration of the event loop, before everyone else's.
+    Otherwise a burst of them would begin in one iteration of the event loop, before everyone else's requests.
     ``exempt``: paths that cost the loop next to nothing, or have other turns.
     """
 
@@ -215,10 +209,10 @@ class AnonymousLimiter:
 
 
 def _replaying(body: bytes, receive: Receive) -> Receive:
-    """``receive`` after the body was taken from it."""
-    begun: list[AsgiMessage] = [{"type": "http.request", "body": body, "more_body": False}]
+    """Return a ``receive`` that gives a body that was already read."""
+    begun: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
 
-    async def replaying() -> AsgiMessage:
+    async def replaying() -> Message:
         return begun.pop() if begun else await receive()
 
     return replaying
@@ -226,21 +220,26 @@ def _replaying(body: bytes, receive: Receive) -> Receive:
 
 @dataclass(frozen=True, slots=True)
 class RateLimit:
-    """``limit``: so many at once; ``remaining``: of them now; ``reset_s``: until all are there again."""
+    """How often something may be done, for the ``RateLimit`` headers. ``limit``: so many at once;
+    ``remaining``: of them now; ``reset_s``: seconds until all are there again.
+
+    The three headers are those of the IETF draft "RateLimit header fields for HTTP" up to its version 6,
+    which clients and gateways read. Its later versions have one structured field, which few read.
+    """
 
     limit: int
     remaining: int
     reset_s: float
 
     @classmethod
-    def of(cls, bucket: Bucket, now: Monotonic) -> RateLimit:
-        """The limit of a bucket now."""
+    def of_bucket(cls, bucket: Bucket, now: Monotonic) -> RateLimit:
+        """Return the limit of a bucket now."""
         level = bucket.level(now)
         return cls(floor(bucket.capacity), max(0, floor(bucket.capacity - level)), level / bucket.per_s)
 
     @property
     def headers(self) -> dict[str, str]:
-        """By their names."""
+        """Return the headers by their names."""
         return {
             "RateLimit-Limit": str(self.limit),
             "RateLimit-Remaining": str(self.remaining),

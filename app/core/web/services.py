@@ -1,4 +1,4 @@
-"""How a route reaches one of the app's services: by its type, or refused for a bus that is not configured."""
+"""How a route reaches a service of the app: by its type. A bus that is not configured is refused."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from bus.messages import Message
 
 
 def unknown_bus(bus: str, known: Iterable[str]) -> Problem:
-    """404 for a bus; ``known`` are the names of those that there are."""
+    """Return the 404 for a bus; ``known`` are the names of the configured ones."""
     return Problem(404, "unknown_bus", Message.of("no_such_bus", bus=bus, known=", ".join(known) or "none"))
 
 
 def unknown_unit(bus: str, unit: int) -> Problem:
-    """404 for a unit of a bus that there is."""
+    """Return the 404 for a unit that its bus does not have."""
     return Problem(404, "unknown_unit", Message.of("no_such_unit", bus=bus, unit=unit), unit=unit)
 
 
@@ -53,13 +53,13 @@ class Registry:
         return found
 
     def of_bus(self, bus: str) -> Registry:
-        """The services of a configured bus. Raises Problem 404."""
+        """Return the services of a configured bus. Raises Problem 404."""
         if bus not in self.buses:
             raise unknown_bus(bus, self.buses)
         return self.buses[bus]
 
     def of_buses(self, kind: type[S]) -> dict[str, S]:
-        """The service of this type of each bus, by the name of the bus."""
+        """Return the service of this type of each bus, by the name of the bus."""
         return {name: bus[kind] for name, bus in self.buses.items()}
 
 
@@ -69,14 +69,14 @@ def service_of(connection: HTTPConnection, kind: type[S]) -> S:
 
 
 def bus_service_of(connection: HTTPConnection, bus: str, kind: type[S]) -> S:
-    """The service of this type of a configured bus. Raises Problem 404."""
+    """Return the service of this type of a configured bus. Raises Problem 404."""
     services: Registry = connection.app.state.services
     return services.of_bus(bus)[kind]
 
 
 def looked_up(find: Callable[[HTTPConnection], Any]) -> Any:
-    """``Depends(find)`` for a mere lookup: FastAPI would send a plain function to a thread and wait
-    for it there, and between an operator's click and the wire there is no time for that."""
+    """Return ``Depends(find)`` for a lookup that needs no thread: FastAPI would send a plain function to one
+    and wait for it there, and between an operator's click and the wire there is no time for that."""
 
     async def look_up(connection: HTTPConnection) -> Any:
         return find(connection)
@@ -85,12 +85,13 @@ def looked_up(find: Callable[[HTTPConnection], Any]) -> Any:
 
 
 def service(kind: type[Any]) -> Any:
-    """A dependency of FastAPI: ``Keeper = Annotated[SetKeeper, service(SetKeeper)]``."""
+    """Return a dependency of FastAPI: ``Keeper = Annotated[SetKeeper, service(SetKeeper)]``."""
     return looked_up(partial(service_of, kind=kind))
 
 
 def bus_service(kind: type[Any]) -> Any:
-    """A dependency of FastAPI: the service of this type of ``{bus}`` in the path. Raises Problem 404."""
+    """Return a dependency of FastAPI that finds the service of this type of ``{bus}`` in the path, or raises
+    Problem 404."""
 
     async def look_up(connection: HTTPConnection, bus: str) -> Any:
         return bus_service_of(connection, bus, kind)

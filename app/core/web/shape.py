@@ -57,7 +57,7 @@ MaybeInstant = Instant | None
 
 
 def iso(at: UnixTime) -> str:
-    """An instant, seconds since the epoch, as the API writes it: ISO 8601, UTC, milliseconds."""
+    """Format an instant, Unix time in seconds, as the API writes it: ISO 8601, UTC, milliseconds."""
     return datetime.fromtimestamp(float(at), UTC).isoformat(timespec="milliseconds")
 
 
@@ -77,7 +77,7 @@ ZonedTime = Annotated[AwareDatetime, BeforeValidator(_refuse_number), WithJsonSc
 
 
 def parse_integer(text: str, digits: int = 18) -> int | None:
-    """The number that ``text`` writes with 1 to ``digits`` ASCII digits; None for anything else.
+    """Return the number that ``text`` writes with 1 to ``digits`` ASCII digits; None for anything else.
 
     ``int`` alone takes a sign, blanks, underscores and the digits of every script, and raises ValueError
     beyond 4300 of them.
@@ -86,7 +86,7 @@ def parse_integer(text: str, digits: int = 18) -> int | None:
 
 
 async def json_response(content: Callable[[], object]) -> Response:
-    """Long content as JSON, made in a thread so that the event loop goes on."""
+    """Send long content as JSON, made in a thread so that the event loop goes on."""
     body = await asyncio.to_thread(lambda: msgspec.json.encode(content()))
     return Response(body, media_type="application/json")
 
@@ -117,13 +117,14 @@ _REMARKS = frozenset({"nothing_sent", "outcome_because"})
 
 
 def _subject(message: Message) -> Message:
-    """What a text is about, without the remarks that were added to it."""
+    """Return the message that a text is about, without the remarks that were added to it."""
     inner = message.params.get("reason") if message.code in _REMARKS else None
     return _subject(inner) if isinstance(inner, Message) else message
 
 
 def reason_shown(message: Message) -> ReasonShown:
-    """A text with the code and the values of what it is about, each value a number or an English text."""
+    """Return a text with the code and the values of what it is about, each value a number or an English
+    text."""
     subject = _subject(message)
     params = {
         name: value if isinstance(value, (int, float)) else shown(value, ENGLISH)
@@ -141,5 +142,5 @@ MessageObject = Annotated[InstanceOf[Message], PlainSerializer(message_shown, re
 
 
 def maybe_shown(message: Message | None) -> MessageShown | None:
-    """A text for programs; None where there is no message."""
+    """Return a message as programs get it; None for none."""
     return None if message is None else message_shown(message)

@@ -1,21 +1,15 @@
-"""Pages and fragments: one Jinja environment per language, strict and escaping.
-
-The pages of the site, in the order of the rail.
-
-Control of a bus as the head of every page shows it: who holds it until when, and who requests it.
-
-The change trays of a person as every page shows them: how much is in each.
-"""
+"""Pages and fragments: one strict and escaping Jinja environment for each language, and the pages of the
+rail."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from time import time
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
 from jinja2.bccache import Bucket
@@ -23,28 +17,17 @@ from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse
 
 from app.core.messages import Language, Languages
-from app.core.web.access import Caller, Role, account_shown, caller_of
+from app.core.web.access import Caller, Role, caller_of
 from app.core.web.assets import Assets
 from app.core.web.formats import Formats
 from app.core.web.services import service_of
 from app.settings import Site
-from bus.instants import UnixTime
 from bus.messages import Message, parameter_name
 
 
-@dataclass(frozen=True, slots=True)
-class PageHead:
-    """What the head of a page shows from its first paint, before a script has run. ``alarms``: the fields of
-    the alarms in the language of a reader."""
-
-    alarms: Callable[[Language], Mapping[str, Any]]
-
-
 class Compiled(FileSystemBytecodeCache):
-    """To compile what the first page needs takes a tenth of a second; one changed file is compiled again.
-
-    A folder that cannot be written costs that time and nothing else.
-    """
+    """A store of compiled templates: compiling what the first page needs takes a tenth of a second. One
+    changed file is compiled again; a folder that cannot be written costs that time and nothing else."""
 
     def __init__(self, folder: Path) -> None:
         with suppress(OSError):
@@ -67,14 +50,17 @@ WEBSOCKET_LINES = (
 """What makes nginx pass WebSockets."""
 
 
+PagePart = Callable[[Caller | None, Language], Any]
+"""Gives what a reader is shown on every page, in the reader's language, from its first paint."""
+
+
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``,
     ``on_phone``, ``help_of``, and the filters ``parameter``, which names one by its number, and ``isolated``,
     for a name beside other text; in a page or fragment of a request also ``person``, ``request``, ``path``,
-    ``head_alarms()``, ``controls()``, ``trays()``, ``has_lines()``, ``rail_pages()``
-    and ``may()``, whether the person may send a command or perform an
-    act, by its name. ``kept_in``: where they stay compiled between two starts."""
+    ``has_lines()``, ``rail_pages()``, the `parts` of features, and ``may()``, whether the person may send a
+    command or perform an act, by its name. ``kept_in``: where they stay compiled between two starts."""
 
     def __init__(
         self,
@@ -90,6 +76,8 @@ class Templates:
         self.site = site
         self.page_digest = page_digest
         self._demo = demo
+        self.parts: dict[str, PagePart] = {}
+        """What features show on every page, by the name of the function in a template."""
         self._roles: dict[str, Role] = {}
         self._assets = assets
         self._loader = FileSystemLoader(folder)
@@ -132,11 +120,11 @@ class Templates:
         return self._demo or self.site.simulated
 
     def formats(self, tag: str) -> Formats:
-        """Number and time formatting of a language."""
+        """Return the formatting of numbers and times in a language."""
         return Formats(self.languages[tag].locale, self.site.zone)
 
     def text(self, tag: str, name: str, /, **context: Any) -> str:
-        """A template in one language, for rendering without a request."""
+        """Render a template in one language, without a request."""
         return self.environment(tag).get_template(name).render(context)
 
     def permit(self, roles: Mapping[str, Role]) -> None:
@@ -170,13 +158,11 @@ def render(
     headers: Mapping[str, str] | None = None,
     **context: Any,
 ) -> HTMLResponse:
-    """A page or fragment in the language of the request, never kept by a cache."""
+    """Render a page or fragment in the language of the request; no cache keeps it."""
     templates = templates_of(request)
     person = caller_of(request)
     language = templates.language_of(request).on_screen
-    head = partial(service_of, request, PageHead)
-    # The context is given beside these and not merged, so that it cannot replace one of them. The services
-    # are used by a page with a head, and by no fragment.
+    # The context is given beside these and not merged, so that it cannot replace one of them.
     html = templates.text(
         language.tag,
         name,
@@ -187,9 +173,7 @@ def render(
         now=time(),
         has_lines=lambda: service_of(request, PageLines).has_several,
         rail_pages=lambda: pages_for(service_of(request, PageLines), partial(templates.may, person)),
-        head_alarms=lambda: head().alarms(language),
-        controls=lambda: service_of(request, HeadControl).of_buses(),
-        trays=lambda: service_of(request, HeadTray).of(person) if person else (),
+        **{name: partial(part, person, language) for name, part in templates.parts.items()},
         **context,
     )
     return HTMLResponse(html, status, {"Cache-Control": "no-store", **(headers or {})})
@@ -263,66 +247,8 @@ HELP = {
 
 
 def pages_for(lines: PageLines, may: Callable[[str], bool]) -> list[PageLink]:
-    """The pages of a person; ``may``: whether this person is permitted an act."""
+    """Return the pages of a person; ``may``: whether the person is permitted an act."""
     every: Sequence[PageLink] = (LINES, *PAGES) if lines.has_several else PAGES
     if lines.is_overview:
         every = [page for page in every if page.key in OF_SERVER]
     return [page for page in every if not page.act or may(page.act)]
-
-
-@dataclass(frozen=True, slots=True)
-class BusControl:
-    """``holder``: an account, empty where control is free. ``since``, ``lapses_at`` and ``request_until``:
-    Unix time in seconds. ``request``: the state of the request of ``requester``, empty where none is."""
-
-    bus: str
-    holder: str = ""
-    since: UnixTime = UnixTime(0.0)
-    lapses_at: UnixTime = UnixTime(0.0)
-    requester: str = ""
-    request: Literal["", "pending", "declined", "lapsed"] = ""
-    request_until: UnixTime = UnixTime(0.0)
-
-    def requested(
-        self, by: str, state: Literal["pending", "declined", "lapsed"], until: UnixTime
-    ) -> BusControl:
-        """The same with a request."""
-        return replace(self, requester=by, request=state, request_until=until)
-
-    @property
-    def holder_shown(self) -> str | Message:
-        """The holder in the reader's language where it is a program."""
-        return account_shown(self.holder)
-
-    @property
-    def requester_shown(self) -> str | Message:
-        """The same of the one who requests control."""
-        return account_shown(self.requester)
-
-    @property
-    def key(self) -> str:
-        """Another text whenever a page shows something else; time left is no part of it."""
-        return "\n".join((self.bus, self.holder, f"{self.since:.3f}", self.requester, self.request))
-
-
-@dataclass(frozen=True, slots=True)
-class HeadControl:
-    """Gives control of each bus, in the order of the configuration."""
-
-    of_buses: Callable[[], Sequence[BusControl]]
-
-
-@dataclass(frozen=True, slots=True)
-class TrayCount:
-    """What a person has gathered for one bus."""
-
-    bus: str
-    changes: int
-    units: int
-
-
-@dataclass(frozen=True, slots=True)
-class HeadTray:
-    """Gives the trays of a person that are not empty, of each bus."""
-
-    of: Callable[[Caller], Sequence[TrayCount]]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from app.core.find.finders import Finders, FixedPlace
+from app.core.messages import Language
 from app.core.web.access import Caller
-from app.core.web.templating import HeadTray, TrayCount
+from app.core.web.templating import Templates
 from app.engineering.tray import pages
 from app.engineering.tray.contents import Trays
 from app.feature import Feature, Services
@@ -12,12 +15,22 @@ from bus.instants import monotonic_now
 from bus.messages import Message
 
 
+class TrayCount(NamedTuple):
+    """How much a person has gathered for one bus."""
+
+    bus: str
+    changes: int
+    units: int
+
+
 def make(services: Services) -> None:
     for bus in services.buses.values():
         bus.add(Trays())
     trays_of = services.of_buses(Trays)
 
-    def counted(person: Caller) -> list[TrayCount]:
+    def counted(person: Caller | None, _: Language) -> list[TrayCount]:
+        if person is None:
+            return []
         now = monotonic_now()
         held = {name: trays.changes(person.sender, now) for name, trays in trays_of.items()}
         return [
@@ -26,7 +39,7 @@ def make(services: Services) -> None:
             if changes
         ]
 
-    services.add(HeadTray(counted))
+    services[Templates].parts["trays"] = counted
     services[Finders].add_links("find_actions", [FixedPlace(Message("find_tray"), "/tray", "SetLine")])
 
 

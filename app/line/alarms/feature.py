@@ -8,8 +8,9 @@ from functools import partial
 from app.core.database import Database
 from app.core.find.finders import Finders, FoundPlace, Search, matched
 from app.core.messages import Language
+from app.core.web.access import Caller
 from app.core.web.services import Registry
-from app.core.web.templating import PageHead, Templates
+from app.core.web.templating import Templates
 from app.feature import Feature, Services
 from app.line.alarms import api, own_alarms, own_pages, pages
 from app.line.alarms.acts import ACTS
@@ -117,11 +118,11 @@ def _control_left(services: Services, guards: UnitGuards) -> Message | None:
 def _add_banner(services: Services, banner: AlarmBanner) -> None:
     templates = services[Templates]
 
-    def alarms_in(language: Language) -> Fields:
+    def alarms_in(_: Caller | None, language: Language) -> Fields:
         return banner.banner(Translator(language, templates.formats(language.tag)), unix_now())
 
     services[Sources].show_alarms(banner.banner, banner.of_unit)
-    services.add(PageHead(alarms_in))
+    templates.parts["head_alarms"] = alarms_in
 
 
 def _stream(stream: LineStream, alarms: LineAlarms, alarm: Alarm) -> None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from app.core.database import Database
 from app.core.find.finders import MAX_OF_KIND, Finders, FoundPlace, Search, missing, rank
-from app.core.web.templating import HeadControl, Templates
+from app.core.web.templating import Templates
 from app.feature import Feature, Services
 from app.line.commands.api import commands, safeguards, trace
 from app.line.commands.catalogue import ROLES_BY_COMMAND
@@ -51,7 +51,7 @@ def make(services: Services) -> None:
         live, channel = of_bus[BusLive], of_bus[Channel]
         of_bus.add(CommandService(live, channel, record, guards, rights))
     all_guards = services.of_buses(Safeguards).values()
-    services.add(HeadControl(lambda: [guards.bus_control() for guards in all_guards]))
+    services[Templates].parts["controls"] = lambda *_: [guards.bus_control() for guards in all_guards]
 
 
 class _Page(NamedTuple):

@@ -6,14 +6,15 @@ import asyncio
 import math
 from collections import defaultdict
 from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import replace
 
 from app.core.database import Database
 from app.core.web.access import Person, Role, name_of
 from app.core.web.routes import RateLimit
-from app.core.web.templating import BusControl
 from app.errors import Problem
 from app.line.commands.control import Control, Holding, controlled
 from app.line.commands.limits import CommandBlock, Limits, ReadOnly, Restrictions
+from app.line.live.sources import BusControl
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from app.people.auth.rights import Rights
@@ -181,7 +182,8 @@ class Safeguards:
         shown = BusControl(self._bus, holding.holder, holding.since, unix_now() + holding.left_s(now))
         if request is None:
             return shown
-        return shown.requested(request.by, request.state(now), unix_now() + request.left_s(now))
+        until = unix_now() + request.left_s(now)
+        return replace(shown, requester=request.by, request=request.state(now), request_until=until)
 
     async def take(self, person: Person) -> None:
         """Take control, if it is free. Raises Problem 403 and 409."""
@@ -211,7 +213,7 @@ class Safeguards:
 
     def request_limit(self, person: Person) -> RateLimit:
         """Return how many more requests for control of this bus a person may make now."""
-        return RateLimit.of(self._requests[person.account], monotonic_now())
+        return RateLimit.of_bucket(self._requests[person.account], monotonic_now())
 
     async def grant(self, person: Person, shown: str | None = None) -> None:
         """Hand control over to the account that has requested it. ``shown``: whose request the person saw;

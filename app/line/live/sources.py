@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
+from app.core.web.access import account_shown
 from app.core.web.formats import Formats
-from app.core.web.templating import BusControl
 from app.line.live.fields import Fields, Translator
 from bus.instants import Monotonic, UnixTime
 from bus.messages import Message
@@ -28,6 +28,36 @@ class HeldControl(Protocol):
     def holder(self) -> str: ...
     @property
     def used_at(self) -> Monotonic: ...
+
+
+@dataclass(frozen=True, slots=True)
+class BusControl:
+    """Control of a bus as every page shows it. ``holder``: an account, empty where control is free.
+    ``since``, ``lapses_at`` and ``request_until``: Unix time in seconds. ``request``: the state of the
+    request of ``requester``, empty without one."""
+
+    bus: str
+    holder: str = ""
+    since: UnixTime = UnixTime(0.0)
+    lapses_at: UnixTime = UnixTime(0.0)
+    requester: str = ""
+    request: Literal["", "pending", "declined", "lapsed"] = ""
+    request_until: UnixTime = UnixTime(0.0)
+
+    @property
+    def holder_shown(self) -> str | Message:
+        """Return the holder, in the reader's language where it is a program."""
+        return account_shown(self.holder)
+
+    @property
+    def requester_shown(self) -> str | Message:
+        """Return who requests control, in the reader's language where it is a program."""
+        return account_shown(self.requester)
+
+    @property
+    def key(self) -> str:
+        """Return a text that changes with what a page shows; the time left is no part of it."""
+        return "\n".join((self.bus, self.holder, f"{self.since:.3f}", self.requester, self.request))
 
 
 class UnitGuards(Protocol):

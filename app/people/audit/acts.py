@@ -40,7 +40,7 @@ class ActLimit:
             return
         seconds = math.ceil(performed.wait_s(now))
         problem = Problem(429, "too_many", Message.of("acts_too_many", n=seconds))
-        problem.headers.update(RateLimit.of(performed, now).headers)
+        problem.headers.update(RateLimit.of_bucket(performed, now).headers)
         raise problem.with_headers(Retry_After=str(seconds))
 
 

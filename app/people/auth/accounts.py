@@ -1,7 +1,5 @@
-"""Users and tokens as an admin keeps them, by page and by command line. Each change is an event.
-
-What people do with accounts: an admin with those of all, everyone with the own one.
-"""
+"""Users and tokens as an admin keeps them, by page and by command line, and everyone's own account. Each
+change is an event."""
 
 from __future__ import annotations
 
@@ -40,16 +38,16 @@ class Accounts:
         self._subscribers.append(subscriber)
 
     async def users(self) -> list[User]:
-        """All users and panels by name."""
+        """Return all users and panels by name."""
         return await self._database.read(store.users)
 
     async def tokens(self) -> list[Token]:
-        """All tokens by name, without what they are."""
+        """Return all tokens by name, without their secrets."""
         return await self._database.read(store.tokens)
 
     async def find(self, account: str) -> tuple[str, Role] | None:
-        """The account of a name, and its role: a user who may sign in, else a token, which
-        can also be named as such; None when there is none."""
+        """Return the account of a name, and its role: a user who may sign in, else a token, which can also be
+        named as such; None if there is none."""
         name, only_token = name_of(account)
         now = self._clock()
 
@@ -81,8 +79,8 @@ class Accounts:
             await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
 
     async def follow_provider(self, account: CompanyAccount, name: str, role: Role, *, address: str) -> User:
-        """The user of a company account, with the role of its groups; added at the first sign-in, with a name
-        that no other user has. A disabled user is left as is. Raises CallerError."""
+        """Return the user of a company account, with the role of its groups. It is added at the first
+        sign-in, with a name that no other user has; a disabled user is left as is. Raises CallerError."""
 
         def follow(connection: StoreConnection) -> tuple[User, Message | None]:
             there = store.user_of(connection, account)
@@ -102,8 +100,8 @@ class Accounts:
         return user
 
     async def set_role(self, name: str, role: Role, *, by: Person) -> None:
-        """Raises CallerError for an unknown user, for the last admin, for a panel above operator, and for the
-        user of a company account, whose role follows the groups there."""
+        """Change the role of a user. Raises CallerError for an unknown user, for the last admin, for a panel
+        above operator, and for the user of a company account, whose role follows the groups there."""
 
         def change(connection: StoreConnection) -> bool:
             found = store.user(connection, name)
@@ -122,7 +120,7 @@ class Accounts:
             await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
 
     async def remove_user(self, name: str, *, by: Person) -> None:
-        """Raises CallerError for an unknown user and for the last admin."""
+        """Remove a user. Raises CallerError for an unknown user and for the last admin."""
         async with self._performing(REMOVE_USER, by, name=name):
             await self._change(name, lambda connection: store.remove_user(connection, name))
 
@@ -140,7 +138,8 @@ class Accounts:
             await self._set_password(by.name, password, keep)
 
     async def set_language(self, person: Person, language: str) -> None:
-        """The language that the user chose; empty: that of the browser. Raises Problem 403 for a program."""
+        """Store the language that the user chose; empty: that of the browser. Raises Problem 403 for a
+        program."""
         check_is_user(person)
         await self._database.write(lambda connection: store.set_language(connection, person.name, language))
 
@@ -165,15 +164,15 @@ class Accounts:
         return secret
 
     async def revoke_token(self, name: str, *, by: Person) -> None:
-        """Raises CallerError for one that is not there."""
+        """Revoke a token. Raises CallerError for an unknown one."""
         async with self._performing(REVOKE_TOKEN, by, name=name):
             if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
                 raise CallerError(Message.of("no_such_token", name=name[:80]))
 
     @asynccontextmanager
     async def _performing(self, act: Act, by: Person, **params: ParamValue) -> AsyncIterator[None]:
-        """Check the role of ``by`` before an act; record the act once it is done, with ``params``, and call
-        the subscribers."""
+        """Check the role of ``by``; once the act is done, record it with ``params`` and call the
+        subscribers."""
         act.check(by)
         yield
         performed = act.by(by, **params)
@@ -212,11 +211,8 @@ class Accounts:
         return user, Message.of("event_user_of_company_added", name=name, role=term(role))
 
     async def _write_new(self, add: Callable[[StoreConnection], None], exists: Message) -> None:
-        def alone(connection: StoreConnection) -> None:
-            add(connection)
-
         try:
-            await self._database.write(alone)
+            await self._database.write(add)
         except ConstraintError:
             raise CallerError(exists) from None
 

@@ -1,6 +1,6 @@
-"""Denies by default: every request and every handshake gets its person here, or is refused here.
+"""Finds who each request and handshake is from, and refuses it or lets it through.
 
-The account of a session cookie or a bearer token.
+Access is denied by default: without a caller only the public paths are open.
 """
 
 from __future__ import annotations
@@ -207,10 +207,9 @@ def _address(scope: Scope) -> str:
 async def run_while_allowed(
     run: Callable[[Send], Awaitable[None]], withdrawal: Withdrawal, send: Send, *, is_socket: bool = False
 ) -> None:
-    """Run ``run``, which sends a response or has a WebSocket open, and end it when it is allowed no longer: a
-    WebSocket by its close, a response in pieces where it is, also while it waits for its next piece or for a
-    slow reader. A response that is sent at once costs nothing. ``withdrawal`` returns once it is allowed no
-    longer."""
+    """Run ``run``, which sends a response or has a WebSocket open, and end it once ``withdrawal`` returns, as
+    it is allowed no longer: a WebSocket by its close, a response in pieces where it is, also while it waits
+    for its next piece or for a slow reader. A response that is sent at once costs nothing."""
     running, watch, is_over = asyncio.current_task(), None, False
     assert running is not None
 
@@ -258,7 +257,7 @@ async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -
 
 
 def to_login(connection: HTTPConnection) -> Response:
-    """Send a person to the login and from there back; htmx moves the complete page."""
+    """Redirect a person to the login page, which leads back; htmx moves the complete page."""
     if is_fragment(connection):
         response = problem_json(not_signed_in())
         response.headers["HX-Redirect"] = _login_url(_page_of(connection), refused=True)
@@ -273,7 +272,8 @@ def to_login(connection: HTTPConnection) -> Response:
 
 
 def _page_of(connection: HTTPConnection) -> str:
-    """Our own page that htmx or a form requests from; foreign ones were refused before."""
+    """Return our own page from which htmx or a form sends a request; those of foreign pages were refused
+    before."""
     page = connection.headers.get("hx-current-url") or connection.headers.get("referer", "/")
     try:
         parts = urlsplit(page)
@@ -283,14 +283,15 @@ def _page_of(connection: HTTPConnection) -> str:
 
 
 def _login_url(next_page: str, *, refused: bool) -> str:
-    """``refused``: the login page then explains that the action was not carried out."""
+    """Return the address of the login page; ``refused``: it explains that the action was not carried out."""
     query = [f"next={quote(next_page)}"] if next_page != "/" else []
     query += ["refused=true"] if refused else []
     return "/login" + ("?" + "&".join(query) if query else "")
 
 
 def _is_loopback(connection: HTTPConnection) -> bool:
-    """From this machine and under its own name: a foreign name for 127.0.0.1 is an attack."""
+    """Whether a request comes from this machine and under its own name: a foreign name for 127.0.0.1 is an
+    attack."""
     return address_of(connection) in LOOPBACK and connection.url.hostname in LOOPBACK
 
 
@@ -299,8 +300,8 @@ REFUSED_ACCOUNT = "refused_account"
 
 
 def _event_of(status: int, scope: Scope) -> tuple[Message, str | Message, str]:
-    """What the events have of a refusal, whose request it was, and its method and the path of its route,
-    without what the request filled into it."""
+    """Return what the events record of a refusal: its text, whose request it was, and the method and the path
+    of its route, without what the request filled into it."""
     if status == 401:
         account: str | None = scope.get(REFUSED_ACCOUNT)
         who = account_shown(account) if account else Message("unknown_token")
@@ -315,7 +316,8 @@ def _event_of(status: int, scope: Scope) -> tuple[Message, str | Message, str]:
 
 @dataclass(eq=False, repr=False)
 class Identity:
-    """``worker_tokens``: by bus, of the workers that this server starts itself; they end with the server."""
+    """The accounts of session cookies and bearer tokens. ``worker_tokens``: by bus, those of the workers that
+    this server starts itself; they end with the server."""
 
     _database: Database
     _sign_in: SignIn
@@ -323,7 +325,7 @@ class Identity:
     _clock: Clock = unix_now
 
     async def by_cookie(self, cookie: str, *, is_use: bool = True) -> Caller | None:
-        """The account of a session cookie; None when it is over or was never valid.
+        """Return the account of a session cookie; None if its session is over or was never there.
 
         ``is_use`` False: the lookup prolongs nothing.
         """
@@ -353,7 +355,7 @@ class Identity:
         )
 
     async def by_token(self, bearer: str) -> Caller | None:
-        """The account of a bearer token. Raises ExpiredTokenError for one that has."""
+        """Return the account of a bearer token; None for an unknown one. Raises ExpiredTokenError."""
         for bus, own in self._worker_tokens.items():
             if hmac.compare_digest(bearer.encode(), own.encode()):
                 return Caller("worker", Role.WORKER, "worker", bus=bus)
@@ -383,7 +385,7 @@ class Identity:
 
 
 class ExpiredTokenError(Problem):
-    """401 for the holder of an expired token; a stranger does not get it. ``account``: the token's."""
+    """The refusal, 401, of an expired token; a stranger does not get it. ``account``: that of the token."""
 
     def __init__(self, token: Token) -> None:
         expired = Message.of("token_expired", called=token.name, day=token.last_day)

@@ -1,9 +1,4 @@
-"""Signing in and out, and what one may change about oneself.
-
-The admin's page of users, panels and tokens.
-
-``GET /me``: as whom a program or a page is signed in.
-"""
+"""Pages of signing in and out, of one's own account, and of all accounts for an admin; and ``GET /me``."""
 
 from __future__ import annotations
 
@@ -103,8 +98,8 @@ async def login_page(
     refused: bool = False,
     company_account: str = "",
 ) -> Response:
-    """The form; a signed-in user is redirected. ``refused``: an action has led here; ``company_account``: why
-    a company account was not admitted."""
+    """Show the form, or redirect a signed-in user. ``refused``: an action has led here; ``company_account``:
+    why a company account was not admitted."""
     if caller_of(request):
         return RedirectResponse(own_path(next), 303)
     return await _login_form(
@@ -120,7 +115,7 @@ async def log_in(
     password: FormText = "",
     next: FormText = "/",
 ) -> Response:
-    """A person, by password."""
+    """Sign in a person by password."""
     return await _sign_in(request, sign_in, name, password, next, panel=False)
 
 
@@ -128,7 +123,7 @@ async def log_in(
 async def log_panel_in(
     request: Request, sign_in: SignInService, name: TypedName = "", pin: FormText = "", next: FormText = "/"
 ) -> Response:
-    """A panel on the wall, by PIN."""
+    """Sign in a panel on the wall by its PIN."""
     return await _sign_in(request, sign_in, name, pin, next, panel=True)
 
 
@@ -175,7 +170,7 @@ async def finish_login(
 
 @router.get("/setup", dependencies=[Depends(public)])
 async def setup_page(request: Request, first_admin: FirstAdminService) -> Response:
-    """The form for the first admin; redirected once there is a user."""
+    """Show the form for the first admin, or redirect once there is a user."""
     return _setup_form(request) if await first_admin.is_open() else RedirectResponse("/login", 303)
 
 
@@ -221,7 +216,7 @@ async def log_out(
 
 @router.get("/account")
 async def account_page(request: Request, _: Viewer, done: str = "") -> HTMLResponse:
-    """One's own language and password."""
+    """Show one's own language and password."""
     return _account(request, done=done)
 
 
@@ -287,7 +282,7 @@ async def signed_in(request: Request, sign_in: SignIn, begun: SignedIn, next_pag
 
 
 def device_of(request: Request) -> str:
-    """The cookie of a browser with an earlier sign-in; empty for an invalid one."""
+    """Return the cookie of a browser with an earlier sign-in; empty for an invalid one."""
     device = cookie_of(request, DEVICE_COOKIE)
     return device if len(device) == rules.SECRET_LENGTH and device.isascii() else ""
 
@@ -323,7 +318,8 @@ async def _login_form(
 
 
 def _callback_url(request: Request) -> str:
-    """As the browser reaches this server, which the provider compares with those it knows."""
+    """Return the address to which the provider sends a browser back, as the browser reaches this server: the
+    provider compares it with those it knows."""
     return f"{request.url.scheme}://{request.url.netloc}{CALLBACK}"
 
 
@@ -353,7 +349,7 @@ def _account(request: Request, *, done: str = "", fault: CallerError | None = No
 
 
 def own_path(path: str) -> str:
-    """The path, where it is of this server; else that of the first page."""
+    """Return the path if it is of this server, else that of the first page."""
     return path if rules.is_own_path(path) else "/"
 
 
@@ -367,8 +363,8 @@ class UsersPage:
     async def render(
         self, *, fault: CallerError | None = None, token_name: str = "", token: str = ""
     ) -> HTMLResponse:
-        """Every user and every token; ``fault``: why a change was refused; ``token``: the secret
-        of the one just created, ``token_name``, which is shown once."""
+        """Show every user and every token. ``fault``: why a change was refused; ``token``: the secret of the
+        one just created, ``token_name``, which is shown once."""
         return render(
             self.request,
             "users/page.html",
@@ -384,7 +380,8 @@ class UsersPage:
         )
 
     async def after(self, change: Awaitable[None]) -> Response:
-        """Back to the page; with the reason on it, or in the dialog, when the change was refused."""
+        """Await a change and return to the page; a refused change is explained on the page, or in the
+        dialog."""
         in_dialog = is_fragment(self.request)
         try:
             await change
@@ -402,7 +399,7 @@ OfUsers = Annotated[
 
 @router.get("/users")
 async def users_page(_: Admin, page: OfUsers) -> HTMLResponse:
-    """Every user, and every token."""
+    """Show every user and every token."""
     return await page.render()
 
 
@@ -462,7 +459,7 @@ async def reset_password(
 
 @router.get("/users/{name}/remove")
 async def review_removal(_: Admin, page: OfUsers, name: str) -> HTMLResponse:
-    """The consequences of removing a user, before it is done."""
+    """Show the consequences of removing a user."""
     found = next((user for user in await page.accounts.users() if user.name == name), None)
     has_company_account = found is not None and found.company_account is not None
     return render(
@@ -485,7 +482,7 @@ async def create_token(
     token_bus: FormText = "",
     expires: FormText = "",
 ) -> HTMLResponse:
-    """Create a token, which is in this one response and nowhere else."""
+    """Create a token; its secret is in this response and nowhere else."""
     create = page.accounts.create_token
     try:
         role, days = role_named(token_role, Role), _days(expires)
@@ -497,7 +494,7 @@ async def create_token(
 
 @router.get("/users/tokens/{name}/revoke")
 async def review_revocation(_: Admin, page: OfUsers, name: str) -> HTMLResponse:
-    """What revoking a token means, and whether a program has been using it, before it is done."""
+    """Show what revoking a token means, and whether a program has been using it."""
     token = next((token for token in await page.accounts.tokens() if token.name == name), None)
     used_at = token.used_at if token else None
     return render(page.request, "users/_review_revoke.html", name=name, used_at=used_at)
@@ -510,7 +507,7 @@ async def revoke_token(by: Annotated[Person, REVOKE_TOKEN.permitted], page: OfUs
 
 
 def _days(typed: str) -> int | None:
-    """What was typed as a number of days; None for nothing. Raises CallerError."""
+    """Return what was typed as a number of days; None for nothing. Raises CallerError."""
     text = typed.strip()
     if not text:
         return None

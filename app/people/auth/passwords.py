@@ -1,5 +1,5 @@
-"""Passwords and PINs: which are refused, because they are among the first to be tried, and how the others are
-hashed, by Argon2id in other threads so that the line never waits for a login.
+"""Passwords and PINs: those that are among the first to be tried are refused, the others are hashed by
+Argon2id in other threads, so that the line never waits for a login.
 
 A text is cut into pieces: common words (also with digits for letters), repetitions, sequences, runs of
 neighboring keys, and single characters. A text with too few pieces is easy to guess, however long it is.
@@ -90,7 +90,7 @@ def check_password(password: str, *, user: str, site: str) -> None:
 
 
 def check_pin(pin: str) -> None:
-    """Raises CallerError."""
+    """Raises CallerError for a PIN that may not be chosen."""
     if not _PIN.fullmatch(pin) or not pin.isascii():
         raise CallerError(Message("pin_length"))
     if is_easy_pin(pin):
@@ -131,19 +131,20 @@ def _plain(text: str) -> str:
 
 
 def _bare(text: str) -> str:
-    """In small letters, without accents, full widths and invisible characters: they protect nothing."""
+    """Return a text in small letters, without accents, full widths and invisible characters, which protect
+    nothing."""
     signs = unicodedata.normalize("NFKD", text.casefold())
     return "".join(sign for sign in signs if unicodedata.category(sign) not in _ADORNMENTS)[:MAX_PASSWORD]
 
 
 def _without_separator(text: str) -> str:
-    """The letters of ``s-p-e-l-l-e-d``."""
+    """Return the letters of ``s-p-e-l-l-e-d``."""
     between = set(text[1::2])
     return text[::2] if len(between) == 1 and not between.pop().isalnum() else text
 
 
 def _block_of(text: str) -> str:
-    """The shortest text that, repeated, is this one."""
+    """Return the shortest text that, repeated, gives this one."""
     return text[: (text + text).find(text, 1)]
 
 
@@ -168,8 +169,8 @@ def _word(text: str, place: int) -> int:
 
 
 def _run(text: str, place: int) -> int:
-    """Length of a run of one sign, of signs each next to the one before in the alphabet, or of evenly spaced
-    digits; 0: there is none."""
+    """Return the length of a run of one sign, of signs each next to the one before in the alphabet, or of
+    evenly spaced digits; 0 for none."""
     if place + 1 >= len(text):
         return 0
     step = ord(text[place + 1]) - ord(text[place])
@@ -182,7 +183,7 @@ def _run(text: str, place: int) -> int:
 
 
 def _walk(text: str, place: int, keys: dict[str, tuple[float, float]]) -> int:
-    """Length of a run of neighboring keys; 0: there is none."""
+    """Return the length of a run of neighboring keys; 0 for none."""
     end = place + 1
     while end < len(text) and _are_neighbors(keys.get(text[end - 1]), keys.get(text[end])):
         end += 1
@@ -196,7 +197,7 @@ def _are_neighbors(one: tuple[float, float] | None, other: tuple[float, float] |
 
 
 def _repeated(text: str, place: int) -> int:
-    """Length of a piece that is there earlier; 0: there is none."""
+    """Return the length of a piece that stands earlier in the text; 0 for none."""
     length = MIN_RUN
     while place + length <= len(text) and text[place : place + length] in text[:place]:
         length += 1
@@ -208,7 +209,7 @@ _hasher = PasswordHasher(time_cost=5, memory_cost=7 * 1024, parallelism=1)
 
 
 async def hash_secret(secret: str) -> str:
-    """The hash to store, of the secret in NFC."""
+    """Hash the secret in NFC for the store."""
     return await asyncio.to_thread(_hasher.hash, composed(secret))
 
 

@@ -1,7 +1,7 @@
-"""The provider of company accounts: its addresses and keys, and what a code of it is worth.
+"""The provider of company accounts: its addresses and keys, and the claims that a code of it is worth.
 
 Authlib speaks OpenID Connect: the address of a login, the redemption of a code, the claims of an ID token.
-Here is what it leaves to its caller: how much is read, how long that may take, and when.
+What it leaves to its caller is here: how much is read, how long that may take, and when.
 
 Only `Provider.watch` reads metadata and keys, at times of its choice: however many browsers come, the
 provider gets no request for them. A browser that comes back from it with a code is one request, in its turn.
@@ -128,7 +128,8 @@ def verified_claims(
 
 @dataclass(eq=False, repr=False)
 class Provider:
-    """``fault``: why no one can sign in by it now; None while it responds."""
+    """The provider as this server knows it. ``fault``: why no one can sign in by it now; None while it
+    responds."""
 
     settings: OidcSettings
     clock: Clock = unix_now
@@ -270,7 +271,7 @@ class Provider:
         self._keys = (await self._read(metadata.jwks_uri, PublishedKeys)).usable()
 
     async def _read_keys_again(self, metadata: Metadata) -> None:
-        """For a token with a new key: one request, however many such tokens come."""
+        """Read the keys for a token with a new one: one request, however many such tokens come."""
         async with self._reading_keys:
             if self.monotonic() - self._keys_at >= KEYS_EVERY_S:
                 await self._read_keys(metadata)
@@ -285,8 +286,8 @@ class Provider:
             return msgspec.json.decode(response.content, type=kind)
 
     def _open_client(self) -> AsyncOAuth2Client:
-        """A client that leads nowhere else: no redirects, and no proxy or password of the environment. Raises
-        ProviderError where the authority cannot be read."""
+        """Return a client that leads nowhere else: no redirects, and no proxy or password of the environment.
+        Raises ProviderError if the authority cannot be read."""
         if self._client is None:
             path = self.settings.ca_file
             try:
@@ -309,8 +310,8 @@ class Provider:
 
 
 class _BoundedTransport(httpx2.AsyncHTTPTransport):
-    """Reads each response whole, as it came and up to `MAX_BYTES`. Its headers are dropped, so that nothing
-    is unpacked, which could be of any size, and nothing is kept."""
+    """A transport that reads each response completely, as it came and up to `MAX_BYTES`. It drops the
+    headers, so that nothing is unpacked, which could be of any size, and nothing is kept."""
 
     async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
         response = await super().handle_async_request(request)
@@ -329,7 +330,7 @@ class _BoundedTransport(httpx2.AsyncHTTPTransport):
 
 @contextmanager
 def _reading(url: str) -> Iterator[None]:
-    """Raises ProviderError for a provider that cannot be reached, and for a response that is none of it."""
+    """Raises ProviderError for a provider that cannot be reached, or whose response is none."""
     try:
         yield
     except httpx2.HTTPStatusError:

@@ -1,14 +1,14 @@
-"""What every account may do now, in memory: looked up before each command of work that lasts.
+"""What every account may do now, in memory, and what it may still do after a restore.
 
 A request is authorized when it comes. A restore, a batch, a change of the baud rate or an open page goes on
-after that, and its account may be disabled meanwhile, also by the command line in another process. All of it
-follows from one look at the store: twice a second, and after each change that this process makes.
+after that, and its account may be disabled meanwhile, also by the command line in another process. The rights
+are looked up before each command of such work; all of it follows from one look at the store: twice a second,
+and after each change that this process makes.
 
-Withholds from a restored store the rights that were withdrawn since its backup.
-
-Sessions all end. A token holds only where the present store knows it too, and a user may do what both stores
-allow, under the present password. Where there is no present store with users in it, as on a new machine,
-it is unknown which tokens were revoked: all of them are; users are as they were then.
+A store restored from a backup gets back no right that was withdrawn since. Sessions all end. A token holds
+only if the present store knows it too, and a user may do what both stores allow, under the present password.
+Without a present store with users in it, as on a new machine, it is unknown which tokens were revoked: all of
+them are; users are as they were then.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ class Standing:
 
 
 def why_withdrawn(person: Caller, standing: Standing | None) -> Message | None:
-    """Why what a person began must stop; None while it may go on. ``standing``: of the account now."""
+    """Return why what a person began must stop; None while it may go on. ``standing``: that of the account
+    now."""
     is_token = person.via == "token"
     if standing is None:
         return TOKEN_ENDED if is_token else USER_ENDED
@@ -134,7 +135,7 @@ class Rights:
     async def until_withdrawn(
         self, is_allowed: Callable[[], Awaitable[bool]], seen: int, every_s: float = RECHECK_S
     ) -> None:
-        """Return once ``is_allowed`` denies, which is called at each change and every ``every_s``. ``seen``:
+        """Wait until ``is_allowed`` denies, which is called at each change and every ``every_s``. ``seen``:
         the `changes` before it was allowed."""
         while True:
             if self.changes == seen:
@@ -172,8 +173,8 @@ def _is_less(before: Standing, now: Standing | None) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Withheld:
-    """By name, in order: tokens that are revoked, users that are disabled, users with a lower role than in
-    the backup. ``admins``: how many admins can sign in."""
+    """What a restored store lost, each by name, in order: tokens that are revoked, users that are disabled,
+    users with a lower role than in the backup. ``admins``: how many admins can sign in."""
 
     tokens: tuple[str, ...]
     disabled: tuple[str, ...]
@@ -201,8 +202,8 @@ class Present:
 
 
 def read_present(connection: StoreConnection) -> Present | None:
-    """From a store of any version; None from one without users. Raises StoreError for one that cannot be
-    read."""
+    """Read the rights in a store of any version; None from one without users. Raises StoreError for one that
+    cannot be read."""
     tokens = frozenset(hash_ for (hash_,) in connection.execute("SELECT hash FROM tokens"))
     users = {
         row["name"]: PresentUser(
@@ -218,7 +219,7 @@ def read_present(connection: StoreConnection) -> Present | None:
 
 
 def _company_account(row: StoreRow) -> CompanyAccount | None:
-    """None also in a store from before there were company accounts."""
+    """Return the company account of a row; None also in a store from before there were any."""
     if "issuer" not in row.keys() or row["issuer"] is None:  # noqa: SIM118
         return None
     return CompanyAccount(row["issuer"], row["subject"])
@@ -255,7 +256,7 @@ def _tokens_unknown(restored: StoreConnection, present: Present | None) -> list[
 
 
 def _take_over(restored: StoreConnection, user: User, now: PresentUser) -> bool:
-    """The present password, and the lower role. Whether the role is lower than in the backup."""
+    """Store the present password and the lower role. Return whether the role is lower than in the backup."""
     role = min(user.role, now.role, key=PEOPLE_ROLES.index)
     change = "UPDATE users SET role = ?, secret_hash = ? WHERE name = ?"
     restored.execute(change, (role, now.secret_hash, user.name))

@@ -1,4 +1,4 @@
-"""The rules for names, passwords, PINs and sessions. No clock: time is passed in."""
+"""The rules for names, tokens and sessions. Pure: time is passed in."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class Lifetime:
     absolute_s: float
 
     def ends_at(self, created_at: UnixTime, used_at: UnixTime) -> UnixTime:
-        """The instant from which it is no longer good."""
+        """Return the instant from which a session is no longer good."""
         return min(used_at + self.idle_s, created_at + self.absolute_s)
 
 
 def lifetime(sessions: Sessions, *, panel: bool) -> Lifetime:
-    """How long the sign-in of a person, or of a panel, lasts."""
+    """Return how long the sign-in of a person, or of a panel, lasts."""
     if panel:
         return Lifetime(sessions.panel_idle_days * DAY, sessions.panel_total_days * DAY)
     return Lifetime(sessions.idle_hours * HOUR, sessions.total_days * DAY)
@@ -50,7 +50,7 @@ USE_NOTED_EVERY_S = 60.0
 
 
 def check_name(name: str) -> None:
-    """The name of a new user or token. Raises CallerError."""
+    """Raises CallerError for a name that no user or token may have."""
     is_composed = unicodedata.is_normalized("NFC", name)
     is_latin = is_composed and all(unicodedata.normalize("NFD", each)[0] in _LETTERS for each in name)
     if not is_latin or not 1 <= len(name) <= MAX_NAME:
@@ -66,13 +66,14 @@ def check_distinct(name: str, names: Iterable[str]) -> None:
 
 
 def _shape(name: str) -> str:
-    """Alike for names that look alike (Unicode UTS 39, 4): without case, accents, zero width."""
+    """Return a text that is alike for names that look alike (Unicode UTS 39, 4): without case, accents, zero
+    width."""
     plain = unicodedata.normalize("NFKD", name).casefold().translate(_SAME_SHAPE)
     return "".join(each for each in plain if unicodedata.category(each)[0] not in "MC")
 
 
 def check_panel_role(role: Role) -> None:
-    """Raises CallerError: anyone who passes by a panel may touch it."""
+    """Raises CallerError for a role that no panel may have: anyone who passes by a panel may touch it."""
     if not Role.OPERATOR.includes(role):
         raise CallerError(Message.of("panel_role_too_high", role=term(role)))
 
@@ -90,7 +91,7 @@ def check_token_bus(role: Role, bus: str, buses: Collection[str]) -> None:
 
 
 def token_expiry(now: UnixTime, days: int | None) -> UnixTime | None:
-    """When a token made at ``now`` expires; None where it does not. Raises CallerError."""
+    """Return when a token made at ``now`` expires; None if it does not. Raises CallerError."""
     if days is None:
         return None
     if not 1 <= days <= MAX_TOKEN_DAYS:
@@ -99,7 +100,7 @@ def token_expiry(now: UnixTime, days: int | None) -> UnixTime | None:
 
 
 def check_home(home: str) -> None:
-    """Raises CallerError. A page of ours only, so that nothing redirects elsewhere."""
+    """Raises CallerError unless it is a page of ours, so that nothing redirects elsewhere."""
     if not is_own_path(home):
         raise CallerError(Message("home_page_elsewhere"))
 
@@ -113,10 +114,10 @@ SECRET_LENGTH = 43
 
 
 def new_secret() -> str:
-    """256 random bits in :data:`SECRET_LENGTH` characters, for a cookie or a bearer token."""
+    """Return 256 random bits in :data:`SECRET_LENGTH` characters, for a cookie or a bearer token."""
     return secrets.token_urlsafe(32)
 
 
 def secret_hash(secret: str) -> bytes:
-    """The stored form of a random secret; it needs no slow hash, as 256 bits cannot be guessed."""
+    """Return the stored form of a random secret; it needs no slow hash, as 256 bits cannot be guessed."""
     return hashlib.sha256(secret.encode()).digest()

@@ -64,7 +64,7 @@ class OidcSettings(StrictModel):
 
     @property
     def host(self) -> str:
-        """Names the provider in messages."""
+        """Return the name of the provider in messages."""
         return urlsplit(self.issuer).netloc
 
     @field_validator("scopes")

@@ -1,9 +1,8 @@
-"""Signing in and out.
+"""Signing in and out, and the first admin.
 
-The first admin of a site, created in the browser with a code that the server printed at its start.
-
-Who reads the output of the server could add a user by the command line as well. The code holds until there
-is a user, or the server ends.
+The first admin of a site is created in the browser with a code that the server printed at its start: whoever
+reads the output of the server could add a user by the command line as well. The code holds until there is a
+user, or the server ends.
 """
 
 from __future__ import annotations
@@ -44,12 +43,12 @@ MAX_WAITING = 200
 
 
 class WrongSecretError(Problem):
-    """401: there is no such user, or the secret is another."""
+    """The refusal, 401, of an unknown user or a wrong secret."""
 
 
 @dataclass(frozen=True, slots=True)
 class SignedIn:
-    """The cookies of a new session, and of the browser that it was begun in; their user."""
+    """A session that has begun: its cookie, that of its browser, and its user."""
 
     session: str
     device: str
@@ -91,9 +90,10 @@ class SignIn:
     async def identify(
         self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
     ) -> User:
-        """The user whose password or PIN it is: who signs in, or signs at the page of another.
+        """Return the user whose password or PIN it is: who signs in, or signs at the page of another.
 
-        Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 after too many."""
+        Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 after too many.
+        """
         if not name or not secret:
             # No user has an empty name or secret: it is not checked, costs nothing, and is no event.
             raise Problem(401, "unauthorized", _WRONG[panel])
@@ -134,11 +134,11 @@ class SignIn:
         await self._rights.apply()
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
-        """How long the sessions of this user last."""
+        """Return how long the sessions of this user last."""
         return rules.lifetime(self.sessions, panel=user.panel)
 
     async def _checked(self, name: str, secret: str, address: str, device: str, panel: bool) -> User | None:
-        """The user whose secret it is, within the limits. Raises Problem 429."""
+        """Return the user whose secret it is, within the limits; None for a wrong one. Raises Problem 429."""
         attempt = await self._attempt(name, address, device, panel)
         self._refuse_too_soon(attempt)
         try:
@@ -181,9 +181,9 @@ class SignIn:
         return user
 
     async def _user_or_decoy(self, name: str) -> tuple[User | None, str]:
-        """A user with the hash of the secret. For an unknown name, and for a user without a password, the
-        hash of another user, always the same one: hashes of an earlier version take longer, and the time must
-        not reveal which names exist."""
+        """Return a user with the hash of the secret. For an unknown name, and for a user without a password,
+        it is the hash of another user, always the same one: hashes of an earlier version take longer, and the
+        time must not reveal which names exist."""
         number = int(self._events.keys.ring.seal("decoy", name), 16)
 
         def find(connection: StoreConnection) -> tuple[User | None, str]:
@@ -221,7 +221,7 @@ class SignIn:
         return SignedIn(session, device, user)
 
     def _is_weak(self, user: User, secret: str) -> bool:
-        """Whether today's rules refuse the secret; it works until it is changed; the admin is notified."""
+        """Whether today's rules refuse the secret. It works until it is changed, and the admin sees that."""
         try:
             check_secret(secret, user=user.name, panel=user.panel, site=self.site)
         except CallerError:
@@ -240,8 +240,8 @@ class SignIn:
 async def count_refusal(
     events: EventLog, kind: EventKind, what: Message, who: str | Message, address: str, message: str = ""
 ) -> None:
-    """Count a refusal in the events. Of an IPv6 address the subnet: a sender has as many of its addresses as
-    it likes. Without an event a refusal is as good: the disk may be full."""
+    """Count a refusal in the events; of an IPv6 address the subnet, as a sender has as many of its addresses
+    as it likes. A refusal holds without its event, too: the disk may be full."""
     with suppress(StoreError):
         await events.repeated.count(kind, what, who=who, origin=source_of(address), message=message)
 
@@ -251,8 +251,8 @@ def _browser(device: str) -> str:
 
 
 def too_soon(seconds: int) -> Problem:
-    """429 with the time to wait, after which there is one try. A refusal of a wrong secret does not show how
-    many are left: only a guesser needs that."""
+    """Return 429 with the time to wait, after which there is one try. A refusal of a wrong secret does not
+    show how many tries are left: only a guesser needs that."""
     problem = Problem(429, "too_many", Message.of("too_many_sign_ins", seconds=seconds))
     problem.headers.update(RateLimit(1, 0, seconds).headers)
     return problem.with_headers(Retry_After=str(seconds))
@@ -266,7 +266,8 @@ GROUPS, GROUP = 3, 4
 
 @dataclass(eq=False, repr=False)
 class FirstAdmin:
-    """``code`` is empty where there is a user, and where requests need none (a demo)."""
+    """The way to the first admin. ``code`` is empty once there is a user, and in a demo, whose requests need
+    none."""
 
     _accounts: Accounts
     _sign_in: SignIn
@@ -301,7 +302,8 @@ class FirstAdmin:
         await count_refusal(self._events, "login_refused", what, Message("unknown_name"), address)
 
     def _check(self, code: str, address: str) -> None:
-        """Bounded as sign-ins of one name are, from networks where no one has signed in yet."""
+        """Check the code, with the limits of sign-ins of one name from networks where no one has signed in
+        yet. Raises Problem 401 and 429."""
         attempt, now = Attempt("", source_of(address)), self._monotonic()
         wait_s = self._throttle.wait_s(attempt, now)
         if wait_s > 0:
@@ -314,14 +316,14 @@ class FirstAdmin:
 
 
 class WrongCodeError(Problem):
-    """401: it is not the code of this start; the caller owes `FirstAdmin.note_refusal`."""
+    """The refusal, 401, of a wrong code; the caller owes `FirstAdmin.note_refusal`."""
 
 
 def new_code() -> str:
-    """A code to be typed: ``K7QX-M2RT-9WBD``."""
+    """Return a new code that is easy to type: ``K7QX-M2RT-9WBD``."""
     return "-".join("".join(secrets.choice(_LETTERS) for _ in range(GROUP)) for _ in range(GROUPS))
 
 
 def _plain(code: str) -> str:
-    """As typed, in capitals and without what divides its groups."""
+    """Return a code in capitals and without what divides its groups."""
     return "".join(code.upper().replace("-", " ").split())

@@ -1,8 +1,7 @@
-"""Signs in people by their company account: to the provider, and back with a code.
+"""Signing in by a company account, by OpenID Connect Core 1.0, the authorization code with PKCE: to the
+provider, and back with a code.
 
-One login by a company account: what the browser keeps of it, why it can fail, and what its claims give.
-
-The server keeps nothing of a login that is under way. Pure.
+The server keeps nothing of a login that is under way: a `LoginAttempt` is in its browser.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ def require_package() -> None:
 
 
 def provider_of(settings: OidcSettings) -> Provider:
-    """The provider of these settings. Its modules are loaded only where there is one."""
+    """Return the provider of these settings. Its modules are loaded only if there is one."""
     from app.people.auth.provider import Provider
 
     return Provider(settings)
@@ -66,8 +65,7 @@ def provider_of(settings: OidcSettings) -> Provider:
 
 @dataclass(eq=False, repr=False)
 class SingleSignOn:
-    """``settings``: None where no provider is configured. The rest of a sign-in that is under way is in its
-    browser."""
+    """The sign-ins by company accounts. ``settings``: None if no provider is configured."""
 
     settings: OidcSettings | None
     _accounts: Accounts
@@ -84,7 +82,7 @@ class SingleSignOn:
 
     @property
     def fault(self) -> Message | None:
-        """Why no one can sign in by a company account now."""
+        """Return why no one can sign in by a company account now."""
         return None if self.provider is None else self.provider.fault
 
     async def start(self) -> None:
@@ -105,8 +103,8 @@ class SingleSignOn:
             await self.provider.close()
 
     def begin(self, next_page: str, callback: str, *, reauthenticate: bool) -> tuple[str, LoginAttempt]:
-        """Where the browser goes, and what it keeps. ``callback``: where the provider sends it back to.
-        Raises NotAdmittedError."""
+        """Return where the browser goes, and the attempt that it keeps. ``callback``: where the provider
+        sends it back to. Raises NotAdmittedError."""
         attempt = new_attempt(next_page)
         url = None
         if self.provider is not None and self.provider.fault is None:
@@ -136,7 +134,7 @@ class SingleSignOn:
         return await self._sign_in.begin_by_company_account(user, address, device)
 
     def _code(self, attempt: LoginAttempt | None, response: dict[str, str]) -> str:
-        """The code of a response to this attempt. Raises NotAdmittedError."""
+        """Return the code of a response to this attempt. Raises NotAdmittedError."""
         if self.provider is None or attempt is None or not attempt.has_state(response.get("state", "")):
             raise NotAdmittedError("expired")
         if not self.provider.is_issuer(response.get("iss")):
@@ -211,8 +209,8 @@ COUNTED: frozenset[NotAdmittedReason] = frozenset({"disabled", "groups", "name",
 
 
 class NotAdmittedError(Exception):
-    """``reason``: shown to the person; ``detail``: for the log and the event; ``name``: of the account, once
-    it is known."""
+    """Why a company account is not admitted. ``reason``: shown to the person; ``detail``: for the log and the
+    event; ``name``: of the account, once it is known."""
 
     def __init__(self, reason: NotAdmittedReason, detail: str = "", name: str = "") -> None:
         super().__init__(reason)
@@ -227,8 +225,9 @@ def refusal_shown(reason: str) -> Message | None:
 
 
 class LoginAttempt(msgspec.Struct, frozen=True, array_like=True):
-    """``state`` ties the way back to this browser (RFC 6749, 10.12), ``nonce`` the ID token to this attempt,
-    and ``verifier`` the code to this client (RFC 7636). ``next``: the page that the person wanted."""
+    """A login by a company account that is under way. ``state`` ties the way back to this browser (RFC 6749,
+    10.12), ``nonce`` the ID token to this attempt, and ``verifier`` the code to this client (RFC 7636).
+    ``next``: the page that the person wanted."""
 
     state: _Secret
     nonce: _Secret

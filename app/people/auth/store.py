@@ -44,7 +44,7 @@ class User:
 
     @property
     def credential(self) -> str:
-        """A text that differs once the user was added again, or has another password."""
+        """Return a text that differs once the user was added again, or has another password."""
         return f"{self.created_at} {self.secret_serial}"
 
     @property
@@ -65,7 +65,7 @@ class Session:
 
 @dataclass(frozen=True)
 class Token:
-    """A program's key; what it is was shown once and is not stored."""
+    """A program's key; its secret was shown once and is not stored."""
 
     id: int
     name: str
@@ -79,12 +79,12 @@ class Token:
 
     @property
     def credential(self) -> str:
-        """A text that differs once the token was revoked and created again."""
+        """Return a text that differs once the token was revoked and created again."""
         return f"{self.id} {self.created_at}"
 
     @property
     def last_day(self) -> str:
-        """The day on which it expires, ISO 8601 in UTC; empty for one that does not."""
+        """Return the day on which the token expires, ISO 8601 in UTC; empty if it does not."""
         if self.expires_at is None:
             return ""
         return datetime.fromtimestamp(float(self.expires_at), UTC).date().isoformat()
@@ -101,7 +101,7 @@ _TOKEN = "id, name, role, created_by, created_at, used_at, bus, expires_at"
 
 
 def _user(row: StoreRow) -> User:
-    """The user in the columns `_USER`, the first of a row."""
+    """Return the user in the columns `_USER`, the first of a row."""
     name, role, panel, home, language, disabled, created_at, seen_at, weak, serial, issuer, subject = row[:12]
     return User(
         name,
@@ -119,7 +119,7 @@ def _user(row: StoreRow) -> User:
 
 
 def _token(row: StoreRow) -> Token:
-    """The token in the columns `_TOKEN`, the first of a row."""
+    """Return the token in the columns `_TOKEN`, the first of a row."""
     number, name, role, *others = tuple(row)[:8]
     return Token(number, name, Role(role), *others)
 
@@ -129,28 +129,28 @@ def users(connection: StoreConnection) -> list[User]:
 
 
 def secret_hashes(connection: StoreConnection) -> list[str]:
-    """The hashes of the passwords and PINs of all users, the oldest user first."""
+    """Return the hashes of the passwords and PINs of all users, the oldest user first."""
     query = "SELECT secret_hash FROM users WHERE issuer IS NULL ORDER BY created_at, name"
     return [row["secret_hash"] for row in connection.execute(query)]
 
 
 def user(connection: StoreConnection, name: str) -> tuple[User, str] | None:
-    """A user with the hash of the password or PIN."""
+    """Return a user with the hash of the password or PIN."""
     query = f"SELECT {_USER}, u.secret_hash FROM users u WHERE u.name = ?"
     row = connection.execute(query, (name,)).fetchone()
     return (_user(row), row["secret_hash"]) if row else None
 
 
 def user_of(connection: StoreConnection, account: CompanyAccount) -> User | None:
-    """The user who signs in by a company account."""
+    """Return the user who signs in by a company account."""
     query = f"SELECT {_USER} FROM users u WHERE u.issuer = ? AND u.subject = ?"
     row = connection.execute(query, account).fetchone()
     return _user(row) if row else None
 
 
 def add_user(connection: StoreConnection, user: User, secret_hash: str) -> None:
-    """``secret_hash`` is empty for the user of a company account. Raises ConstraintError for a name that is
-    there."""
+    """Add a user; ``secret_hash`` is empty for a company account. Raises ConstraintError for a name that
+    exists."""
     connection.execute(
         "INSERT INTO users (name, role, secret_hash, panel, home, created_at, issuer, subject) "
         "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
@@ -167,13 +167,13 @@ def add_user(connection: StoreConnection, user: User, secret_hash: str) -> None:
 
 
 def set_role(connection: StoreConnection, name: str, role: Role) -> bool:
-    """Store the role of a user. Whether there is such a user."""
+    """Store the role of a user. Return whether there is such a user."""
     return connection.execute("UPDATE users SET role = ? WHERE name = ?", (role, name)).rowcount == 1
 
 
 def set_secret(connection: StoreConnection, name: str, secret_hash: str, keep: bytes = b"") -> bool:
-    """A new password or PIN; every session of the user ends but that with the hash ``keep``. Whether there is
-    such a user."""
+    """Store a new password or PIN and end every session of the user but that with the hash ``keep``. Return
+    whether there is such a user."""
     end_sessions_of(connection, name, keep)
     change = (
         "UPDATE users SET secret_hash = ?, weak_secret = 0, secret_serial = secret_serial + 1 WHERE name = ?"
@@ -188,19 +188,19 @@ def replace_hash(connection: StoreConnection, name: str, before: str, secret_has
 
 
 def set_disabled(connection: StoreConnection, name: str, disabled: bool) -> bool:
-    """Refuse or admit a user again; sessions end. Whether there is such a user."""
+    """Refuse or admit a user again; sessions end. Return whether there is such a user."""
     end_sessions_of(connection, name)
     change = "UPDATE users SET disabled = ? WHERE name = ?"
     return connection.execute(change, (disabled, name)).rowcount == 1
 
 
 def set_language(connection: StoreConnection, name: str, language: str) -> None:
-    """The language that the user chose; empty: that of the browser."""
+    """Store the language that the user chose; empty: that of the browser."""
     connection.execute("UPDATE users SET language = ? WHERE name = ?", (language, name))
 
 
 def remove_user(connection: StoreConnection, name: str) -> bool:
-    """Delete a user, whose events stay. Whether there was such a user."""
+    """Delete a user, whose events stay. Return whether there was such a user."""
     return connection.execute("DELETE FROM users WHERE name = ?", (name,)).rowcount == 1
 
 
@@ -210,7 +210,7 @@ def has_own_users(connection: StoreConnection) -> bool:
 
 
 def admins_left(connection: StoreConnection) -> int:
-    """How many admins can sign in without a provider."""
+    """Return how many admins can sign in without a provider."""
     query = "SELECT count(*) FROM users WHERE role = 'admin' AND disabled = 0 AND issuer IS NULL"
     return int(connection.execute(query).fetchone()[0])
 
@@ -242,7 +242,7 @@ def are_places(connection: StoreConnection, name: str, browser: str, network: st
 
 
 def note_places(connection: StoreConnection, name: str, places: Iterable[str], now: UnixTime) -> None:
-    """A user has signed in from these; the newest of each user are kept."""
+    """Store from where a user has signed in; the newest places of each user are kept."""
     note = upsert("known_places", ("name", "place"), ("seen_at",))
     connection.executemany(note, [(name, place, now) for place in places])
     forget = (
@@ -253,7 +253,7 @@ def note_places(connection: StoreConnection, name: str, places: Iterable[str], n
 
 
 def session(connection: StoreConnection, hash_: bytes) -> Session | None:
-    """The session of a cookie."""
+    """Return the session of a cookie."""
     query = (
         f"SELECT {_USER}, s.created_at AS begun_at, s.used_at, s.expires_at "
         "FROM sessions s JOIN users u USING (name) WHERE s.hash = ?"
@@ -294,7 +294,7 @@ def token(connection: StoreConnection, hash_: bytes) -> Token | None:
 
 
 def add_token(connection: StoreConnection, hash_: bytes, token: Token) -> None:
-    """Raises ConstraintError for a name that is there."""
+    """Add a token. Raises ConstraintError for a name that exists."""
     connection.execute(
         "INSERT INTO tokens (hash, name, role, created_by, created_at, bus, expires_at) "
         "VALUES (?, ?, ?, ?, ?, ?, ?)",
@@ -307,5 +307,5 @@ def note_token_used(connection: StoreConnection, number: int, now: UnixTime) -> 
 
 
 def revoke_token(connection: StoreConnection, name: str) -> bool:
-    """Delete a token. Whether there was such a token."""
+    """Delete a token. Return whether there was such a token."""
     return connection.execute("DELETE FROM tokens WHERE name = ?", (name,)).rowcount == 1

@@ -38,18 +38,18 @@ MAX_KEPT = 10_000
 
 @dataclass(slots=True)
 class _Failures:
-    """How many there were, and when the last was."""
+    """The failures of one name at one place, and the time of the last."""
 
     count: int = 0
     at: Monotonic = Monotonic(0.0)
 
     def recent(self, now: Monotonic) -> int:
-        """How many of them still count."""
+        """Return how many of them still count."""
         return self.count if now - self.at < FORGOTTEN_AFTER_S else 0
 
 
 class Bounded(Generic[K, V]):
-    """Values by key, no more than ``most``; ``new`` makes the value of a new key."""
+    """A store of at most ``most`` values by key; ``new`` makes the value of a new key."""
 
     def __init__(self, most: int, new: Callable[[], V]) -> None:
         self._most = most
@@ -60,12 +60,12 @@ class Bounded(Generic[K, V]):
         return len(self._values)
 
     def get(self, key: K) -> V:
-        """The value of a key, for reading; one that is changed must be `kept`."""
+        """Return the value of a key, for reading; one that is changed must be `kept`."""
         found = self._values.get(key)
         return self._new() if found is None else found
 
     def kept(self, key: K) -> V:
-        """The value of a key, to be changed; the key is the newest from now on."""
+        """Return the value of a key, to be changed; the key is the newest from now on."""
         found = self._values.setdefault(key, self._new())
         self._values.move_to_end(key)
         while len(self._values) > self._most:
@@ -94,12 +94,12 @@ class Attempt:
 
     @property
     def pair(self) -> tuple[str, str]:
-        """What backs off together."""
+        """Return what backs off together."""
         return self.name, self.place
 
 
 class Throttle:
-    """What failed in the last quarter of an hour."""
+    """The failures of the last quarter of an hour."""
 
     def __init__(self, most: int = MAX_KEPT) -> None:
         self._pairs: Bounded[tuple[str, str], _Failures] = Bounded(most, _Failures)
@@ -110,7 +110,7 @@ class Throttle:
         self._panels: Bounded[str, Bucket] = Bounded(most, lambda: Bucket(1 / OF_PANEL_EVERY_S, OF_NAME))
 
     def wait_s(self, attempt: Attempt, now: Monotonic) -> float:
-        """For how many seconds an attempt must wait; 0.0: not at all."""
+        """Return the seconds that an attempt must wait; 0.0 for none."""
         waits = [self._wait_of_pair(attempt, now)]
         if not attempt.own_browser:
             waits.append(self._places.get(attempt.place).wait_s(now))

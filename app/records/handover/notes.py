@@ -62,7 +62,7 @@ class Quota:
 
     def rate_limit(self, sender: str) -> RateLimit:
         """What this sender may still store."""
-        return RateLimit.of(self._taken[sender], self._monotonic())
+        return RateLimit.of_bucket(self._taken[sender], self._monotonic())
 
 
 MAX_NOTES = 500
