@@ -1,12 +1,19 @@
-"""What a person does to alarms is checked where it is done, whether or not a route was passed."""
+"""What people do with alarms: checked where it is done, recorded or undone as a whole, and kept through a
+kill."""
 
 from __future__ import annotations
+
+import random
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 from app.core.database import Database
 from app.core.web.access import Person, Role
-from app.errors import Problem
+from app.errors import Problem, StoreError
 from app.line.alarms.acts import (
     ACKNOWLEDGE,
     ALARM_ACTS,
@@ -20,28 +27,32 @@ from app.line.alarms.acts import (
     AlarmAct,
     AlarmShelveRequest,
 )
+from app.line.alarms.journal import AlarmStore, JournalEntry
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.site_alarms import SiteAlarms
 from app.people.audit.queries import Filter
 from bus.instants import UnixTime
 from tests.app.alarm_bus import BUS, RUN, AlarmBus
 from tests.app.complete_app import EVERY_ROLE
+from tests.sizes import sizes
 
 ESTOP = f"{BUS}.1.estop_active"
+ANNA = Person("anna", Role.ENGINEER, "session")
+UNITS = 255
 
 
-class ActiveAlarm:
-    """An emergency stop that is active."""
+class ActiveAlarms:
+    """Emergency stops that are active: of each of some units."""
 
-    def __init__(self, database: Database) -> None:
-        self.bus = AlarmBus(database)
+    def __init__(self, database: Database, units: int = 1) -> None:
+        self.bus = AlarmBus(database, units=units)
         self.bus.connect()
         self.alarm = self.bus.alarm("1.estop_active")
         self.events = self.bus.events
         site = SiteAlarms(self.bus.store, lambda: UnixTime(self.bus.now))
         self.alarms = LineAlarms({BUS: self.bus.alarms}, site, self.bus.store, self.events, self.clock)
         self.bus.now += 1
-        self.bus.read(1, inputs=RUN)
+        self.bus.read(*range(1, units + 1), inputs=RUN)
 
     def clock(self) -> UnixTime:
         return UnixTime(self.bus.now)
@@ -62,7 +73,7 @@ def body_of(act: AlarmAct) -> ActBody:
 async def test_a_caller_without_a_route_needs_the_role_too(
     database: Database, act: AlarmAct, role: Role
 ) -> None:
-    active = ActiveAlarm(database)
+    active = ActiveAlarms(database)
     before = active.alarm.facts
     with pytest.raises(Problem, match=f"role {act.role}") as refused:
         await active.alarms.act(Person("ben", role, "session"), act, f"{ESTOP}.1", body_of(act))
@@ -73,7 +84,7 @@ async def test_a_caller_without_a_route_needs_the_role_too(
 
 @pytest.mark.parametrize("role", [Role.VIEWER, Role.WORKER])
 async def test_silencing_all_that_sounds_needs_the_role_too(database: Database, role: Role) -> None:
-    active = ActiveAlarm(database)
+    active = ActiveAlarms(database)
     with pytest.raises(Problem, match="role operator"):
         await active.alarms.silence_sounding(Person("ben", role, "session"), active.clock())
     assert active.alarms.sounding() == [active.alarm]
@@ -81,7 +92,7 @@ async def test_silencing_all_that_sounds_needs_the_role_too(database: Database, 
 
 
 async def test_each_act_follows_from_its_row(database: Database) -> None:
-    active, anna = ActiveAlarm(database), Person("anna", Role.ENGINEER, "session")
+    active = ActiveAlarms(database)
     expected = [
         (SILENCE, "unack_active"),
         (ACKNOWLEDGE, "ack_active"),
@@ -91,7 +102,7 @@ async def test_each_act_follows_from_its_row(database: Database) -> None:
         (RETURN, "unack_active"),
     ]
     for act, state in expected:
-        await active.alarms.act(anna, act, f"{ESTOP}.1", body_of(act))
+        await active.alarms.act(ANNA, act, f"{ESTOP}.1", body_of(act))
         assert active.alarm.facts.state == state
     assert active.alarm.hidden_by == "anna"
     assert await active.recorded() == [
@@ -103,10 +114,100 @@ async def test_each_act_follows_from_its_row(database: Database) -> None:
         "Alarm silenced: Emergency stop",
     ]
     with pytest.raises(Problem, match="Nothing was changed"):
-        await active.alarms.act(anna, RESET, f"{ESTOP}.1")
+        await active.alarms.act(ANNA, RESET, f"{ESTOP}.1")
 
 
 async def test_a_shelf_ends_after_its_minutes(database: Database) -> None:
-    active, anna = ActiveAlarm(database), Person("anna", Role.OPERATOR, "session")
-    await active.alarms.act(anna, SHELVE, f"{ESTOP}.1", AlarmShelveRequest(reason="chatters", minutes=5))
+    active = ActiveAlarms(database)
+    await active.alarms.act(ANNA, SHELVE, f"{ESTOP}.1", AlarmShelveRequest(reason="chatters", minutes=5))
     assert active.alarm.facts.shelved_until == UnixTime(active.bus.now + 300)
+
+
+def entries(database: Database, query: str) -> list[tuple[object, ...]]:
+    def read(connection: sqlite3.Connection) -> list[tuple[object, ...]]:
+        return [tuple(row) for row in connection.execute(query)]
+
+    return database.read_now(read)
+
+
+async def test_every_alarm_that_sounds_is_silenced_in_one_transaction(database: Database) -> None:
+    standing = ActiveAlarms(database, UNITS)
+    until = UnixTime(standing.bus.now)
+    standing.bus.now += 1
+    standing.bus.read(7, inputs=RUN | 0b10)
+    standing.bus.read(7, inputs=RUN, at=standing.bus.now + 0.1)
+    commits = []
+    database._connection.set_trace_callback(lambda text: commits.append(text) if text == "COMMIT" else None)
+    await standing.alarms.silence_sounding(ANNA, until)
+    assert len(commits) == 1
+    assert [alarm.definition.unit for alarm in standing.alarms.sounding()] == [7], "which came since"
+    silenced = "SELECT count(*), count(DISTINCT alarm) FROM alarm_journal WHERE trigger = 'silence'"
+    assert entries(database, silenced) == [(UNITS - 1, UNITS - 1)]
+    assert entries(database, "SELECT count(*) FROM alarm_facts WHERE silenced = 1") == [(UNITS - 1,)]
+    (event,) = entries(database, "SELECT who, bus, unit FROM events WHERE kind = 'alarm'")
+    assert event == ("anna", BUS, None)
+
+
+async def test_where_it_cannot_be_recorded_all_go_on_sounding(database: Database) -> None:
+    standing = ActiveAlarms(database, UNITS)
+    await standing.bus.alarms.list.write()
+    (pages,) = database._connection.execute("PRAGMA page_count").fetchone()
+    database._connection.execute(f"PRAGMA max_page_count = {pages}")
+    with pytest.raises(StoreError):
+        await standing.alarms.silence_sounding(ANNA, UnixTime(standing.bus.now))
+    assert len(standing.alarms.sounding()) == UNITS
+    database._connection.execute("PRAGMA max_page_count = 1000000")
+    await standing.bus.alarms.list.write()
+    triggers = entries(database, "SELECT DISTINCT trigger FROM alarm_journal")
+    assert triggers == [("rise",)]
+    assert entries(database, "SELECT count(*) FROM events WHERE kind = 'alarm'") == [(0,)]
+
+
+async def test_a_press_with_nothing_to_silence_is_no_event(database: Database) -> None:
+    standing = ActiveAlarms(database, UNITS)
+    await standing.alarms.silence_sounding(ANNA, UnixTime(standing.bus.now - 10))
+    assert len(standing.alarms.sounding()) == UNITS
+    assert entries(database, "SELECT count(*) FROM events WHERE kind = 'alarm'") == [(0,)]
+
+
+def flood_and_kill(store: Path, passes: int) -> None:
+    """Let it write some passes, then kill it in the next."""
+    command = [sys.executable, "-m", "tests.app.alarm_flood", str(store)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as flood:
+        assert flood.stdout is not None
+        for _ in range(passes):
+            assert flood.stdout.readline() == "written\n"
+        flood.kill()
+
+
+def check_chain(entries: list[JournalEntry]) -> None:
+    """Each transition of an alarm begins where the one before ended, and no occurrence is left out."""
+    state, occurrence = "normal", 0
+    for entry in entries:
+        assert entry.before == state
+        occurrence += entry.trigger == "rise"
+        assert entry.occurrence == occurrence
+        state = entry.after
+
+
+@pytest.mark.parametrize("kills", sizes(2, 50))
+async def test_a_kill_in_a_flood_loses_and_repeats_no_transition(tmp_path: Path, kills: int) -> None:
+    path = tmp_path / "store.db"
+    dice = random.Random(14)
+    for _ in range(kills):
+        flood_and_kill(path, dice.randint(3, 12))
+    database = Database(path)
+    store = AlarmStore(database)
+    journal = await store.journal(1_000_000, None)
+    stored = await store.load()
+    database.close()
+    by_alarm: dict[str, list[JournalEntry]] = {}
+    for entry in reversed(journal):
+        by_alarm.setdefault(entry.alarm, []).append(entry)
+    assert len(journal) > 100
+    for key, entries in by_alarm.items():
+        check_chain(entries)
+        assert (stored[key].facts.state, stored[key].facts.occurrence) == (
+            entries[-1].after,
+            entries[-1].occurrence,
+        )

@@ -1,11 +1,6 @@
-"""Which address is notified of what and when, against a second model that looks at each second.
-
-Duty rosters against a second model, which fills in a week minute by minute.
-
-Maintenance that recurs: by the clock of the site, also when it changes; on the page and the API.
-
-The outbox of one address: whose turn it is, what is collected, when it is tried again.
-"""
+"""The rules of notification: what is notified to whom and when, against a second model that looks at each
+second; rosters and recurring maintenance, against the clock minute by minute; and which message of an address
+is next."""
 
 from __future__ import annotations
 

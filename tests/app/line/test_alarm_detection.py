@@ -1,4 +1,4 @@
-"""The smaller rules of alarms, each by hand: limits, rates, counters, suppression, first-out, priority."""
+"""The rules of detection, each by hand: limits, rates, counters, suppression, first-out, priority."""
 
 from __future__ import annotations
 
