@@ -16,7 +16,7 @@ from app.errors import Problem
 from app.line.commands.catalogue import SET_LINE, longest_change_s
 from app.line.commands.page_context import Confirmed, Page
 from app.line.commands.pages.line import followers_of, left_out_of, proven, reviewed
-from app.line.commands.review import by_remark, present_setpoint
+from app.line.commands.review import by_remark, draw_changes, present_setpoint
 from app.line.commands.rules import setpoint_text
 from app.line.commands.service import permitted
 from app.line.live.api.routes import Live
@@ -99,7 +99,7 @@ async def review(
         was=was,
         followers=followers_of(bus),
         able=len(able),
-        draws=of_bus.draws({step.unit: step.raw for step in able}),
+        draws=draw_changes(of_bus.bus, {step.unit: step.raw for step in able}),
         risks=by_remark((str(step.name), risk) for step in able for risk in step.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,

@@ -33,7 +33,7 @@ from app.line.commands.pages.line import followers_of, left_out_of, typed_setpoi
 from app.line.commands.pages.parameters import CONFIRMING_WORD, ParameterPath
 from app.line.commands.pages.speed import explain_setpoint
 from app.line.commands.pages.unit import OutputPath, typed_analog
-from app.line.commands.review import OutcomeText, Tone, by_remark, outcome_text
+from app.line.commands.review import OutcomeText, Tone, by_remark, draw_changes, outcome_text
 from app.line.commands.service import ParameterWriter, permitted, permitted_writer
 from app.line.commands.undo import UndoOffer, ValuePlace, Values
 from app.line.commands.values import Scales, parameter_message, parse_scale
@@ -114,7 +114,7 @@ def _review(page: BusPage, tray: OwnTray) -> Response:
         followers=followers_of(page.bus),
         warnings=by_remark((row.name, warning) for row in able for warning in row.warnings),
         dangers=by_remark((row.name, term(row.danger)) for row in able if row.danger),
-        draws=page.draws(setpoints),
+        draws=draw_changes(page.bus, setpoints),
         word=CONFIRMING_WORD,
         longest_s=_longest_s(page, {row.place: row.raw for row in able}),
     )

@@ -61,14 +61,15 @@ SCALE_READS = 3
 
 
 def timeout_s_for(bus: BusLive, staged_units: int = 0, *, typed: bool = False) -> float:
-    """How long a write may wait to be sent: a change of several units needs the time of its staging too.
-    ``staged_units``: how many, 0 for a command to one. ``typed``: its values were not given raw."""
+    """Return how long a write may wait to be sent: a change of several units also needs the time of its
+    staging. ``staged_units``: how many, 0 for a command to one. ``typed``: its values were not given raw."""
     reads = SCALE_READS if typed else 0
     return DEFAULT_TIMEOUT_S + staged_units * longest_stage_s(bus.baud, bus.settings.turnaround_s, reads)
 
 
 def longest_change_s(bus: BusLive, units: int) -> float:
-    """Until the result of a change of several units is known at the latest: it may be withdrawn from each."""
+    """Return when the result of a change of several units is known at the latest: it may be withdrawn from
+    each."""
     return 2 * timeout_s_for(bus, units, typed=True)
 
 
@@ -85,30 +86,30 @@ class CommandKind(Generic[A]):
 
     request: type[A]
     role: Role
-    """Who may send it, and all above."""
+    """Who may send the command, and all roles above."""
     wording: Callable[[A, BusLive], Wording]
-    """What it is called in the events."""
+    """What the command is called in the events."""
     part_wordings: Callable[[A, BusLive], Mapping[int, Wording]] = lambda _, _bus: {}
-    """What a change of several is called for each of its units."""
+    """What a change of several units is called for each of them."""
     units_written: Callable[[A, BusLive], Sequence[int]] = lambda action, _: (
         action.units if action.writes else ()
     )
-    """The units at which it, or its broadcast, can change something."""
+    """The units at which the command, or its broadcast, can change something."""
     setpoints: Callable[[A, BusLive], Iterable[NewSetpoint]] = lambda _, _bus: ()
-    """The setpoints that it would bring about, as far as they are known; each is judged."""
+    """The setpoints that the command would bring about, as far as they are known; each is checked."""
     check: Callable[[A, RuleContext], None] = lambda _, _now: None
-    """The kind's own check. Raises Problem."""
+    """The check of this kind alone. Raises Problem."""
     danger: Callable[[A], str] = lambda _: ""
-    """Why it must be confirmed; empty where it need not be."""
+    """Why the command must be confirmed; empty if it need not be."""
     timeout_s: Callable[[A, BusLive], float] = lambda _, bus: timeout_s_for(bus)
-    """How long it may take where its sender gives no timeout."""
+    """How long the command may take if its sender gives no timeout."""
     writes_parameters: bool = False
     is_secret: Callable[[A], bool] = lambda _: False
     """Whether its frames carry a secret (#21)."""
     is_event: Callable[[A], bool] = lambda action: action.writes
-    """Whether it is recorded before it is sent."""
+    """Whether the command is recorded before it is sent."""
     only_slows: Callable[[A, BusLive], bool] = lambda _, _bus: False
-    """Whether it can only make units slower, or stop them, as they were last read."""
+    """Whether the command can only make units slower, or stop them, as they were last read."""
 
 
 SET_SPEED = CommandKind(
@@ -227,7 +228,7 @@ def kind_of_command(action: Action) -> CommandKind[Any]:
 
 
 def check(action: Action, now: RuleContext) -> None:
-    """Raises Problem for the first reason not to send ``action``."""
+    """Raise Problem for the first reason not to send ``action``."""
     kind = kind_of_command(action)
     for unit in kind.units_written(action, now.bus):
         if (block := now.block(unit)) is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -19,15 +19,12 @@ from app.core.web.services import bus_service_of, service_of
 from app.core.web.templating import render, templates_of
 from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command, timeout_s_for
-from app.line.commands.limits import Limits
 from app.line.commands.record import CommandKey
 from app.line.commands.review import (
     REVIEW_LASTS_S,
-    DrawChange,
     OutcomeText,
     SetpointChange,
     change_of,
-    draw_changes,
     obstacle_of,
     outcome_text,
     present_setpoint,
@@ -49,21 +46,21 @@ from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 _RESULT: dict[str, Any] = {"requested": "", "reads": "", "undo": None, "controlled": ""}
-"""What a result shows where nothing else is given."""
+"""What a result shows unless something else is given."""
 
 
 @dataclass(frozen=True, slots=True)
 class Confirmation:
-    """What a confirmed review posts: the id of its command, when it was shown, and the id of the command that
-    it undoes."""
+    """What a confirmed review posts: the id of its command, when it was shown, and the id of the command
+    that it undoes."""
 
     id: str
     reviewed_at: UnixTime
     undoes: str = ""
 
     def refuse_lapsed(self) -> None:
-        """Raises Problem 409 for a review that is over. Nothing is sent."""
-        if not unix_now() - self.reviewed_at <= REVIEW_LASTS_S:  # of NaN too
+        """Raise Problem 409 for a review that is over."""
+        if not unix_now() - self.reviewed_at <= REVIEW_LASTS_S:  # also for NaN
             raise Problem(409, "lapsed", Message("review_lapsed"))
 
 
@@ -82,19 +79,19 @@ class PageContext:
 
     @property
     def person(self) -> Person:
-        """Who has the grant of the request. Raises Problem 401."""
+        """The person with the grant of the request. Raises Problem 401."""
         return person_of(self.request)
 
     def of_bus(self, bus: str) -> BusPage:
-        """This request, for one bus. Raises Problem 404."""
+        """Return this request for one bus. Raises Problem 404."""
         return BusPage(self.request, bus)
 
     def buses(self) -> list[BusPage]:
-        """This request, for each bus."""
+        """Return this request for each bus."""
         return [self.of_bus(name) for name in self.live.buses]
 
     def fields(self) -> FlatFields:
-        """All texts of the screen as they are now."""
+        """Return all texts of the screen as they are now."""
         return service_of(self.request, Hub).screen(self.translator.language.tag).flat()
 
     def people(self) -> dict[str, str]:
@@ -102,10 +99,11 @@ class PageContext:
         return service_of(self.request, Hub).people()
 
     def render(self, template: str, /, *, status: int = 200, **context: Any) -> Response:
+        """Render a template in the reader's language."""
         return render(self.request, template, status=status, **context)
 
     def review(self, template: str, /, **context: Any) -> Response:
-        """The second step: what will be done once this is confirmed, and the id it will be done under."""
+        """Render a review: what will be done once it is confirmed, and the id of the command."""
         context = {"command_id": new_id(), "reviewed_at": unix_now(), "undoes": self.undoes, **context}
         return self.render(template, **context)
 
@@ -117,8 +115,8 @@ class PageContext:
         nearest: str | Message = "",
         status: int = 422,
     ) -> Response:
-        """Why there is no review, at the CSS selector ``place``, with a way to control where that is missing.
-        A press on ``nearest`` enters it."""
+        """Render why there is no review, at the CSS selector ``place``, with a way to control if that is
+        missing. A press on ``nearest`` enters it."""
         response = self.render(
             "unit/_no_review.html",
             reason=reason if isinstance(reason, Message) else reason.message,
@@ -130,19 +128,15 @@ class PageContext:
         return response
 
     def refused(self, problem: Problem, title: str) -> Response:
-        """The end of a review that sent nothing, in the dialog."""
-        outcome = OutcomeText("bad", problem.message)
-        return self.done(title, outcome, status=problem.status, controlled=_controlled(problem))
-
-    def done(self, title: str, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
-        """The end of a review, in the dialog. ``setpoint``: the requested value, its live field, its undo."""
-        context = _RESULT | setpoint
-        return self.render("unit/_done.html", title=title, outcome=outcome, status=status, **context)
+        """Render the end of a review that sent nothing, in the dialog."""
+        outcome, controlled = OutcomeText("bad", problem.message), _controlled(problem)
+        return self.render(
+            "unit/_done.html", title=title, outcome=outcome, controlled=controlled, status=problem.status
+        )
 
 
 class BusPage(PageContext):
-    """A request of a page about one bus, and the way to its wire. Raises Problem 404 for one that is not
-    configured."""
+    """A request of a page about one bus. Raises Problem 404 for a bus that is not configured."""
 
     def __init__(self, request: Request, bus: str) -> None:
         super().__init__(request)
@@ -153,14 +147,12 @@ class BusPage(PageContext):
         self._key = CommandKey("")
 
     def shown(self, unit: int) -> UnitOnLine:
-        """A unit as the templates want it."""
+        """Return a unit as the templates need it."""
         return unit_on_line(self.name, self.bus.units[unit])
 
-    def limits(self, unit: int) -> Limits:
-        return self.guards.limits(unit)
-
     def deadline(self, staged_units: int = 0, *, typed: bool = True) -> Deadline:
-        """Deadline of the command that this request sends. ``staged_units``: number of units of a change."""
+        """Return the deadline of the command that this request sends. ``staged_units``: number of units of a
+        change."""
         return Deadline(self.made_at, timeout_s_for(self.bus, staged_units, typed=typed))
 
     async def typed_setpoint(
@@ -170,20 +162,17 @@ class BusPage(PageContext):
         return await self.commands.convert_setpoint(self.person, unit, text, deadline or self.deadline())
 
     def check(self, action: Action) -> None:
-        """The checks of a command that need no reading. Raises Problem for what would not be sent."""
+        """Check a command without reading anything. Raises Problem if it would not be sent."""
         self.commands.check(self.person, action, confirm=True)
 
     async def judge(self, action: Action, deadline: Deadline | None = None) -> None:
-        """All checks of a command; what they need to know of the units is read first, within its time.
-
-        Raises Problem for what would not be sent.
-        """
+        """Check a command; what must be known of its units is read first, within its time. Raises Problem if
+        it would not be sent."""
         await self.commands.read_ranges(self.person, action, deadline or self.deadline())
         self.check(action)
 
     async def know_ramps(self, units: Iterable[int]) -> None:
-        """Read the ramp parameters that were never read; a ramp stays unknown where the unit does not
-        respond."""
+        """Read the ramp parameters that were never read; the ramp of a silent unit stays unknown."""
         deadline = self.deadline()
 
         async def read(unit: int, numbers: list[int]) -> None:
@@ -205,11 +194,9 @@ class BusPage(PageContext):
         undoes: str = "",
         scales: Scales | None = None,
     ) -> Result:
-        """Send the reviewed command, once; ``deadline`` where it is not that of its kind; ``undoes``: the id
-        of the command that it undoes; ``scales``: what the review was made with.
-
-        Raises Problem where it is not sent.
-        """
+        """Send the reviewed command, once. ``deadline``: if it is not that of its kind; ``undoes``: the id of
+        the command that it undoes; ``scales``: what the review was made with. Raises Problem if it is not
+        sent."""
         timeout_s = kind_of_command(action).timeout_s(action, self.bus)
         deadline = deadline or Deadline(self.made_at, timeout_s)
         return await self.commands.send(
@@ -224,7 +211,7 @@ class BusPage(PageContext):
         )
 
     async def has_sent(self, id: str) -> bool:
-        """Whether the form was sent before: its command is not judged again, its result is shown."""
+        """Whether the form was sent before: its command is then not judged again, its result is shown."""
         return (await self._look_up(id)).is_used
 
     async def _look_up(self, id: str) -> CommandKey:
@@ -238,47 +225,34 @@ class BusPage(PageContext):
         self, action: Action, confirmation: Confirmation, scales: Scales | None = None
     ) -> Result:
         """Send what was confirmed while its review lasts; ``scales``: what that was made with. Raises Problem
-        where it is not sent."""
+        if it is not sent."""
         if not await self.has_sent(confirmation.id):
             confirmation.refuse_lapsed()
         return await self.send(action, confirmation.id, undoes=confirmation.undoes, scales=scales)
 
     def outcome(self, result: Result | UnitOutcome, unit: int) -> OutcomeText:
-        """What became of a setpoint; what was read back is in the decimals of ``unit``."""
+        """Word the result of a setpoint; what was read back is in the decimals of ``unit``."""
         return outcome_text(result, lambda raw: setpoint_message(raw, self.bus.units[unit]))
 
     def change(self, unit: int, raw: int, typed_with: UnitScale | None = None) -> SetpointChange:
-        """What a new setpoint means for a unit; ``typed_with``: what it was converted with, where it was
-        typed."""
+        """Describe a new setpoint of a unit; ``typed_with``: its scale, if it was typed."""
         block = self.guards.block_reason(unit, slows=slows_all({unit: raw}, self.bus))
-        live, limits, now = self.bus.units[unit], self.limits(unit), unix_now()
+        live, limits, now = self.bus.units[unit], self.guards.limits(unit), unix_now()
         return change_of(self.bus, live, raw, limits, now, block=block, typed_with=typed_with)
 
-    def draws(self, setpoints: Mapping[int, int]) -> list[DrawChange]:
-        """What new setpoints, raw by unit, do to the draw between neighbors."""
-        return draw_changes(self.bus, setpoints)
-
     def obstacle(self, unit: int) -> Message | None:
-        """Why a unit cannot take a command now; None where nothing is known against it."""
+        """Return why a unit cannot take a command now; None if there is no known reason."""
         block = self.guards.block_reason(unit)
         return obstacle_of(self.bus, self.bus.units[unit], unix_now(), block=block)
 
-    def refuse_unable(self, units: Iterable[int]) -> None:
-        """Raises Problem 409 where one of these units takes no command now: all of a change, or none. A block
-        is left to the command, whose refusal is recorded."""
-        for unit in units:
-            if (reason := obstacle_of(self.bus, self.bus.units[unit], unix_now())) is not None:
-                raise Problem(
-                    409, "not_loadable", Message.of("unit_unable", name=self.name_of(unit), reason=reason)
-                )
-
     def name_of(self, unit: int) -> str | Message:
-        """The name of a unit, its address where it is not configured."""
+        """Return the name of a unit, or its address if it is not configured."""
         live = self.bus.units.get(unit)
         return Message.of("unit_address", unit=unit) if live is None else live.settings.name
 
     def outcome_left_out(self, unit: int) -> OutcomeText:
-        """What became of a unit that a person has left out of a change: why, as far as that still holds."""
+        """Word the result of a unit that a person has left out of a change, with the reason if that still
+        holds."""
         reason = self.obstacle(unit) if unit in self.bus.units else None
         left_out = Message("result_left_out_by_choice")
         return OutcomeText(
@@ -286,20 +260,20 @@ class BusPage(PageContext):
         )
 
     def not_taking_part(self, taking_part: Iterable[int]) -> tuple[list[tuple[str, Message]], list[str]]:
-        """The units that are not part of a change: those that could take no setpoint now, each with the
-        reason, and the names of the rest."""
-        left_out, unchanged, taking = [], [], set(taking_part)
-        for number in (unit for unit in self.bus.units if unit not in taking):
-            name, obstacle = self.bus.units[number].settings.name, self.obstacle(number)
-            if obstacle is None:
-                unchanged.append(name)
-            else:
-                left_out.append((name, obstacle))
-        return left_out, unchanged
+        """Return the units that are not part of a change: those that could take no setpoint now, each with
+        the reason, and the names of the rest."""
+        taking = set(taking_part)
+        others = [
+            (unit.settings.name, self.obstacle(number))
+            for number, unit in self.bus.units.items()
+            if number not in taking
+        ]
+        left_out = [(name, obstacle) for name, obstacle in others if obstacle is not None]
+        return left_out, [name for name, obstacle in others if obstacle is None]
 
 
 class UnitPage(BusPage):
-    """A request of a page about one unit. Raises Problem 404 for one that is not configured."""
+    """A request of a page about one unit. Raises Problem 404 for a unit that is not configured."""
 
     def __init__(self, request: Request, bus: str, unit: int) -> None:
         super().__init__(request, bus)
@@ -309,40 +283,41 @@ class UnitPage(BusPage):
         self.on_line = self.shown(unit)
 
     def neighbor(self, step: Literal[-1, 1]) -> UnitOnLine | None:
-        """The unit before or after this one in floor order; None at an end of the bus."""
+        """Return the unit before or after this one in floor order; None at an end of the bus."""
         units = list(self.bus.units)
         at = units.index(self.id) + step
         return self.shown(units[at]) if 0 <= at < len(units) else None
 
     def result(self, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
-        """The result of a command, in place. ``setpoint``: the requested value, its live field, its undo."""
+        """Render the result of a command, in place. ``setpoint``: the requested value, its live field, its
+        undo."""
         context = _RESULT | setpoint
         return self.render("unit/_result.html", outcome=outcome, status=status, **context)
 
     def not_sent(self, problem: Problem) -> Response:
-        """The result of a confirmed review of which nothing was sent."""
+        """Render the result of a confirmed review that sent nothing."""
         outcome = OutcomeText("bad", problem.message)
         return self.result(outcome, status=problem.status, controlled=_controlled(problem))
 
     def setpoint(self, raw: int | None) -> str:
-        """A setpoint as the unit shows it, in the reader's language; empty where there is none."""
+        """Return a setpoint as the unit shows it, in the reader's language; empty for None."""
         return self.translator.t(setpoint_message(raw, self.unit))
 
     @property
     def present(self) -> int | None:
-        """The present setpoint, raw; None where it is not known."""
+        """The present setpoint, raw; None if it is not known."""
         return present_setpoint(self.bus, self.unit)
 
 
 def _controlled(reason: Message | CallerError | Problem) -> str:
-    """The bus whose control was missing; empty for another reason."""
+    """Return the bus whose control was missing; empty for another reason."""
     if isinstance(reason, Problem) and reason.code == "controlled":
         return str(reason.extra.get("bus", ""))
     return ""
 
 
 def new_id() -> str:
-    """The identity of a command: a form that is posted twice is carried out once."""
+    """Make the id of a command: a form that is posted twice is carried out once."""
     return uuid.uuid4().hex
 
 
@@ -358,7 +333,7 @@ async def _page_of_bus(request: Request, bus: str) -> BusPage:
 
 
 async def unit_page_of(request: Request, bus: str, unit: int) -> UnitPage:
-    """The request with its unit. Raises Problem 503 for a press that was held up on its way, and 404."""
+    """Return the request with its unit. Raises Problem 404, and 503 for a press that was held up."""
     refuse_late(request)
     return UnitPage(request, bus, unit)
 
@@ -382,4 +357,4 @@ async def _scale_of(scale: Annotated[str | None, Form(max_length=400)] = None) -
 
 
 ReviewedScale = Annotated[UnitScale, Depends(_scale_of)]
-"""What converted and bounded the value in the review that is confirmed. Raises Problem 422 without it."""
+"""The scale of the value in the review that is confirmed. Raises Problem 422 without it."""

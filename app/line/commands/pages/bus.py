@@ -1,9 +1,5 @@
-"""The bus page: wire statistics, responses of each unit, the trace, a scan, the baud rate.
-
-Control of a bus from any page: in the head, and in place where a command was refused for want of it.
-
-Undo: an ordinary command with an ordinary review, back to what was there before a command.
-"""
+"""The bus page: wire statistics, responses of each unit, a scan, the baud rate, the read-only mode; control
+of the bus from any page, and the undo of commands to it."""
 
 from __future__ import annotations
 
@@ -49,7 +45,7 @@ DEFAULT_MINUTES = 60
 
 @router.get("/bus")
 async def first_bus(_: Viewer, page: Page) -> Response:
-    """Lead to the first bus, whose page leads to the others."""
+    """Redirect to the first bus, whose page leads to the others."""
     first = next(iter(page.live.buses), None)
     if first is None:
         raise Problem(404, "unknown_bus", Message("no_bus_configured"))
@@ -58,7 +54,7 @@ async def first_bus(_: Viewer, page: Page) -> Response:
 
 @router.get("/bus/{bus}")
 async def bus_page(_: Viewer, page: OfBus) -> Response:
-    """One bus."""
+    """Show one bus."""
     return page.render(
         "bus/page.html",
         buses=list(page.live.buses),
@@ -96,7 +92,7 @@ async def end_read_only(person: Annotated[Person, END_READ_ONLY.permitted], page
 
 @router.get("/bus/{bus}/units")
 async def unit_rows(_: Viewer, page: OfBus) -> Response:
-    """The counters of every unit, for the open page."""
+    """Show the counters of every unit, for the open page."""
     return page.render("bus/_units.html", **_units(page))
 
 
@@ -126,12 +122,12 @@ async def scan(
 
 
 CHANGE_S = 30.0
-"""Every unit written, looked for at two rates, and written back if need be."""
+"""The time to write every unit, look for it at two rates, and write it back if need be."""
 
 
 @router.get("/bus/{bus}/baud", dependencies=[permitted(CHANGE_BAUD)])
 async def review_baud(page: OfBus, baud: int) -> Response:
-    """The second step; nothing has been sent."""
+    """Review a new baud rate."""
     if baud not in BAUDS:
         raise Problem(422, "invalid", Message.of("baud_unknown", rates=", ".join(map(str, BAUDS))))
     if baud == page.bus.baud:
@@ -145,7 +141,7 @@ async def change_baud(
     baud: Annotated[int, Form()],
     id: Annotated[str, Form(min_length=8, max_length=200)],
 ) -> Response:
-    """Change it at every unit; a result for each."""
+    """Change the baud rate of every unit; a result for each."""
     result = await page.send(ChangeBaud(baud=baud), id, Deadline(page.made_at, CHANGE_S))
     return page.render("bus/_baud_done.html", bus=page.bus, outcome=outcome_text(result), result=result)
 
@@ -161,13 +157,13 @@ ControlPlace = Literal["head", "offer", "bus"]
 
 @router.get("/control")
 async def head_control(request: Request, _: Viewer, bus: str = "") -> Response:
-    """Who holds control, for the head of an open page. ``bus``: the page's, empty where it has none."""
+    """Show who holds control, in the head of an open page. ``bus``: the page's; empty if it has none."""
     return render(request, TEMPLATES["head"], of_bus=bus, fault="")
 
 
 @router.get("/bus/{bus}/control/{place}")
 async def control_now(_: Viewer, page: OfBus, place: ControlPlace) -> Response:
-    """The same for one bus, in a place of the page."""
+    """Show who holds control of one bus, in a place of the page."""
     return _shown(page, place)
 
 
@@ -180,7 +176,7 @@ async def control(
     of_bus: Annotated[str, Form(max_length=40)] = "",
     to: Annotated[TypedText, Form(max_length=80)] = "",
 ) -> Response:
-    """One step with control of this bus; states why it had no effect, where another user was quicker."""
+    """Take one step with control of this bus, and show why it had no effect if another user was quicker."""
     fault: str | Message = ""
     try:
         match do:
@@ -213,7 +209,7 @@ def _shown(page: BusPage, place: ControlPlace, *, fault: str | Message = "", of_
 
 
 def others(page: BusPage) -> list[str]:
-    """Users with an open page who may set a line and do not hold this one."""
+    """Return the users with an open page who may set a line and do not hold control of this one."""
     here = {name for name, role in page.people().items() if Role(role).includes(TAKE_CONTROL.role)}
     if page.person.role.includes(FORCE_CONTROL.role):
         here.add(page.person.account)
@@ -222,7 +218,8 @@ def others(page: BusPage) -> list[str]:
 
 @router.get("/bus/{bus}/undo")
 async def newest_undo(person: Viewer, page: OfBus, unit: int | None = None) -> Response:
-    """The undo of the newest command to ``unit`` or, without one, to the bus; empty where there is none."""
+    """Offer the undo of the newest command to ``unit`` or, without one, to the bus; nothing if there is
+    none."""
     units = page.bus.units.keys() if unit is None else {unit}
     offer = page.commands.undo.newest(person, units, names_unit=unit is None)
     return page.render("components/_undo.html", undo=offer)
@@ -230,7 +227,7 @@ async def newest_undo(person: Viewer, page: OfBus, unit: int | None = None) -> R
 
 @router.get("/bus/{bus}/undo/{id}")
 async def review_undo(person: Viewer, page: OfBus, id: str) -> Response:
-    """The review of the undo of one command."""
+    """Review the undo of one command: an ordinary command back to what was there before."""
     offer = page.commands.undo.offer(person, id)
     try:
         if offer is None:

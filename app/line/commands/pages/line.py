@@ -1,18 +1,14 @@
-"""Many units as one change: the setpoints page.
+"""Several units as one change: the setpoints page, and setting the line to zero from any page.
 
-The change of several units of a bus: its review, and the result per unit.
-
-The form of such a review holds for each unit ``raw-N``, the new setpoint, ``was-N``, the one that the person
-saw, both raw, the latter empty where it was not known, and ``scale-N``, what both were shown with.
+The form of a review of several units holds for each unit ``raw-N``, the new setpoint, ``was-N``, the one that
+the person saw, both raw, the latter empty if it was not known, and ``scale-N``, what both were shown with.
 ``leave-out`` are the units that the person leaves out by name, as they cannot take it now.
-
-Setting the line to zero from any page: one review, one confirmation, a result for every unit.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import partial
 from typing import Annotated
 
@@ -32,6 +28,8 @@ from app.line.commands.review import (
     ResultRow,
     ZeroPlan,
     by_remark,
+    draw_changes,
+    obstacle_of,
     outcome_text,
     plan_zero,
     present_setpoint,
@@ -58,14 +56,14 @@ TITLE = term("Setpoints")
 
 @router.get("/setpoints")
 async def setpoints(_: Viewer, page: Page) -> Response:
-    """Every unit with its present setpoint and room for a new one."""
+    """Show every unit with its present setpoint and a field for a new one."""
     buses = [(bus.name, [_line_of(bus, number) for number in bus.bus.units]) for bus in page.buses()]
     return page.render("setpoints/page.html", fields=page.fields(), buses=buses)
 
 
 def _line_of(page: BusPage, number: int) -> dict[str, object]:
     live = page.bus.units[number]
-    allowed = setpoint_range(live, page.limits(number))
+    allowed = setpoint_range(live, page.guards.limits(number))
     low, high = setpoint_message(allowed.lowest, live), setpoint_message(allowed.highest, live)
     return {
         "unit": page.shown(number),
@@ -77,7 +75,7 @@ def _line_of(page: BusPage, number: int) -> dict[str, object]:
 
 @router.post("/setpoints/review", dependencies=[permitted(SET_LINE)])
 async def review_setpoints(request: Request, page: Page) -> Response:
-    """Each new setpoint that was typed, judged: old → new, limits, ramps, in one table."""
+    """Review each setpoint that was typed: old → new, limits, ramps, in one table."""
     form = await request.form()
     of_bus = page.of_bus(str(form.get("bus", "")))
     try:
@@ -89,8 +87,8 @@ async def review_setpoints(request: Request, page: Page) -> Response:
 async def review_change(
     of_bus: BusPage, setpoints: Mapping[int, int], typed_with: Scales | None = None
 ) -> Response:
-    """The new setpoint of several units, raw, to be confirmed; ``typed_with``: what each was converted with,
-    where they were typed. Raises Problem for what would not be sent."""
+    """Review the new setpoints, raw, of several units; ``typed_with``: their scales, if they were typed.
+    Raises Problem if they would not be sent."""
     scales = typed_with or {}
     able = {unit: raw for unit, raw in setpoints.items() if of_bus.obstacle(unit) is None}
     if able:
@@ -104,7 +102,7 @@ async def review_change(
         bus=of_bus.name,
         changes=changes,
         able=len(able),
-        draws=of_bus.draws(able),
+        draws=draw_changes(of_bus.bus, able),
         risks=by_remark((each.name, risk) for each in changes if each.unit in able for risk in each.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,
@@ -114,8 +112,8 @@ async def review_change(
 
 
 async def typed_setpoints(page: BusPage, form: FormData) -> tuple[dict[int, int], Scales]:
-    """Raw setpoint by unit, and what it was converted with. Raises CallerError and Problem for an invalid
-    setpoint."""
+    """Return the raw setpoints in a form by unit, and their scales. Raises CallerError and Problem for an
+    invalid setpoint."""
     fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in page.bus.units}
     typed = {unit: text for unit, text in fields.items() if text}
     if not typed:
@@ -136,21 +134,30 @@ async def typed_setpoints(page: BusPage, form: FormData) -> tuple[dict[int, int]
 async def set_setpoints(
     request: Request, page: Page, bus: Annotated[str, Form()], confirmed: Confirmed
 ) -> Response:
-    """Stage all, require every acknowledgement, one broadcast, read each back: all of them or none."""
+    """Stage all, require every acknowledgement, broadcast once, read each back: all of them or none."""
     of_bus, form, title = page.of_bus(bus), await request.form(), page.translator.t(TITLE)
     try:
         is_sent = await of_bus.has_sent(confirmed.id)
         setpoints, scales = reviewed(of_bus.bus, form, is_sent=is_sent)
         if not is_sent:
-            of_bus.refuse_unable(setpoints)
+            _refuse_unable(of_bus, setpoints)
         result = await of_bus.carry_out(SetLine(setpoints=setpoints), confirmed, scales)
     except Problem as problem:
         return page.refused(problem, title)
     return proven(of_bus, title, setpoints, result, confirmed.id, left_out_of(form))
 
 
+def _refuse_unable(page: BusPage, units: Iterable[int]) -> None:
+    """Raise Problem 409 if one of these units takes no command now: all of a change, or none. A block is left
+    to the command, whose refusal is recorded."""
+    for unit in units:
+        if (reason := obstacle_of(page.bus, page.bus.units[unit], unix_now())) is not None:
+            unable = Message.of("unit_unable", name=page.name_of(unit), reason=reason)
+            raise Problem(409, "not_loadable", unable)
+
+
 def left_out_of(form: FormData) -> set[int]:
-    """The units that the person leaves out. Raises Problem 422 for what is no address."""
+    """Return the units that the person leaves out. Raises Problem 422 for anything but addresses."""
     units = {parse_integer(str(text)) for text in form.getlist("leave-out")}
     if None in units:
         raise Problem(422, "invalid", Message("not_what_was_reviewed"))
@@ -158,9 +165,9 @@ def left_out_of(form: FormData) -> set[int]:
 
 
 def reviewed(live: BusLive, form: FormData, *, is_sent: bool) -> tuple[dict[int, int], Scales]:
-    """The new setpoints, raw, by address, of the units that are not left out, and what they were shown with.
-    Raises Problem 409 where one has moved since the review; ``is_sent``: by this change itself, whose form is
-    here again."""
+    """Return the reviewed setpoints, raw, of the units that are not left out, and their scales. Raises
+    Problem 409 if one has moved since the review, unless ``is_sent``: then this change itself may have moved
+    it."""
     setpoints, scales, left_out = {}, {}, left_out_of(form)
     for number, unit in live.units.items():
         text = str(form.get(f"raw-{number}", ""))
@@ -178,7 +185,7 @@ def reviewed(live: BusLive, form: FormData, *, is_sent: bool) -> tuple[dict[int,
 
 
 def followers_of(live: BusLive) -> set[int]:
-    """The units whose setpoint is a ratio, of which the screen has no live value."""
+    """Return the units whose setpoint is a ratio, for which the screen has no live value."""
     return {number for number, unit in live.units.items() if follower(unit)}
 
 
@@ -190,8 +197,8 @@ def proven(
     id: str,
     left_out: Collection[int],
 ) -> Response:
-    """The outcome of each unit in floor order, then those that were left out, and the undo of the change with
-    this id."""
+    """Render the outcome of each unit in floor order, then those that were left out, and the undo of the
+    change with this id."""
     by_unit, units = {outcome.unit: outcome for outcome in result.units}, page.bus.units
     proofs: list[tuple[str | Message, str | Message, OutcomeText]] = [
         (
@@ -214,7 +221,7 @@ def proven(
 
 
 def _outcome_of_all(result: Result, units: int) -> OutcomeText:
-    """The outcome of the change: how many of its units are verified."""
+    """Word the outcome of a change: how many of its units are verified."""
     outcome = outcome_text(result)
     if result.outcome == "verified":
         return OutcomeText("good", Message.of("result_of_all", n=units))
@@ -230,8 +237,9 @@ ZERO_TITLE = term("Set line to zero")
 
 @router.get("/line/zero")
 async def review_zero(person: Viewer, page: Page) -> Response:
-    """What setting the line to zero will do, to which units; a bus that another user controls is one item.
-    A viewer sees the same button, in the same place on every page, with the reason why it has no effect."""
+    """Review setting the line to zero: which units, and which not; a bus that another user controls is one
+    item. A viewer sees the same button, in the same place on every page, with the reason why it has no
+    effect."""
     if not person.role.includes(SET_LINE.role):
         return page.render("line/_zero_not_yours.html")
     buses = page.buses()
@@ -253,7 +261,7 @@ async def review_zero(person: Viewer, page: Page) -> Response:
 
 
 def _longest_s(bus: BusLive, units: int) -> float:
-    """All at once, its withdrawal, and then each alone."""
+    """Return how long it can take: all at once, its withdrawal, and then each alone."""
     return longest_change_s(bus, units) + units * timeout_s_for(bus)
 
 
@@ -263,10 +271,8 @@ def _plan(page: BusPage) -> ZeroPlan:
 
 @router.post("/line/zero", dependencies=[permitted(SET_LINE)])
 async def set_zero(page: Page, confirmed: Confirmed) -> Response:
-    """Set the speed of every reachable unit to 0, all at once where all acknowledge, else one by one.
-
-    A refusal by one bus or one unit does not affect the others.
-    """
+    """Set the speed of every reachable unit to 0, all at once if all acknowledge, else one by one. A refusal
+    by one bus or one unit does not affect the others."""
     title = page.translator.t(ZERO_TITLE)
     try:
         confirmed.refuse_lapsed()
@@ -278,7 +284,7 @@ async def set_zero(page: Page, confirmed: Confirmed) -> Response:
 
 
 async def _zero_bus(page: BusPage, id: str) -> list[ResultRow]:
-    """Units that are left out come first, with the reason."""
+    """Set a bus to zero. Units that are left out come first in the result, with the reason."""
     plan = _plan(page)
     page.commands.undo.clear(page.person)
     left_out: list[ResultRow] = [
@@ -286,7 +292,7 @@ async def _zero_bus(page: BusPage, id: str) -> list[ResultRow]:
         for name, reason in plan.left_out
     ]
     proofs = await _zero_units(page, plan, id) if plan.units else []
-    # Nor is this: one press on Undo would start the line.
+    # Again, as this is no command to undo either: one press on Undo would start the line.
     page.commands.undo.clear(page.person)
     return left_out + proofs
 
@@ -317,7 +323,7 @@ async def _zero_units(page: BusPage, plan: ZeroPlan, id: str) -> list[ResultRow]
 
 
 async def _sent(page: BusPage, action: SetLine | SetSpeed, id: str, deadline: Deadline) -> Result | Problem:
-    """The result of a command; a rejection before the wire is a result too."""
+    """Send a command and return its result; a rejection before the wire is a result too."""
     try:
         return await page.send(action, id, deadline)
     except Problem as problem:

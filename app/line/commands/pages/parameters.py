@@ -30,13 +30,13 @@ CONFIRMING_WORD = "WRITE"
 
 @router.get("")
 async def parameters(_: Viewer, page: OfUnit) -> Response:
-    """All 40 as last read."""
+    """Show all 40 as last read."""
     return page.render("unit/parameters.html", **_table(page))
 
 
 @router.post("/read", dependencies=[permitted(READ_PARAMETERS)])
 async def read_all(page: OfUnit) -> Response:
-    """All 40 as the unit gives them now."""
+    """Read all 40 from the unit now."""
     action = ReadParameters(unit=page.id, numbers=list(PARAMETERS))
     result = await page.commands.send(page.person, action, origin="page")
     missing = len(PARAMETERS) - len(result.values)
@@ -59,7 +59,7 @@ def _by_group(number: int) -> tuple[int, int]:
 
 def _row(page: UnitPage, number: int) -> dict[str, Any]:
     known = page.unit.parameters.get(number)
-    lowest, highest = parameter_bounds(page.unit, number, page.limits(page.id))
+    lowest, highest = parameter_bounds(page.unit, number, page.guards.limits(page.id))
     raw = None if known is None else known.raw
     shown = {
         "at": None if known is None else known.at,
@@ -72,7 +72,7 @@ def _row(page: UnitPage, number: int) -> dict[str, Any]:
 async def review_parameter(
     page: OfUnit, number: ParameterPath, value: Annotated[str, Form(max_length=40)] = ""
 ) -> Response:
-    """What was typed, judged and shown again: old → new, range, danger."""
+    """Review a typed value: old → new, range, danger."""
     try:
         raw, typed_with = await page.commands.convert_parameter(
             page.person, page.id, number, value, page.deadline()
@@ -85,14 +85,14 @@ async def review_parameter(
 async def review_value(
     page: UnitPage, number: int, raw: int, typed_with: UnitScale | None = None
 ) -> Response:
-    """A value of a parameter, to be confirmed; ``typed_with``: what it was converted with, where it was
-    typed. Raises Problem for what would not be sent."""
+    """Review a value of a parameter; ``typed_with``: its scale, if it was typed. Raises Problem if it would
+    not be sent."""
     parameter = PARAMETERS[number]
     await page.judge(WriteParameter(unit=page.id, number=number, raw=raw))
     # What the keypad has changed since it was read: old and new are shown, and undo goes back to it.
     with suppress(Problem):
         await page.commands.read(page.person, page.id, [number], page.deadline())
-    lowest, highest = parameter_bounds(page.unit, number, page.limits(page.id))
+    lowest, highest = parameter_bounds(page.unit, number, page.guards.limits(page.id))
     known = page.unit.parameter_raw(number)
     return page.review(
         "unit/_review_parameter.html",
@@ -121,7 +121,7 @@ async def write_parameter(
     scale: ReviewedScale,
     typed: Annotated[str, Form(max_length=20)] = "",
 ) -> Response:
-    """86h, read back by 85h; a dangerous one only with the word typed."""
+    """Send 86h, read back by 85h; a dangerous value only if the word was typed."""
     parameter = PARAMETERS[number]
     try:
         if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:

@@ -1,6 +1,6 @@
-"""A unit's setpoint on its page: choose, then review, then do.
+"""A unit's setpoint on its page: choose, then review, then confirm.
 
-Nothing is sent before the review is confirmed, but for a nudge that is small enough to need none.
+Nothing is sent before the review is confirmed, except a nudge that is small enough to need none.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from starlette.responses import Response
 from app.errors import Problem
 from app.line.commands.catalogue import EXECUTE_SPEED, SET_SPEED
 from app.line.commands.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
-from app.line.commands.review import nudges
+from app.line.commands.review import draw_changes, nudges
 from app.line.commands.service import permitted, permitted_writer
 from app.line.conditions.condition import follower
 from bus.contract import ExecuteSpeed, Result, SetSpeed, UnitScale
@@ -24,7 +24,7 @@ router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 
 SetpointField = Annotated[int, Form(ge=0)]
 Was = Annotated[str, Form(pattern=r"^\d{0,6}$")]
-"""The setpoint that the person saw, raw; empty where it was not known."""
+"""The setpoint that the person saw, raw; empty if it was not known."""
 ERROR_PLACE = "#setpoint-error"
 
 
@@ -34,7 +34,7 @@ async def review_speed(
     value: Annotated[str, Form(max_length=20)] = "",
     how: Annotated[Literal["now", "stage"], Form()] = "now",
 ) -> Response:
-    """What was typed, judged and shown again: old → new, limits, ramp."""
+    """Review a typed setpoint: old → new, limits, ramp."""
     try:
         raw, typed_with = await page.typed_setpoint(page.id, value)
         return await review_setpoint(page, raw, execute=how == "now", typed_with=typed_with)
@@ -45,22 +45,22 @@ async def review_speed(
 async def review_setpoint(
     page: UnitPage, raw: int, *, execute: bool = True, typed_with: UnitScale | None = None
 ) -> Response:
-    """A setpoint, to be confirmed; ``typed_with``: what it was converted with, where it was typed. Raises
-    Problem for what would not be sent."""
+    """Review a setpoint; ``typed_with``: its scale, if it was typed. Raises Problem if it would not be
+    sent."""
     await page.judge(SetSpeed(unit=page.id, raw=raw, execute=execute))
     await page.know_ramps([page.id])
     return page.review(
         "unit/_review_speed.html",
         unit=page.on_line,
         change=page.change(page.id, raw, typed_with),
-        draws=page.draws({page.id: raw}) if execute else [],
+        draws=draw_changes(page.bus, {page.id: raw}) if execute else [],
         execute=execute,
         follower=bool(follower(page.unit)),
     )
 
 
 def explain_setpoint(page: UnitPage, error: CallerError | Problem) -> Response:
-    """Why there is no review, beside the field; a press on the nearest value enters it."""
+    """Render why there is no review, beside the field; a press on the nearest value enters it."""
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     status = error.status if isinstance(error, Problem) else 422
     return page.explain(error, ERROR_PLACE, nearest=page.setpoint(nearest), status=status)
@@ -109,7 +109,7 @@ async def nudge(
     id: Annotated[str, Form(max_length=64)],
     scale: ReviewedScale,
 ) -> Response:
-    """A small step from where the unit is now: without a review where it is no larger than one allowed so."""
+    """Send a small step from where the unit is now, or review it if it is larger than allowed without one."""
     try:
         if page.present is None:
             raise Problem(409, "unknown", Message("setpoint_unknown"))
@@ -127,13 +127,13 @@ async def nudge(
 
 
 def _is_small(page: UnitPage, step: int) -> bool:
-    allowed = page.limits(page.id).largest_step
+    allowed = page.guards.limits(page.id).largest_step
     return abs(step) <= (max(nudges(page.unit)) if allowed is None else allowed)
 
 
 @router.get("/execute", dependencies=[permitted(EXECUTE_SPEED)])
 async def review_execute(page: OfUnit) -> Response:
-    """What executing the staged speed will do."""
+    """Review executing the staged speed."""
     staged = page.unit.staged
     try:
         if staged is None:
@@ -144,7 +144,7 @@ async def review_execute(page: OfUnit) -> Response:
         await page.know_ramps([page.id])
     except Problem as problem:
         return explain_setpoint(page, problem)
-    change, draws = page.change(page.id, staged), page.draws({page.id: staged})
+    change, draws = page.change(page.id, staged), draw_changes(page.bus, {page.id: staged})
     return page.review("unit/_review_execute.html", unit=page.on_line, change=change, draws=draws)
 
 

@@ -1,9 +1,5 @@
-"""The unit page, with the limits and the command block of its unit.
-
-The faceplate of a unit beside the line, a part of its page.
-
-The six outputs and the analog output of a unit, each behind a review.
-"""
+"""The unit page and the faceplate beside the line: speed, limits, block, the six outputs and the analog
+output."""
 
 from __future__ import annotations
 
@@ -41,12 +37,12 @@ SEE_OTHER = 303
 
 @router.get("")
 async def unit_page(_: Viewer, page: OfUnit) -> Response:
-    """The faceplate of one unit."""
+    """Show one unit."""
     return page.render("unit/page.html", **_faceplate(page))
 
 
 def _faceplate(page: UnitPage) -> dict[str, Any]:
-    unit, limits = page.unit, page.limits(page.id)
+    unit, limits = page.unit, page.guards.limits(page.id)
     return {
         **setting(page),
         "before": page.neighbor(-1),
@@ -70,7 +66,7 @@ async def set_limits(
     largest_step: TypedLimit = "",
     per_minute: TypedLimit = "",
 ) -> Response:
-    """All four at once; an empty field is no limit."""
+    """Set all four limits at once; an empty field is no limit."""
     try:
         typed = (_raw(page.unit, text) for text in (lowest, highest, largest_step, per_minute))
         limits = replace(Limits(*typed), decimals=setpoint_decimals(page.unit))
@@ -83,7 +79,7 @@ async def set_limits(
 
 
 def _raw(live: UnitLive, text: str) -> int | None:
-    """Raises CallerError and Problem for what cannot be a limit."""
+    """Parse a limit. Raises CallerError and Problem for what cannot be one."""
     if not text.strip():
         return None
     decimals = setpoint_decimals(live)
@@ -121,7 +117,7 @@ async def unblock(person: Annotated[Person, UNBLOCK.permitted], page: OfUnit) ->
 
 @router.get("/faceplate")
 async def faceplate(_: Viewer, page: OfUnit) -> Response:
-    """State, cause, alarms with their responses, speed and its field, lamps."""
+    """Show state, cause, alarms with their responses, speed and its field, lamps."""
     alarms = service_of(page.request, LineAlarms).annunciated()
     return page.render(
         "line/_faceplate.html",
@@ -131,8 +127,8 @@ async def faceplate(_: Viewer, page: OfUnit) -> Response:
 
 
 def setting(page: UnitPage) -> dict[str, Any]:
-    """The unit, and what its setpoint is set by."""
-    allowed = setpoint_range(page.unit, page.limits(page.id))
+    """Return the unit, and what its setpoint is set by."""
+    allowed = setpoint_range(page.unit, page.guards.limits(page.id))
     fine, coarse = nudges(page.unit)
     steps = (1, coarse), (1, fine), (-1, fine), (-1, coarse)
     return {
@@ -155,7 +151,7 @@ OutputPath = Annotated[int, Path(ge=1, le=6)]
 
 @router.get("/outputs/{number:int}", dependencies=[permitted(WRITE_OUTPUT)])
 async def review_output(page: OfUnit, number: OutputPath) -> Response:
-    """The other state of an output, to be confirmed."""
+    """Review the other state of an output."""
     reading = page.unit.reading
     try:
         if reading is None:
@@ -166,7 +162,7 @@ async def review_output(page: OfUnit, number: OutputPath) -> Response:
 
 
 def review_switch(page: UnitPage, number: int, *, on: bool) -> Response:
-    """A state of an output, to be confirmed. Raises Problem for what would not be sent."""
+    """Review a state of an output. Raises Problem if it would not be sent."""
     page.check(WriteOutput(unit=page.id, number=number, on=on))
     return page.review(
         "unit/_review_output.html",
@@ -182,7 +178,7 @@ def review_switch(page: UnitPage, number: int, *, on: bool) -> Response:
 async def set_output(
     page: OfUnit, number: OutputPath, on: Annotated[bool, Form()], confirmed: Confirmed
 ) -> Response:
-    """87h, verified by the bit in ST2."""
+    """Send 87h, verified by the bit in ST2."""
     try:
         result = await page.carry_out(WriteOutput(unit=page.id, number=number, on=on), confirmed)
     except Problem as problem:
@@ -196,7 +192,7 @@ async def set_output(
 
 @router.post("/analog-output/review", dependencies=[permitted(WRITE_ANALOG_OUTPUT)])
 async def review_analog(page: OfUnit, value: Annotated[str, Form(max_length=10)] = "") -> Response:
-    """A value of the analog output, in volts too, to be confirmed."""
+    """Review a typed value of the analog output."""
     try:
         return review_analog_value(page, typed_analog(value))
     except (CallerError, Problem) as error:
@@ -204,7 +200,7 @@ async def review_analog(page: OfUnit, value: Annotated[str, Form(max_length=10)]
 
 
 def review_analog_value(page: UnitPage, raw: int) -> Response:
-    """A value of the analog output, to be confirmed. Raises Problem for what would not be sent."""
+    """Review a value of the analog output, in volts too. Raises Problem if it would not be sent."""
     page.check(WriteAnalogOutput(unit=page.id, raw=raw))
     return page.review(
         "unit/_review_analog.html",
@@ -220,7 +216,7 @@ def review_analog_value(page: UnitPage, raw: int) -> Response:
 async def set_analog(
     page: OfUnit, raw: Annotated[int, Form(ge=0)], confirmed: Confirmed, scale: ReviewedScale
 ) -> Response:
-    """88h. The best outcome is acknowledged: there is nothing to read back."""
+    """Send 88h. The best outcome is acknowledged: there is nothing to read back."""
     try:
         result = await page.carry_out(WriteAnalogOutput(unit=page.id, raw=raw), confirmed, {page.id: scale})
     except Problem as problem:
@@ -229,7 +225,7 @@ async def set_analog(
 
 
 def typed_analog(text: str) -> int:
-    """The value of an analog output that was typed. Raises CallerError."""
+    """Parse a typed value of the analog output. Raises CallerError."""
     if not text.strip().isdecimal() or len(text.strip()) > 6:
         raise CallerError(Message("whole_number_needed"))
     return int(text)
