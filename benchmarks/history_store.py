@@ -8,8 +8,17 @@ from pathlib import Path
 
 from app.core.database import Database
 from app.line.history import tables
-from app.line.history.series.rollup import combine, pack_rollups, rollup
-from app.line.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_columns
+from app.line.history.series.runs import (
+    DAY,
+    HOUR,
+    MINUTE,
+    Run,
+    combine,
+    merge,
+    pack_columns,
+    pack_rollups,
+    rollup,
+)
 from app.line.history.series.values import ParameterStep
 from app.line.history.writer import MIGRATIONS
 from bus.contract import Reading

@@ -15,7 +15,6 @@ from app.line.history.service import History
 from app.people.audit.keys import open_keys
 from app.people.audit.log import EventLog
 from app.people.audit.proof import heads_of
-from app.settings import ServerSettings, Settings
 from bus.contract import Reading
 from bus.instants import unix_now
 
@@ -28,7 +27,7 @@ EVENTS_FROM_STEP = 5
 
 
 async def _live(folder: Path) -> None:
-    history = History(Settings(server=ServerSettings(data=folder / "flood")))
+    history = History(folder / "flood")
     store = folder / "flood" / "lineside.db"
     database = Database(store)
     keys = open_keys([store.with_name(KEY_FILE)], store, database.read_now(heads_of))

@@ -15,7 +15,6 @@ import pyarrow.parquet
 from app.line.history.export import Format, export_response
 from app.line.history.service import History
 from app.line.history.spans import Span, series_queries
-from app.settings import ServerSettings, Settings
 from bus.settings import BusSettings, UnitSettings
 
 assert pyarrow.parquet, "loading it is no growth"
@@ -27,7 +26,7 @@ def peak_mb() -> float:
 
 async def main(folder: Path, file: Format, span: Span) -> None:
     bus = BusSettings(name="line", port="/dev/null", unit=(UnitSettings(id=1, name="Nip"),))
-    history = History(Settings(server=ServerSettings(data=folder), bus=(bus,)))
+    history = History(folder, [bus])
     history.start()
     queries = series_queries(history, ["line/1/actual", "line/1/analog", "line/1/run"], span, 1)
     before = peak_mb()

@@ -27,8 +27,7 @@ from app.line.alarms.rules.performance import ObservedSpan
 from app.line.alarms.rules.state_machine import AlarmAttributes, AlarmFacts, Changed, acknowledge, observe
 from app.line.conditions.catalogue import CONDITIONS
 from app.line.history import recorder, tables
-from app.line.history.series.rollup import combine, minute_rollups
-from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, micros
+from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, combine, micros, minute_rollups
 from app.line.history.series.values import DECIDING, Marks, ParameterStep, intervals
 from app.line.history.service import FILE
 from app.line.history.writer import MIGRATIONS

@@ -22,13 +22,12 @@ from app.line.alarms.rules.performance import CHATTERS_S
 from app.line.alarms.rules.state_machine import AlarmFacts, Changed, Transition
 from app.line.alarms.settings import AlarmSettings
 from app.line.conditions.unit import ESTOP_ACTIVE
-from app.line.history import tables, unit_history
-from app.line.history.series.rollup import Rollup
-from app.line.history.series.runs import HOUR, MINUTE, SECOND, Run, micros
+from app.line.history import query, tables
+from app.line.history.query import StoredUnit, minutes_of
+from app.line.history.series.runs import HOUR, MINUTE, SECOND, Rollup, Run, micros
 from app.line.history.series.values import VALUES, ParameterStep
 from app.line.history.service import History
 from app.line.history.tail import Tail
-from app.line.history.unit_history import StoredUnit, minutes_of
 from app.line.live.bus_live import bus_without_reports, scan_s_of, stale_after_s
 from app.line.live.diagnosis import unit_facts
 from bus.contract import ParameterValue, Reading
@@ -417,11 +416,11 @@ class StoredHour:
 
     def _source(self, unit: int) -> StoredUnit | None:
         span = (self._start, self._end)
-        return unit_history.stored_unit(self._connection, self._tail, self._bus.name, unit, *span)
+        return query.stored_unit(self._connection, self._tail, self._bus.name, unit, *span)
 
     def _runs_of(self, source: StoredUnit) -> dict[int, list[Run]]:
         if self._runs is None:
-            found = unit_history.runs_between(source, self._start, self._end)
+            found = query.runs_between(source, self._start, self._end)
             self._runs = {
                 minute: list(runs) for minute, runs in groupby(found, lambda run: run.at - run.at % MINUTE)
             }
@@ -441,5 +440,5 @@ class StoredHour:
         is_mixed = any(row.commanded_min == 0 < row.commanded_max for row in rows)
         if not source.tail and not is_mixed:
             return [(row.start, row.commanded_max == 0) for row in rows]
-        found = unit_history.readings(source, VALUES["commanded"], self._start, self._end)
+        found = query.readings(source, VALUES["commanded"], self._start, self._end)
         return [(at, value == 0) for at, value in zip(found.at, found.least, strict=True)]

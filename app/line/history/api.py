@@ -110,7 +110,7 @@ class HistoryMarks(TypedDict):
 
 
 def json_of(model: Any) -> dict[int | str, dict[str, Any]]:
-    """For ``responses=`` of an endpoint that writes its JSON itself."""
+    """Return the ``responses=`` of an endpoint that writes its JSON itself."""
     return {200: {"model": model, "description": "Successful Response"}, **problems(404)}
 
 
@@ -147,8 +147,8 @@ class Mark(NamedTuple):
 async def marks_of(
     events: EventLog, start: UnixTime, end: UnixTime, units: Sequence[str] | None
 ) -> tuple[list[Mark], bool]:
-    """The marks of a span, oldest first, and whether there were more events. ``units``: the site and these,
-    each ``bus/unit``; empty: all. Raises StoreError."""
+    """Return the marks of a span, oldest first, and whether there were more events. ``units``: only events of
+    the site and of these, each ``bus/unit``; empty: of all. Raises StoreError."""
     found, after = await events.page(Filter(since=start, until=end), MAX_MARKS)
     marks = [Mark(event["time"], None, event) for event in found if _explains(event, units)]
     for code in LATE:
@@ -160,7 +160,7 @@ async def marks_of(
 
 
 def shown_mark(mark: Mark, times: str, language: Language) -> dict[str, Any]:
-    """A mark as the API returns it; ``times``: iso or epoch."""
+    """Return a mark as the API has it; ``times``: iso or epoch."""
     event = mark.event
     messages = {name: event["messages"][name] for name in _TEXTS if name in event["messages"]}
     texts = {name: event[name] for name in _TEXTS if event[name]}
@@ -174,7 +174,7 @@ def shown_mark(mark: Mark, times: str, language: Language) -> dict[str, Any]:
 
 
 def time_shown(at: UnixTime, times: str) -> str | UnixTime:
-    """A time as ISO 8601 or, with ``times`` epoch, in seconds."""
+    """Return a time as ISO 8601 or, with ``times`` epoch, in seconds."""
     return at if times == "epoch" else iso(at)
 
 
@@ -198,7 +198,7 @@ TimeFormat = Annotated[Literal["iso", "epoch"], Query(alias="format")]
 
 
 def shown(requested: SeriesQuery, found: QueryResult, times: str) -> dict[str, Any]:
-    """A result as the API returns it."""
+    """Return a result as the API has it."""
     unit = values.unit_settings(requested.bus, requested.unit)
     at = map(seconds, found.series.at)
     return {

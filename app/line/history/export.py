@@ -1,33 +1,59 @@
-"""An export as a download: CSV (RFC 4180), or Parquet where it is installed."""
+"""Exports as downloads: CSV (RFC 4180), or Parquet if that is installed; any span, a piece at a time, so that
+a year takes no more memory than a day.
+
+An export has a row for each instant at which a unit responded; values of other units are empty there. Equal
+consecutive readings are two rows, the first and the last. A hole is a row with a note and no values.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import importlib.util
 import io
-from collections.abc import AsyncIterator, Iterable, Sequence
+from collections.abc import AsyncIterator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime, tzinfo
-from typing import TYPE_CHECKING, Any, Literal
+from functools import partial
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from zoneinfo import ZoneInfo
 
 import structlog
 from starlette.responses import StreamingResponse
 
+from app.core.database.connection import snapshot
+from app.core.messages import Language
 from app.core.web.csv_file import FOR_PROGRAMS, Column, CsvForm, Number
 from app.core.web.csv_file import Cell as CsvCell
 from app.errors import Problem
 from app.line.history import tables
-from app.line.history.export_rows import ExportRow, Table, Together, pieces, step_of
-from app.line.history.query import Resolution, SeriesQuery, has_raw
-from app.line.history.series.runs import SECOND
+from app.line.history.query import (
+    Resolution,
+    SeriesQuery,
+    StoredUnit,
+    has_raw,
+    rollups,
+    runs_between,
+    scale_of,
+    stored_unit,
+)
+from app.line.history.series import values
+from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, Run, micros
+from app.line.history.series.values import LinearScale, holes, long_gap, usual_interval
 from app.line.history.service import History
+from app.line.history.tables import BlockKey
 from app.line.history.tail import Tail
+from bus.instants import unix_now
 from bus.messages import Message, term
+
+if TYPE_CHECKING:
+    import pyarrow
+
 
 Format = Literal["csv", "parquet"]
 ExportResolution = Literal["auto", Resolution]
 Layout = Literal["readings", "table"]
-"""A row for each reading, or for each time with every value filled in."""
+"""A row for each reading, or for each step of time with all values filled in."""
 
 
 async def export_response(
@@ -74,7 +100,7 @@ async def _fineness(
 async def stream_csv(
     table: Table, pieces: AsyncIterator[list[ExportRow]], form: CsvForm
 ) -> AsyncIterator[str]:
-    """Text, piece by piece: one row for each reading, by the clock of the site."""
+    """Yield text, piece by piece: one row for each reading, by the clock of the site."""
     site = ZoneInfo(table.time_zone)
     texts = table.columns if form.language is None else table.named(form.language)
     values = map(Column, table.columns, texts)
@@ -87,7 +113,7 @@ async def stream_csv(
 async def stream_table(
     table: Table, pieces: AsyncIterator[list[ExportRow]], form: CsvForm
 ) -> AsyncIterator[str]:
-    """Text, piece by piece: one row a time with every value, for people, under the name of its unit."""
+    """Yield text for people, piece by piece: one row a time with every value, under the name of its unit."""
     assert form.language is not None
     site = ZoneInfo(table.time_zone)
     start, end = table.queries[0].start, table.queries[0].end
@@ -113,9 +139,6 @@ def _cells(row: ExportRow, site: tzinfo) -> list[CsvCell]:
 def _number(value: float, decimals: int | None) -> Number:
     return Number(repr(value) if decimals is None else f"{value:.{decimals}f}")
 
-
-if TYPE_CHECKING:
-    import pyarrow
 
 log = structlog.get_logger()
 GROUP_ROWS = 20_000
@@ -180,8 +203,260 @@ def _write(arrow: Any, writer: Any, rows: Sequence[ExportRow]) -> None:
 
 
 def _taken(sink: io.BytesIO) -> bytes:
-    """Take the bytes that were written since the last call; the writer counts where in the file it is."""
+    """Return the bytes that were written since the last call, and empty the sink."""
     written = sink.getvalue()
     sink.seek(0)
     sink.truncate()
     return written
+
+
+PIECE: dict[Resolution, int] = {"readings": HOUR, "minutes": 7 * DAY, "hours": 90 * DAY}
+"""The span that one read has, µs."""
+
+
+class Cell(NamedTuple):
+    """One value, and the decimals with which it is written (None: as many as it has)."""
+
+    value: float
+    decimals: int | None
+
+
+class ExportRow(NamedTuple):
+    """A row: an instant (µs), a cell for each column (None: no reading then), a note. ``ends``: the columns
+    whose units have no readings from here on."""
+
+    at: int
+    cells: tuple[Cell | None, ...]
+    note: str = ""
+    ends: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """The columns of an export, and its resolution. ``carries``: whether a value that was steady from before
+    the start on has a row at the start, even if the unit did not respond then."""
+
+    queries: Sequence[SeriesQuery]
+    fineness: Resolution
+    time_zone: str
+    carries: bool = False
+
+    @property
+    def columns(self) -> list[str]:
+        """A name for each column, with its unit of measure."""
+        parts = ("",) if self.fineness == "readings" else (" min", " max", " avg")
+        return [_column(query, part) for query in self.queries for part in parts]
+
+    def named(self, language: Language) -> list[str]:
+        """Return a name for each column for people: the name of the unit, of its wiring, and the measure."""
+        rollup = (language.t("minimum"), language.t("maximum"), language.t("average"))
+        parts = [""] if self.fineness == "readings" else [f" {word}" for word in rollup]
+        names = [_name(query, language) for query in self.queries]
+        places = [f" ({query.bus.name}/{query.unit})" for query in self.queries]
+        return [
+            f"{name}{place if names.count(name) > 1 else ''}{part}{_measure(query)}"
+            for query, name, place in zip(self.queries, names, places, strict=True)
+            for part in parts
+        ]
+
+
+def _name(query: SeriesQuery, language: Language) -> str:
+    unit = values.unit_settings(query.bus, query.unit)
+    return f"{unit.name} {values.label(unit, query.value) or values.text(query.value, language.t)}"
+
+
+def _measure(query: SeriesQuery) -> str:
+    measure = values.measure(values.unit_settings(query.bus, query.unit), query.value)
+    return f" [{measure}]" if measure else ""
+
+
+def _column(query: SeriesQuery, part: str) -> str:
+    return f"{query.bus.name}/{query.unit} {query.value.name}{part}{_measure(query)}"
+
+
+async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow]]:
+    """Yield all rows in order of time, piece by piece, each of which is one short read of the store."""
+    start, end, step = table.queries[0].start, table.queries[0].end, PIECE[table.fineness]
+    begun, ended = await history.read(_extent)
+    since, end = max(start, begun), min(end, ended)
+    last_until: dict[tuple[str, int], int] = {}
+    while since < end:
+        until = min(end, since - since % step + step)
+        part = [replace(q, start=since, end=until) for q in table.queries]
+        damaged: list[BlockKey] = []
+        read = partial(_rows, table=table, part=part, last_until=last_until, damaged=damaged)
+        yield await history.read(read)
+        history.report(damaged)
+        since = until
+
+
+def _extent(connection: tables.StoreConnection, tail: Tail) -> tuple[int, int]:
+    """Return the span of all data, µs. It includes the tail, and the time until now, since data may be added
+    until the export ends."""
+    now = micros(unix_now())
+    spans = [span for span in (tail.extent(), tables.extent(connection), (now - DAY, now)) if span]
+    return min(first for first, _ in spans), max(last for _, last in spans) + DAY
+
+
+def _rows(
+    connection: tables.StoreConnection,
+    tail: Tail,
+    table: Table,
+    part: Sequence[SeriesQuery],
+    last_until: dict[tuple[str, int], int],
+    damaged: list[BlockKey],
+) -> list[ExportRow]:
+    rows: list[ExportRow] = []
+    numbered = list(enumerate(part))
+    by_unit = sorted(numbered, key=lambda item: (item[1].bus.name, item[1].unit))
+    sources = [
+        (stored_unit(connection, tail, *unit, part[0].start, part[0].end), list(group))
+        for unit, group in groupby(by_unit, key=lambda item: (item[1].bus.name, item[1].unit))
+    ]
+    with snapshot(connection):
+        for source, wanted in sources:
+            if source is None:
+                continue
+            if table.fineness == "readings":
+                rows += _reading_rows(source, wanted, len(part), last_until, table.carries)
+            else:
+                rows += _rollup_rows(source, wanted, 3 * len(part), table.fineness)
+            damaged += source.damaged
+    rows.sort(key=lambda row: row.at)
+    return rows if table.fineness == "readings" else _together(rows)
+
+
+def _reading_rows(
+    source: StoredUnit,
+    wanted: Sequence[tuple[int, SeriesQuery]],
+    width: int,
+    last_until: dict[tuple[str, int], int],
+    carries: bool,
+) -> Iterator[ExportRow]:
+    first = wanted[0][1]
+    unit = (first.bus.name, first.unit)
+    # A run is within a minute: one that began before the first piece may go on in it, and before no other.
+    found = runs_between(source, first.start - MINUTE, first.end)
+    runs = [run for run in found if run.until >= first.start]
+    places, nothing = tuple(place for place, _ in wanted), (None,) * width
+    if not runs:
+        if carries:
+            yield ExportRow(first.start, nothing, ends=places)
+        return
+    holes = _holes(source, last_until.get(unit), runs)
+    scales = {place: scale_of(source, query) for place, query in wanted}
+    for position, run in enumerate(runs):
+        if position in holes:
+            note = f"no readings of {unit[0]}/{unit[1]}"
+            yield ExportRow(holes[position], nothing, note, places)
+        cells: list[Cell | None] = [None] * width
+        for place, query in wanted:
+            cells[place] = _cell(query, run, scales[place].at(run.at))
+        if carries or run.at >= first.start:
+            yield ExportRow(max(run.at, first.start), tuple(cells))
+        if run.until > run.at:
+            # For people the rows end with the span.
+            yield ExportRow(min(run.until, first.end - 1) if carries else run.until, tuple(cells))
+    last_until[unit] = runs[-1].until
+    if carries and min(first.end, micros(unix_now())) - runs[-1].until > long_gap(usual_interval(runs)):
+        # It has not come back: nothing is known of it until it does.
+        yield ExportRow(runs[-1].until + 1, nothing, ends=places)
+
+
+def _holes(source: StoredUnit, before: int | None, runs: Sequence[Run]) -> dict[int, int]:
+    """Return the positions of runs after a hole, each with the begin of the hole, µs."""
+    ends = ([] if before is None else [before, before]) + [t for run in runs for t in (run.at, run.until)]
+    marks = source.marks(ends[0], ends[-1])
+    found = holes(ends, marks, usual_interval(runs))
+    offset = 0 if before is None else 1
+    return {(i + 1) // 2 - offset: ends[i] + 1 for i in found if i % 2}
+
+
+def _cell(query: SeriesQuery, run: Run, scale: LinearScale) -> Cell:
+    raw: int = getattr(run, query.value.column)
+    if query.value.bit >= 0:
+        raw = raw >> query.value.bit & 1
+    return Cell(scale.apply(raw), scale.decimals)
+
+
+def _rollup_rows(
+    source: StoredUnit,
+    wanted: Sequence[tuple[int, SeriesQuery]],
+    width: int,
+    fineness: Literal["minutes", "hours"],
+) -> Iterator[ExportRow]:
+    for place, query in wanted:
+        points = rollups(source, fineness, query.value, query.start, query.end)
+        scales = scale_of(source, query)
+        columns = (points.at, points.least, points.greatest, points.total, points.weight)
+        for at, least, greatest, total, weight in zip(*columns, strict=True):
+            scale = scales.at(at)
+            low, high = sorted((scale.apply(least), scale.apply(greatest)))
+            cells: list[Cell | None] = [None] * width
+            cells[3 * place] = Cell(low, scale.decimals)
+            cells[3 * place + 1] = Cell(high, scale.decimals)
+            cells[3 * place + 2] = Cell(round(scale.apply(total / weight), 6), None)
+            yield ExportRow(at, tuple(cells))
+
+
+def _together(rows: Sequence[ExportRow]) -> list[ExportRow]:
+    """Join rows of the same instant."""
+    result: list[ExportRow] = []
+    for at, group in groupby(rows, key=lambda row: row.at):
+        cells = [
+            next((cell for cell in column if cell is not None), None)
+            for column in zip(*(row.cells for row in group), strict=True)
+        ]
+        result.append(ExportRow(at, tuple(cells)))
+    return result
+
+
+STEPS = (SECOND, 5 * SECOND, 15 * SECOND, MINUTE)
+MAX_ROWS = 100_000
+"""The rows from which on a longer step is used; the longest step takes any number."""
+
+
+def step_of(start: int, end: int) -> int:
+    """Return the distance of two rows over a span, µs."""
+    return next((step for step in STEPS if (end - start) / step <= MAX_ROWS), STEPS[-1])
+
+
+class Together:
+    """Brings rows of single readings onto common times, piece by piece: each value holds from its reading
+    until the next one, or until the hole after it."""
+
+    def __init__(self, width: int, step: int) -> None:
+        self._step = step
+        self._cells: list[Cell | None] = [None] * width
+        self._next: int | None = None
+
+    def rows(self, rows: Iterable[ExportRow]) -> Iterator[ExportRow]:
+        """Yield the rows at each step up to the last of these."""
+        for row in rows:
+            yield from self._until(row.at)
+            if self._next is None:
+                self._next = -(-row.at // self._step) * self._step
+            self._take(row)
+
+    def end(self, end: int) -> Iterator[ExportRow]:
+        """Yield the row that is left after the last piece, if it is before the end."""
+        if self._next is not None:
+            yield from self._until(min(end, self._next + 1))
+
+    def _take(self, row: ExportRow) -> None:
+        for place, cell in enumerate(row.cells):
+            if cell is not None:
+                self._cells[place] = cell
+        for place in row.ends:
+            self._cells[place] = None
+
+    def _until(self, at: int) -> Iterator[ExportRow]:
+        while self._next is not None and self._next < at:
+            cells = tuple(self._cells)
+            if any(cell is not None for cell in cells):
+                yield ExportRow(self._next, cells)
+                self._next += self._step
+            else:
+                # Nothing is known until the next reading.
+                self._next = -(-at // self._step) * self._step
+                return

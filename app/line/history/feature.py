@@ -10,14 +10,19 @@ from app.core.web.assets import Assets
 from app.core.web.templating import Templates
 from app.feature import Feature, Services
 from app.line.history import api, pages
+from app.line.history.pages import ACTS, TrendViews
 from app.line.history.service import History
-from app.line.history.views import ACTS, TrendViews
 
 
 def make(services: Services) -> None:
     lifespan, language = services.lifespan, services.settings.site.language
     services.add(TrendViews(services[Database]))
-    history = services.add(History(services.settings))
+    settings = services.settings
+    history = services.add(
+        History(
+            settings.server.data, settings.bus, settings.history, settings.site.zone, settings.shift.minutes
+        )
+    )
 
     async def start() -> None:
         history.start()

@@ -5,6 +5,7 @@ Everything here runs on the one thread that writes (:mod:`app.line.history.write
 
 from __future__ import annotations
 
+import json
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -14,17 +15,20 @@ from datetime import UTC, datetime
 from app.core.database import Database
 from app.core.database.connection import upsert
 from app.line.history import tables
-from app.line.history.series.rollup import Rollup, combine, minute_rollups, replace_rows, rollup
 from app.line.history.series.runs import (
     DAY,
     HOUR,
     MINUTE,
     SECOND,
     PlainRun,
-    are_apart,
+    Rollup,
+    combine,
     merge_plain,
     micros,
+    minute_rollups,
     plain_run,
+    replace_rows,
+    rollup,
 )
 from app.line.history.series.values import DECIDING, Interval, ParameterStep, splice
 from app.line.history.tables import (
@@ -43,7 +47,7 @@ from bus.instants import Monotonic, monotonic_now, unix_now
 from bus.messages import Message, in_english
 
 FoundDamage = Callable[[Message], None]
-"""Called from the writer's thread with what becomes an event."""
+"""A function that is called on the writer's thread with the text of an event."""
 _HELD: dict[StoredTier, Message] = {
     "raw": Message("history_readings"),
     "minutes": Message("history_minutes"),
@@ -52,7 +56,7 @@ _HELD: dict[StoredTier, Message] = {
 
 
 def set_aside(database: Database, block: BlockKey, on_damage: FoundDamage) -> None:
-    """Move a block where it is damaged, and report it. Raises StoreError."""
+    """Move a block aside if it is damaged, and report it. Raises StoreError."""
 
     def move(connection: tables.StoreConnection) -> str | None:
         is_moved = tables.move_damaged(connection, block, micros(unix_now()))
@@ -66,33 +70,33 @@ def set_aside(database: Database, block: BlockKey, on_damage: FoundDamage) -> No
 
 
 BUS = 0
-"""The number under which a bus itself has its key."""
+"""The unit number under which a bus itself has a key."""
 Delivery = tuple[str, Sequence[Update]]
-"""A bus and what its worker reported."""
+"""A bus and the updates of its worker."""
 
 
 @dataclass(slots=True)
 class Taken:
-    """The readings and losses of one transaction, which go into the tail once it is on disk."""
+    """The readings and losses of one transaction, which go into the tail once they are on disk."""
 
     rows: list[tuple[int, PlainRun]] = field(default_factory=list)
     lost: list[tuple[int, int]] = field(default_factory=list)
-    """Units that stopped responding, and when, µs."""
+    """The units that stopped responding, with the time, µs."""
 
 
 class Intake:
-    """Knows the keys of the units, and the last state of each link, to keep changes only."""
+    """Writes links and parameters, of which it keeps changes only; knows the keys of units and the links."""
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """Forget what is known of the store: after a transaction was rolled back, it may not be on disk."""
+        """Forget the keys and links: after a rollback they may not be on disk."""
         self._keys: dict[str, dict[int, int]] = {}
         self._links: dict[int, tuple[int, str]] = {}
 
     def take(self, connection: tables.StoreConnection, deliveries: Iterable[Delivery]) -> Taken:
-        """Links and parameters of these deliveries, into this transaction; their readings are returned."""
+        """Write the links and parameters of deliveries; return their readings and losses."""
         taken = Taken()
         for bus, updates in deliveries:
             keys = self._keys.setdefault(bus, {})
@@ -107,7 +111,7 @@ class Intake:
         return taken
 
     def key(self, connection: tables.StoreConnection, bus: str, number: int) -> int:
-        """The key of a unit, or of a bus as number 0."""
+        """Return the key of a unit, or of a bus as number 0."""
         keys = self._keys.setdefault(bus, {})
         if number not in keys:
             keys[number] = tables.unit_id(connection, bus, number)
@@ -160,7 +164,7 @@ class Recorder:
         self._commits = 0
 
     def replay(self) -> None:
-        """Load the journal into the tail; damaged parts are left out and reported."""
+        """Load the journal into the tail without its damaged rows, which are reported."""
         self._tail.clear()
         read = self._database.read_now(lambda c: list(tables.read_journal(c)))
         journal = [rows for rows in read if rows is not None]
@@ -174,7 +178,7 @@ class Recorder:
         self._tail.interrupt()
 
     def commit(self, deliveries: Sequence[Delivery]) -> None:
-        """Write deliveries to the disk, then to the tail. Raises StoreError; then nothing is stored."""
+        """Write deliveries to the disk, then into the tail. Raises StoreError if nothing was stored."""
 
         def write(connection: tables.StoreConnection) -> Taken:
             taken = self._intake.take(connection, deliveries)
@@ -191,7 +195,7 @@ class Recorder:
         self._tail.add(taken.rows)
 
     def fold(self, now: int, deadline: Monotonic) -> None:
-        """Fold minutes and hours complete at ``now`` (µs) until ``deadline`` (monotonic seconds)."""
+        """Fold minutes that are over at ``now`` (µs) until ``deadline`` (monotonic seconds)."""
         if not self._folding and self._is_due(now):
             self._folded_minute = now - now % MINUTE
             self._folding.extend(self._tail.over(self._folded_minute))
@@ -199,7 +203,8 @@ class Recorder:
             self._fold_some(next_to_fold(self._folding, self._tail))
 
     def fold_everything(self, deadline: Monotonic = Monotonic(math.inf)) -> None:
-        """The current minute too, until ``deadline`` (monotonic seconds); the journal holds the rest."""
+        """Fold all minutes, also the current one, until ``deadline`` (monotonic seconds); the journal holds
+        the rest."""
         self._folding = deque(self._tail.over(current=-1))
         while self._folding and monotonic_now() < deadline:
             self._fold_some(next_to_fold(self._folding, self._tail))
@@ -232,16 +237,15 @@ class Recorder:
 
 
 RawBlock = tuple[int, int, Sequence[PlainRun]]
-"""Start and span in µs, and runs."""
+"""The start and the span of a block in µs, and its runs."""
 
 
 def raw_blocks(connection: StoreConnection, units: Iterable[int], minute: int) -> dict[int, RawBlock]:
-    """The block of each unit in which a minute falls, where there is one. Raises DamagedBlock."""
-    keys = tables.padded(units)
+    """Return the block of each unit that contains a minute, of those that have one. Raises DamagedBlock."""
     rows = connection.execute(
         "SELECT unit, start, span, data FROM raw"
-        f" WHERE unit IN ({tables.placeholders(keys)}) AND start IN (?, ?) ORDER BY start",
-        (*keys, minute - minute % HOUR, minute),
+        " WHERE unit IN (SELECT value FROM json_each(?)) AND start IN (?, ?) ORDER BY start",
+        (json.dumps([*units]), minute - minute % HOUR, minute),
     )
     return {
         unit: (start, span, block_runs(unit, start, data))
@@ -253,7 +257,7 @@ def raw_blocks(connection: StoreConnection, units: Iterable[int], minute: int) -
 def write_raw_blocks(
     connection: StoreConnection, blocks: Mapping[int, RawBlock], before: Mapping[int, RawBlock]
 ) -> None:
-    """Write blocks by unit in place of those that were there."""
+    """Write blocks by unit in place of the blocks ``before``."""
     replaced = [(unit, block[0], block[1]) for unit, block in before.items()]
     if replaced:
         connection.executemany("DELETE FROM raw WHERE unit = ? AND start = ? AND span = ?", replaced)
@@ -270,7 +274,7 @@ def replace_bits(
     old: Mapping[int, Sequence[Interval]],
     new: Mapping[int, Sequence[Interval]],
 ) -> None:
-    """Replace intervals by unit; one that stays the same is not written."""
+    """Replace intervals by unit; equal ones are not written again."""
     gone = [(unit, part.at, part.word) for unit, part in _missing(old, new)]
     if gone:
         connection.executemany("DELETE FROM bits WHERE unit = ? AND at = ? AND word = ?", gone)
@@ -285,16 +289,16 @@ def _missing(
 
 
 MAX_AT_ONCE = 10_000
-"""Runs folded in one transaction, about 50 ms: few enough that a slow machine still commits in time."""
+"""Runs that one transaction folds, in about 50 ms, so that a slow machine still commits in time."""
 MAX_KEYS = 64
-"""Minutes of units folded in one transaction: each is a block and its bits."""
+"""Minutes of units that one transaction folds, each with a block and its bits."""
 Minute = tuple[int, int]
 """The key of a unit and when the minute begins, µs."""
 _Runs = Mapping[int, Sequence[PlainRun]]
 
 
 def next_to_fold(folding: Iterable[Minute], tail: Tail) -> list[Minute]:
-    """Return the first minutes, as many as are folded in one transaction."""
+    """Return the first minutes, as many as one transaction folds."""
     keys: list[Minute] = []
     runs = 0
     for key in folding:
@@ -306,8 +310,7 @@ def next_to_fold(folding: Iterable[Minute], tail: Tail) -> list[Minute]:
 
 
 def fold_minutes(connection: tables.StoreConnection, tail: Tail, keys: Sequence[Minute]) -> None:
-    """Fold minutes of the tail into their blocks, without what was given up for its age. Raises
-    DamagedBlock."""
+    """Fold minutes of the tail into their blocks, except those that are too old. Raises DamagedBlock."""
     given_up = tables.raw_from(connection)
     of_minute: dict[int, dict[int, list[PlainRun]]] = {}
     for unit, minute in keys:
@@ -336,17 +339,16 @@ def fold(connection: tables.StoreConnection, minute: int, by_unit: _Runs) -> Non
 
 
 def compact(connection: tables.StoreConnection, unit: int, hour: int) -> None:
-    """The minutes of one unit and hour as one block, with its rollups: fewer rows, and better packed."""
-    table: Sequence[Sequence[int]] = tables.raw_columns(connection, unit, hour, hour + HOUR)
-    if table and not are_apart(table):
-        table = list(zip(*merge_plain((), zip(*table, strict=True)), strict=True))
+    """Pack the minutes of a unit and hour into one smaller block, with its rollups. Raises DamagedBlock."""
+    stored = tables.raw_columns(connection, unit, hour, hour + HOUR)
+    table = list(zip(*merge_plain((), zip(*stored, strict=True)), strict=True))
     if table:
         tables.write_raw(connection, unit, hour, HOUR, table)
         _roll_up(connection, unit, hour, minute_rollups(table))
 
 
 def _roll_up(connection: tables.StoreConnection, unit: int, hour: int, rows: Sequence[Rollup]) -> None:
-    """Minutes of an hour in place of those that are stored, and the hour in its day."""
+    """Write minutes of an hour in place of the stored ones, and the hour into its day."""
     day = hour - hour % DAY
     of_hour = replace_rows(tables.rollups_of(connection, "minutes", unit, hour), rows)
     of_day = replace_rows(tables.rollups_of(connection, "hours", unit, day), [combine(of_hour, hour)])

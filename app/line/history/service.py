@@ -1,9 +1,10 @@
-"""History as the rest of the app uses it: readings in, query results out."""
+"""History as the rest of the app uses it: it takes in readings and returns results of queries."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import TypeVar
 
 import structlog
@@ -13,15 +14,16 @@ from app.line.history import tables
 from app.line.history.query import QueryResult, SeriesQuery, run_query
 from app.line.history.series.runs import SECOND, micros
 from app.line.history.series.values import Interval
+from app.line.history.settings import HistorySettings
 from app.line.history.status import HistoryStatus
 from app.line.history.tables import BlockKey
 from app.line.history.tail import Tail
 from app.line.history.writer import Writer
 from app.people.audit.entry import EventKind
-from app.settings import Settings
 from bus.contract import Update
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
+from bus.settings import BusSettings
 
 FILE = "history.db"
 T = TypeVar("T")
@@ -29,19 +31,27 @@ log = structlog.get_logger()
 
 
 FaultSubscriber = Callable[[EventKind, Message, UnixTime], None]
-"""Called with the kind of event, what happened, and the Unix time."""
+"""A function that is called with the kind of event, what happened, and the Unix time."""
 
 
 class History:
-    """Stores readings and runs queries on them. Opening never fails: :attr:`status` shows when a store
-    cannot be used. Subscribers are called on the event loop that called :meth:`start`."""
+    """Stores readings in a folder and runs queries on them. Opening never fails: :attr:`status` shows when a
+    store cannot be used. Subscribers are called on the event loop that called :meth:`start`.
+    ``shift_starts``: minutes after midnight in ``time_zone``, for the spans that the trends page offers."""
 
-    def __init__(self, settings: Settings) -> None:
-        self.path = settings.server.data / FILE
-        self.buses = {bus.name: bus for bus in settings.bus}
-        self.time_zone = settings.site.zone
+    def __init__(
+        self,
+        folder: Path,
+        buses: Iterable[BusSettings] = (),
+        kept: HistorySettings | None = None,
+        time_zone: str = "UTC",
+        shift_starts: Sequence[int] = (),
+    ) -> None:
+        self.path = folder / FILE
+        self.buses = {bus.name: bus for bus in buses}
+        self.time_zone, self.shift_starts = time_zone, shift_starts
         self._fault_subscribers: list[FaultSubscriber] = []
-        self._writer = Writer(self.path, settings.history, self._publish_fault)
+        self._writer = Writer(self.path, kept or HistorySettings(), self._publish_fault)
 
     def on_fault(self, subscriber: FaultSubscriber) -> None:
         """Call ``subscriber`` when this machine's clock was stepped or something stored cannot be read."""
@@ -62,12 +72,12 @@ class History:
         self._writer.close()
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
-        """Take in what a worker reported; never waits, and costs the event loop a microsecond."""
+        """Take in updates of a worker, without waiting."""
         self._writer.take((bus, updates))
 
     @property
     def status(self) -> HistoryStatus:
-        """Whether history is well, and if not, why."""
+        """Whether history is stored, and if not, why."""
         return self._writer.status
 
     async def query(self, queries: Sequence[SeriesQuery]) -> list[QueryResult]:
@@ -78,7 +88,7 @@ class History:
         return found
 
     async def newest(self, bus: str) -> UnixTime | None:
-        """The time of the newest stored reading of a bus; None where there is none that can be read."""
+        """Return the time of the newest stored reading of a bus; None if there is none that can be read."""
 
         def read(connection: tables.StoreConnection, tail: Tail) -> int | None:
             keys = tables.units_of(connection, bus)
@@ -94,12 +104,12 @@ class History:
         return None if at is None else seconds(at)
 
     def report(self, damaged: Iterable[BlockKey]) -> None:
-        """Blocks that could not be read: the writer sets them aside and reports them."""
+        """Let the writer set aside blocks that could not be read."""
         self._writer.report(damaged)
 
     async def read(self, work: Callable[[tables.StoreConnection, Tail], T], *, costly: bool = False) -> T:
-        """``work`` on a read-only connection and the tail, in a thread; what is ``costly`` apart from all
-        others. Raises StoreError."""
+        """Run ``work`` with a read-only connection and the tail, in a thread; a ``costly`` one has threads of
+        its own. Raises StoreError."""
         tail, database = self._writer.tail, self._writer.database
         try:
             read = database.read_costly if costly else database.read
@@ -109,19 +119,19 @@ class History:
 
 
 def seconds(at: int) -> UnixTime:
-    """µs as seconds since the epoch."""
+    """Convert µs to seconds since the epoch."""
     return UnixTime(at / SECOND)
 
 
 MAX_SPANS = 50_000
-"""Bits that change more often than this over a span are not read."""
+"""Bits that change more often over a span are not read."""
 StatusSpan = tuple[UnixTime, UnixTime, int]
 
 
 async def status_words(
     history: History, bus: str, unit: int, start: UnixTime, end: UnixTime
 ) -> list[StatusSpan]:
-    """Spans (Unix time, seconds) with their bits, ST2 * 256 + ST1, in order. Raises StoreError."""
+    """Return spans (Unix time, seconds) with their bits, ST2 * 256 + ST1, in order. Raises StoreError."""
     wanted = micros(start), micros(end)
 
     def read(connection: tables.StoreConnection, tail: Tail) -> list[Interval]:

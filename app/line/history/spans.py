@@ -43,10 +43,8 @@ HistoryOf = Annotated[History, service(History)]
 
 
 def moment(text: str, name: str) -> int:
-    """An ISO 8601 time with zone as µs since the epoch. Raises Problem 422.
-
-    A ``+`` that was not escaped and arrives as a blank is understood.
-    """
+    """Parse an ISO 8601 time with zone as µs since the epoch. A ``+`` that was not escaped, and so arrives as
+    a blank, is understood. Raises Problem 422."""
     try:
         at = datetime.fromisoformat(_PLUS_LOST.sub(r"\1+\2", text.strip()))
     except ValueError:
@@ -62,7 +60,7 @@ async def wanted_span(
     since: Annotated[MaybeMomentText, Query(alias="from")] = None,
     until: Annotated[MaybeMomentText, Query(alias="to")] = None,
 ) -> Span:
-    """The requested span; the last hour by default."""
+    """Return the requested span, by default the last hour."""
     end = micros(unix_now()) if until is None else moment(until, "to")
     start = end - HOUR if since is None else moment(since, "from")
     if start >= end:
@@ -83,8 +81,8 @@ PointsOf = Annotated[int, Depends(wanted_points)]
 
 
 def series_query(history: History, bus: str, unit: int, value: str, span: Span, most: int) -> SeriesQuery:
-    """One value of one unit. Raises Problem 404 for a bus or unit, 422 for a value that
-    it does not have."""
+    """Return the query of one value of one unit. Raises Problem 404 for an unknown bus or unit, 422 for an
+    unknown value."""
     settings = history.buses.get(bus)
     if settings is None:
         raise unknown_bus(bus, history.buses)
@@ -98,7 +96,7 @@ def series_query(history: History, bus: str, unit: int, value: str, span: Span, 
 
 
 def named_series_query(history: History, name: str, span: Span, most: int) -> SeriesQuery:
-    """The query of one value named ``bus/unit/value``. Raises Problem."""
+    """Return the query of one value named ``bus/unit/value``. Raises Problem."""
     bus, _, rest = name.partition("/")
     unit, _, value = rest.partition("/")
     number = parse_integer(unit)
@@ -108,7 +106,7 @@ def named_series_query(history: History, name: str, span: Span, most: int) -> Se
 
 
 def series_queries(history: History, names: list[str], span: Span, most: int) -> list[SeriesQuery]:
-    """The queries of several values, each named ``bus/unit/value``. Raises Problem."""
+    """Return the queries of several values, each named ``bus/unit/value``. Raises Problem."""
     if not 1 <= len(names) <= MAX_SERIES:
         raise Problem(422, "invalid", Message.of("series_count", most=MAX_SERIES, count=len(names)))
     return [named_series_query(history, name, span, most) for name in names]

@@ -1,4 +1,4 @@
-"""The state of the history itself, for pages and the API."""
+"""The state of the history, for pages and the API, and for how long the disk suffices."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _MB = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class DiskReserve:
-    """Free bytes below which each thing happens."""
+    """The free bytes below which each measure is taken."""
 
     announce: int = 2_000 * _MB
     """Warn on every page that shows history."""
@@ -65,7 +65,7 @@ class DiskReserve:
 
 
 def space(free: int, reserve: DiskReserve) -> StoreState:
-    """The state of a store on a disk with so many free bytes."""
+    """Return the state of a store on a disk with so many free bytes."""
     if free < reserve.pause:
         return "paused"
     if free < reserve.trim:
@@ -83,21 +83,22 @@ DAMAGED = Message("history_damaged")
 
 
 def damage_message(status: HistoryStatus, shown: Callable[[UnixTime], str]) -> Message | None:
-    """Message about history that is not shown because it was damaged; ``shown`` writes a time as text."""
+    """Return the message about history that is missing since it was damaged; ``shown`` writes a time as
+    text."""
     if status.begun is not None:
         return Message.of("history_put_aside", time=shown(status.begun), file=status.put_aside)
     return DAMAGED if status.damaged else None
 
 
 def store_message(state: StoreState, cause: Message | None = None) -> Message | None:
-    """Return the message about the state of the store; None while it is well."""
+    """Return the message about the state of the store; None if it is ok."""
     if state == "ok" or cause is None:
         return NOTICES.get(state)
     return Message.of("history_because", notice=NOTICES[state], cause=cause)
 
 
 def store_notice(status: HistoryStatus, formats: Formats, now: UnixTime) -> Message | None:
-    """The notice on the pages; None while history is stored."""
+    """Return the notice on the pages; None while history is stored."""
     since = formats.since(status.since, now)
     match status.state:
         case "ok":
@@ -121,9 +122,9 @@ _EVENTS = "SELECT min(time), max(time) FROM events WHERE id > ?"
 
 
 def days_left(free: int, readings: float, stored_days: float, kept_days: int, lasting: float) -> float | None:
-    """Days until the space of the reserve is reached; None for longer than `MAX_DAYS`. ``readings``: bytes a
-    day of what is deleted after ``kept_days``, of which ``stored_days`` are stored; ``lasting``: bytes a day
-    of what stays for years."""
+    """Return the days until the reserve of the disk is reached; None if they are more than `MAX_DAYS`.
+    ``readings``: bytes a day of data that is deleted after ``kept_days``, of which ``stored_days`` are
+    stored; ``lasting``: bytes a day of data that stays for years."""
     usable, growing = max(0.0, free - MIN_FREE_OF_OTHERS), max(0.0, kept_days - stored_days)
     both = readings + lasting
     if both * growing > usable:
@@ -135,8 +136,8 @@ def days_left(free: int, readings: float, stored_days: float, kept_days: int, la
 
 
 def growth_of_history(connection: StoreConnection, now: int) -> tuple[float, float, float] | None:
-    """Bytes a day of readings and of rollups in the last week, and the days of readings that are stored; None
-    before an hour is stored. ``now``: µs since the epoch."""
+    """Return the bytes a day of readings and of rollups in the last week, and the days of readings that are
+    stored; None before an hour is stored. ``now``: µs since the epoch."""
     since = now - LATELY
     first, readings = connection.execute(_RAW, (since,)).fetchone()
     if first is None or now - first < HOUR:
@@ -148,8 +149,8 @@ def growth_of_history(connection: StoreConnection, now: int) -> tuple[float, flo
 
 
 def growth_of_events(connection: StoreConnection, size: int, *, is_archived: bool) -> float:
-    """Bytes a day of the main store, which has ``size`` bytes, since the first event that is not archived.
-    ``is_archived``: old events make room for new ones, from the first month that was archived."""
+    """Return the bytes a day of the main store, which has ``size`` bytes, since the first event that is not
+    archived. ``is_archived``: once a month was archived, old events make room for new ones."""
     cuts = cuts_of(connection)
     if cuts and is_archived:
         return 0.0

@@ -1,10 +1,11 @@
-"""The rows of the history store. Every function takes a connection; who calls decides the transaction.
+"""The rows of the history store. Every function takes a connection; its caller decides on the transaction.
 
-A block that is damaged is detected by zlib's checksum, and costs only itself.
+zlib's checksum detects a damaged block, which costs only itself.
 """
 
 from __future__ import annotations
 
+import json
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,15 +16,17 @@ from typing import Literal, TypeVar
 from app.core.database import StoreConnection as StoreConnection
 from app.core.database.connection import upsert
 from app.line.history.series import columns
-from app.line.history.series.rollup import Rollup, pack_rollups, unpack_rollups
 from app.line.history.series.runs import (
     DAY,
     HOUR,
     MINUTE,
     PlainRun,
+    Rollup,
     Run,
     pack_columns,
+    pack_rollups,
     unpack_columns,
+    unpack_rollups,
     unpack_runs,
 )
 from app.line.history.series.values import Interval, Marks, ParameterStep
@@ -34,7 +37,7 @@ StoredTier = Literal["raw", "minutes", "hours"]
 
 @dataclass(frozen=True, slots=True, order=True)
 class BlockKey:
-    """Where a block is: ``unit`` by its key, ``start`` in µs."""
+    """The place of a block: ``unit`` is a key, ``start`` in µs."""
 
     tier: StoredTier
     unit: int
@@ -42,7 +45,7 @@ class BlockKey:
 
 
 class DamagedBlock(ValueError):
-    """Its content is not what was written."""
+    """The content of a block is not what was written."""
 
     def __init__(self, block: BlockKey, why: str) -> None:
         super().__init__(f"{why} ({block.tier} of unit key {block.unit} from {block.start})")
@@ -50,7 +53,7 @@ class DamagedBlock(ValueError):
 
 
 def intact(block: BlockKey, unpack: Callable[[], T]) -> T:
-    """Return what ``unpack`` gives. Raises DamagedBlock where it raises ValueError."""
+    """Return the result of ``unpack``. Raises DamagedBlock if that raises ValueError."""
     try:
         return unpack()
     except ValueError as error:
@@ -68,7 +71,7 @@ def sound(blob: bytes) -> bool:
 
 RollupTier = Literal["minutes", "hours"]
 ROW_SPAN: dict[RollupTier, int] = {"minutes": HOUR, "hours": DAY}
-"""The span that one row of a tier holds, µs."""
+"""The span of one row of a tier, µs."""
 STEP: dict[RollupTier, int] = {"minutes": MINUTE, "hours": HOUR}
 LOST_STATES = ("stale", "offline", "unknown", "closed")
 _JOURNAL_LEVEL = 1
@@ -81,7 +84,7 @@ RETURNING value
 
 
 def unit_id(connection: StoreConnection, bus: str, number: int) -> int:
-    """The key of a unit (number 0: of the bus itself), given to it now when it has none."""
+    """Return the key of a unit (number 0: of the bus itself), and make one if it has none."""
     connection.execute("INSERT INTO unit (bus, number) VALUES (?, ?) ON CONFLICT DO NOTHING", (bus, number))
     found = find_unit(connection, bus, number)
     assert found is not None
@@ -89,18 +92,18 @@ def unit_id(connection: StoreConnection, bus: str, number: int) -> int:
 
 
 def find_unit(connection: StoreConnection, bus: str, number: int) -> int | None:
-    """The key of a unit; None when nothing was ever kept of it."""
+    """Return the key of a unit; None if nothing of it was ever stored."""
     row = connection.execute("SELECT id FROM unit WHERE bus = ? AND number = ?", (bus, number)).fetchone()
     return None if row is None else int(row[0])
 
 
 def units_of(connection: StoreConnection, bus: str) -> list[int]:
-    """The keys of a bus and its units."""
+    """Return the keys of a bus and its units."""
     return [row[0] for row in connection.execute("SELECT id FROM unit WHERE bus = ?", (bus,))]
 
 
 def name_of(connection: StoreConnection, unit: int) -> str:
-    """A unit's key in words: ``bus/number``."""
+    """Return ``bus/number`` of a unit's key."""
     row = connection.execute("SELECT bus, number FROM unit WHERE id = ?", (unit,)).fetchone()
     return "" if row is None else f"{row[0]}/{row[1]}"
 
@@ -116,7 +119,7 @@ def write_journal(connection: StoreConnection, rows: Sequence[tuple[int, PlainRu
 
 
 def write_journal_again(connection: StoreConnection, rows: Sequence[tuple[int, PlainRun]]) -> None:
-    """Replace all that the journal holds."""
+    """Replace the journal."""
     connection.execute("DELETE FROM journal")
     if rows:
         write_journal(connection, rows)
@@ -135,7 +138,7 @@ def read_journal(connection: StoreConnection) -> Iterator[list[tuple[int, Run]] 
 
 
 def extent(connection: StoreConnection) -> tuple[int, int] | None:
-    """The span of all that is kept, µs; None when nothing is."""
+    """Return the span of all stored data, µs; None without any."""
     rows = [
         connection.execute(f"SELECT min(start), max(start) FROM {name}").fetchone()
         for name in ("hours", "raw")
@@ -145,7 +148,7 @@ def extent(connection: StoreConnection) -> tuple[int, int] | None:
 
 
 def rollups_of(connection: StoreConnection, tier: RollupTier, unit: int, start: int) -> list[Rollup]:
-    """Read one row of a tier; empty where there is none. Raises DamagedBlock."""
+    """Read one row of a tier; empty without one. Raises DamagedBlock."""
     query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
     row = connection.execute(query, (unit, start)).fetchone()
     return [] if row is None else intact(BlockKey(tier, unit, start), lambda: unpack_rollups(row[0], start))
@@ -154,7 +157,7 @@ def rollups_of(connection: StoreConnection, tier: RollupTier, unit: int, start: 
 def write_rollups(
     connection: StoreConnection, tier: RollupTier, unit: int, start: int, rows: Sequence[Rollup]
 ) -> None:
-    """Write one row of a tier, in place of a former one."""
+    """Write one row of a tier in place of a former one."""
     values = (unit, start, pack_rollups(rows, start))
     connection.execute(upsert(tier, ("unit", "start"), ("data",)), values)
 
@@ -162,8 +165,8 @@ def write_rollups(
 def write_raw(
     connection: StoreConnection, unit: int, start: int, span: int, table: Sequence[Sequence[int]]
 ) -> None:
-    """A block of the columns of runs in place of all that lie in its span. It keeps the newest of their ids:
-    who has read them has read it."""
+    """Write a block of the columns of runs in place of all blocks in its span. It keeps the newest of their
+    ids, as a reader who has read them has read it."""
     within = "FROM raw WHERE unit = ? AND start >= ? AND start < ?"
     place = (unit, start, start + span)
     [newest] = connection.execute(f"SELECT max(id) {within}", place).fetchone()
@@ -173,8 +176,8 @@ def write_raw(
 
 
 def new_raw_ids(connection: StoreConnection, count: int) -> range:
-    """Ids of blocks that change. They only rise, also from one store to the next one that takes its place, so
-    that a reader that has seen the blocks up to an id finds all that changed since behind it."""
+    """Return ids for blocks that change. Ids only rise, also from one store to the one that replaces it, so
+    that a reader that has seen the blocks up to an id finds everything that changed since behind it."""
     [last] = connection.execute(_RESERVE_IDS, {"count": count}).fetchone()
     return range(last - count + 1, last + 1)
 
@@ -182,7 +185,7 @@ def new_raw_ids(connection: StoreConnection, count: int) -> range:
 def raw_row(
     unit: int, start: int, span: int, table: Sequence[Sequence[int]]
 ) -> tuple[int, int, int, int, bytes]:
-    """The values of a block. ``points``: how many it has when drawn one by one."""
+    """Return the row of a block, without its id. Its ``points`` are those of a chart of single readings."""
     at, until, *_ = table
     return unit, start, span, len(at) + sum(map(gt, until, at)), pack_columns(table, start)
 
@@ -204,20 +207,20 @@ def raw_columns(connection: StoreConnection, unit: int, start: int, end: int) ->
 
 
 def block_runs(unit: int, start: int, data: bytes) -> list[Run]:
-    """The runs of a block. Raises DamagedBlock."""
+    """Unpack the runs of a block. Raises DamagedBlock."""
     return intact(BlockKey("raw", unit, start), lambda: unpack_runs(data, start))
 
 
 def next_to_compact(connection: StoreConnection, before: int) -> tuple[int, int] | None:
-    """A unit and an hour that ended before that time and is still stored by minutes."""
+    """Return a unit and an hour before a time that is still stored by minutes; None if there is none."""
     query = "SELECT unit, start FROM raw WHERE span = 60000000 AND start < ? ORDER BY start, unit LIMIT 1"
     row = connection.execute(query, (before,)).fetchone()
     return None if row is None else (row[0], row[1] - row[1] % HOUR)
 
 
 def drop_raw(connection: StoreConnection, before: int, most: int) -> int:
-    """Give up the oldest readings, at most so many blocks at a time; gives how many. An hour that is not
-    packed has no rollups yet: it has a day more, also where its bus is in no configuration any more."""
+    """Delete readings before a time, at most ``most`` blocks, the oldest first; return the number of blocks.
+    An hour that is not packed has no rollups yet and stays a day longer."""
     return connection.execute(
         "DELETE FROM raw WHERE id IN (SELECT id FROM raw WHERE start < ?"
         " AND (span > 60000000 OR start < ?) ORDER BY start LIMIT ?)",
@@ -226,40 +229,40 @@ def drop_raw(connection: StoreConnection, before: int, most: int) -> int:
 
 
 def oldest_raw(connection: StoreConnection) -> int | None:
-    """The start of the oldest block of any unit, µs."""
+    """Return the start of the oldest block of any unit, µs."""
     row = connection.execute("SELECT min(start) FROM raw").fetchone()
     return None if row[0] is None else int(row[0])
 
 
 def oldest_packed(connection: StoreConnection) -> int | None:
-    """The start of the oldest hour of any unit that is one block, µs."""
+    """Return the start of the oldest packed hour of any unit, µs."""
     query = "SELECT start FROM raw WHERE span > 60000000 ORDER BY start LIMIT 1"
     row = connection.execute(query).fetchone()
     return None if row is None else int(row[0])
 
 
 def newest_reading(connection: StoreConnection, unit: int) -> int | None:
-    """The time of the newest stored reading of a unit, µs. Raises DamagedBlock."""
+    """Return the time of the newest stored reading of a unit, µs. Raises DamagedBlock."""
     query = "SELECT start, data FROM raw WHERE unit = ? ORDER BY start DESC LIMIT 1"
     row = connection.execute(query, (unit,)).fetchone()
     return None if row is None else max((run.until for run in block_runs(unit, *row)), default=None)
 
 
 def rolled_up(connection: StoreConnection, unit: int, start: int, end: int) -> bool:
-    """Whether a unit has any minute of a packed hour in a span."""
+    """Whether a unit has a minute of a packed hour within a span."""
     query = "SELECT 1 FROM minutes WHERE unit = ? AND start > ? AND start < ? LIMIT 1"
     return connection.execute(query, (unit, start - HOUR, end)).fetchone() is not None
 
 
 def first_minute(connection: StoreConnection, unit: int) -> int | None:
-    """The start of the oldest block of a unit in which there are minutes, packed or not; µs."""
+    """Return the start of the oldest block of minutes of a unit, packed or not, µs."""
     query = "SELECT min(start) FROM {} WHERE unit = ?"
     found = [connection.execute(query.format(name), (unit,)).fetchone()[0] for name in ("minutes", "raw")]
     return min((start for start in found if start is not None), default=None)
 
 
 def drop_rollups(connection: StoreConnection, before: int) -> None:
-    """Delete data past the longest retention: rollups, bits, links."""
+    """Delete rollups, bits and links before a time, µs."""
     connection.execute("DELETE FROM minutes WHERE start < ?", (before,))
     connection.execute("DELETE FROM hours WHERE start < ?", (before,))
     connection.execute("DELETE FROM bits WHERE until < ?", (before,))
@@ -270,7 +273,7 @@ def drop_rollups(connection: StoreConnection, before: int) -> None:
 
 
 def move_damaged(connection: StoreConnection, block: BlockKey, now: int) -> bool:
-    """Move a block, as it is, to the damaged ones; False where it is not there or intact. ``now`` in µs."""
+    """Move a block to the damaged ones; return False if it is gone or intact. ``now`` in µs."""
     where, key = f"FROM {block.tier} WHERE unit = ? AND start = ?", (block.unit, block.start)
     row = connection.execute(f"SELECT data {where}", key).fetchone()
     if row is None or sound(row[0]):
@@ -282,7 +285,7 @@ def move_damaged(connection: StoreConnection, block: BlockKey, now: int) -> bool
 
 
 def note_replaced(connection: StoreConnection, file: str, now: int) -> None:
-    """The store is new, and the damaged one before it is kept as ``file``; ``now`` in µs."""
+    """Note that this store is new, and that the damaged one before it is kept as ``file``; ``now`` in µs."""
     connection.execute("INSERT INTO damaged VALUES ('store', 0, 0, ?, ?)", (now, file.encode()))
 
 
@@ -298,40 +301,20 @@ def damaged_since(connection: StoreConnection, since: int) -> int:
     return int(connection.execute("SELECT count(*) FROM damaged WHERE found >= ?", (since,)).fetchone()[0])
 
 
-_NO_UNIT = -1
-
-
-def padded(units: Iterable[int]) -> list[int]:
-    """Fill a list of unit keys up to a power of two, so that few statements are prepared for any number of
-    units."""
-    keys = list(units)
-    return keys + [_NO_UNIT] * ((1 << (len(keys) - 1).bit_length()) - len(keys))
-
-
-def placeholders(keys: Sequence[int]) -> str:
-    """Return a parameter mark for each key."""
-    return ", ".join("?" * len(keys))
-
-
-def _tuples(keys: Sequence[int], width: int) -> str:
-    return ", ".join([f"({', '.join('?' * width)})"] * len(keys))
-
-
 def bits_around(
     connection: StoreConnection, units: Iterable[int], start: int, end: int
 ) -> dict[int, list[Interval]]:
     """Read the intervals of each unit that touch a span (µs), and the neighbor on either side."""
     found: dict[int, list[Interval]] = {unit: [] for unit in units}
-    keys = padded(found)
     rows = connection.execute(
-        f"WITH wanted (unit) AS (VALUES {_tuples(keys, 1)}), bounds AS MATERIALIZED ("
+        "WITH wanted (unit) AS (SELECT value FROM json_each(?)), bounds AS MATERIALIZED ("
         "SELECT unit,"
         " coalesce((SELECT max(at) FROM bits WHERE bits.unit = wanted.unit AND at < ?), ?) AS low,"
         " coalesce((SELECT min(at) FROM bits WHERE bits.unit = wanted.unit AND at >= ?), ?) AS high"
         " FROM wanted) "
         "SELECT bits.unit, at, until, word FROM bounds"
         " JOIN bits ON bits.unit = bounds.unit AND at >= low AND at <= high ORDER BY bits.unit, at",
-        (*keys, start, start, end, end),
+        (json.dumps([*found]), start, start, end, end),
     )
     for unit, *interval in rows:
         found[unit].append(Interval(*interval))
@@ -345,26 +328,25 @@ def count_bits(connection: StoreConnection, unit: int, start: int, end: int) -> 
 
 
 def write_link(connection: StoreConnection, unit: int, at: int, state: str, cause: str) -> None:
-    """A unit or a port came into a state."""
+    """Write that a unit or a port came into a state."""
     query = "INSERT INTO link VALUES (?, ?, ?, ?) ON CONFLICT DO NOTHING"
     connection.execute(query, (unit, at, state, cause))
 
 
 _MARKED = "unit JOIN unit AS marked ON unit.bus = marked.bus AND marked.number IN (0, unit.number)"
-"""Each unit with itself and with its port, whose marks are its units' too."""
+"""SQL: each unit with itself and with its port, whose marks are also those of its units."""
 
 
 def link_marks(connection: StoreConnection, spans: Mapping[int, tuple[int, int]]) -> dict[int, Marks]:
     """Read when each unit or its port was lost and found within its span, µs."""
-    keys = padded(spans)
-    values = [each for key in keys for each in (key, *spans.get(key, (0, 0)))]
     rows = connection.execute(
-        f"WITH wanted (unit, since, until) AS (VALUES {_tuples(keys, 3)}) "
+        "WITH wanted (unit, since, until) AS (SELECT CAST(key AS INTEGER),"
+        " json_extract(value, '$[0]'), json_extract(value, '$[1]') FROM json_each(?)) "
         "SELECT wanted.unit, link.at, link.state FROM wanted JOIN unit ON unit.id = wanted.unit"
         " JOIN unit AS marked ON marked.bus = unit.bus AND marked.number IN (0, unit.number)"
         " JOIN link ON link.unit = marked.id AND link.at >= wanted.since AND link.at <= wanted.until"
         " ORDER BY link.at",
-        values,
+        (json.dumps(dict(spans)),),
     )
     marks: dict[int, tuple[list[int], list[int]]] = {}
     for unit, at, state in rows:
@@ -373,7 +355,8 @@ def link_marks(connection: StoreConnection, spans: Mapping[int, tuple[int, int]]
 
 
 def marks_since(connection: StoreConnection, start: int) -> list[tuple[int, int]]:
-    """Every unit that was lost or found from a time on, with its port, and when; µs."""
+    """Return the units that were lost or found from a time on, by themselves or with their port, and when;
+    µs."""
     query = f"SELECT unit.id, at FROM {_MARKED} JOIN link ON link.unit = marked.id WHERE at >= ?"
     return [(row[0], row[1]) for row in connection.execute(query, (start,))]
 
@@ -381,8 +364,8 @@ def marks_since(connection: StoreConnection, start: int) -> list[tuple[int, int]
 def lost_between(
     connection: StoreConnection, start: int, end: int, unit: int | None = None
 ) -> list[tuple[int, int, str]]:
-    """The moments of a span, µs, at which a unit or its port was lost, and the state that it came into; of
-    one unit, or of all that have a number."""
+    """Return when, within a span, µs, units or their ports were lost, and the states that they came into; of
+    one unit, or of all."""
     states = ", ".join("?" * len(LOST_STATES))
     query = (
         f"SELECT unit.id, link.at, link.state FROM {_MARKED} JOIN link ON link.unit = marked.id"
@@ -393,30 +376,29 @@ def lost_between(
 
 
 def write_parameter(connection: StoreConnection, unit: int, step: ParameterStep) -> None:
-    """A scaling parameter was read with a value."""
+    """Write a value of a scaling parameter that was read."""
     query = upsert("parameter", ("unit", "number", "at"), ("raw",))
     connection.execute(query, (unit, step.number, step.at, step.raw))
 
 
 def parameter_steps(connection: StoreConnection, unit: int) -> list[ParameterStep]:
-    """Every value that the scaling parameters of a unit ever had, oldest first."""
+    """Return all values that the scaling parameters of a unit ever had, oldest first."""
     rows = connection.execute("SELECT at, number, raw FROM parameter WHERE unit = ? ORDER BY at", (unit,))
     return [ParameterStep(*row) for row in rows]
 
 
 def raw_from(connection: StoreConnection) -> int:
-    """Readings before this time were given up; 0 when none were."""
+    """Return the time before which readings were given up, µs; 0 if none were."""
     row = connection.execute("SELECT value FROM fact WHERE name = 'raw_from'").fetchone()
     return 0 if row is None else int(row[0])
 
 
 def write_raw_from(connection: StoreConnection, at: int) -> None:
-    """Readings before this time are given up."""
+    """Give up readings before a time, µs."""
     connection.execute(upsert("fact", ("name",), ("value",)), ("raw_from", at))
 
 
 def correct_raw_from(connection: StoreConnection, now: int) -> None:
-    """Give up nothing before a time in the future, which a clock that was wrong has left; ``now`` in µs. What
-    is stored counts again, until it is too old."""
+    """Undo giving up readings until a time in the future, which a wrong clock has left; ``now`` in µs."""
     at = raw_from(connection)
     write_raw_from(connection, 0 if at > now else at)

@@ -1,4 +1,4 @@
-"""The readings of minutes that are not over yet, in memory; the journal on disk holds the same.
+"""The readings in memory of minutes that are not over yet; the journal on disk holds the same.
 
 One thread adds and drops, any thread reads.
 """
@@ -15,7 +15,7 @@ from app.line.history.series.runs import MINUTE, SECOND, PlainRun, Run, follows,
 
 WIDTH = len(Run._fields)
 _BYTES = struct.Struct(f"{WIDTH}q").pack
-"""Faster than to extend an array by a tuple."""
+"""Packs a run faster than `array.extend` takes a tuple."""
 _UNTIL = Run._fields.index("until")
 _ACTUAL = Run._fields.index("actual") - WIDTH
 BREAK = 2 * SECOND
@@ -36,8 +36,8 @@ def _by_time(key: tuple[int, int]) -> tuple[int, int]:
 
 
 class Tail:
-    """Runs by unit and minute, in the order in which they came: the fields of one after those of the other in
-    an array, as the garbage collector would go through half a million tuples each few seconds."""
+    """Runs by unit and minute, in order of arrival. Their fields stand one after the other in an array, as
+    the garbage collector would visit half a million tuples every few seconds."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -46,7 +46,7 @@ class Tail:
         """The times at which each unit stopped responding (µs), in order."""
 
     def add(self, rows: Iterable[tuple[int, PlainRun]]) -> None:
-        """Readings or runs of units, in order of arrival."""
+        """Add readings or runs of units, in order of arrival."""
         with self._lock:
             for unit, run in rows:
                 self._add_one(unit, run)
@@ -73,8 +73,8 @@ class Tail:
         return place < len(lost) and lost[place] <= until
 
     def mark_lost(self, lost: Iterable[tuple[int, int]]) -> None:
-        """Units and when they stopped responding (µs): no run crosses such a moment. Call it before the
-        readings that follow are added."""
+        """Note when units stopped responding (µs), which no run crosses. Call it before the readings that
+        follow are added."""
         with self._lock:
             for unit, at in lost:
                 insort(self._lost.setdefault(unit, []), at)
@@ -84,7 +84,7 @@ class Tail:
         self.mark_lost({(unit, run[1] + 1) for unit, run in self.everything()})
 
     def runs(self, unit: int, start: int, end: int) -> list[Run]:
-        """A unit's runs that touch a span (µs), in order of time."""
+        """Return a unit's runs that touch a span (µs), in order of time."""
         with self._lock:
             found = [
                 run
@@ -95,8 +95,8 @@ class Tail:
         return runs_of(sorted(run for run in found if run[0] < end and run[1] >= start))
 
     def since(self, after: int) -> dict[int, list[PlainRun]]:
-        """The last runs of each unit that reach a time, µs, in the order in which they came. It costs what
-        came since."""
+        """Return the last runs of each unit that reach a time, µs, in order of arrival, at the cost of these
+        runs."""
         found: dict[int, list[PlainRun]] = {}
         with self._lock:
             for (unit, minute), runs in self._minutes.items():
@@ -118,18 +118,18 @@ class Tail:
             return len(self._minutes.get((unit, minute), ())) // WIDTH
 
     def over(self, current: int) -> list[tuple[int, int]]:
-        """The units and minutes other than the current one, which is still growing; the oldest first."""
+        """Return the units and minutes except the current one, which is still growing, the oldest first."""
         with self._lock:
             return sorted((key for key in self._minutes if key[1] != current), key=_by_time)
 
     def extent(self) -> tuple[int, int] | None:
-        """The span of its minutes, µs; None when it holds nothing."""
+        """Return the span of all minutes, µs; None if there are none."""
         with self._lock:
             minutes = [minute for _, minute in self._minutes]
         return (min(minutes), max(minutes) + MINUTE) if minutes else None
 
     def drop(self, unit: int, minute: int) -> None:
-        """Forget runs that are stored elsewhere."""
+        """Forget the runs of a minute that is stored in a block."""
         with self._lock:
             self._minutes.pop((unit, minute), None)
             if unit in self._lost:
@@ -142,7 +142,7 @@ class Tail:
             self._lost.clear()
 
     def everything(self, without: Container[tuple[int, int]] = ()) -> list[tuple[int, PlainRun]]:
-        """Each run with its unit; ``without`` these units and minutes."""
+        """Return each run with its unit, except those of the units and minutes in ``without``."""
         with self._lock:
             minutes = sorted(key for key in self._minutes if key not in without)
             return [(key[0], run) for key in minutes for run in _plain(self._minutes[key])]

@@ -1,4 +1,4 @@
-"""What a unit did over a span, from the store alone."""
+"""The report on what units did over a span, from the store."""
 
 from __future__ import annotations
 
@@ -6,7 +6,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from app.line.history import tables
-from app.line.history.query import SeriesQuery, has_raw, scale_of
+from app.line.history.query import (
+    SeriesQuery,
+    StoredUnit,
+    estimate,
+    has_raw,
+    minutes_of,
+    runs_between,
+    scale_of,
+    stored_unit,
+)
 from app.line.history.series.figures import (
     DrawFigures,
     RunFigures,
@@ -20,26 +29,19 @@ from app.line.history.series.figures import (
 from app.line.history.series.runs import MINUTE, Run
 from app.line.history.series.values import VALUES, ParameterStep, Scaling
 from app.line.history.tail import Tail
-from app.line.history.unit_history import (
-    StoredUnit,
-    estimate,
-    minutes_of,
-    runs_between,
-    stored_unit,
-)
 from bus.catalogue.parameters import FOLLOWER_MODE
 from bus.settings import BusSettings
 
 MAX_READINGS = 1_500_000
-"""More readings than this are not unpacked for one report: minutes are used. A bus at 9600 baud has 1.1
-million in a shift."""
+"""With more readings a report uses minutes. A bus at 9600 baud has 1.1 million in a shift."""
 MAX_READINGS_OF_UNIT = 150_000
-"""As many as are read in a second or two."""
+"""The readings of one unit that can be read in a second or two."""
 
 
 @dataclass(frozen=True, slots=True)
 class UnitReport:
-    """What a unit did, and its draw to the unit before; None: it has none, or never both were at speed."""
+    """The figures of a unit, and its draw to the unit before; None without one, or if the two were never at
+    speed at the same time."""
 
     unit: int
     runs: RunFigures | None
@@ -49,14 +51,14 @@ class UnitReport:
 
 @dataclass(frozen=True, slots=True)
 class _Speeds:
-    """The speeds of a unit while it was at speed. ``decimals``: of its display; None: not known."""
+    """The speeds of a unit while it was at speed. ``decimals``: those of its display; None if not known."""
 
     stretches: list[SpeedStretch] = field(default_factory=list)
     decimals: int | None = None
 
 
 def stored_tail(connection: tables.StoreConnection) -> Tail:
-    """The readings of minutes that are not over, as a server would load them; nothing is changed."""
+    """Read the journal into a tail, as a server does at its start, without changing anything."""
     tail = Tail()
     for rows in tables.read_journal(connection):
         tail.add(rows or ())
@@ -64,8 +66,8 @@ def stored_tail(connection: tables.StoreConnection) -> Tail:
 
 
 class BusReport:
-    """The figures of the units of a bus, or of one of them, over a span, µs; each is read apart, so that no
-    read takes long."""
+    """The figures of the units of a bus, or ``only`` one of them, over a span, µs. Each unit is read by
+    itself, so that no read takes long."""
 
     def __init__(
         self, bus: BusSettings, only: int | None, span: tuple[int, int], max_readings: int = MAX_READINGS
@@ -73,7 +75,8 @@ class BusReport:
         wanted = {unit.id for unit in bus.unit if only in (None, unit.id)}
         needed = wanted | {bus.seams[unit].before for unit in wanted if unit in bus.seams}
         self.units = [unit.id for unit in bus.unit if unit.id in needed]
-        """The units in the order in which they are read; with a single unit, that before it, too."""
+        """The units in the order in which they are to be read; before a single unit also the one before
+        it."""
         self._bus = bus
         self._wanted = wanted
         self._span = span
@@ -81,8 +84,8 @@ class BusReport:
         self._before: dict[int, _Speeds] = {}
 
     def read(self, connection: tables.StoreConnection, tail: Tail, unit: int) -> UnitReport | None:
-        """The next of :attr:`units`; from minutes where its readings are no longer kept, or are too many.
-        None for one that is read for another only."""
+        """Read the next of :attr:`units`, from minutes if its readings are too many or no longer stored.
+        Return None for a unit that is only needed for the draw of the next one."""
         runs, speeds = _unit_figures(connection, tail, self._bus, unit, self._span, self._max_readings)
         draw = _draw(self._bus, unit, self._before, speeds)
         self._before = {unit: speeds}
@@ -90,7 +93,7 @@ class BusReport:
 
 
 def _draw(bus: BusSettings, unit: int, before: dict[int, _Speeds], speeds: _Speeds) -> DrawFigures | None:
-    """Return the draw of speeds of one quantity, each on a scale that is known, as the line shows it."""
+    """Return the draw as the line shows it: of speeds of one quantity, each on a known scale."""
     seam = bus.seams.get(unit)
     other = None if seam is None else before.get(seam.before)
     if seam is None or other is None or speeds.decimals is None or other.decimals is None:

@@ -39,7 +39,7 @@ from bus.instants import ClockWatch, Monotonic, UnixTime, monotonic_now, unix_no
 from bus.messages import Message, in_english, number
 
 COMMIT_EVERY_S = 0.5
-"""The readings of this time, and of the commit itself, are lost when the power fails."""
+"""A power failure loses the readings of this time, and of the commit itself."""
 BUSY_S = 0.2
 """The time that folding, and then upkeep, may take between two commits."""
 END_S = 1.0
@@ -48,32 +48,32 @@ RETRY_S = 10.0
 LOOK_EVERY_S = 5.0
 GIVE_UP_EVERY_S = 600.0
 MAX_WAITING = 500_000
-"""Updates kept in memory while the store cannot be written; then the oldest are lost."""
+"""Updates that are kept in memory while the store cannot be written; beyond them the oldest are lost."""
 
 MAX_REPORTED = 1000
 REPLACE_EVERY_S = 86_400.0
 """A store that is damaged again within this time is not replaced: the machine is at fault."""
 SHOWN_FOR = 7 * DAY
-"""The time for which damage is shown on the pages, µs; in the events it stays."""
+"""How long damage is shown on the pages, µs; its event stays."""
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 log = structlog.get_logger()
 OnFault = Callable[[EventKind, Message], None]
-"""Called from the writer's thread with the kind of event that it becomes."""
+"""A function that is called on the writer's thread with the kind and the text of an event."""
 
 
 SETTLED_S = 3600.0
-"""After a start or a clock step nothing is given up for its age for so long: the clock may be wrong."""
+"""How long after a start or a clock step nothing is given up for its age: the clock may be wrong."""
 LATE = 10 * MINUTE
-"""How long workers buffer while the app is away: an hour that ended longer ago is complete."""
+"""How long workers buffer while the app is away, µs: an hour that ended longer ago is complete."""
 MAX_DROPPED = 50
-"""Blocks given up in one transaction."""
+"""Blocks that one transaction deletes."""
 MAX_PAGES = 2000
-"""Given back to the disk at a time."""
+"""Pages that are given back to the disk at a time."""
 
 
 class Upkeep:
-    """Packs hours and gives up old readings, for a short while between two commits of the writer's thread."""
+    """Packs hours and gives up old readings, for a short time between two commits."""
 
     def __init__(
         self,
@@ -90,12 +90,12 @@ class Upkeep:
         self._to_sweep = True
 
     def clock_stepped(self, now: int) -> None:
-        """Old readings are uncertain for a while; ``now`` in µs, by the clock as it was set."""
+        """Give up nothing for a while after a clock step; ``now`` in µs, by the new clock."""
         self._settled_at = monotonic_now() + SETTLED_S
         self._database.write_now(lambda c: tables.correct_raw_from(c, now))
 
     def look(self) -> tuple[int, StoreState]:
-        """Free bytes where the store is, and what they mean."""
+        """Return the free bytes on the disk of the store, and what they mean."""
         free = free_bytes(self._database.path.parent)
         return free, space(free, self._reserve)
 
@@ -122,14 +122,13 @@ class Upkeep:
         self._database.write_now(lambda c: tables.drop_rollups(c, now - self._kept.years * 365 * DAY))
 
     def trim(self, now: int) -> None:
-        """Give up the oldest hour of readings, since the disk is short; the last hour is worth more than
-        the little space it takes."""
+        """Give up the oldest hour of readings for lack of space, but never the last hour."""
         oldest = self._database.read_now(tables.oldest_packed)
         if oldest is not None and oldest - oldest % HOUR + HOUR <= now - HOUR:
             self._give_up_before(oldest - oldest % HOUR + HOUR)
 
     def sweep(self, deadline: Monotonic) -> None:
-        """Take away what was given up, until ``deadline`` (monotonic seconds)."""
+        """Delete readings that were given up until ``deadline`` (monotonic seconds)."""
         while self._to_sweep and monotonic_now() < deadline:
             dropped = self._database.write_now(lambda c: tables.drop_raw(c, tables.raw_from(c), MAX_DROPPED))
             self._to_sweep = dropped == MAX_DROPPED
@@ -147,7 +146,7 @@ class Upkeep:
 
 @dataclass(slots=True)
 class OpenStore:
-    """The store, and what writes into it."""
+    """An open store and what writes into it."""
 
     database: Database
     recorder: Recorder
@@ -155,7 +154,7 @@ class OpenStore:
 
 
 class Writer:
-    """Owns the store while it runs. ``tail`` is what readers see beside the store."""
+    """Owner of the store, with its thread. Readers see the ``tail`` beside the store."""
 
     def __init__(
         self,
@@ -171,7 +170,7 @@ class Writer:
         self._on_damage: FoundDamage = partial(on_fault, "server")
         self._reported: deque[BlockKey] = deque(maxlen=MAX_REPORTED)
         self._is_torn = False
-        """Pages are damaged, and the store is to be replaced."""
+        """Whether pages are damaged, so that the store is to be replaced."""
         self._replaced_at = Monotonic(-math.inf)
         self.tail = Tail()
         self._queue: deque[Delivery] = deque()
@@ -188,17 +187,17 @@ class Writer:
         self._thread = threading.Thread(target=self._run, name="history-writer", daemon=True)
 
     def start(self) -> None:
-        """Open the store if that can be, and begin."""
+        """Open the store if possible, and start the thread."""
         self._guard(self._open_store)
         self._thread.start()
 
     def close(self) -> None:
-        """Write what was taken in to the disk, then close the store."""
+        """Write the waiting deliveries to the disk, then close the store."""
         self._ending.set()
         self._thread.join()
 
     def take(self, delivery: Delivery) -> None:
-        """Never waits; only the event loop calls it."""
+        """Queue a delivery without waiting; only the event loop may call it."""
         self._queue.append(delivery)
         self._waiting += len(delivery[1])
         while self._waiting - self._taken > MAX_WAITING:
@@ -210,7 +209,7 @@ class Writer:
             self._waiting -= lost
 
     def report(self, damaged: Iterable[BlockKey]) -> None:
-        """Blocks that a reader could not read; any thread calls it."""
+        """Queue blocks that could not be read to be set aside; any thread may call it."""
         self._reported.extend(damaged)
 
     @property
@@ -220,7 +219,7 @@ class Writer:
 
     @property
     def database(self) -> Database:
-        """For readers. Raises StoreError with the reason when the store cannot be used."""
+        """The store for readers. Raises StoreError with the reason if it cannot be used."""
         if self._open is None:
             raise StoreError(self._status.message or NOTICES["failed"])
         return self._open.database
@@ -236,7 +235,7 @@ class Writer:
         self._guard(self._end)
 
     def _guard(self, work: Callable[[], None]) -> None:
-        """Run, and on any failure of the store go on without it for a while."""
+        """Run ``work``; after a failure go on without the store for a while."""
         try:
             work()
         except DamagedStoreError as error:
@@ -281,7 +280,7 @@ class Writer:
             opened.upkeep.give_up_old(now)
 
     def _commit(self, recorder: Recorder) -> None:
-        """Write the deliveries that wait; they go on waiting where that fails."""
+        """Write the waiting deliveries; they stay in the queue if that fails."""
         deliveries: list[Delivery] = []
         with suppress(IndexError):
             for _ in range(len(self._queue)):
@@ -326,8 +325,8 @@ class Writer:
             self._on_damage(Message.of("event_history_put_aside", file=aside))
 
     def _put_aside_if_torn(self) -> str:
-        """Rename a store whose pages SQLite cannot follow, and return its new name; empty where it is well. A
-        second look decides: the first may have met an error of the memory or of the disk that passed."""
+        """Rename a store with damaged pages, and return its new name; empty if it is intact. A second look
+        decides, since the first may have met a passing error of the memory or of the disk."""
         if not self._is_torn:
             return ""
         self._is_torn, self._replaced_at = False, monotonic_now()
@@ -338,7 +337,7 @@ class Writer:
         return "" if proves_intact(self._path, self._ending.is_set) else put_aside(self._path).name
 
     def _fail(self, cause: Message) -> None:
-        """Stored history can still be read, until the store is opened again."""
+        """Stop writing until the store is opened again; it can still be read."""
         self._writable = False
         self._retry_at = monotonic_now() + RETRY_S
         is_full = False

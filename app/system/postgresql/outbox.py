@@ -17,14 +17,21 @@ from typing import Any
 from app.core.database import StoreConnection
 from app.core.database.connection import snapshot, upsert
 from app.line.history import tables
-from app.line.history.query import SeriesQuery, has_raw, scale_of
-from app.line.history.series.downsampling import series
-from app.line.history.series.figures import RunFigures, minute_figures, runs_of_minutes
+from app.line.history.query import (
+    SeriesQuery,
+    StoredUnit,
+    has_raw,
+    minutes_of,
+    rollups,
+    runs_between,
+    scale_of,
+    stored_unit,
+)
+from app.line.history.series.figures import RunFigures, minute_figures, runs_of_minutes, series
 from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, Run, runs_of
 from app.line.history.series.values import VALUES, Marks
 from app.line.history.tables import BlockKey
 from app.line.history.tail import Tail
-from app.line.history.unit_history import StoredUnit, minutes_of, rollups, runs_between, stored_unit
 from app.line.history.unit_report import stored_tail, was_follower
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.rows import (

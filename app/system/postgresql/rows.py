@@ -10,8 +10,7 @@ from functools import cache
 from operator import itemgetter
 from typing import Any, NamedTuple
 
-from app.line.history.series.downsampling import Series
-from app.line.history.series.figures import RunFigures
+from app.line.history.series.figures import RunFigures, Series
 from app.line.history.series.runs import SECOND, Run
 from app.line.history.series.values import VALUES, Scaling
 from app.people.audit.entry import is_moment

@@ -26,8 +26,7 @@ from app.line.alarms.rules.state_machine import Transition
 from app.line.alarms.settings import AlarmSettings
 from app.line.alarms.simulation import Annunciations, Replay, Simulator, StoredHour, extremes
 from app.line.history import tables
-from app.line.history.series.rollup import rollup
-from app.line.history.series.runs import HOUR, MINUTE, micros, plain_run, runs_of
+from app.line.history.series.runs import HOUR, MINUTE, micros, plain_run, rollup, runs_of
 from app.line.history.service import History
 from app.settings import load
 from bus.contract import ParameterValue, Reading

@@ -27,14 +27,14 @@ from app.core.web.routes import Turns
 from app.core.web.services import Registry
 from app.core.web.shape import iso
 from app.core.web.templating import Templates
-from app.line.history import export_rows, tables
+from app.line.history import export, tables
 from app.line.history.api import router
 from app.line.history.recorder import Recorder
 from app.line.history.series.runs import Run
 from app.line.history.service import History
 from app.line.history.tail import Tail
 from app.people.audit.log import EventLog
-from app.settings import ServerSettings, Settings, Site
+from app.settings import Site
 from bus.contract import UnitLink
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -58,10 +58,7 @@ class AsViewer:
 
 @pytest.fixture
 async def history(tmp_path: Path) -> AsyncIterator[History]:
-    settings = Settings(
-        site=Site(time_zone="Europe/Berlin"), server=ServerSettings(data=tmp_path), bus=(TWO_UNITS,)
-    )
-    history = History(settings)
+    history = History(tmp_path, [TWO_UNITS], time_zone="Europe/Berlin")
     history.start()
     yield history
     history.close()
@@ -331,7 +328,7 @@ async def test_an_export_reads_the_tail_before_the_store(
     """A minute that is folded in between is in neither of them otherwise."""
     fill(history)
     order = list[str]()
-    still, runs = export_rows.snapshot, Tail.runs
+    still, runs = export.snapshot, Tail.runs
 
     def stand_still(connection: tables.StoreConnection) -> AbstractContextManager[None]:
         order.append("store")
@@ -341,7 +338,7 @@ async def test_an_export_reads_the_tail_before_the_store(
         order.append("tail")
         return runs(*args)
 
-    monkeypatch.setattr(export_rows, "snapshot", stand_still)
+    monkeypatch.setattr(export, "snapshot", stand_still)
     monkeypatch.setattr(Tail, "runs", read_tail)
     params = {"series": ["dry-end/1/actual", "dry-end/1/commanded"], "from": at(0), "to": at(20)}
     assert (await client.get("/history/export", params=params)).status_code == 200
@@ -390,7 +387,7 @@ async def test_an_export_of_nothing_has_its_headings(client: httpx.AsyncClient) 
 async def test_a_failing_store_is_reported_and_the_rest_goes_on(tmp_path: Path) -> None:
     # Not damaged content: the writer replaces that at its next commit.
     (tmp_path / "history.db").mkdir()
-    history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
+    history = History(tmp_path, [BUS])
     history.start()
     app = FastAPI()
     app.state.services = Registry((history, Turns()))

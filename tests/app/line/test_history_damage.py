@@ -24,7 +24,6 @@ from app.line.history.settings import HistorySettings
 from app.line.history.status import DiskReserve, store_notice
 from app.line.history.tables import BlockKey, StoredTier
 from app.line.history.writer import Upkeep, Writer
-from app.settings import ServerSettings, Settings
 from bus.instants import unix_now
 from bus.messages import Message
 from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
@@ -127,12 +126,12 @@ async def test_a_damaged_block_that_is_read_is_a_gap_and_reported_once(
 ) -> None:
     monkeypatch.setattr(writing, "LOOK_EVERY_S", 0.0)
     words: list[str] = []
-    history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
+    history = History(tmp_path, [BUS])
     history.start()
     history.append(BUS.name, polls(NOON, NOON + 180))
     history.close()
     spoil(tmp_path / FILE, "raw", START)
-    history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
+    history = History(tmp_path, [BUS])
     history.on_fault(lambda _kind, what, _at: words.append(str(what)))
     history.start()
     query = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 180), 1000)
@@ -154,7 +153,7 @@ async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: P
     writer = opened(tmp_path)
     writer.take((BUS.name, polls(NOON, NOON + 900, NOISE.__getitem__)))
     writer.close()
-    history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
+    history = History(tmp_path, [BUS])
     history.start()
     try:
         overwrite_pages(tmp_path / FILE, random.Random(seed))

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from app.line.history import tables, unit_history
+from app.line.history import query, tables
+from app.line.history.query import StoredUnit
 from app.line.history.recorder import compact
-from app.line.history.series.downsampling import Points
+from app.line.history.series.figures import Points
 from app.line.history.series.runs import HOUR, micros
 from app.line.history.series.values import VALUES
 from app.line.history.settings import HistorySettings
 from app.line.history.status import DiskReserve
-from app.line.history.unit_history import StoredUnit
 from app.line.history.writer import SETTLED_S, Upkeep
 from bus.contract import BusLink, UnitLink
 from tests.app.history_line import BUS, NOON, Shelf, parameter, polls, reading
@@ -232,7 +232,7 @@ def _roll_up_unpacked(connection: sqlite3.Connection) -> None:
 
 def _rollups(value: str, tier: tables.RollupTier, connection: sqlite3.Connection) -> Points:
     source = StoredUnit(connection, tables.units_of(connection, BUS.name)[0], ())
-    return unit_history.rollups(source, tier, VALUES[value], micros(NOON), micros(NOON + 10_000))
+    return query.rollups(source, tier, VALUES[value], micros(NOON), micros(NOON + 10_000))
 
 
 def test_what_was_on_disk_survives_a_crash(shelf: Shelf, tmp_path: Path) -> None:

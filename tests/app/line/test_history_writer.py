@@ -1,4 +1,4 @@
-"""The writer's thread: it commits, it ends in order, and a bad disk is reported and survived."""
+"""The writer's thread commits, ends in order, and reports and survives a bad or full disk."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from app.line.history import tables
 from app.line.history.query import SeriesQuery, run_query
 from app.line.history.series.runs import micros
 from app.line.history.series.values import VALUES
-from app.line.history.status import DiskReserve
+from app.line.history.status import DiskReserve, StoreState, space
 from app.line.history.writer import Writer
 from tests.app.history_line import BUS, NOON, Shelf, opened, parameter, polls, until
 
@@ -135,3 +135,22 @@ def test_a_store_of_a_newer_version_is_refused_in_words(tmp_path: Path) -> None:
     writer = opened(tmp_path)
     assert "newer version" in str(writer.status.message)
     writer.close()
+
+
+RESERVE = DiskReserve(announce=1000, trim=500, pause=100)
+
+
+@pytest.mark.parametrize(
+    ("free", "meaning"),
+    [
+        (5000, "ok"),
+        (1000, "ok"),
+        (999, "low"),
+        (500, "low"),
+        (499, "scarce"),
+        (99, "paused"),
+        (0, "paused"),
+    ],
+)
+def test_less_free_space_means_a_stricter_state(free: int, meaning: StoreState) -> None:
+    assert space(free, RESERVE) == meaning

@@ -1,4 +1,5 @@
-"""Saved views of the trends page, notes written on its chart, and runs of recipes that it compares."""
+"""The trends page: its saved views, notes written on its chart, runs of recipes that it compares, and what is
+made ready before it is requested first."""
 
 from __future__ import annotations
 
@@ -14,11 +15,16 @@ import httpx
 import pytest
 
 from app.core.web.access import Person, Role
+from app.core.web.assets import Assets, static_dir, templates_dir
+from app.core.web.templating import Templates
 from app.errors import Problem
-from app.line.history import views
-from app.line.history.views import TrendViews, clean
+from app.line.history import pages
+from app.line.history.pages import TrendViews, clean
+from app.line.history.service import History
 from app.people.audit.log import EventLog
+from app.settings import Site
 from bus.messages import Message
+from bus.settings import BusSettings, UnitSettings
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, played_line
 
@@ -75,8 +81,8 @@ async def test_a_view_of_another_person_is_none_and_one_saved_again_replaces_it(
 
 async def test_views_are_bounded(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     saved, events = house.services[TrendViews], house.services[EventLog]
-    monkeypatch.setattr(views, "MAX_OF_PERSON", 2)
-    monkeypatch.setattr(views, "MAX_SHARED", 1)
+    monkeypatch.setattr(pages, "MAX_OF_PERSON", 2)
+    monkeypatch.setattr(pages, "MAX_SHARED", 1)
     await saved.save(ANN, events, "one", QUERY, shared=True)
     with pytest.raises(Problem, match="as many saved views"):
         await saved.save(ENGINEER, events, "one", QUERY, shared=True)
@@ -86,7 +92,7 @@ async def test_views_are_bounded(house: House, monkeypatch: pytest.MonkeyPatch) 
         await saved.save(ANN, events, "three", QUERY, shared=False)
 
 
-@pytest.mark.parametrize("query", ["", "evil=1", "//example.org", "s=" + "x" * views.MAX_QUERY])
+@pytest.mark.parametrize("query", ["", "evil=1", "//example.org", "s=" + "x" * pages.MAX_QUERY])
 def test_an_address_that_is_none_of_the_page_is_refused(query: str) -> None:
     with pytest.raises(Problem):
         clean(query)
@@ -178,9 +184,33 @@ async def test_a_name_in_a_csv_for_people_is_no_formula(
 ) -> None:
     viewer = await house.program(Role.VIEWER)
     monkeypatch.setattr(
-        "app.line.history.export_rows.Table.named", lambda *_: ['=HYPERLINK("x") actual', "Nip actual"]
+        "app.line.history.export.Table.named", lambda *_: ['=HYPERLINK("x") actual', "Nip actual"]
     )
     query = {"series": [f"{BUS}/1/actual", f"{BUS}/2/actual"], "layout": "table"}
     response = await viewer.get("/api/v1/history/export", params=query)
     [head, *_] = csv.reader(io.StringIO(response.content.decode("utf-8-sig")))
     assert head[2:] == ['\'=HYPERLINK("x") actual', "Nip actual"]
+
+
+@pytest.mark.parametrize("open_store", [True, False], ids=["a store", "none that opens"])
+async def test_catalogs_are_read_files_packed_templates_loaded_and_the_store_queried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, open_store: bool
+) -> None:
+    monkeypatch.setattr(pages, "AFTER_S", 0.0)
+    bus = BusSettings(name="line", port="/dev/null", unit=(UnitSettings(id=1, name="Nip"),))
+    history = History(tmp_path, [bus])
+    if open_store:
+        history.start()
+    assets = Assets(static_dir())
+    templates = Templates(templates_dir(), assets, Site(), kept_in=tmp_path / "compiled")
+    await pages.warm(history, templates, assets, "de")
+    if open_store:
+        history.close()
+    assert all(assets.get(name)._form[1] is not None for name in assets)
+    cache = templates.environment("de").cache
+    assert cache is not None
+    read = {name for _, name in cache}
+    assert {"base.html", "trends/page.html", "components/frame.html"} <= read
+    assert "catalog" in vars(templates.languages["de"])
+    kept = {path.name for path in (tmp_path / "compiled").glob("*.mo")}
+    assert kept == {f"{language.locale}.mo" for language in templates.languages}

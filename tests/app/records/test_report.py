@@ -28,8 +28,7 @@ from app.line.history.series.figures import (
     runs_of_minutes,
     stretches,
 )
-from app.line.history.series.rollup import rollup
-from app.line.history.series.runs import MINUTE, SECOND, Run
+from app.line.history.series.runs import MINUTE, SECOND, Run, rollup
 from app.line.history.series.values import LinearScale, Marks, Scaling
 from app.records.handover.notes import Note
 from app.records.handover.notes import add as add_note

@@ -12,8 +12,7 @@ from typing import Any
 import psycopg
 import pytest
 
-from app.line.history.series.downsampling import Series
-from app.line.history.series.figures import RunFigures
+from app.line.history.series.figures import RunFigures, Series
 from app.line.history.series.runs import MINUTE, Run, micros
 from app.line.history.series.values import LinearScale, Scaling
 from app.settings import load

@@ -1,26 +1,145 @@
-"""Figures of a unit: how long it ran and was at speed, when and why it stood still, how far it went, and its
-draw. Pure.
+"""The points of a chart, and the figures of a unit for reports. Pure.
 
-A unit runs while its actual speed is not 0. It is at speed while it runs with a setpoint above 0 and reports
-the bit *at speed* of ST2: its actual speed is within the window of parameter 12 around the commanded one, as
-the line shows it and the condition ``not_at_speed`` judges it. A reading counts until the next one, unless
-there is a hole between, which counts as neither."""
+Any number of readings become at most so many points, with the least, greatest and average value of a bucket.
+The buckets lie on a grid of round widths that does not move with the span, so that a chart drawn again a
+second later does not dance.
+
+The figures are how long a unit ran and was at speed, when and why it stood still, how far it went, and its
+draw. It runs while its actual speed is not 0. It is at speed while it runs with a setpoint above 0 and
+reports the bit *at speed* of ST2: its actual speed is within the window of parameter 12 around the commanded
+one. A reading counts until the next one, or until the hole after it, which counts as neither."""
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from operator import itemgetter
+from operator import itemgetter, le, truediv
 from typing import Literal, NamedTuple
 
-from app.line.history.series.downsampling import Series
-from app.line.history.series.rollup import Rollup
-from app.line.history.series.runs import MINUTE, Run
+from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, Rollup, Run
 from app.line.history.series.values import LONG_GAP, VALUES, Marks, Scaling, holes, usual_interval
 from bus.catalogue.values import status_bits
+
+_MS = 1000
+WIDTHS = tuple(
+    unit * factor
+    for unit, factors in (
+        (_MS, (1, 2, 5, 10, 20, 50, 100, 200, 500)),
+        (SECOND, (1, 2, 5, 10, 15, 20, 30)),
+        (MINUTE, (1, 2, 3, 5, 10, 15, 20, 30)),
+        (HOUR, (1, 2, 3, 4, 6, 8, 12)),
+        (DAY, (1, 2, 4, 7, 14, 28, 56, 91, 182, 364)),
+    )
+    for factor in factors
+)
+"""Round widths, µs."""
+
+
+@dataclass(slots=True)
+class Points:
+    """Readings or stretches in order of time, with raw values; ``weight`` is the number of readings."""
+
+    at: list[int] = field(default_factory=list)
+    least: list[int] = field(default_factory=list)
+    greatest: list[int] = field(default_factory=list)
+    total: list[int] = field(default_factory=list)
+    weight: list[int] = field(default_factory=list)
+    solid: list[bool] = field(default_factory=list)
+    """Whether the value is known without a gap until the next point."""
+    width: int = 0
+    """The length of the stretch of each point, µs; 0 for single readings."""
+    usual: int = 0
+    """The usual interval between two responses of the unit, µs."""
+
+
+@dataclass(slots=True)
+class Series:
+    """The points of a chart in display units; None is a hole."""
+
+    at: list[int] = field(default_factory=list)
+    least: list[float | None] = field(default_factory=list)
+    greatest: list[float | None] = field(default_factory=list)
+    average: list[float | None] = field(default_factory=list)
+
+
+def downsample(points: Points, start: int, end: int, most: int) -> Points:
+    """Reduce points to at most ``most`` buckets between ``start`` and ``end``, µs."""
+    width, origin = grid(start, end, most, points.width or _MS)
+    parts = _parts(points.at, origin, width)
+    return Points(
+        at=[max(points.at[i] - (points.at[i] - origin) % width, start) for i, _ in parts],
+        least=[min(points.least[i:j]) for i, j in parts],
+        greatest=[max(points.greatest[i:j]) for i, j in parts],
+        total=[sum(points.total[i:j]) for i, j in parts],
+        weight=[sum(points.weight[i:j]) for i, j in parts],
+        solid=[points.solid[j - 1] for _, j in parts],
+        width=width,
+        usual=points.usual,
+    )
+
+
+def _parts(at: Sequence[int], origin: int, width: int) -> list[tuple[int, int]]:
+    """Return the range of positions of each bucket that is not empty."""
+    parts = []
+    i, n = 0, len(at)
+    while i < n:
+        j = bisect_left(at, at[i] - (at[i] - origin) % width + width, i)
+        parts.append((i, j))
+        i = j
+    return parts
+
+
+def grid(start: int, end: int, most: int, least_width: int = _MS) -> tuple[int, int]:
+    """Return width and origin of at most ``most`` buckets over a span, µs, in round widths if possible."""
+    for width in WIDTHS:
+        if width % least_width == 0 and -(-end // width) - start // width <= most:
+            return width, 0
+    return max(least_width, -(-(end - start) // most)), start
+
+
+def series(points: Points, marks: Marks, scaling: Scaling) -> Series:
+    """Convert points to display units, and insert the holes."""
+    result = Series(points.at)
+    for i, j, scale in scaling.stretches(points.at):
+        low, high = scale.apply_all(points.least[i:j]), scale.apply_all(points.greatest[i:j])
+        middle = scale.apply_all(map(truediv, points.total[i:j], points.weight[i:j]))
+        result.least += high if scale.falling else low
+        result.greatest += low if scale.falling else high
+        # Where nothing moved, the exact value and not its divided sum.
+        result.average += [a if a == b else round(m, 6) for a, b, m in zip(low, high, middle, strict=True)]
+    return _opened(result, holes_in(points, marks), points.width)
+
+
+def _opened(series: Series, after: Sequence[int], width: int) -> Series:
+    """Insert None between the points of each hole."""
+    if not after:
+        return series
+    times = [series.at[i] + max(width, (series.at[i + 1] - series.at[i]) // 2) for i in after]
+    at, nothing = series.at + times, [None] * len(times)
+    ordered = itemgetter(*sorted(range(len(at)), key=at.__getitem__))
+    least, greatest = ordered(series.least + nothing), ordered(series.greatest + nothing)
+    return Series(list(ordered(at)), list(least), list(greatest), list(ordered(series.average + nothing)))
+
+
+def holes_in(points: Points, marks: Marks) -> list[int]:
+    """Return the positions of points before a hole."""
+    found = holes(points.at, marks, points.usual, points.width)
+    return [i for i in found if not points.solid[i]]
+
+
+def in_order(points: Points) -> Points:
+    """Sort points by time: two stretches overlap if a clock was set back or a minute came late."""
+    if all(map(le, points.at, points.at[1:])):
+        return points
+    order = sorted(range(len(points.at)), key=points.at.__getitem__)
+    columns = (points.at, points.least, points.greatest, points.total, points.weight)
+    at, least, greatest, total, weight = ([column[i] for i in order] for column in columns)
+    solid = [points.solid[i] for i in order]
+    return Points(at, least, greatest, total, weight, solid, points.width, points.usual)
+
 
 StopCause = Literal["estop", "run_off", "speed_zero", "unknown"]
 SpeedOf = Callable[[int, int], float]
@@ -30,7 +149,7 @@ _AT_SPEED = 1 << VALUES["at_speed"].bit
 
 @dataclass(slots=True)
 class Stop:
-    """From when to when a unit stood still, µs, and what its first reading then shows as the cause."""
+    """A standstill from ``at`` until ``until``, µs, with the cause that its first reading shows."""
 
     at: int
     until: int
@@ -39,9 +158,9 @@ class Stop:
 
 @dataclass(slots=True)
 class RunFigures:
-    """``known``: for how long there are readings; ``running``: for how long of that it ran; ``at_speed``: for
-    how long of that it was at speed, all µs; ``travel``: speed times µs; ``fastest``: the greatest speed;
-    ``by_minute``: from averages of minutes, and not from each reading."""
+    """The figures of a unit. ``known``: the time with readings; ``running``: of it the time in which it ran;
+    ``at_speed``: of that the time at speed, all µs; ``travel``: speed times µs; ``fastest``: the greatest
+    speed; ``by_minute``: whether they are made of averages of minutes instead of readings."""
 
     known: int = 0
     running: int = 0
@@ -53,7 +172,7 @@ class RunFigures:
 
 
 class RunStretch(NamedTuple):
-    """For how long a run of readings counts, µs."""
+    """A run, and from when until when it counts, µs."""
 
     at: int
     until: int
@@ -69,7 +188,7 @@ def _is_at_speed(run: Run) -> bool:
 
 
 def run_figures(stretches: Iterable[RunStretch], estop_healthy: int, speed_of: SpeedOf) -> RunFigures:
-    """The figures of a unit from its readings, in order of time."""
+    """Count the figures of a unit from its stretches in order of time."""
     figures = RunFigures()
     stop: Stop | None = None
     for stretch in stretches:
@@ -91,8 +210,8 @@ def run_figures(stretches: Iterable[RunStretch], estop_healthy: int, speed_of: S
 
 
 def runs_of_minutes(minutes: Iterable[Rollup]) -> list[Run]:
-    """Each minute as one run of its averages; a unit that moved at all ran, and one that was at speed in each
-    reading was at speed."""
+    """Return a run of averages for each minute. A unit that moved at all ran, and one that was at speed in
+    every reading was at speed."""
     return [
         Run(
             at=each.start,
@@ -108,8 +227,8 @@ def runs_of_minutes(minutes: Iterable[Rollup]) -> list[Run]:
 
 
 def stretches(runs: Sequence[Run], start: int, end: int, marks: Marks) -> list[RunStretch]:
-    """The runs of a unit over a span, µs, in order of time, each up to the next or to the hole after it.
-    Runs from outside of the span show how long those at its ends count."""
+    """Return the runs of a unit within a span, µs, each up to the next run or to the hole after it. Runs
+    outside of the span show how long those at its ends count."""
     found = []
     for run, until in zip(runs, _ends(runs, marks), strict=True):
         at, until = max(run.at, start), min(until, end)
@@ -172,7 +291,8 @@ class SpeedStretch(NamedTuple):
 
 
 class DrawFigures(NamedTuple):
-    """In percent: of all web that passed, and of the minutes with the least and the greatest draw."""
+    """The draw in percent: of all web that passed, and of the minutes with the least and the greatest
+    draw."""
 
     average: float
     least: float
@@ -180,8 +300,8 @@ class DrawFigures(NamedTuple):
 
 
 def draw_figures(before: Sequence[SpeedStretch], section: Sequence[SpeedStretch]) -> DrawFigures | None:
-    """The draw of a section over the time in which both it and the section before have a speed, which is not
-    0; None where they never have one at the same time. Each in order of time."""
+    """Return the draw of a section over the time in which it and the section before run; None if they never
+    do so at the same time. Both are in order of time."""
     minutes: dict[int, tuple[float, float]] = {}
     for at, until, speed_before, speed in _together(before, section):
         passed, went = minutes.get(at // MINUTE, (0.0, 0.0))
@@ -197,7 +317,7 @@ def draw_figures(before: Sequence[SpeedStretch], section: Sequence[SpeedStretch]
 def _together(
     before: Sequence[SpeedStretch], section: Sequence[SpeedStretch]
 ) -> Iterator[tuple[int, int, float, float]]:
-    """The time that both cover, piece by piece, with both speeds."""
+    """Yield the pieces of time that both cover, with both speeds."""
     i = j = 0
     while i < len(before) and j < len(section):
         one, other = before[i], section[j]
@@ -211,11 +331,9 @@ def _together(
 
 
 def draw_series(before: Series, section: Series, width: int) -> Series:
-    """In percent, at each time at which either speed has a point; None while either stands or has a hole.
-
-    ``width``: length of the stretch that a point stands for, µs, 0 for single readings. The draw of a stretch
-    is that of its averages, so of the lengths of web that passed: least and greatest are equal to it.
-    """
+    """Return the draw in percent at each time at which either speed has a point; None while either stands or
+    has a hole. ``width``: the length of the stretch of a point, µs, 0 for single readings. The draw of a
+    stretch is that of its averages, and so of the web that passed; its least and greatest are equal."""
     at = sorted({*before.at, *section.at})
     speed_before, speed = _held(before, width), _held(section, width)
     draws = [_draw(speed_before(time), speed(time)) for time in at]
@@ -223,8 +341,8 @@ def draw_series(before: Series, section: Series, width: int) -> Series:
 
 
 def _held(series: Series, width: int) -> Callable[[int], float | None]:
-    """The speed at a time: that of the last point, until the next one or, after the last, for as long as a
-    hole may be."""
+    """Return a function of the speed at a time: that of the last point, which holds until the next one or,
+    after the last point, as long as a hole may be."""
     times, speeds = series.at, series.average
 
     def at(time: int) -> float | None:

@@ -1,16 +1,20 @@
-"""Readings as runs: one response, and how long the unit repeated it.
+"""Readings as runs, and their summary by minutes and hours, as rollups.
 
-A run holds everything the unit sent: the values, when they were first and last received
-and how often. Only the instants of equal readings in between are not kept. No run crosses a
-minute: the first reading of every minute is a heartbeat, and a minute is complete without the others.
-"""
+A run is one response and how long the unit repeated it: the values, when they were first and last received,
+and how often. Only the instants of equal readings in between are not kept. No run crosses a minute: the first
+reading of every minute is a heartbeat, and a minute is complete without the others.
+
+A rollup has the number of readings, and of each value the least, the greatest and the sum; of the bits, which
+were ever off, which ever on, and how often each was on. Sums and counts are exact integers: an hour made of
+minutes equals the hour made of readings."""
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from functools import partial, reduce
 from itertools import chain
-from operator import add, gt, itemgetter, sub
+from operator import add, and_, gt, itemgetter, mul, or_, sub
 from typing import NamedTuple
 
 from app.line.history.series import columns
@@ -24,12 +28,12 @@ DAY = 24 * HOUR
 
 
 class Run(NamedTuple):
-    """Equal readings one after the other. Times in µs since the epoch, values as on the wire."""
+    """Equal consecutive readings. Times are in µs since the epoch, values as on the wire."""
 
     at: int
     until: int
     readings: int
-    """How many readings these are."""
+    """The number of readings."""
     commanded: int
     actual: int
     analog: int
@@ -38,7 +42,7 @@ class Run(NamedTuple):
 
 
 PlainRun = tuple[int, int, int, int, int, int, int]
-"""A run as a plain tuple: of hundreds of thousands in memory the garbage collector looks at none."""
+"""A run as a plain tuple, which the garbage collector stops visiting."""
 _named: Callable[[PlainRun], Run] = partial(tuple.__new__, Run)
 _AT, _UNTIL = itemgetter(0), itemgetter(1)
 COLUMNS = {name: position for position, name in enumerate(Run._fields)}
@@ -50,7 +54,7 @@ def micros(at: UnixTime) -> int:
 
 
 def plain_run(reading: Reading) -> PlainRun:
-    """A reading as a run of one; one with an implausible speed is not stored."""
+    """Return a run of one reading, which must have plausible speeds."""
     assert reading.commanded is not None
     assert reading.actual is not None
     at = round(float(reading.at) * SECOND)
@@ -59,7 +63,7 @@ def plain_run(reading: Reading) -> PlainRun:
 
 
 def runs_of(plain: Iterable[PlainRun]) -> list[Run]:
-    """Plain runs with their names."""
+    """Give plain runs their names."""
     return list(map(_named, plain))
 
 
@@ -74,12 +78,12 @@ def joined(last: PlainRun, run: PlainRun) -> PlainRun:
 
 
 def merge(one: Iterable[PlainRun], other: Iterable[PlainRun]) -> list[Run]:
-    """Merge runs in order of time; what both hold is there once. No value that either holds is lost."""
+    """Merge runs in order of time. A run of both is there once, and no value is lost."""
     return runs_of(merge_plain(one, other))
 
 
 def merge_plain(one: Iterable[PlainRun], other: Iterable[PlainRun]) -> list[PlainRun]:
-    """Merge plain runs in order of time; a run that both hold is there once."""
+    """Merge plain runs in order of time; a run of both is there once."""
     runs = sorted(chain(one, other))
     if all(map(gt, map(_AT, runs[1:]), map(_UNTIL, runs))):
         return runs
@@ -95,24 +99,18 @@ def merge_plain(one: Iterable[PlainRun], other: Iterable[PlainRun]) -> list[Plai
 
 
 def pack_columns(table: Sequence[Sequence[int]], start: int) -> bytes:
-    """Pack the columns of runs of one unit as a block; times are kept relative to ``start``, in µs."""
+    """Pack the columns of runs of one unit as a block that starts at ``start``, µs."""
     at, until, *rest = table
     return columns.pack([[t - start for t in at], list(map(sub, until, at)), *rest])
 
 
-def are_apart(table: Sequence[Sequence[int]]) -> bool:
-    """Whether columns of runs are in order of time and none touches the next, so that none is merged."""
-    at, until, *_ = table
-    return all(map(gt, at[1:], until))
-
-
 def unpack_runs(blob: bytes, start: int) -> list[Run]:
-    """The runs of a block. Raises ValueError when it is damaged."""
+    """Unpack the runs of a block. Raises ValueError if it is damaged."""
     return runs_of(zip(*unpack_columns(blob, start, Run._fields), strict=True))
 
 
 def unpack_columns(blob: bytes, start: int, names: Sequence[str]) -> list[list[int]]:
-    """Some columns of a block: ``at`` is needed for ``until``."""
+    """Unpack some columns of a block; ``until`` needs ``at``. Raises ValueError if it is damaged."""
     found = columns.unpack(blob, [COLUMNS[name] for name in names])
     by_name = dict(zip(names, found, strict=True))
     if "at" in by_name:
@@ -120,3 +118,116 @@ def unpack_columns(blob: bytes, start: int, names: Sequence[str]) -> list[list[i
     if "until" in by_name:
         by_name["until"] = list(map(add, by_name["at"], by_name["until"]))
     return [by_name[name] for name in names]
+
+
+BITS = 16
+"""ST2 * 256 + ST1, as in :class:`app.line.history.series.runs.Run`."""
+
+
+class Rollup(NamedTuple):
+    """The summary of a minute or an hour of one unit. ``start`` is in µs, values are as on the wire."""
+
+    start: int
+    readings: int
+    commanded_min: int
+    commanded_max: int
+    commanded_sum: int
+    actual_min: int
+    actual_max: int
+    actual_sum: int
+    analog_min: int
+    analog_max: int
+    analog_sum: int
+    word_and: int
+    """Bits that were on in every reading."""
+    word_or: int
+    """Bits that were on in any."""
+    on: tuple[int, ...]
+    """For each bit, in how many readings it was on."""
+
+
+_PLAIN = len(Rollup._fields) - 1
+FIELDS = {name: position for position, name in enumerate(Rollup._fields[:-1])} | {
+    f"on_{bit}": _PLAIN + bit for bit in range(BITS)
+}
+"""Position of each column in a packed row of rollups."""
+
+
+def rollup(runs: Sequence[PlainRun], start: int) -> Rollup:
+    """Summarize the runs of a minute or an hour of one unit, at least one."""
+    return _rollup(list(zip(*runs, strict=True)), start)
+
+
+def minute_rollups(table: Sequence[Sequence[int]]) -> list[Rollup]:
+    """Summarize each minute of the columns of runs, in order of time."""
+    at, rows, first = table[0], [], 0
+    while first < len(at):
+        minute = at[first] - at[first] % MINUTE
+        last = bisect_left(at, minute + MINUTE, first)
+        rows.append(_rollup([column[first:last] for column in table], minute))
+        first = last
+    return rows
+
+
+def _rollup(table: Sequence[Sequence[int]], start: int) -> Rollup:
+    _, _, counts, commanded, actual, analog, words = table
+    weights = {words[0]: sum(counts)}
+    if words.count(words[0]) < len(words):
+        weights = dict.fromkeys(words, 0)
+        for word, count in zip(words, counts, strict=True):
+            weights[word] += count
+    return Rollup(
+        start,
+        sum(counts),
+        *_reach(commanded, counts),
+        *_reach(actual, counts),
+        *_reach(analog, counts),
+        reduce(and_, weights),
+        reduce(or_, weights),
+        _counts(weights.items()),
+    )
+
+
+def _reach(values: Sequence[int], counts: Sequence[int]) -> tuple[int, int, int]:
+    return min(values), max(values), sum(map(mul, values, counts))
+
+
+def _counts(words: Iterable[tuple[int, int]]) -> tuple[int, ...]:
+    """Return how many readings have each bit, from words and how many readings have each."""
+    on = [0] * BITS
+    for word, count in words:
+        for bit in range(BITS):
+            if word >> bit & 1:
+                on[bit] += count
+    return tuple(on)
+
+
+def combine(rows: Sequence[Rollup], start: int) -> Rollup:
+    """Combine rollups, at least one, into one of a longer time."""
+    _, readings, *plain, words_and, words_or, on = zip(*rows, strict=True)
+    reaches = [
+        reach
+        for least, greatest, total in zip(plain[0::3], plain[1::3], plain[2::3], strict=True)
+        for reach in (min(least), max(greatest), sum(total))
+    ]
+    bits = tuple(sum(column) for column in zip(*on, strict=True))
+    words = reduce(and_, words_and), reduce(or_, words_or)
+    return Rollup._make([start, sum(readings), *reaches, *words, bits])
+
+
+def pack_rollups(rows: Sequence[Rollup], start: int) -> bytes:
+    """Pack rollups of one unit, in order of time, as a block that starts at ``start``, µs."""
+    starts, *plain, on = zip(*rows, strict=True)
+    return columns.pack([[t - start for t in starts], *plain, *zip(*on, strict=True)])
+
+
+def unpack_rollups(blob: bytes, start: int) -> list[Rollup]:
+    """Unpack the rollups of a block. Raises ValueError if it is damaged."""
+    rows = zip(*columns.unpack(blob), strict=True)
+    return [Rollup._make([start + row[0], *row[1:_PLAIN], row[_PLAIN:]]) for row in rows]
+
+
+def replace_rows(rows: Iterable[Rollup], newer: Iterable[Rollup]) -> list[Rollup]:
+    """Replace those of ``rows`` that start with one of ``newer``, and add the others, in order of time."""
+    by_start = {row.start: row for each in (rows, newer) for row in each}
+    return sorted(by_start.values())

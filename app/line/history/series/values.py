@@ -32,9 +32,9 @@ _OUTPUTS = {f"output.{n}": "output {n}" for n in range(1, 7)} | {"remote": "remo
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """One value of a unit. ``words`` names it in English, ``{n}`` is the number of an output; ``bit`` is its
-    place in ST2 * 256 + ST1; -1 for a number. A draw is not stored, but made of two of its ``column``: that
-    of the unit before, and its own."""
+    """One value of a unit. ``words``: its English name, in which ``{n}`` is the number of an output; ``bit``:
+    its place in ST2 * 256 + ST1, -1 for a number. A draw is not stored, but made of its ``column`` of the
+    unit before and of the unit itself."""
 
     name: str
     kind: ValueKind
@@ -62,12 +62,13 @@ def unit_settings(bus: BusSettings, number: int) -> UnitSettings:
 
 
 def text(value: Value, translate: Callable[..., str]) -> str:
-    """Its name in the language of ``translate``, which is called with English words and what they name."""
+    """Return the name of a value in the language of ``translate``, which takes English words and
+    parameters."""
     return translate(value.words, n=value.name.removeprefix("output."))
 
 
 def label(unit: UnitSettings, value: Value) -> str:
-    """The wiring by the unit's labels; empty without one."""
+    """Return the label of the wiring of a value; empty without one."""
     if value.kind == "analog":
         return unit.labels.analog
     if value.name.startswith("output."):
@@ -76,7 +77,7 @@ def label(unit: UnitSettings, value: Value) -> str:
 
 
 def measure(unit: UnitSettings, value: Value) -> str:
-    """The unit of measure; empty where none is configured."""
+    """Return the unit of measure of a value; empty if none is configured."""
     return {"speed": unit.labels.unit, "analog": unit.labels.analog_unit, "draw": "%", "bit": ""}[value.kind]
 
 
@@ -87,7 +88,7 @@ _ANALOG_FULL = 255
 
 
 class ParameterStep(NamedTuple):
-    """A parameter had this raw value from ``at`` on (µs)."""
+    """The raw value of a parameter from ``at`` on (µs)."""
 
     at: int
     number: int
@@ -96,7 +97,7 @@ class ParameterStep(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LinearScale:
-    """value = offset + raw * rise / per. ``decimals`` None: not known, or not a fixed number."""
+    """The scale value = offset + raw * rise / per. ``decimals`` is None if not known or not fixed."""
 
     offset: int = 0
     rise: int = 1
@@ -104,7 +105,7 @@ class LinearScale:
     decimals: int | None = None
 
     def apply(self, raw: float) -> float:
-        """A raw value, or an average of raw values, in display units."""
+        """Convert a raw value, or an average of raw values, to display units."""
         return self.offset + raw * self.rise / self.per
 
     def apply_all(self, raws: Iterable[float]) -> list[float]:
@@ -113,23 +114,23 @@ class LinearScale:
 
     @property
     def falling(self) -> bool:
-        """Whether the greatest raw value is the least shown."""
+        """Whether the greatest raw value is the least value."""
         return self.rise < 0
 
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """Scales in order of time; the first also counts for all time before it."""
+    """Scales in order of time, of which the first also holds before its time."""
 
     since: Sequence[int]
     scales: Sequence[LinearScale]
 
     def at(self, time: int) -> LinearScale:
-        """The scale in force at a time in µs."""
+        """Return the scale in force at a time, µs."""
         return self.scales[max(0, bisect_right(self.since, time) - 1)]
 
     def stretches(self, times: Sequence[int]) -> Iterator[tuple[int, int, LinearScale]]:
-        """Split times in order into ranges of positions, each with the scale in force."""
+        """Split times, which are in order, into ranges of positions, each with the scale in force."""
         i = 0
         while i < len(times):
             place = max(1, bisect_right(self.since, times[i]))
@@ -139,7 +140,8 @@ class Scaling:
 
 
 def scaling(value: Value, steps: Sequence[ParameterStep], *, ratio: bool, estop_healthy: int) -> Scaling:
-    """``ratio``: CS and AS of a follower are ratios (by the bus's dialect)."""
+    """Return the scales of a value; with ``ratio`` CS and AS of a follower are ratios (by the bus's
+    dialect)."""
     if value.kind == "bit":
         inverted = value.name == "estop" and estop_healthy == 1
         return Scaling([0], [LinearScale(1, -1, 1, 0) if inverted else LinearScale(decimals=0)])
@@ -179,17 +181,16 @@ _SAMPLE = 2000
 
 @dataclass(frozen=True, slots=True)
 class Marks:
-    """Reported states of a unit and its port, as times in µs, in order."""
+    """The times at which a unit or its port was lost and found, µs, in order."""
 
     lost: Sequence[int] = ()
     found: Sequence[int] = ()
 
 
 def usual_interval(runs: Sequence[Sequence[int]]) -> int:
-    """How often a unit responds, µs, from its runs (``at``, ``until``, ``readings``, … each); 0: too few.
-
-    The readings within a run count as well: of a steady value there is nothing between runs but holes.
-    """
+    """Return the usual interval between responses, µs, from runs (``at``, ``until``, ``readings``, … each), 0
+    if they are too few. Readings within a run count too: a steady value has nothing but holes between its
+    runs."""
     sample = runs[:_SAMPLE]
     if not sample:
         return 0
@@ -203,7 +204,7 @@ def usual_interval(runs: Sequence[Sequence[int]]) -> int:
 
 
 def _middle(spans: Iterable[tuple[int, int]]) -> int:
-    """The median of lengths in order, each with how often it is there."""
+    """Return the median of lengths in order, each with its number."""
     spans = list(spans)
     left = sum(often for _, often in spans) / 2
     for length, often in spans:
@@ -214,21 +215,19 @@ def _middle(spans: Iterable[tuple[int, int]]) -> int:
 
 
 def short_gap(usual: int) -> int:
-    """The longest gap, µs, that no hole is without a report of a loss. ``usual``: how often
-    the unit responds, µs."""
+    """Return the longest gap, µs, that is no hole unless a loss was reported. ``usual``: the usual interval,
+    µs."""
     return max(SHORT_GAP, FEW_INTERVALS * usual)
 
 
 def long_gap(usual: int) -> int:
-    """The longest gap, µs, that may be no hole. ``usual``: how often the unit responds, µs."""
+    """Return the longest gap, µs, that may be no hole. ``usual``: the usual interval, µs."""
     return max(LONG_GAP, MANY_INTERVALS * usual)
 
 
 def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> list[int]:
-    """Positions ``i`` with a hole between ``times[i]`` and ``times[i + 1]`` (in order).
-
-    ``width``: a time represents all readings within so many µs after it.
-    """
+    """Return the positions ``i`` with a hole between ``times[i]`` and ``times[i + 1]``, in order. ``width``:
+    a time stands for all readings within so many µs after it."""
     differences = list(map(sub, times[1:], times))
     short = width + short_gap(usual)
     if not marks.lost and max(differences, default=0) <= short:
@@ -249,7 +248,7 @@ _PART = itemgetter(*(Run._fields.index(name) for name in ("at", "until", "word")
 
 
 class Interval(NamedTuple):
-    """All bits of a unit (ST2 * 256 + ST1), the same from ``at`` until ``until`` (µs)."""
+    """All bits of a unit (ST2 * 256 + ST1), which stayed the same from ``at`` until ``until`` (µs)."""
 
     at: int
     until: int
@@ -257,7 +256,7 @@ class Interval(NamedTuple):
 
 
 def intervals(parts: Iterable[tuple[int, int, int]], marks: Marks, usual: int = 0) -> list[Interval]:
-    """Neighbours with the same bits and no hole between them as one, in order of time."""
+    """Join neighbors with the same bits and no hole between them; return the intervals in order of time."""
     ordered = sorted(parts)
     if not ordered:
         return []
@@ -268,7 +267,7 @@ def intervals(parts: Iterable[tuple[int, int, int]], marks: Marks, usual: int = 
 
 
 def _broken(starts: Sequence[int], reach: Sequence[int], marks: Marks, usual: int) -> set[int]:
-    """Which parts have a hole before them. ``reach``: where all parts up to each have ended."""
+    """Return the positions of parts after a hole. ``reach``: the latest end of all parts up to each."""
     # As a rule there is none, and each minute of each unit passes here.
     if not marks.lost and max(map(sub, starts[1:], reach), default=0) <= short_gap(usual):
         return set()
@@ -278,8 +277,8 @@ def _broken(starts: Sequence[int], reach: Sequence[int], marks: Marks, usual: in
 
 
 def splice(stored: Sequence[Interval], minute: int, runs: Sequence[PlainRun], marks: Marks) -> list[Interval]:
-    """Return the replacement of ``stored``, the intervals that touch a minute or are next to it,
-    now that all runs of that minute are known."""
+    """Return what replaces ``stored``, the intervals that touch a minute or are next to it, once all runs of
+    the minute are known."""
     after = minute + MINUTE
     around = [part._replace(until=min(part.until, minute - 1)) for part in stored if part.at < minute]
     around += [part._replace(at=max(part.at, after)) for part in stored if part.until >= after]
