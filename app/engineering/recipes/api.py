@@ -124,7 +124,7 @@ KnownRecipe = Annotated[Recipe, Depends(recipe_or_404)]
 
 @router.get("/recipes")
 async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None) -> list[RecipeShown]:
-    """The newest version of every recipe in use, at most 1000 of a bus, by name."""
+    """List the newest version of every recipe in use by name, at most 1000 of a bus."""
     return [recipe_json(recipe, live.buses.get(recipe.bus)) for recipe in await book.store.newest(bus)]
 
 
@@ -144,13 +144,13 @@ async def save_recipe(
 
 @router.get("/recipes/{recipe_id}")
 async def get_recipe(_: Viewer, live: Live, recipe: KnownRecipe) -> RecipeShown:
-    """One version."""
+    """Return one version."""
     return recipe_json(recipe, live.buses.get(recipe.bus))
 
 
 @router.get("/recipes/{recipe_id}/dry-run")
 async def dry_run_recipe(person: Viewer, book: Book, recipe: KnownRecipe) -> RecipeDryRun:
-    """What loading it now would do, unit by unit, and how long it takes on the wire and by the ramps."""
+    """Return what loading it now would do, unit by unit, and how long it takes on the wire and by ramps."""
     return book.try_out(person, recipe)
 
 
@@ -175,7 +175,7 @@ async def load_recipe(
 
 @router.get("/buses/{bus}/recipe")
 async def get_loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> LoadedRecipe | None:
-    """The last loaded recipe of the bus, and the units that drifted from it since."""
+    """Return the last loaded recipe of the bus, and the units that have left it since."""
     bus_or_404(live, bus)
     loaded = book.loaded(bus)
     if loaded is None:
@@ -194,7 +194,7 @@ async def get_loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> Load
 async def get_recipe_runs(
     _: Viewer, events: Events, live: Live, bus: str, at: ZonedTime | None = None
 ) -> RecipeRuns | None:
-    """The recipe that ran at a time (else now), since when, and when it ran before; null: none was loaded."""
+    """Return the recipe that ran at a time (else now), since when, and when it ran before; null: none."""
     bus_or_404(live, bus)
     until = UnixTime(at.timestamp()) if at is not None else None
     wanted = Filter(kind=LOAD.kind, bus=bus, code=LOAD.event, until=until)

@@ -106,9 +106,9 @@ class GoldenSet(TypedDict):
 class DriftRow(ParameterDifference):
     """A difference of a unit from its golden set, and whose change it is."""
 
-    changed_by: Annotated[str | None, Field(description="User or token; null: changed at the panel.")]
+    changed_by: Annotated[str | None, Field(description="User or token; null: changed at the keypad.")]
     changed_at: MaybeTime
-    changed: Annotated[MessageObject, Field(description="at the panel, or by whom.")]
+    changed: Annotated[MessageObject, Field(description="At the keypad, or by whom.")]
 
 
 class DriftShown(TypedDict):
@@ -149,8 +149,8 @@ async def list_parameter_sets(
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MAX_SETS)] = MAX_SETS,
 ) -> list[ParameterSetSummary]:
-    """Stored sets, newest first: at most 1000; the last ``id`` is ``before`` of the next page, which the
-    header ``Link`` names where there is one."""
+    """List stored sets, newest first: at most 1000. The last ``id`` is ``before`` of the next page, which the
+    header ``Link`` names."""
     found = await sets.summaries(bus, unit, before=before, limit=limit + 1)
     if len(found) > limit:
         link_next(request, response, found[limit - 1].id)
@@ -175,7 +175,7 @@ async def save_parameter_set(
 
 @router.get("/sets/{set_id}")
 async def get_parameter_set(_: Viewer, stored: StoredSet) -> ParameterSetShown:
-    """A set with the evidence of each value; #21 is masked."""
+    """Return a set with the evidence of each value; #21 is masked."""
     return set_json(stored)
 
 
@@ -183,7 +183,7 @@ async def get_parameter_set(_: Viewer, stored: StoredSet) -> ParameterSetShown:
 async def export_parameter_set(
     person: Viewer, stored: StoredSet, events: Events, secrets: bool = False
 ) -> Response:
-    """The set as a TOML file. With ``secrets`` (engineer) it contains #21, and the export is an event."""
+    """Export the set as a TOML file; with ``secrets`` (engineer) including #21, which is an event."""
     if secrets:
         if not person.role.includes(EXPORT_SECRET.role):
             raise Problem(403, "forbidden", Message("secret_for_engineer"))
@@ -216,7 +216,7 @@ async def compare_parameter_sets(
     other_unit: int | None = None,
     tolerance: int = 0,
 ) -> list[ParameterDifference]:
-    """Set with set, row by row."""
+    """Compare two sets row by row."""
     left = unit_rows_or_404(stored, unit)
     right = unit_rows_or_404(await set_or_404(sets, other_id), other_unit or unit)
     return compare(left, right, tolerance)
@@ -224,8 +224,8 @@ async def compare_parameter_sets(
 
 @router.get("/buses/{bus}/units/{unit}/drift")
 async def get_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> DriftShown:
-    """Drift of the unit, as last read, from its golden set, and who changed it: ``changed_by`` null is a
-    change at the panel. ``unread``: parameters that could not be compared yet."""
+    """Return where the unit, as last read, differs from its golden set, and who changed it: ``changed_by``
+    null is a change at the keypad. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
     return {
         "golden": drift.has_golden(unit),
@@ -236,7 +236,7 @@ async def get_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) ->
 
 @router.get("/buses/{bus}/set-schedule")
 async def get_save_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> SaveSchedule:
-    """Minute of the day at which the units of the bus are read, and overdue units with the reason."""
+    """Return the minute of the day at which the units of the bus are saved, and why units are overdue."""
     overdue: list[OverdueSave] = [
         {"unit": unit, "why": each.why} for unit, each in schedule.overdue().items()
     ]
@@ -247,7 +247,7 @@ async def get_save_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus:
 async def set_save_schedule(
     person: Annotated[Person, SCHEDULE.permitted], schedule: ScheduleOfBus, wanted: SaveScheduleRequest
 ) -> SaveSchedule:
-    """Read all units of the bus daily, or end the schedule."""
+    """Save all units of the bus daily, or end the schedule."""
     await schedule.set(person, wanted.minute_of_day)
     return {"minute_of_day": wanted.minute_of_day, "overdue": []}
 

@@ -105,10 +105,10 @@ FILE_FORM: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One side of a comparison. ``kind``: set, golden or live; ``of``: number of the set, or bus."""
+    """One side of a comparison. ``kind``: set, golden or live; ``source``: number of the set, or bus."""
 
     kind: str
-    of: str
+    source: str
     unit: int
     rows: UnitRows
 
@@ -153,24 +153,24 @@ def choices(live: LiveState, sets: Sequence[ParameterSetSummary]) -> list[SideOp
 async def side(text: str, store: SetStore, live: LiveState) -> Side:
     """Find the side that ``text`` names. Raises Problem 404 or 422."""
     kind, _, rest = text.partition(":")
-    of, _, number = rest.rpartition(":")
+    source, _, number = rest.rpartition(":")
     unit = parse_integer(number)
-    if kind not in ("set", "golden", "live") or not of or unit is None:
+    if kind not in ("set", "golden", "live") or not source or unit is None:
         known = "set:12:3, golden:BUS:3 or live:BUS:3"
         raise Problem(422, "invalid", Message.of("no_such_side", text=text, known=known))
-    return Side(kind, of, unit, await _rows(kind, of, unit, store, live))
+    return Side(kind, source, unit, await _rows(kind, source, unit, store, live))
 
 
-async def _rows(kind: str, of: str, unit: int, store: SetStore, live: LiveState) -> UnitRows:
+async def _rows(kind: str, source: str, unit: int, store: SetStore, live: LiveState) -> UnitRows:
     if kind == "set":
-        number = parse_integer(of)
+        number = parse_integer(source)
         if number is None:
-            raise Problem(422, "invalid", Message.of("not_a_set_number", text=of))
+            raise Problem(422, "invalid", Message.of("not_a_set_number", text=source))
         return unit_rows_or_404(await set_or_404(store, number), unit)
     if kind == "live":
-        return known_rows(unit_or_404(live, of, unit))
-    golden = (await store.golden(of)).get(unit)
-    return or_404(golden, "unknown_set", Message.of("no_golden_set", unit=unit, bus=of))
+        return known_rows(unit_or_404(live, source, unit))
+    golden = (await store.golden(source)).get(unit)
+    return or_404(golden, "unknown_set", Message.of("no_golden_set", unit=unit, bus=source))
 
 
 @dataclass(frozen=True, slots=True)

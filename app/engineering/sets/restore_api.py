@@ -269,7 +269,7 @@ async def cancel_restore(
 
 @router.get("/restores/{restore_id}")
 async def get_restore(_: Viewer, restore: KnownRestore) -> RestoreShown:
-    """Progress of the restore, row by row."""
+    """Return the progress of the restore, row by row."""
     return restore_json(restore)
 
 

@@ -51,7 +51,7 @@ class SetStore(Tables):
         found = connection.execute(
             "SELECT unit, name FROM parameter_set_unit WHERE set_id = ? ORDER BY unit", (set_id,)
         ).fetchall()
-        units = tuple(UnitRows(unit, of, _rows(connection, set_id, unit)) for unit, of in found)
+        units = tuple(UnitRows(unit, section, _rows(connection, set_id, unit)) for unit, section in found)
         marks = connection.execute("SELECT unit FROM golden_set WHERE set_id = ? ORDER BY unit", (set_id,))
         golden_for = tuple(unit for (unit,) in marks)
         return ParameterSet(bus, taken_at, who, origin, units, name, comment, set_id, golden_for)

@@ -241,9 +241,9 @@ class SwapService:
             raise Problem(422, "invalid", Message("spare_not_chosen"))
         chosen = await side(form.text, self._keepers[bus].store, self._live)
         if chosen.kind == "set":
-            return SwapSource(int(chosen.of), chosen.unit)
-        unit_or_404(self._live, chosen.of, chosen.unit)
-        keeper = self._keepers[chosen.of]
+            return SwapSource(int(chosen.source), chosen.unit)
+        unit_or_404(self._live, chosen.source, chosen.unit)
+        keeper = self._keepers[chosen.source]
         kept = await keeper.read_and_save(person, [chosen.unit], origin="for a unit swap")
         return SwapSource(kept.id, chosen.unit)
 

@@ -51,22 +51,22 @@ ReportOfQuery = Annotated[WantedReport, Depends(_wanted_report)]
 
 @router.get("", response_model=SpanReport, dependencies=[SEARCH])
 async def get_report(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery) -> Response:
-    """What the units did in a span of at most 92 days: run time, time at speed, stops with duration and
-    cause, speed, length, draw; alarms, commands, drift and notes. Time without readings is apart."""
+    """Report what the units did in a span of at most 92 days: run time, time at speed, stops with duration
+    and cause, speed, length, draw; alarms, commands, drift and notes. Time without readings is apart."""
     report = await reports.report(wanted.span, wanted.scope)
     return await json_response(lambda: report)
 
 
 @router.get("/units.csv", response_class=Response, responses=CSV, dependencies=[DOWNLOAD])
 async def get_report_units(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery, form: WantedCsv) -> Response:
-    """The units of a report, one in a row."""
+    """Return the units of a report, one in a row."""
     report = await reports.report(wanted.span, wanted.scope)
     return _csv(units_text(report, form), f"{file_name(report, wanted.scope)}-units.csv")
 
 
 @router.get("/stops.csv", response_class=Response, responses=CSV, dependencies=[DOWNLOAD])
 async def get_report_stops(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery, form: WantedCsv) -> Response:
-    """The stops of a report, one in a row: unit, began, ended, seconds, reason."""
+    """Return the stops of a report, one in a row: unit, began, ended, seconds, reason."""
     report = await reports.report(wanted.span, wanted.scope)
     return _csv(stops_text(report, form), f"{file_name(report, wanted.scope)}-stops.csv")
 
@@ -75,7 +75,7 @@ async def get_report_stops(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery,
 async def get_report_document(
     _: Viewer, reports: ReportsOf, documents: DocumentsOf, wanted: ReportOfQuery
 ) -> Response:
-    """A report as one HTML file that needs no server, in the language of the site."""
+    """Return a report as one HTML file that needs no server, in the language of the site."""
     report = await reports.report(wanted.span, wanted.scope)
     headers = APART | _attachment(f"{file_name(report, wanted.scope)}.html")
     text = documents.document(report, wanted.scope)
