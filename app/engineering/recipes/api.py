@@ -125,7 +125,7 @@ KnownRecipe = Annotated[Recipe, Depends(recipe_or_404)]
 @router.get("/recipes")
 async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None) -> list[RecipeShown]:
     """List the newest version of every recipe in use by name, at most 1000 of a bus."""
-    return [recipe_json(recipe, live.buses.get(recipe.bus)) for recipe in await book.store.newest(bus)]
+    return [_recipe_json(recipe, live.buses.get(recipe.bus)) for recipe in await book.store.newest(bus)]
 
 
 @router.post("/buses/{bus}/recipes", status_code=201)
@@ -134,18 +134,18 @@ async def save_recipe(
 ) -> RecipeShown:
     """Save a new version; older ones stay."""
     known = bus_or_404(live, bus)
-    setpoints = unit_setpoints(wanted.setpoints)
+    setpoints = _unit_setpoints(wanted.setpoints)
     if not setpoints:
         setpoints = {setpoint.unit: setpoint.raw for setpoint in setpoints_now(known.units.values())}
     if not setpoints:
         raise Problem(422, "invalid", Message("no_setpoints_yet"))
-    return recipe_json(await book.save(person, bus, wanted.name, wanted.comment, setpoints), known)
+    return _recipe_json(await book.save(person, bus, wanted.name, wanted.comment, setpoints), known)
 
 
 @router.get("/recipes/{recipe_id}")
 async def get_recipe(_: Viewer, live: Live, recipe: KnownRecipe) -> RecipeShown:
     """Return one version."""
-    return recipe_json(recipe, live.buses.get(recipe.bus))
+    return _recipe_json(recipe, live.buses.get(recipe.bus))
 
 
 @router.get("/recipes/{recipe_id}/dry-run")
@@ -208,7 +208,7 @@ async def delete_recipe(person: Annotated[Person, DELETE.permitted], book: Book,
     await book.retire(person, bus, name)
 
 
-def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
+def _recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
     """Show one version, with its setpoints as configured units show them."""
     return {
         "id": recipe.id,
@@ -231,7 +231,7 @@ def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
     }
 
 
-def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
+def _unit_setpoints(given: dict[str, int]) -> dict[int, int]:
     """Convert the keys of JSON to addresses. Raises Problem 422 for a key that is none."""
     wrong = next((key for key in given if not 1 <= (parse_integer(key) or 0) <= 255), None)
     if wrong is not None:

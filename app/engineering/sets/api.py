@@ -170,13 +170,13 @@ async def save_parameter_set(
     units = wanted.units or list(known)
     for unit in units:
         unit_or_404(live, bus, unit)
-    return set_json(await keeper.read_and_save(person, units, wanted.name, wanted.comment))
+    return _set_json(await keeper.read_and_save(person, units, wanted.name, wanted.comment))
 
 
 @router.get("/sets/{set_id}")
 async def get_parameter_set(_: Viewer, stored: StoredSet) -> ParameterSetShown:
     """Return a set with the evidence of each value; #21 is masked."""
-    return set_json(stored)
+    return _set_json(stored)
 
 
 @router.get("/sets/{set_id}/document", response_class=Response, responses=DOCUMENT)
@@ -230,7 +230,7 @@ async def get_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) ->
     return {
         "golden": drift.has_golden(unit),
         "unread": drift.unread(unit),
-        "rows": [departure_json(one) for one in await drift.traced(unit)],
+        "rows": [_departure_json(one) for one in await drift.traced(unit)],
     }
 
 
@@ -252,7 +252,7 @@ async def set_save_schedule(
     return {"minute_of_day": wanted.minute_of_day, "overdue": []}
 
 
-def set_json(stored: ParameterSet) -> ParameterSetShown:
+def _set_json(stored: ParameterSet) -> ParameterSetShown:
     """Show a complete set; secrets are masked."""
     head: dict[str, Any] = {each.name: getattr(stored, each.name) for each in fields(SetHead)}
     return ParameterSetShown(**head, units=[_unit_json(rows) for rows in stored.units])
@@ -277,7 +277,7 @@ def _unit_json(rows: UnitRows) -> ParameterSetUnit:
     return {"id": rows.unit, "name": rows.name, "parameters": parameters}
 
 
-def departure_json(departure: DriftedParameter) -> DriftRow:
+def _departure_json(departure: DriftedParameter) -> DriftRow:
     """Show a difference from the golden set, and whose change it is."""
     change = departure.change
     row: dict[str, Any] = {each.name: getattr(departure.row, each.name) for each in fields(departure.row)}

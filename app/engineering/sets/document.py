@@ -17,8 +17,8 @@ from bus.instants import UnixTime
 from bus.messages import Message, term
 from bus.validation import fault_message
 
-DOCUMENT_FORMAT = "lineside parameter set"
-DOCUMENT_VERSION = 1
+_DOCUMENT_FORMAT = "lineside parameter set"
+_DOCUMENT_VERSION = 1
 MAX_DOCUMENT = 1_500_000
 """Characters of a file; all 255 units of a bus take half of it."""
 MAX_LINES, MAX_VALUES = 20_000, 150_000
@@ -66,8 +66,8 @@ class _Document(StrictBody):
 def write_document(parameter_set: ParameterSet, *, with_secrets: bool = False) -> str:
     """Write the set as TOML text; #21 is masked unless ``with_secrets``."""
     lines = [
-        f"format = {_quoted(DOCUMENT_FORMAT)}",
-        f"version = {DOCUMENT_VERSION}",
+        f"format = {_quoted(_DOCUMENT_FORMAT)}",
+        f"version = {_DOCUMENT_VERSION}",
         f"bus = {_quoted(parameter_set.bus)}",
         f"name = {_quoted(parameter_set.name)}",
         f"comment = {_quoted(parameter_set.comment)}",
@@ -123,11 +123,11 @@ def read_document(text: str, source: str | Message = THE_FILE) -> ParameterSet:
 
 def _parse(text: str, source: str | Message) -> _Document:
     content = _content(text, source)
-    if content.get("format") != DOCUMENT_FORMAT:
-        wanted = _quoted(DOCUMENT_FORMAT)
+    if content.get("format") != _DOCUMENT_FORMAT:
+        wanted = _quoted(_DOCUMENT_FORMAT)
         raise DocumentError(Message.of("source_no_parameter_set", source=source, format=wanted))
     version = content.get("version")
-    if isinstance(version, int) and version > DOCUMENT_VERSION:
+    if isinstance(version, int) and version > _DOCUMENT_VERSION:
         raise DocumentError(Message.of("source_of_newer_version", source=source, version=version))
     try:
         return _Document.model_validate(content)

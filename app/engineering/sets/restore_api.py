@@ -136,7 +136,7 @@ def rows_left_out(restore: Restore) -> list[RestoreOmission]:
     return rows
 
 
-def restore_json(restore: Restore) -> RestoreShown:
+def _restore_json(restore: Restore) -> RestoreShown:
     return {
         "id": restore.id,
         "bus": restore.bus,
@@ -238,7 +238,7 @@ async def plan_restore(
     unit_or_404(live, bus, unit)
     selection = Selection(frozenset(wanted.include), frozenset(wanted.exclude), frozenset(wanted.ticked))
     rows = await _wanted_rows(sets, unit, wanted)
-    return restore_json(await restores.plan(person, bus, unit, rows, selection))
+    return _restore_json(await restores.plan(person, bus, unit, rows, selection))
 
 
 @router.post("/restores/{restore_id}/start", status_code=202)
@@ -255,7 +255,7 @@ async def start_restore(
         exclude = planned.exclude if chosen.exclude is None else frozenset(chosen.exclude)
         restores.select(person, restore, planned.choosing(include, exclude))
     restores.start(person, restore)
-    return restore_json(restore)
+    return _restore_json(restore)
 
 
 @router.post("/restores/{restore_id}/cancel", status_code=202)
@@ -264,13 +264,13 @@ async def cancel_restore(
 ) -> RestoreShown:
     """Stop after the current row."""
     restores.cancel(person, restore)
-    return restore_json(restore)
+    return _restore_json(restore)
 
 
 @router.get("/restores/{restore_id}")
 async def get_restore(_: Viewer, restore: KnownRestore) -> RestoreShown:
     """Return the progress of the restore, row by row."""
-    return restore_json(restore)
+    return _restore_json(restore)
 
 
 async def _wanted_rows(sets: Sets, unit: int, wanted: RestoreRequest) -> UnitRows:

@@ -48,11 +48,11 @@ PLAN = Act("plan_restore", WRITE_PARAMETER.role, "restore", "event_restored")
 START = Act("start_restore", WRITE_PARAMETER.role, "restore", "event_restored")
 CANCEL = Act("cancel_restore", WRITE_PARAMETER.role, "restore", "event_restored")
 """A restore writes parameters and needs the role for that; it is recorded once, when it has ended."""
-NOT_KEPT = -1
+_NOT_KEPT = -1
 """Takes the place of a secret (#21), which only parameter sets hold: no raw value is negative."""
-MAX_OF_UNIT = 20
+_MAX_OF_UNIT = 20
 """Earlier restores that the page of a unit lists."""
-MAX_ENDED = 50
+_MAX_ENDED = 50
 """Plans and ended restores that are kept in memory."""
 _SAVE = upsert("restore", ("id",), ("bus", "unit", "planned_at", "state", "content"))
 _DECODER = msgspec.json.Decoder(Restore)
@@ -82,7 +82,7 @@ class RestoreStore(Tables):
     def of_unit(self, connection: StoreConnection, bus: str, unit: int) -> list[Restore]:
         """Return the last restores of a unit, newest first."""
         newest = "bus = ? AND unit = ? ORDER BY planned_at DESC LIMIT ?"
-        return list(_select(connection, newest, bus, unit, MAX_OF_UNIT))
+        return list(_select(connection, newest, bus, unit, _MAX_OF_UNIT))
 
 
 def _select(connection: StoreConnection, which: str, *values: str | int) -> Iterator[Restore]:
@@ -110,7 +110,7 @@ def _row_without_secret(row: RowResult) -> RowResult:
     number = row.write.number
     if not PARAMETERS[number].secret:
         return row
-    return replace(row, write=Write(number, NOT_KEPT, NOT_KEPT), read_back=None)
+    return replace(row, write=Write(number, _NOT_KEPT, _NOT_KEPT), read_back=None)
 
 
 def _values_without_secrets(values: UnitRows) -> UnitRows:
@@ -331,7 +331,7 @@ class RestoreService:
     def _remember(self, restore: Restore) -> None:
         self._restores[restore.id] = restore
         ended = [key for key, known in self._restores.items() if known.state not in UNDER_WAY]
-        for key in ended[:-MAX_ENDED]:
+        for key in ended[:-_MAX_ENDED]:
             del self._restores[key]
 
 

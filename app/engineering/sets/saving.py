@@ -42,9 +42,9 @@ END_SCHEDULE = Act("end_save_schedule", Role.ENGINEER, "parameter_set", "event_s
 
 SERVER = Person("server", Role.VIEWER, "worker")
 """Author of what the server does by itself; it only reads units."""
-READ_TIMEOUT_S = 300.0
+_READ_TIMEOUT_S = 300.0
 """A full list waits for gaps in the scan; at 300 baud one unit takes half a minute of wire alone."""
-CHECK_EVERY_S = 5.0
+_CHECK_EVERY_S = 5.0
 MAX_READINGS = 20
 """Readings of units whose progress is remembered."""
 MAX_AT_ONCE = 4
@@ -79,7 +79,7 @@ class ParameterReader:
         Raises Problem 503 when the bus is closed, 504 when the unit does not respond.
         """
         action = ReadParameters(unit=unit, numbers=list(PARAMETERS), urgent=urgent)
-        result = await self._commands.send(person, action, timeout_s=READ_TIMEOUT_S)
+        result = await self._commands.send(person, action, timeout_s=_READ_TIMEOUT_S)
         check_all_read(unit, action.numbers, result)
         return UnitRows(unit, self._live.units[unit].settings.name, rows_of(result.values))
 
@@ -165,7 +165,7 @@ class SetKeeper:
         """Read completely, indefinitely and in the gaps of the scan, the units whose golden set could not be
         compared yet. The slow scan would take a quarter of an hour for it."""
         while True:
-            await asyncio.sleep(CHECK_EVERY_S)
+            await asyncio.sleep(_CHECK_EVERY_S)
             for unit in self._drift.marked():
                 if self._live.units[unit].link.link != "online" or not self._drift.unread(unit):
                     continue
@@ -365,7 +365,7 @@ class SetSchedule:
             now = self._clock()
             await self.save_due(seen, now)
             seen = now
-            await asyncio.sleep(CHECK_EVERY_S)
+            await asyncio.sleep(_CHECK_EVERY_S)
 
     async def save_due(self, seen: datetime, now: datetime) -> None:
         """Save the sets that came due after ``seen``, up to ``now``, and those that are overdue."""

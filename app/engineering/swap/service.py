@@ -41,11 +41,11 @@ CANCEL = Act("cancel_swap", WRITE_PARAMETER.role, "swap", "event_swap_given_up")
 ACTS = (BEGIN, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED, CANCEL)
 """Each step needs the role for writing parameters, as the restore does."""
 
-SHEET = "sheet"
+_SHEET = "sheet"
 """Source in the form where no set is stored: a person enters the values of the parameter sheet."""
 PROBE_WAIT_S = 2.0
 """How long a page waits for a probe before it shows the previous finding."""
-PROBE_TIMEOUT_S = 30.0
+_PROBE_TIMEOUT_S = 30.0
 MAX_PROBES = 4
 """Attempts at an address whose unit still responds to the scan."""
 
@@ -235,7 +235,7 @@ class SwapService:
             name = (form.file.filename or "")[:80]
             kept = await self._keepers[bus].save(person, [rows], "from a file", name)
             return SwapSource(kept.id, rows.unit)
-        if form.text == SHEET:
+        if form.text == _SHEET:
             return None
         if not form.text:
             raise Problem(422, "invalid", Message("spare_not_chosen"))
@@ -379,7 +379,9 @@ class SwapService:
 
     async def _probe(self, person: Person, bus: str, address: int) -> ProbeFinding:
         action = ScanBus(first=address, last=address)
-        result = await self._commands[bus].send(person, action, timeout_s=PROBE_TIMEOUT_S, origin="unit swap")
+        result = await self._commands[bus].send(
+            person, action, timeout_s=_PROBE_TIMEOUT_S, origin="unit swap"
+        )
         if result.outcome != "verified":
             raise Problem(503, "not_looked", outcome_message(result))
         return next((found.kind for found in result.found if found.unit == address), "silent")

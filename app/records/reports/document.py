@@ -38,8 +38,8 @@ _COUNTS = (
     *(Column("alarms", term("Alarms")), Column("commands", term("Commands"))),
     Column("by_minute", term("From averages of minutes")),
 )
-UNIT_COLUMNS = (*_PLACE, *_SPAN, *_FIGURES, *_STOPPED, *_MORE, *_DRAW, *_COUNTS)
-STOP_COLUMNS = (
+_UNIT_COLUMNS = (*_PLACE, *_SPAN, *_FIGURES, *_STOPPED, *_MORE, *_DRAW, *_COUNTS)
+_STOP_COLUMNS = (
     *_PLACE,
     *(Column("began", term("Began"), is_time=True), Column("ended", term("Ended"), is_time=True)),
     *(Column("seconds", term("Duration (s)")), Column("reason", term("Cause"))),
@@ -48,12 +48,12 @@ STOP_COLUMNS = (
 
 def units_text(report: Mapping[str, Any], form: CsvForm) -> str:
     """Write the CSV file with one unit in a row."""
-    return form.head(UNIT_COLUMNS) + form.rows(UNIT_COLUMNS, _unit_rows(report))
+    return form.head(_UNIT_COLUMNS) + form.rows(_UNIT_COLUMNS, _unit_rows(report))
 
 
 def stops_text(report: Mapping[str, Any], form: CsvForm) -> str:
     """Write the CSV file with one stop in a row, unit by unit."""
-    return form.head(STOP_COLUMNS) + form.rows(STOP_COLUMNS, _stop_rows(report, form))
+    return form.head(_STOP_COLUMNS) + form.rows(_STOP_COLUMNS, _stop_rows(report, form))
 
 
 def _unit_rows(report: Mapping[str, Any]) -> Iterator[tuple[Cell, ...]]:

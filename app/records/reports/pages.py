@@ -35,7 +35,7 @@ SPANS: dict[SpanName, Message] = {
     "yesterday": term("Yesterday"),
     "week": term("Last 7 days"),
 }
-FILES = {"html": "report.html", "units": "units.csv", "stops": "stops.csv"}
+_FILES = {"html": "report.html", "units": "units.csv", "stops": "stops.csv"}
 
 
 @router.get("/reports", dependencies=[SEARCH])
@@ -92,4 +92,4 @@ def _files(span: Shift, place: str) -> dict[str, str]:
     bus, _, unit = place.partition("/")
     named = {name: value for name, value in (("bus", bus), ("unit", unit)) if value}
     query = urlencode({"from": iso(span.start), "to": iso(span.end), **named})
-    return {kind: f"/api/v1/report/{name}?{query}" for kind, name in FILES.items()}
+    return {kind: f"/api/v1/report/{name}?{query}" for kind, name in _FILES.items()}

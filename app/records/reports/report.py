@@ -25,10 +25,10 @@ from app.settings import Settings
 from bus.instants import UnixTime
 from bus.settings import BusSettings, UnitSettings
 
-MAX_ALARMS = 200
+_MAX_ALARMS = 200
 PER_S = {"s": 1, "sec": 1, "min": 60, "h": 3600}
 """Seconds in the time of a unit of speed, such as m/min."""
-DIGITS = 3
+_DIGITS = 3
 _COLUMNS = ", ".join(field.name for field in fields(JournalEntry))
 _AT_END = """(
     SELECT l.after FROM alarm_journal l WHERE l.alarm = j.alarm AND l.at < ? AND l.id < COALESCE((
@@ -144,7 +144,7 @@ def span_report(
     where, values = scope.conditions()
     came = connection.execute(
         f"SELECT {_AT_END}, {_COLUMNS} {_RISEN}{where} ORDER BY at, id LIMIT ?",
-        (until, span.start, until, *values, MAX_ALARMS),
+        (until, span.start, until, *values, _MAX_ALARMS),
     )
     counts = CountsByUnit(*(_counts(connection, what, span.start, until) for what in (_RISEN, _COMMANDS)))
     sheet = write_sheet(connection, settings, span, now, scope)
@@ -152,7 +152,7 @@ def span_report(
         **sheet,
         "notes": sheet["notes"][-MAX_OF_SPAN:],
         "signed": signed_json(signed if signed and signed.shift == span and not scope.bus else None),
-        "units": [_unit(bus, each, counts, round(until - span.start, DIGITS)) for bus, each in found],
+        "units": [_unit(bus, each, counts, round(until - span.start, _DIGITS)) for bus, each in found],
         "alarms": [{**transition_json(JournalEntry(*entry)), "at_end": at_end} for at_end, *entry in came],
     }
 
@@ -185,18 +185,18 @@ def _unit(bus: BusSettings, found: UnitReport, counts: CountsByUnit, lasts_s: fl
 
 
 def _draw_shown(draw: DrawFigures) -> ReportedDraw:
-    average, least, greatest = (round(each, DIGITS) for each in draw)
+    average, least, greatest = (round(each, _DIGITS) for each in draw)
     return {"average": average, "least": least, "greatest": greatest}
 
 
 def _add_runs(shown: ReportedUnit, figures: RunFigures, unit: UnitSettings, lasts_s: float) -> None:
     ran = figures.running
     shown["known_s"] = figures.known / SECOND
-    shown["unread_s"] = round(max(0.0, lasts_s - figures.known / SECOND), DIGITS)
+    shown["unread_s"] = round(max(0.0, lasts_s - figures.known / SECOND), _DIGITS)
     shown["running_s"] = ran / SECOND
     shown["at_speed_s"] = figures.at_speed / SECOND
     shown["by_minute"] = figures.by_minute
-    shown["speed_average"] = round(figures.travel / ran, DIGITS) if ran else None
+    shown["speed_average"] = round(figures.travel / ran, _DIGITS) if ran else None
     shown["speed_greatest"] = figures.fastest if ran else None
     shown["speed_unit"] = unit.labels.unit
     shown["stops"] = [
@@ -210,5 +210,5 @@ def _add_runs(shown: ReportedUnit, figures: RunFigures, unit: UnitSettings, last
     ]
     length_unit, _, per = unit.labels.unit.strip().partition("/")
     if length_unit and per.strip() in PER_S:
-        shown["length"] = round(figures.travel / SECOND / PER_S[per.strip()], DIGITS)
+        shown["length"] = round(figures.travel / SECOND / PER_S[per.strip()], _DIGITS)
         shown["length_unit"] = length_unit.strip()
