@@ -60,7 +60,7 @@ def command_line() -> str:
 
 def _commands(above: click.Context, group: click.Group) -> Iterator[str]:
     for name in group.list_commands(above):
-        command = group.get_command(above, name)
+        _, command, _ = group.resolve_command(above, [name])
         assert command is not None
         context = click.Context(command, parent=above, info_name=name)
         yield f"\n## {context.command_path}\n\n{_words(command.help)}\n"

@@ -9,8 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from app.cli.setup.service_unit import CONFIGURATION, INSTALLED, PACKAGED_UNIT, ServiceUnit
-from app.cli.setup.starting_file import first_configuration
+from app.cli.installed_files import CONFIGURATION, INSTALLED, PACKAGED_UNIT, ServiceUnit, first_configuration
 from release.packages import ROOT, extras
 
 TEMPLATES = ROOT / "release" / "debian"

@@ -83,7 +83,7 @@ def serve(clock: FastClock, config: str) -> None:
     import uvloop
 
     from app.cli import cli
-    from app.cli.serving.workers import WorkerProcesses
+    from app.cli.hosting import WorkerProcesses
 
     uvloop.run = lambda main, **_: run(clock, main)  # type: ignore[assignment]
     WorkerProcesses.start = lambda *_: None  # type: ignore[method-assign, assignment]

@@ -39,10 +39,10 @@ ENTRY_POINTS: dict[Program, tuple[str, str]] = {
 }
 """Module that has ``main``, and the program's name in ``sys.argv``."""
 IMPORTED = (
-    "app.cli.serving.hosting",
-    "app.cli.serving.server",
-    "app.cli.simulated.simulate",
-    "app.cli.setup.accounts",
+    "app.cli.hosting",
+    "app.cli.server",
+    "app.cli.simulate",
+    "app.cli.accounts",
     "bus.worker.process",
 )
 """Before the first fork. None of them starts a thread."""

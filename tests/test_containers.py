@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from app.cli import cli
-from app.cli.setup.accounts import token
-from app.cli.setup.service_unit import CONFIGURATION, DATA, INSTALLED
+from app.cli.accounts import token
+from app.cli.installed_files import CONFIGURATION, DATA, INSTALLED
 from app.settings import Settings, load
 from release.__main__ import platform_tag
 from tests.test_architecture import ROOT, text_of
@@ -64,7 +64,7 @@ def compose() -> dict[str, Any]:
 def parsed(words: list[str]) -> dict[str, Any]:
     """The options of a command, as the product reads them; fails where it would refuse them."""
     context = cli.make_context("lineside", list(words), resilient_parsing=False)
-    command = cli.get_command(context, words[0])
+    _, command, _ = cli.resolve_command(context, words[:1])
     assert command is not None, words
     return command.make_context(words[0], words[1:]).params
 

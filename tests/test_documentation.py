@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 from fastapi.routing import iter_route_contexts
 from pydantic import BaseModel
@@ -128,7 +129,7 @@ def test_every_documented_command_line_is_one(source: str, words: list[str]) -> 
         name, *words = words
         if name.startswith("-"):
             break
-        command = command.get_command(None, name)
+        _, command, _ = command.resolve_command(click.Context(command), [name])
         assert command is not None, source
     options = {option for parameter in command.params for option in parameter.opts} | {"--help"}
     assert {word for word in words if word.startswith("--")} <= options, source

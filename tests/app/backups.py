@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from app.cli.stores.restore_store import Restored, put_back
+from app.cli.backup_store import Restored, put_back
 from app.system.backup.archive import WrittenBackup, open_archive, write_archive
 
 

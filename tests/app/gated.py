@@ -13,7 +13,7 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.server import ServerState
 
-from app.cli.serving.server import MAX_MESSAGE_BYTES
+from app.cli.server import MAX_MESSAGE_BYTES
 from app.core.server.connections import Connections
 from app.core.server.gate import Gate, Gates, Stages
 from app.core.server.loop_watch import LoopWatch

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from click.testing import CliRunner, Result
 
-from app.cli.findings import check
+from app.cli import check
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.cli.serving.server import Server
+from app.cli.server import Server
 from app.core.server.addresses import Network
 from app.core.web.access import Role
 from app.people.audit.log import EventLog

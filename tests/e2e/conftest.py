@@ -16,7 +16,7 @@ from typing import Any, Literal, Protocol
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, ViewportSize, expect, sync_playwright
 
-from app.cli.simulated.past import write_past
+from app.cli.past import write_past
 from app.settings import load
 from bus.simulator.plant import demo_line
 from tests.e2e import site as sites

@@ -27,7 +27,7 @@ from typing import IO, Any
 
 import httpx
 
-from app.cli.setup.accounts import with_accounts
+from app.cli.accounts import with_accounts
 from app.core.web.access import Role
 from app.core.web.assets import Assets, static_dir, templates_dir
 from app.core.web.templating import Templates

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 
-from app.cli.wire.scan import bus_table
+from app.cli.wire import bus_table
 from app.settings import Settings
 from bus.line.examination import Found
 

@@ -83,7 +83,7 @@ FACTS = (
 
 def every_command(group: click.Group, above: str = "") -> Iterator[tuple[str, click.Command]]:
     for name in group.list_commands(click.Context(group)):
-        command = group.get_command(click.Context(group), name)
+        _, command, _ = group.resolve_command(click.Context(group), [name])
         assert command is not None
         yield f"{above}{name}", command
         if isinstance(command, click.Group):
@@ -150,7 +150,7 @@ def test_help_reads_nothing_heavy() -> None:
 
 def test_workers_begin_before_the_dashboard_is_imported() -> None:
     """Each takes a quarter of a second of the start, and rich 4 MiB of every process."""
-    code = f"import sys; import app.cli.serving.serve, app.cli.serving.hosting, structlog; {PRINT_LOADED}"
+    code = f"import sys; import app.cli.serve, app.cli.hosting, structlog; {PRINT_LOADED}"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert {"fastapi", "rich"} & set(run.stdout.split()) == set()
 
@@ -160,12 +160,12 @@ def test_the_dashboard_leaves_out_what_it_never_uses() -> None:
     code = f"""import sys; from contextlib import suppress; from app.cli import main
 sys.argv = ["lineside", "--help"]
 with suppress(SystemExit): main()
-from app.cli.serving.hosting import _import_server; print(_import_server().__name__)
+from app.cli.hosting import _import_server; print(_import_server().__name__)
 from fastapi.openapi.models import Info; print(Info.__pydantic_complete__, Info(title="", version="").title)
 {PRINT_LOADED}"""
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     *_, server, complete, loaded = run.stdout.splitlines()
-    assert (server, complete) == ("app.cli.serving.server", "False ")
+    assert (server, complete) == ("app.cli.server", "False ")
     assert {"multiprocessing", "pydantic.v1", "rich", "httpx"} & set(loaded.split()) == set()
 
 

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.findings.machine import Finding
-from app.cli.findings.stores import archive
-from app.cli.site.audit import proof_of
+from app.cli.audit import proof_of
+from app.cli.findings import Finding, archive
 from app.errors import StoreError
 from app.settings import Settings, load
 from bus.messages import Message

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from app.cli.findings import check
-from app.cli.findings import machine as findings
+from app.cli import check
+from app.cli import findings as findings
 from app.core.database import Database
 from app.core.database.migration import COPYING
 from app.line.history.writer import MIGRATIONS

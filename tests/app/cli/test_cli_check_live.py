@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from app.cli.findings import check
-from app.cli.findings import live as live_findings
+from app.cli import check
+from app.cli import check_live as live_findings
 from app.core.database import Database
 from app.line.conditions import catalogue as of_server
 from app.people.audit.chain import KeyOrigin

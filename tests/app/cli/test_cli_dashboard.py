@@ -20,7 +20,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli import cli
-from app.cli.api.dashboard import trusted_authorities
+from app.cli.dashboard import trusted_authorities
 from bus.errors import CallerError
 
 LINE = {"buses": [{"name": "dry-end", "units": [{"id": 1, "name": "Unwind"}]}]}

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli import cli
-from app.cli.wire.decode import parse_hex
+from app.cli.wire import parse_hex
 from app.line.commands.api.trace_file import trace_line
 from bus.contract import Frame
 from bus.errors import CallerError

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from app.cli.wire import scan
+from app.cli import wire as scan
 from tests import fork_server
 
 PATIENCE_MS = 400

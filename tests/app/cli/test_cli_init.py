@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from app.cli import cli
-from app.cli.setup.accounts import with_accounts
-from app.cli.setup.starting_file import first_configuration, likely_port, starter
+from app.cli.accounts import with_accounts
+from app.cli.installed_files import first_configuration, likely_port, starter
 from app.settings import load
 from tests.app.cli.test_cli_scan import line, unit
 
@@ -71,8 +71,8 @@ def test_it_takes_the_adapter_that_is_plugged_in(tmp_path: Path) -> None:
 @pytest.fixture
 def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     """Prompts are read from the input of the runner."""
-    monkeypatch.setattr("app.cli.setup.init.is_interactive", lambda: True)
-    monkeypatch.setattr("app.cli.setup.init.ADDRESSES", range(1, 6))
+    monkeypatch.setattr("app.cli.init.is_interactive", lambda: True)
+    monkeypatch.setattr("app.cli.init.ADDRESSES", range(1, 6))
 
 
 @pytest.mark.usefixtures("at_a_terminal")
@@ -162,16 +162,16 @@ def test_the_service_is_stopped_for_the_scan_and_runs_with_what_was_written(
     def run(command: Sequence[str]) -> None:
         called.append((" ".join(command), len(load(config).bus)))
 
-    monkeypatch.setattr("app.cli.setup.init.CONFIGURATION", config)
-    monkeypatch.setattr("app.cli.setup.init.UNIT_FILE", unit_file)
-    monkeypatch.setattr("app.cli.setup.install_service.BOOTED", tmp_path)
-    monkeypatch.setattr("app.cli.setup.install_service.run", run)
-    monkeypatch.setattr("app.cli.setup.init.geteuid", lambda: 1000)
+    monkeypatch.setattr("app.cli.init.CONFIGURATION", config)
+    monkeypatch.setattr("app.cli.init.UNIT_FILE", unit_file)
+    monkeypatch.setattr("app.cli.install_service.BOOTED", tmp_path)
+    monkeypatch.setattr("app.cli.install_service.run", run)
+    monkeypatch.setattr("app.cli.init.geteuid", lambda: 1000)
     words = ["init", "--config", str(config)]
     refused = CliRunner().invoke(cli, words, input="\n")
     assert (refused.exit_code, called) == (1, [])
     assert "sudo lineside init" in refused.stderr
-    monkeypatch.setattr("app.cli.setup.init.geteuid", lambda: 0)
+    monkeypatch.setattr("app.cli.init.geteuid", lambda: 0)
     done = CliRunner().invoke(cli, words, input="\n/dev/no-such-port\nn\n\n")
     assert done.exit_code == 0, done.output
     assert called == [("systemctl stop lineside.service", 0), ("systemctl restart lineside.service", 1)]

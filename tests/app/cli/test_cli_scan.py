@@ -13,8 +13,8 @@ import pytest
 import serial
 from click.testing import CliRunner, Result
 
-from app.cli.wire import scan
-from app.cli.wire.scan import announcement, bauds_to_try
+from app.cli import wire as scan
+from app.cli.wire import announcement, bauds_to_try
 from bus.catalogue import parameters as numbers
 from bus.errors import WireError
 from bus.line.examination import Found

@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from app.cli import cli
-from app.cli.serving.listening import url_of
-from app.cli.site import status
+from app.cli import cli, status
+from app.cli.serve import url_of
 from tests.certificates import certificates
 from tests.free_port import free_port
 
@@ -59,7 +58,7 @@ DISK_FULL = {"code": "history_disk_full", "params": {}, "detail": "the disk is f
 
 
 class PlayedDashboard:
-    """A context like `app.cli.api.dashboard.dashboard`, with the responses of one."""
+    """A context like `app.cli.dashboard.dashboard`, with the responses of one."""
 
     def __init__(self, alarms: list[dict[str, object]], history: dict[str, object] | None) -> None:
         self._responses = {"/line": {"buses": [BUS], "history": history}, "/alarms": {"alarms": alarms}}

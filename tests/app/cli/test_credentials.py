@@ -8,8 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from app.cli import cli
-from app.cli.api.credentials import bearer_token
-from app.cli.options import TOKEN_VARIABLE
+from app.cli.options import TOKEN_VARIABLE, bearer_token
 from bus.errors import CallerError
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.simulated.demo import configuration
-from app.cli.simulated.past import PHASES, past_of, write_past
+from app.cli.demo import configuration
+from app.cli.past import PHASES, past_of, write_past
 from app.core.database import Database
 from app.engineering.sets.store import SetStore
 from app.line.history import tables

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.findings.machine import service
-from app.cli.setup import install_service
-from app.cli.setup.install_service import (
+from app.cli import install_service
+from app.cli.findings import service
+from app.cli.install_service import (
     carry_out,
     configured,
     installation,
@@ -23,7 +23,7 @@ from app.cli.setup.install_service import (
     unit_of,
     write_configuration,
 )
-from app.cli.setup.service_unit import ServiceUnit, quoted
+from app.cli.installed_files import ServiceUnit, quoted
 from app.settings import Settings
 from bus.errors import LinesideError
 from tests import fork_server

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.findings import live as port_findings
-from app.cli.findings.live import is_connected_to, is_worker_of
+from app.cli import check_live as port_findings
+from app.cli.check_live import is_connected_to, is_worker_of
 from app.settings import LOCK_FILE
 from bus.line.open_port import port_fault
 from tests.app.live_check import bus, check_live, everything_in, pseudo_terminal, run

@@ -9,8 +9,8 @@ import httpx
 import pytest
 from click.testing import CliRunner
 
-from app.cli.findings import check
-from app.cli.setup.install_service import unit_of
+from app.cli import check
+from app.cli.install_service import unit_of
 from app.settings import load
 from tests import fork_server
 from tests.app.cli.test_serve import children_of, started

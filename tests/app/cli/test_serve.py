@@ -23,10 +23,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from app.cli.serving import hosting
-from app.cli.serving.hosting import HostingError, only_one
-from app.cli.serving.listening import NEXT_PORTS, ListenError, listen, listen_from
-from app.cli.simulated.demo import CHOOSE
+from app.cli import hosting
+from app.cli.demo import CHOOSE
+from app.cli.hosting import HostingError, only_one
+from app.cli.serve import NEXT_PORTS, ListenError, listen, listen_from
 from app.core.database import Database
 from app.core.server.service_manager import ServiceManager
 from app.settings import load
@@ -327,7 +327,7 @@ def test_a_service_that_cannot_start_is_named_in_one_line(config: Path) -> None:
         connection.execute("ALTER TABLE swap RENAME TO lost")
     done = fork_server.run("serve", "--config", config)
     assert (done.returncode, done.stdout) == (1, "")
-    reason = "lineside: the dashboard could not start: swaps of dry-end: "
+    reason = "lineside: the dashboard could not start: swaps: "
     assert done.stderr.splitlines()[-1].startswith(reason)
     assert "Traceback" not in done.stderr
     with closing(sqlite3.connect(store)) as connection:

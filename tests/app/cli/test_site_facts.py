@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 from contextlib import closing
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -14,10 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.cli import cli
-from app.cli.site.facts import backup_facts, certificate_facts, disk_facts
+from app.cli.status import backup_facts, certificate_facts, disk_facts
 from app.core.database import Database
 from app.core.database.connection import open_unchanged
 from app.core.database.files import MIN_FREE_OF_OTHERS
+from app.core.web.shape import iso
 from app.line.history.series.runs import DAY, HOUR, micros
 from app.line.history.status import MAX_DAYS, days_left, growth_of_history
 from app.settings import load
@@ -85,10 +87,10 @@ def config(tmp_path: Path) -> Path:
 
 
 def test_stores_have_their_sizes_and_the_disk_its_space(config: Path) -> None:
-    facts = disk_facts(load(config), unix_now())
-    assert facts.stores == {"lineside.db": (config.parent / "data" / "lineside.db").stat().st_size}
-    assert facts.free > 0
-    assert facts.days is None
+    facts = disk_facts(load(config), unix_now()).shown
+    assert facts["stores"] == {"lineside.db": (config.parent / "data" / "lineside.db").stat().st_size}
+    assert facts["disk_free"] > 0
+    assert facts["disk_days"] is None
 
 
 def test_with_history_the_disk_has_a_forecast(config: Path) -> None:
@@ -96,7 +98,7 @@ def test_with_history_the_disk_has_a_forecast(config: Path) -> None:
     shelf.keep(polls(NOON, NOON + 120))
     shelf.fold()
     shelf.close()
-    days = disk_facts(load(config), UnixTime(NOON + 7200)).days
+    days = disk_facts(load(config), UnixTime(NOON + 7200)).shown["disk_days"]
     assert days is not None
     assert 0 < days <= MAX_DAYS
 
@@ -105,27 +107,25 @@ def test_a_certificate_has_its_end_or_cannot_be_read(config: Path) -> None:
     certificates(config.parent)
     tls = '[server.tls]\ncertificate = "server.pem"\nkey = "server.key"\nclient_ca = "none.pem"\n'
     config.write_text(config.read_text() + tls)
-    ends = {Path(each.file).name: each.ends_at for each in certificate_facts(load(config))}
-    end = ends["server.pem"]
-    assert end is not None
-    assert end > unix_now()
+    found = certificate_facts(load(config))
+    ends = {Path(each["file"]).name: each["ends"] for each in found.shown["certificates"]}
+    assert datetime.fromisoformat(ends["server.pem"]).timestamp() > unix_now()
     assert ends["none.pem"] is None
+    assert [line.code for line in found.lines] == ["status_certificate", "status_certificate_unreadable"]
 
 
 def test_backups_are_those_of_the_folder(config: Path) -> None:
-    assert backup_facts(load(config), unix_now()) is None
+    assert backup_facts(load(config), unix_now()).shown == {"backup": None}
     config.write_text(config.read_text() + '[backup]\nfolder = "copies"\nat = "02:30"\n')
     now = UnixTime(1_795_690_800.0)  # 2026-11-26, 12:00 at the site
-    missing = backup_facts(load(config), now)
-    assert missing is not None
-    assert (missing.is_there, missing.newest, missing.next) == (False, None, now)
+    missing = backup_facts(load(config), now).shown["backup"]
+    assert (missing["is_there"], missing["newest"], missing["next"]) == (False, None, iso(now))
     file = config.parent / "copies" / "lineside-2026-11-26-023000.tar"
     file.parent.mkdir()
     file.touch()
     os.utime(file, (float(now) - 34_200, float(now) - 34_200))
-    found = backup_facts(load(config), now)
-    assert found is not None
-    assert (found.newest, found.next) == (now - 34_200, now + 52_200)
+    found = backup_facts(load(config), now).shown["backup"]
+    assert (found["newest"], found["next"]) == (iso(now - 34_200), iso(now + 52_200))
 
 
 def test_one_screen_and_the_same_facts_as_json(config: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.site.support_bundle import bundle, parts
+from app.cli.support_bundle import bundle, parts
 from tests import fork_server
 from tests.e2e.site import PASSWORD, add_people
 

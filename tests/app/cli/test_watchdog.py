@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.cli.serving.watchdog import MAX_MISSED, MAX_MISSED_AT_START, Watchdog
+from app.cli.hosting import MAX_MISSED, MAX_MISSED_AT_START, Watchdog
 
 
 def looks_until_expired(watchdog: Watchdog) -> int:

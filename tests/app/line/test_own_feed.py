@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from app.cli.serving.server import OnlyFeed
+from app.cli.server import OnlyFeed
 from app.core.server.settings import TlsSettings
 from app.core.server.tls import Encryption
 from app.main import create_app

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.findings.check import oidc
+from app.cli.check import oidc
 from app.core.lifespan import StartError
 from app.people.auth import single_sign_on
 from app.settings import ConfigurationError, Settings, load

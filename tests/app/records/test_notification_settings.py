@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from app.cli.findings import check
+from app.cli import check
 from app.settings import load
 from tests.app.configured import faults_of
 from tests.app.notification_servers import mail_server, receiver

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli import cli
-from app.cli.findings.backup import backup_findings
+from app.cli.findings import backup as backup_findings
 from app.errors import StoreError
 from app.settings import load
 from app.system.backup.archive import WORKING

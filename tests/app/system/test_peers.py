@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from app.cli import cli
-from app.cli.findings.peers import peer_findings
+from app.cli.check import peers as peer_findings
 from app.core.web.access import Role
 from app.feature import Services
 from app.settings import ConfigurationError, load

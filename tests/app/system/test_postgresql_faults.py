@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from pydantic import ValidationError
 
-from app.cli.findings import check
+from app.cli import check
 from app.core.database import Database
 from app.core.web.access import Role
 from app.system.postgresql.publisher import Publisher, PublisherStatus

@@ -10,9 +10,9 @@ import psycopg
 import pytest
 from click.testing import CliRunner, Result
 
-from app.cli.site.audit import audit
-from app.cli.site.status import status
-from app.cli.stores.publish import publish
+from app.cli.audit import audit
+from app.cli.publish import publish
+from app.cli.status import status
 from app.core.web.access import Role
 from tests.app.plant_database import (
     SCALES,

@@ -1,0 +1,97 @@
+"""``lineside demo``: a simulated line and its dashboard, nothing to configure."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from app.cli.options import ADDRESS, TCP_PORT
+from app.cli.serve import listen, listen_from
+from app.core.server.service_manager import ServiceManager
+from app.errors import StoreError
+from app.settings import load
+from bus.instants import monotonic_now
+from bus.messages import Message
+from bus.settings import UnitSettings
+from bus.worker.process import tied_environment
+
+HOST, PORT = "127.0.0.1", 8000
+CHOOSE = Message("choose_port_demo")
+
+
+@click.command
+@click.option("--units", type=ADDRESS, default=8, help="Number of units.")
+@click.option(
+    "--port", type=TCP_PORT, help=f"Port of the dashboard; without it {PORT}, or the next that is free."
+)
+def demo(units: int, port: int | None) -> None:
+    """Run a simulated line with a past and its dashboard until Ctrl-C. Its data is deleted afterwards."""
+    since = monotonic_now()
+    with (
+        listen_from(HOST, PORT, CHOOSE) if port is None else listen(HOST, port, CHOOSE) as listening,
+        tempfile.TemporaryDirectory(prefix="lineside-demo-") as folder,
+    ):
+        here, taken = Path(folder), listening.getsockname()[1]
+        with _simulator(units, here / "line") as begun:
+            # The simulator begins in its own process while this one reads the rest.
+            from app.cli.hosting import host
+            from app.cli.past import write_past
+            from bus.simulator.plant import demo_line
+
+            line, config = demo_line(units), here / "lineside.toml"
+            config.write_text(configuration(here / "line", taken, line.settings), encoding="utf-8")
+            settings = load(config)
+            write_past(settings, line)
+            begun()
+            host(settings, config, listening, ServiceManager(), since, demo=True)
+
+
+@contextmanager
+def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
+    """``lineside simulate`` as a child process; the context begins when its port exists."""
+    called = [sys.executable, "-P", "-m", "app.cli", "simulate", "--units", str(units), "--link", str(link)]
+    process = subprocess.Popen(
+        called, stdout=subprocess.PIPE, env=tied_environment(), process_group=0, text=True
+    )
+    output = process.stdout
+
+    def begun() -> None:
+        if output is None or not output.readline():
+            raise StoreError(Message("simulator_not_started"))
+
+    with process:
+        try:
+            yield begun
+        finally:
+            # It keeps nothing: its port is in the folder that is deleted.
+            process.kill()
+
+
+def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:
+    """The lineside.toml of a demo."""
+    unit = [each.model_dump(exclude_defaults=True) for each in units]
+    sections = {
+        "site": {"name": "Demo line", "simulated": True},
+        "server": {"port": port},
+        "bus": [{"name": "demo", "port": str(line), "draw_percent": [-0.5, 1.0], "unit": unit}],
+    }
+    return "".join(f"{name} = {_toml(value)}\n" for name, value in sections.items())
+
+
+def _toml(value: Any) -> str:
+    """A value in one line of TOML, which has the strings, numbers and truth values of JSON."""
+    match value:
+        case dict():
+            return "{" + ", ".join(f"{json.dumps(key)} = {_toml(each)}" for key, each in value.items()) + "}"
+        case list() | tuple():
+            return "[" + ", ".join(_toml(each) for each in value) + "]"
+        case _:
+            return json.dumps(value)

@@ -1,1 +1,0 @@
-"""What an administrator sets up: configuration, accounts, certificates, the service."""

@@ -1,1 +1,0 @@
-"""A line without drives: simulated units, and a site that shows them."""

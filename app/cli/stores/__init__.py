@@ -1,1 +1,0 @@
-"""Stores as files: copied, restored."""

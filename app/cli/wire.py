@@ -1,0 +1,340 @@
+"""``lineside decode``: the meaning of the frames in some bytes.
+
+``lineside scan``: which addresses respond, at which baud, what they are. It reads only.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from app.cli.options import ADDRESS, PATH, json_option
+from app.cli.process import complain, report, wrong_option
+from app.core.web.shape import maybe_shown, message_shown
+from app.line.commands.api.trace_file import is_trace_line, parse_trace_line
+from bus.contract import Frame
+from bus.errors import CallerError, LinesideError
+from bus.line.examination import PASSES, Found, conclude, no_response_s, settings_seen
+from bus.line.scanner import BaudScan, scan_baud
+from bus.messages import Message, listed, number
+from bus.settings import BAUDS, Dialect, check_port
+from bus.validation import without_credentials
+from bus.wire.describe import Described, DescribedNoise, Describer, describe_bytes
+from bus.wire.framing import FrameDecoder
+
+_SEPARATORS = re.compile(r"[\s,;:\[\]]+|0[xX]|\\x")
+_HEX = re.compile(r"(?:[0-9a-fA-F]{2})+")
+_STANDARD_INPUT = "-"
+
+
+@click.command
+@click.argument("hex_bytes", nargs=-1, metavar="HEX…", help="Bytes as hex; - reads standard input.")
+@click.option("--file", type=PATH, help="A trace file, or a file of hex.")
+@json_option
+def decode(hex_bytes: tuple[str, ...], file: Path | None, as_json: bool) -> None:
+    """Decode frames. Exit 0, 1 when no frame is valid, 2 when the bytes are not hex."""
+    found = decode_text(_given_text(hex_bytes, file))
+    frames = [item for item in found if isinstance(item, Described)]
+    if as_json:
+        click.echo(json.dumps([frame.as_json() for frame in frames]))
+    else:
+        for item in found:
+            click.echo(f"{item.wire.hex(' ').upper()}\n    {item.meaning}")
+    if not any(frame.checksum_ok for frame in frames):
+        complain(Message("no_valid_frame"))
+        raise click.exceptions.Exit(1)
+
+
+def decode_text(text: str) -> list[Described | DescribedNoise]:
+    """The content of a trace or a run of hex. Raises CallerError when it is neither."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    if any(is_trace_line(line) for line in lines):
+        return _decode_trace([parse_trace_line(line) for line in lines])
+    return describe_bytes(parse_hex(text))
+
+
+def parse_hex(text: str) -> bytes:
+    """Bytes from hex in any case, with or without 0x, blanks, commas, brackets.
+
+    Raises CallerError naming the invalid part.
+    """
+    tokens = [token for token in _SEPARATORS.split(text) if token]
+    if not tokens:
+        raise CallerError(Message("bytes_missing"))
+    for token in tokens:
+        if not _HEX.fullmatch(token):
+            raise CallerError(Message.of("bytes_malformed", text=token[:40]))
+    return bytes.fromhex("".join(tokens))
+
+
+def _decode_trace(traced: list[Frame]) -> list[Described | DescribedNoise]:
+    """Each direction is a separate stream; a response is decoded with the request before it."""
+    dialect = Dialect()
+    describer = Describer(dialect)
+    streams = {"out": FrameDecoder(dialect), "in": FrameDecoder(dialect)}
+    described = [
+        item for frame in traced for item in describer.describe(streams[frame.direction].feed(frame.data))
+    ]
+    for stream in streams.values():
+        described += describer.describe(stream.flush())
+    return described
+
+
+def _given_text(hex_bytes: tuple[str, ...], file: Path | None) -> str:
+    if file is not None:
+        if hex_bytes:
+            raise CallerError(Message("bytes_and_file"))
+        return file.read_text(encoding="utf-8", errors="replace")
+    if hex_bytes == (_STANDARD_INPUT,):
+        return sys.stdin.read()
+    return " ".join(hex_bytes)
+
+
+FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
+"""9600 is the default of a unit, and the quickest to try."""
+INTERRUPTED = 130
+"""As a shell reports a program that SIGINT ended."""
+BUS_NAME = "line-1"
+_SOCKET = "socket://"
+_KINDS = {"digimax": "found_digimax", "garbled": "found_kind_garbled", "foreign": "found_kind_foreign"}
+
+
+@click.command
+@click.option("--port", required=True, help="A device path, socket://host:port or rfc2217://host:port.")
+@click.option(
+    "--baud",
+    type=click.Choice(FASTEST_FIRST),
+    help="Only this baud rate; else all six, fastest first, until a unit responds.",
+)
+@click.option("--first", type=ADDRESS, default=1, help="The first address to poll.")
+@click.option("--last", type=ADDRESS, default=255, help="The last address to poll.")
+@click.option(
+    "--turnaround-ms",
+    type=click.FloatRange(0, 5000),
+    default=50.0,
+    help="Milliseconds that a unit may take to start its response.",
+)
+@click.option("--every-baud", is_flag=True, help="Scan at all six baud rates, even after a response.")
+@json_option
+@click.option("--toml", "as_toml", is_flag=True, help="The result as a [[bus]] to paste into lineside.toml.")
+def scan(
+    port: str,
+    baud: int | None,
+    first: int,
+    last: int,
+    turnaround_ms: float,
+    every_baud: bool,
+    as_json: bool,
+    as_toml: bool,
+) -> None:
+    """Poll every address, twice without a response; nothing is written to any unit.
+
+    Exit 0 when a unit responded, 1 when none did, 130 when interrupted by Ctrl-C. The JSON has the reason as
+    `failure` unless it is 0.
+    """
+    _refuse_wrong_use(port, first, last, as_json and as_toml)
+    bauds, turnaround_s = bauds_to_try(port, baud), turnaround_ms / 1000
+    addresses = range(first, last + 1)
+    report(announcement(port, bauds, addresses, turnaround_s, every_baud), err=True)
+    scans: list[BaudScan] = []
+    failures, code = [], 1
+    try:
+        asyncio.run(scan_bauds(scans, port, bauds, addresses, turnaround_s, every_baud))
+    except LinesideError as error:
+        failures = [error.message, *([Message("scan_port_lost")] if units_of(scans) else [])]
+    except KeyboardInterrupt:
+        failures, code = [Message("scan_interrupted")], INTERRUPTED
+    is_complete = not failures
+    if is_complete and not units_of(scans):
+        failures = [Message.of("scan_no_response", bauds=[done.baud for done in scans])]
+    if as_json:
+        document = _document(port, scans, turnaround_ms)
+        why = maybe_shown(failures[0] if failures else None)
+        click.echo(json.dumps({**document, "complete": is_complete, "failure": why}))
+    elif as_toml and (is_complete or units_of(scans)):
+        click.echo(bus_table(port, units_of(scans), allowed_ms(scans)), nl=False)
+    elif not as_toml:
+        _print(scans, turnaround_ms)
+    for failure in failures:
+        complain(failure)
+    if failures:
+        raise click.exceptions.Exit(code)
+
+
+def _refuse_wrong_use(port: str, first: int, last: int, is_twofold: bool) -> None:
+    try:
+        check_port(port)
+    except ValueError as error:
+        raise wrong_option(
+            "--port", "option_port_refused", port=without_credentials(repr(port)), reason=error.args[0]
+        ) from error
+    if is_twofold:
+        raise wrong_option("--toml", "option_not_both", other="--json")
+    if first > last:
+        raise wrong_option("--first", "option_first_above_last", first=first, last=last)
+
+
+def bauds_to_try(port: str, baud: int | None) -> tuple[int, ...]:
+    """A device server sets its baud rate itself: 9600 is assumed for its pace."""
+    if baud is not None:
+        return (baud,)
+    return (9600,) if port.startswith(_SOCKET) else FASTEST_FIRST
+
+
+def announcement(
+    port: str, bauds: Sequence[int], addresses: range, turnaround_s: float, every_baud: bool
+) -> Message:
+    """What will be done and how long it takes, before it is done."""
+    seconds = [PASSES * len(addresses) * no_response_s(baud, turnaround_s) for baud in bauds]
+    which = Message.of(
+        "scan_addresses" if len(addresses) > 1 else "scan_address", first=addresses[0], last=addresses[-1]
+    )
+    one, all_of_them = _duration(seconds[0]), _duration(sum(seconds))
+    if len(bauds) == 1:
+        how_long = Message.of("scan_one_baud", baud=bauds[0], time=one)
+    elif every_baud:
+        how_long = Message.of("scan_all_bauds", time=all_of_them)
+    else:
+        how_long = Message.of("scan_slower_bauds", baud=bauds[0], time=one, most=all_of_them)
+    return Message.of("scan_begins", port=port, which=which, how_long=how_long)
+
+
+def _duration(seconds: float) -> Message:
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes:
+        return Message.of("duration_minutes", minutes=minutes, seconds=rest)
+    return Message.of("duration_seconds", seconds=max(rest, 1))
+
+
+async def scan_bauds(
+    scans: list[BaudScan],
+    port: str,
+    bauds: Sequence[int],
+    addresses: range,
+    turnaround_s: float,
+    every_baud: bool,
+) -> None:
+    """Scan at one baud rate after another, by default until one has a unit; each adds to ``scans`` as it
+    begins, so that an early end leaves what was found. Raises WireError."""
+    for baud in bauds:
+        scans.append(BaudScan(baud, turnaround_s))
+        length = PASSES * len(addresses)
+        with click.progressbar(length=length, label=f"{baud:>5} baud", file=sys.stderr) as bar:
+            await scan_baud(scans[-1], port, addresses, bar.update)
+        if scans[-1].found and not every_baud:
+            break
+
+
+def units_of(scans: Sequence[BaudScan]) -> list[Found]:
+    """What responded, in the order of the scan."""
+    return [one for done in scans for one in done.found]
+
+
+def allowed_ms(scans: Sequence[BaudScan]) -> int:
+    """What units were allowed to take in the end."""
+    return max((round(1000 * done.turnaround_s) for done in scans), default=0)
+
+
+def _remarks_on(scans: Sequence[BaudScan], turnaround_ms: float) -> list[Message]:
+    """What is said of the port as a whole."""
+    remarks = conclude(units_of(scans))
+    if any(done.echoes for done in scans):
+        remarks.append(Message("scan_echo"))
+    if (needed_ms := allowed_ms(scans)) > turnaround_ms:
+        remarks.append(Message.of("scan_turnaround", value=needed_ms))
+    return remarks
+
+
+def _document(port: str, scans: Sequence[BaudScan], turnaround_ms: float) -> dict[str, Any]:
+    found = units_of(scans)
+    return {
+        "port": port,
+        "bauds": [{"baud": done.baud, "seconds": round(done.seconds, 3)} for done in scans],
+        "units": [_unit_json(one) for one in found],
+        **_remarks(_remarks_on(scans, turnaround_ms)),
+        "settings": {**settings_seen(found), "turnaround_ms": allowed_ms(scans)},
+        "bus": bus_found(port, found, allowed_ms(scans)),
+    }
+
+
+def _print(scans: Sequence[BaudScan], turnaround_ms: float) -> None:
+    for one in units_of(scans):
+        report(_line(one))
+        for remark in one.remarks:
+            click.echo(f"    {remark}")
+    for remark in _remarks_on(scans, turnaround_ms):
+        report(remark)
+
+
+def _line(one: Found) -> Message:
+    traits = [Message(_KINDS[one.kind])]
+    if one.parameters:
+        traits.append(Message.of("found_parameters_to", last=one.parameters[-1]))
+    if one.remote is not None:
+        traits.append(Message("found_remote" if one.remote else "found_not_remote"))
+    if one.responds_within_s is not None:
+        traits.append(Message.of("found_responds_within", time=number(f"{1000 * one.responds_within_s:.1f}")))
+    return Message.of("unit_found", unit=one.unit, baud=one.baud, traits=listed(traits))
+
+
+def _unit_json(one: Found) -> dict[str, Any]:
+    responded = one.responds_within_s
+    return {
+        "id": one.unit,
+        "baud": one.baud,
+        "kind": one.kind,
+        "remote": one.remote,
+        "parameters": list(one.parameters),
+        "own_address": one.own_address,
+        "parameter_numbers": "bcd" if one.counts_in_bcd else "binary",
+        "checksum_10h": one.checksum_10h,
+        "parameter_reply_bytes": list(one.reply_bytes),
+        "estop_healthy": one.estop_healthy,
+        "turnaround_ms": None if responded is None else round(1000 * responded, 1),
+        **_remarks(one.remarks),
+    }
+
+
+def _remarks(remarks: Sequence[Message]) -> dict[str, Any]:
+    return {
+        "remarks": [str(remark) for remark in remarks],
+        "remark_messages": [message_shown(remark) for remark in remarks],
+    }
+
+
+def bus_found(port: str, found: Sequence[Found], turnaround_ms: float) -> dict[str, Any]:
+    """Return the ``[[bus]]`` of a scan, with its drives in the order of addresses. A bus has one baud rate:
+    that of most units. ``turnaround_ms``: what was needed."""
+    drives = [one for one in found if one.kind == "digimax"]
+    baud = Counter(one.baud for one in drives).most_common(1)[0][0] if drives else 9600
+    own = [one for one in drives if one.baud == baud]
+    settings = {key: value for key, value in settings_seen(own).items() if value is not None}
+    units = [{"id": one.unit, "name": f"Unit {one.unit}"} for one in own]
+    bus = {"name": BUS_NAME, "port": port, "baud": baud, "turnaround_ms": turnaround_ms}
+    return {**bus, **settings, "unit": units}
+
+
+def bus_table(port: str, found: Sequence[Found], turnaround_ms: float) -> str:
+    """Return the bus as TOML, with a comment for each device that is not part of it."""
+    bus = bus_found(port, found, turnaround_ms)
+    tables = [("[[bus]]", bus), *(("\n[[bus.unit]]", unit) for unit in bus["unit"])]
+    lines = [
+        line
+        for head, table in tables
+        for line in (head, *(f"{key} = {json.dumps(table[key])}" for key in table if key != "unit"))
+    ]
+    own = {(unit["id"], bus["baud"]) for unit in bus["unit"]}
+    lines += [
+        f"# Address {one.unit} at {one.baud} baud: {one.kind}."
+        for one in found
+        if (one.unit, one.baud) not in own
+    ]
+    return "".join(f"{line}\n" for line in lines)

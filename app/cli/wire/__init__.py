@@ -1,1 +1,0 @@
-"""Commands that need a port or the bytes of one, and no site."""
