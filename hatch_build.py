@@ -22,6 +22,8 @@ from babel.messages.pofile import read_po
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 VENDORED = {
+    "@fontsource-variable/inter/LICENSE": "licences/Inter.txt",
+    "@fontsource-variable/inter/files/inter-latin-wght-normal.woff2": "inter.woff2",
     "htmx.org/dist/htmx.min.js": "htmx.min.js",
     "htmx.org/LICENSE": "licences/htmx.txt",
     "uplot/dist/uPlot.iife.min.js": "uPlot.iife.min.js",

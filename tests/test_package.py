@@ -45,8 +45,8 @@ def test_it_holds_third_party_files_with_their_licences(wheel: Path) -> None:
     held = {
         name.removeprefix(vendor) for name in zipfile.ZipFile(wheel).namelist() if name.startswith(vendor)
     }
-    assert {"htmx.min.js", "uPlot.iife.min.js", "uPlot.min.css"} < held
-    assert {"licences/htmx.txt", "licences/uPlot.txt"} < held
+    assert {"htmx.min.js", "inter.woff2", "uPlot.iife.min.js", "uPlot.min.css"} < held
+    assert {"licences/Inter.txt", "licences/htmx.txt", "licences/uPlot.txt"} < held
 
 
 def test_it_holds_nothing_that_is_only_for_development(wheel: Path) -> None:

@@ -1,7 +1,8 @@
 // The speed of a unit from a minute before its alarm came: ten minutes, with a mark where it came.
 import "./main.js";
 import { now } from "./clock.js";
-import { build, inUnitsDecimals, outline, path, range } from "./minutes.js";
+import { build, inUnitsDecimals } from "./minutes.js";
+import { outline, path, range } from "./spark.js";
 import { formatTime } from "./site-time.js";
 
 const BEFORE_S = 60;

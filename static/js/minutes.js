@@ -6,29 +6,16 @@ import { now } from "./clock.js";
 import { fetchAlarms, fetchMarks } from "./history-requests.js";
 import { isLive } from "./live.js";
 import { formatTime } from "./site-time.js";
+import { drawing, fetchMinutes, outline, path, range, SPAN_S } from "./spark.js";
 import { language, word } from "./words.js";
 
-const SPAN_S = 600;
 const EVERY_MS = 5000;
 const FLAGS_EVERY_MS = 15_000;
-const [WIDTH, HEIGHT] = [600, 100];
-const SVG = "http://www.w3.org/2000/svg";
-
-/** @param {string} className */
-export function path(className) {
-  const line = document.createElementNS(SVG, "path");
-  line.setAttribute("class", className);
-  return line;
-}
 
 /** @param {HTMLElement} figure */
 export function build(figure) {
-  const svg = document.createElementNS(SVG, "svg");
-  svg.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
-  svg.setAttribute("preserveAspectRatio", "none");
-  svg.setAttribute("aria-hidden", "true");
   const lines = { commanded: path("minutes__commanded"), actual: path("minutes__actual") };
-  svg.append(lines.commanded, lines.actual);
+  const svg = drawing(lines.commanded, lines.actual);
   const labels = ["most", "least", "from", "now"].map((name) => {
     const label = document.createElement("span");
     label.className = `minutes__${name}`;
@@ -77,37 +64,6 @@ async function drawFlags(unit, { flags }) {
   flags.replaceChildren(...set, ...came);
 }
 
-/** The range to draw: never so narrow that noise looks like movement.
- * @param {(number | null)[]} all */
-export function range(all) {
-  const known = all.filter((value) => value !== null);
-  if (!known.length) return null;
-  const [least, most] = [Math.min(...known), Math.max(...known)];
-  const pad = Math.max((most - least) * 0.1, Math.abs(most) * 0.01, 0.1);
-  return { least: Math.max(0, least - pad), most: most + pad };
-}
-
-/** @param {Spark} spark @param {number} from @param {Scale} scale @param {boolean} step */
-export function outline({ t, avg }, from, { least, most }, step) {
-  let d = "";
-  let pen = false;
-  let y = "";
-  for (let i = 0; i < t.length; i += 1) {
-    const drawn = avg[i];
-    if (drawn === null) {
-      pen = false;
-      continue;
-    }
-    const x = (((t[i] - from) / SPAN_S) * WIDTH).toFixed(1);
-    const next = (HEIGHT - ((drawn - least) / (most - least)) * HEIGHT).toFixed(1);
-    if (pen && step) d += `L${x} ${y}`;
-    d += `${pen ? "L" : "M"}${x} ${next}`;
-    y = next;
-    pen = true;
-  }
-  return d;
-}
-
 /** A number with as many decimals as the unit itself shows.
  * @param {string} unit @param {number} number */
 export function inUnitsDecimals(unit, number) {
@@ -120,22 +76,12 @@ export function inUnitsDecimals(unit, number) {
 /** @param {string} unit @param {ReturnType<typeof build>} parts */
 async function draw(unit, { lines, labels }) {
   if (!isLive() || document.visibilityState !== "visible") return;
-  const to = now();
-  const query = new URLSearchParams([
-    ["series", `${unit}/actual`],
-    ["series", `${unit}/commanded`],
-    ["from", new Date((to - SPAN_S) * 1000).toISOString()],
-    ["to", new Date(to * 1000).toISOString()],
-    ["format", "epoch"],
-  ]);
-  const response = await fetch(`/api/v1/history/sparks?${query}`, { signal: AbortSignal.timeout(4000) });
-  if (!response.ok) return;
-  const found = await response.json();
+  const { from, found } = await fetchMinutes([unit]);
   const [actual, commanded] = [found[`${unit}/actual`], found[`${unit}/commanded`]];
   const scale = range([...actual.avg, ...commanded.avg]);
   if (!scale) return;
-  lines.actual.setAttribute("d", outline(actual, to - SPAN_S, scale, false));
-  lines.commanded.setAttribute("d", outline(commanded, to - SPAN_S, scale, true));
+  lines.actual.setAttribute("d", outline(actual, from, scale, false));
+  lines.commanded.setAttribute("d", outline(commanded, from, scale, true));
   labels[0].textContent = inUnitsDecimals(unit, scale.most);
   labels[1].textContent = inUnitsDecimals(unit, scale.least);
 }

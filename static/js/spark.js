@@ -1,0 +1,70 @@
+// The curve of ten minutes, as an SVG path: of a unit's page, of its tile, of an alarm. A gap stays a gap.
+import { now } from "./clock.js";
+
+export const SPAN_S = 600;
+export const [WIDTH, HEIGHT] = [600, 100];
+const SVG = "http://www.w3.org/2000/svg";
+
+/** A drawing that is stretched to its place.
+ * @param {...SVGPathElement} lines */
+export function drawing(...lines) {
+  const svg = document.createElementNS(SVG, "svg");
+  svg.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
+  svg.setAttribute("preserveAspectRatio", "none");
+  svg.setAttribute("aria-hidden", "true");
+  svg.append(...lines);
+  return svg;
+}
+
+/** @param {string} className */
+export function path(className) {
+  const line = document.createElementNS(SVG, "path");
+  line.setAttribute("class", className);
+  return line;
+}
+
+/** Actual and commanded speed of units over the last ten minutes: by `unit/value`, and when they begin.
+ * @param {string[]} units @returns {Promise<{ from: number, found: Record<string, Spark> }>} */
+export async function fetchMinutes(units) {
+  const to = now();
+  const query = new URLSearchParams({
+    from: new Date((to - SPAN_S) * 1000).toISOString(),
+    to: new Date(to * 1000).toISOString(),
+    format: "epoch",
+  });
+  for (const unit of units) for (const value of ["actual", "commanded"]) query.append("series", `${unit}/${value}`);
+  const response = await fetch(`/api/v1/history/sparks?${query}`, { signal: AbortSignal.timeout(4000) });
+  if (!response.ok) throw new Error(String(response.status));
+  return { from: to - SPAN_S, found: await response.json() };
+}
+
+/** The range to draw: never so narrow that noise looks like movement.
+ * @param {(number | null)[]} all */
+export function range(all) {
+  const known = all.filter((value) => value !== null);
+  if (!known.length) return null;
+  const [least, most] = [Math.min(...known), Math.max(...known)];
+  const pad = Math.max((most - least) * 0.1, Math.abs(most) * 0.01, 0.1);
+  return { least: Math.max(0, least - pad), most: most + pad };
+}
+
+/** @param {Spark} spark @param {number} from @param {Scale} scale @param {boolean} step */
+export function outline({ t, avg }, from, { least, most }, step) {
+  let d = "";
+  let pen = false;
+  let y = "";
+  for (let i = 0; i < t.length; i += 1) {
+    const drawn = avg[i];
+    if (drawn === null) {
+      pen = false;
+      continue;
+    }
+    const x = (((t[i] - from) / SPAN_S) * WIDTH).toFixed(1);
+    const next = (HEIGHT - ((drawn - least) / (most - least)) * HEIGHT).toFixed(1);
+    if (pen && step) d += `L${x} ${y}`;
+    d += `${pen ? "L" : "M"}${x} ${next}`;
+    y = next;
+    pen = true;
+  }
+  return d;
+}
