@@ -100,30 +100,67 @@ export const amountOf = (tool, text) =>
  * @param {Element} element */
 const canBeSet = (element) => !element.closest("[inert]") && element.checkVisibility();
 
-/** @param {HTMLElement} form @param {string} tool */
-function fillIn(form, tool) {
-  const source = /** @type {HTMLInputElement} */ (form.querySelector(`[data-together="${tool}"]`));
-  const by = amountOf(tool, source.value);
-  source.setAttribute("aria-invalid", Number.isNaN(by) ? "true" : "false");
+/** The fields of selected units that can be set now, each with the setpoint of its unit.
+ * @param {HTMLElement} form */
+function selected(form) {
+  const rows = Array.from(form.querySelectorAll("tr[data-unit]:has([data-tick]:checked) [data-new]"));
+  const fields = /** @type {HTMLInputElement[]} */ (rows).filter((field) => field.dataset.new && canBeSet(field));
+  return fields.map((field) => ({ field, setpoint: value(`${field.dataset.new}.setpoint`) }));
+}
+
+/** Say why nothing was filled in; an empty text clears the place.
+ * @param {HTMLElement} form @param {string} text */
+function refuse(form, text) {
   const fault = document.createElement("p");
   fault.className = "field__error";
-  if (Number.isNaN(by)) fault.textContent = source.value.trim() ? word("noNumber", source.value) : word("empty");
-  form.querySelector("[role=status]").replaceChildren(...(fault.textContent ? [fault] : []));
-  if (Number.isNaN(by)) return source.focus();
-  for (const row of form.querySelectorAll("tr[data-unit]")) {
-    const field = row.querySelector("[data-new]");
-    if (!field?.dataset.new || !canBeSet(field) || !row.querySelector("[data-tick]")?.checked) continue;
-    const setpoint = value(`${field.dataset.new}.setpoint`);
+  fault.textContent = text;
+  form.querySelector("[role=status]").replaceChildren(...(text ? [fault] : []));
+}
+
+/** @param {HTMLElement} form */
+function enter(form) {
+  const source = /** @type {HTMLInputElement} */ (form.querySelector("[data-together]"));
+  const tool = source.dataset.together ?? "";
+  const by = amountOf(tool, source.value);
+  const fields = selected(form);
+  source.setAttribute("aria-invalid", Number.isNaN(by) ? "true" : "false");
+  if (Number.isNaN(by)) {
+    refuse(form, source.value.trim() ? word("noNumber", source.value) : word("empty"));
+    return source.focus();
+  }
+  refuse(form, fields.length ? "" : word("noneSelected"));
+  for (const { field, setpoint } of fields) {
     const text = tool === "value" ? source.value.trim() : changed(tool, setpoint, by);
     if (text !== null) field.value = text;
   }
 }
 
-/** @param {HTMLElement} form @param {string} what */
-function together(form, what) {
-  if (what in TOOLS || what === "value") return fillIn(form, what);
-  for (const tick of form.querySelectorAll("[data-tick]")) tick.checked = what === "all" && canBeSet(tick);
-  if (what === "clear") for (const field of form.querySelectorAll("[data-new]")) field.value = "";
+/** Change what is entered, or else the setpoint, by percent of each unit's own setpoint: twice +5 % is +10 %.
+ * @param {HTMLElement} form @param {number} percent */
+function step(form, percent) {
+  const fields = selected(form);
+  refuse(form, fields.length ? "" : word("noneSelected"));
+  for (const { field, setpoint } of fields) {
+    const present = numberOf(changed("offset", setpoint, 0) ?? "");
+    if (Number.isNaN(present)) continue;
+    const entered = numberOf(field.value);
+    const more = (Number.isNaN(entered) ? 0 : entered - present) + (present * percent) / 100;
+    field.value = changed("offset", setpoint, more) ?? "";
+  }
+}
+
+/** @param {HTMLElement} form @param {HTMLElement} button */
+function together(form, { dataset: { togetherDo: what, by = "" } }) {
+  if (what === "enter") return enter(form);
+  if (what === "step") return step(form, numberOf(by));
+  if (what === "clear") return clear(form);
+  for (const tick of form.querySelectorAll("[data-tick]")) tick.checked = canBeSet(tick);
+}
+
+/** @param {HTMLElement} form */
+function clear(form) {
+  for (const tick of form.querySelectorAll("[data-tick]")) tick.checked = false;
+  for (const field of form.querySelectorAll("[data-new]")) field.value = "";
 }
 
 /** A completed change is no draft: the next change starts with empty fields. */
@@ -134,10 +171,10 @@ function forgetDone() {
     if (target.matches("[data-setpoints]")) reviewed = target;
   });
   document.addEventListener("lineside:added", ({ detail: form }) => {
-    if (form?.matches("[data-setpoints]")) together(form, "clear");
+    if (form?.matches("[data-setpoints]")) clear(form);
   });
   document.addEventListener("lineside:done", ({ detail }) => {
-    if (detail === "good" && reviewed) together(reviewed, "clear");
+    if (detail === "good" && reviewed) clear(reviewed);
     reviewed = null;
   });
 }
@@ -155,7 +192,7 @@ export function start() {
     if (!button) return;
     const { pad, togetherDo } = button.dataset;
     if (pad) press(fieldOf(button), pad);
-    else if (togetherDo) together(/** @type {HTMLFormElement} */ (button.closest("form")), togetherDo);
+    else if (togetherDo) together(/** @type {HTMLFormElement} */ (button.closest("form")), button);
     else {
       const input = (button.closest("form, td") ?? document).querySelector(
         "input:not([type=hidden], [type=checkbox])",
@@ -164,6 +201,11 @@ export function start() {
       input.dispatchEvent(new Event("input", { bubbles: true }));
       input.focus();
     }
+  });
+  document.addEventListener("change", ({ target }) => {
+    const tool = /** @type {HTMLSelectElement | null} */ (target.closest("[data-together-tool]"));
+    const source = tool?.parentElement?.querySelector("[data-together]");
+    if (tool && source) source.setAttribute("data-together", tool.value);
   });
   // Scrolling never changes a value.
   document.addEventListener(

@@ -107,7 +107,7 @@ def test_a_group_change_opens_at_its_head_and_its_result_at_the_verdict(
     page = opened(shared_page("operator", viewport={"width": width, "height": 520}), "/setpoints")
     page.locator("[data-together-do=all]").click()
     page.locator("[data-together=scale]").fill("101")
-    page.locator("[data-together-do=scale]").click()
+    page.locator("[data-together-do=enter]").click()
     page.locator("form[data-setpoints] [type=submit]").click()
     act = page.locator("[data-review-act]")
     expect(page.locator("#review-title")).to_be_in_viewport(ratio=1)

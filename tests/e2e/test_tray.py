@@ -168,9 +168,10 @@ def test_twelve_units_take_six_presses_and_the_number(site: Site, page: Page) ->
     # On a busy machine a unit may respond late, and is left out then.
     expect(page.locator("[data-quality]:not([data-quality=online])")).to_have_count(0)
     press(page.get_by_role("button", name="Select all"))
-    press(page.get_by_label("One value for all", exact=True))
+    page.get_by_label("What to enter").select_option("value")
+    press(page.get_by_label("Value for all selected", exact=True))
     page.keyboard.type("80.0")
-    press(page.get_by_role("button", name="Enter values: One value for all"))
+    press(page.get_by_role("button", name="Enter values"))
     press(page.get_by_role("button", name="Review the change"))
     press(page.get_by_role("button", name=f"Set {UNITS} units now"))
     expect(page.locator("[data-review-done=good]")).to_be_visible(timeout=UNIT_MS)

@@ -122,13 +122,13 @@ def test_all_that_a_module_imports_is_known_at_once(tmp_path: Path) -> None:
 
 async def test_a_page_preloads_exactly_the_imports_of_its_first_module(house: House) -> None:
     client = await house.program(Role.VIEWER)
-    for path, first in (("/", "main"), ("/trends", "trends")):
+    for path, first, beside in (("/", "main", ("faceplate", "tile-spark")), ("/trends", "trends", ())):
         page = (await client.get(path)).text
         request = re.findall(r'<link rel="modulepreload" href="([^"]+)">', page)
         assert request == house.services[Assets].imports(f"js/{first}.js")
         assert re.findall(r'<script type="module" src="([^"]+)">', page) == [
             house.services[Assets].url(f"js/{first}.js"),
-            *(map(house.services[Assets].url, ("js/faceplate.js", "js/tile-spark.js")) if path == "/" else []),
+            *[house.services[Assets].url(f"js/{name}.js") for name in beside],
         ]
 
 
