@@ -1,5 +1,8 @@
+"""What open pages are sent, how often, and how many of them there may be."""
+
 from __future__ import annotations
 
+import asyncio
 import json
 from dataclasses import dataclass, field
 from functools import partial
@@ -9,16 +12,162 @@ import pytest
 
 from app.core.web.assets import Assets, static_dir, templates_dir
 from app.core.web.templating import Templates
-from app.line.live.browser import Browser
+from app.line.live.browser import Browser, Diff
 from app.line.live.bus_live import LiveState
-from app.line.live.hub import Hub
-from app.line.live.requests import key_of, new_command_id
+from app.line.live.hub import FEW_PAGES, FLOOD, MAX_SENDS_S, WINDOW_S, Broadcast, Flow, Hub, Watched
+from app.line.live.requests import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, Admission, key_of, new_command_id
 from app.line.live.screen import Screen
 from app.settings import Site
 from bus.contract import BusFigures, Frame, Frames, Progress, UnitFigures
 from bus.messages import term
 from tests.app.played_sources import played_sources
-from tests.app.screens import line, reading
+from tests.app.screens import line, reading, screen
+
+
+def flow() -> tuple[Flow, list[float]]:
+    now = [100.0]
+    return Flow(lambda: now[0]), now
+
+
+def test_what_one_wire_brings_is_never_held_up() -> None:
+    made, now = flow()
+    for _ in range(200):
+        now[0] += 1 / 38.4
+        made.came()
+        assert made.pause_s() == 0.0
+
+
+def test_a_flood_is_sent_once_per_window_until_it_is_over() -> None:
+    made, now = flow()
+    made.came(FLOOD + 1)
+    assert made.pause_s() == 0.0, "a burst is sent at once"
+    made.sent()
+    assert made.pause_s() == WINDOW_S, "and what follows it later"
+    now[0] += WINDOW_S
+    made.came()
+    made.sent()
+    assert made.pause_s() == WINDOW_S, "the next window begins flooded"
+    now[0] += WINDOW_S
+    made.came()
+    made.sent()
+    assert made.pause_s() == 0.0, "that window was quiet"
+
+
+def test_very_many_pages_share_what_the_server_can_send() -> None:
+    made, now = flow()
+    made.share(200)
+    made.came()
+    assert made.pause_s() == 0.0, "the first is sent at once"
+    made.sent()
+    made.came()
+    assert made.pause_s() == pytest.approx(200 / MAX_SENDS_S)
+    now[0] += 1.01 * 200 / MAX_SENDS_S
+    assert made.pause_s() == 0.0
+
+
+def test_a_few_pages_get_every_response() -> None:
+    made, _now = flow()
+    made.share(200)
+    made.share(FEW_PAGES)
+    made.sent()
+    made.came()
+    assert made.pause_s() == 0.0
+
+
+GROUP = "dry/1"
+
+
+def broadcast() -> Broadcast:
+    return Broadcast(screen(line()), lambda: 100.0)
+
+
+async def sent_by(browser: Browser) -> list[dict[str, Any]]:
+    return [json.loads(text) for text in await browser.next()]
+
+
+def joined(made: Broadcast) -> Browser:
+    browser = Browser("anna", "operator", "en")
+    made.join(browser)
+    return browser
+
+
+async def test_a_snapshot_states_what_a_page_is_rendered_with() -> None:
+    made = Broadcast(screen(line()), lambda: 100.0, "3f9a")
+    (snapshot,) = await sent_by(joined(made))
+    assert snapshot["digest"] == "3f9a"
+
+
+async def test_few_pages_are_updated_at_once() -> None:
+    made = broadcast()
+    browser = joined(made)
+    made.publish({GROUP: {"actual": "1"}})
+    made.publish({GROUP: {"actual": "2"}})
+    assert made.number == 2
+    snapshot, diff = await sent_by(browser)
+    assert (snapshot["n"], diff["p"], diff["n"], diff["f"]) == (0, 0, 2, {GROUP: {"actual": "2"}})
+
+
+async def test_among_very_many_delayed_changes_go_as_one() -> None:
+    made = broadcast()
+    made.flow.share(FEW_PAGES + 1)
+    browser = joined(made)
+    made.publish({GROUP: {"actual": "1"}})
+    await sent_by(browser)
+    made.publish({GROUP: {"actual": "2", "mode": "local"}})
+    made.publish({GROUP: {"actual": "3"}})
+    assert made.number == 1
+    async with asyncio.timeout(30):
+        (diff,) = await sent_by(browser)
+    assert (diff["p"], diff["n"], diff["f"]) == (1, 2, {GROUP: {"actual": "3", "mode": "local"}})
+
+
+async def test_a_page_that_opens_meanwhile_misses_no_number() -> None:
+    made = broadcast()
+    made.flow.share(FEW_PAGES + 1)
+    joined(made)
+    made.publish({GROUP: {"actual": "1"}})
+    made.publish({GROUP: {"actual": "2"}})
+    late = joined(made)
+    ((snapshot,), (diff,)) = (await sent_by(late), await sent_by(late))
+    assert (snapshot["n"], diff["p"]) == (1, 1)
+
+
+async def test_nothing_is_kept_without_pages() -> None:
+    made = broadcast()
+    made.flow.share(FEW_PAGES + 1)
+    browser = joined(made)
+    made.publish({GROUP: {"actual": "1"}})
+    made.publish({GROUP: {"actual": "2"}})
+    made.leave(browser)
+    made.publish({GROUP: {"actual": "3"}}, always=True)
+    assert made.number == 1
+    await sent_by(joined(made))
+    made.flow.share(1)
+    made.publish({}, always=True)
+    assert made.number == 2
+
+
+@pytest.mark.parametrize(("always", "number"), [(False, 0), (True, 1)])
+async def test_without_changes_only_a_heartbeat_is_sent(always: bool, number: int) -> None:
+    made = broadcast()
+    joined(made)
+    made.publish({}, always=always)
+    assert made.number == number
+
+
+async def test_no_reader_is_always_the_last() -> None:
+    made, order = broadcast(), list[str]()
+
+    class Noting(Browser):
+        def send_diff(self, diff: Diff) -> None:
+            order.append(self.name)
+            super().send_diff(diff)
+
+    for name in "abc":
+        made.join(Noting(name, "operator", "en"))
+    for n in range(3):
+        made.publish({GROUP: {"actual": str(n)}})
+    assert {order[n : n + 3][-1] for n in (0, 3, 6)} == {"a", "b", "c"}
 
 
 @dataclass
@@ -227,3 +376,38 @@ async def test_the_time_of_an_alarm_is_that_of_the_day_on_which_it_is_read() -> 
     world.hub.tick()
     messages = await sent(browser)
     assert {"state": "day 1"} in [message["f"].get("alarms_present") for message in messages]
+
+
+def test_an_account_has_so_many_pages_and_another_has_its_own() -> None:
+    admission = Admission()
+    assert all(admission.enter("ann", f"a{n}") for n in range(MAX_OF_ACCOUNT))
+    assert not admission.enter("ann", "b")
+    assert admission.enter("ben", "b")
+    admission.leave("ann", "a0")
+    assert admission.enter("ann", "b")
+
+
+def test_an_address_has_so_many_pages() -> None:
+    admission = Admission()
+    assert all(admission.enter(f"p{n}", "a") for n in range(MAX_OF_ADDRESS))
+    assert not admission.enter("ann", "a")
+    assert admission.enter("ann", "b")
+
+
+def test_nothing_is_kept_of_who_has_gone() -> None:
+    admission = Admission()
+    admission.enter("ann", "a")
+    admission.leave("ann", "a")
+    assert not admission._by_account
+    assert not admission._by_address
+
+
+def test_what_any_page_shows_is_watched() -> None:
+    watched = Watched({"dry": [1, 2, 3]})
+    shown = watched.known(("dry/1", "dry/2", "dry/99", "wet/1", "dry/²", "dry"))
+    assert shown == {("dry", 1), ("dry", 2)}
+    watched.turn(frozenset(), shown, "", "dry")
+    watched.turn(frozenset(), frozenset({("dry", 2)}), "", "")
+    assert (watched.units("dry"), watched.is_traced("dry")) == ([1, 2], True)
+    watched.turn(shown, frozenset({("dry", 3)}), "dry", "")
+    assert (watched.units("dry"), watched.is_traced("dry")) == ([2, 3], False)

@@ -1,4 +1,4 @@
-"""A unit, a bus and a parameter as the API shows them."""
+"""The line, its buses and units as the API shows them, and that pages show the same."""
 
 from __future__ import annotations
 
@@ -7,13 +7,39 @@ from datetime import datetime
 from typing import Any
 
 import pytest
+from pydantic import ConfigDict, TypeAdapter
 
+from app.line.commands.api.responses import CommandResult, result_json
+from app.line.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
 from app.line.live.api.view import parameter_json
 from app.line.live.bus_live import LiveState
-from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink
-from bus.messages import term
+from bus.catalogue import parameters as catalogue
+from bus.contract import (
+    BusFigures,
+    BusLink,
+    Command,
+    Frame,
+    ParameterValue,
+    Result,
+    Staged,
+    UnitFigures,
+    UnitLink,
+    UnitOutcome,
+    Update,
+)
+from bus.messages import Message, term
 from tests.app.screens import line_view
-from tests.app.stage import HEALTHY, PARAMETERS, REMOTE, bus_settings, reading, snapshot
+from tests.app.stage import (
+    HEALTHY,
+    PARAMETERS,
+    REMOTE,
+    Stage,
+    bus_settings,
+    reading,
+    result_of,
+    snapshot,
+    until,
+)
 
 CONTRACT_UNIT = {
     *("id", "name", "link", "read_at", "age_ms", "commanded_raw", "actual_raw", "commanded", "actual"),
@@ -161,3 +187,99 @@ def test_the_password_is_masked() -> None:
     assert row["raw"] is None
     assert row["masked"] is True
     assert "4242" not in str(row)
+
+
+EXACT = ConfigDict(extra="forbid", strict=True)
+
+
+@pytest.fixture
+def exact(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is converted, and nothing is left over. TypeAdapter takes it from the class alone, of which
+    apps and other tests make schemas."""
+    for kind in (BusShown, UnitShown, ParameterShown, CommandResult):
+        monkeypatch.setattr(kind, "__pydantic_config__", EXACT, raising=False)
+
+
+@pytest.mark.usefixtures("exact")
+def test_units_and_buses_read_and_unread() -> None:
+    live = LiveState([bus_settings()], time.time())
+    view = line_view(live, blocks={1: "belt off"})
+    for _ in range(2):
+        bus = view.bus("dry-end", time.time())
+        TypeAdapter(BusShown).validate_python(bus)
+        for unit in bus["units"]:
+            TypeAdapter(UnitShown).validate_python(unit)
+            assert unit.keys() == UnitShown.__annotations__.keys()
+            assert unit["cause"].keys() == CauseShown.__annotations__.keys()
+        live.buses["dry-end"].connect_worker(snapshot())
+    for number in catalogue.PARAMETERS:
+        row = parameter_json(live.buses["dry-end"].units[1], number)
+        TypeAdapter(ParameterShown).validate_python(row)
+
+
+@pytest.mark.usefixtures("exact")
+def test_outcomes() -> None:
+    live = LiveState([bus_settings()], time.time())
+    frame = Frame(at=1.0, direction="out", data=b"x", meanings=[term("m")])
+    parts = [UnitOutcome(unit=1, outcome="verified", sent_at=1.0, proven_at=2.0, attempts=1)]
+    result = Result(id="a", at=1.0, outcome="verified", units=parts, frames=[frame])
+    for unit in (None, 1):
+        result_of = result_json(live.buses["dry-end"], result, unit)
+        TypeAdapter(CommandResult).validate_python(result_of)
+
+
+async def test_the_api_gives_them(stage: Stage) -> None:
+    worker = await stage.worker()
+
+    async def unresponsive(command: Command) -> list[Update]:
+        return [result_of(command, "unverified", message=term("no response"))]
+
+    worker.play = unresponsive
+    for path in ("/units/1", "", "/units/1/parameters"):
+        assert (await stage.request("GET", path)).status_code == 200
+    assert (await stage.http().get("/api/v1/line")).status_code == 200
+
+
+async def test_the_line_a_bus_a_unit(stage: Stage) -> None:
+    await stage.worker()
+    line = (await stage.http("viewer").get("/api/v1/line")).json()
+    assert line["site"] == "Test line"
+    bus = (await stage.http("viewer").get("/api/v1/buses/dry-end")).json()
+    assert [unit["id"] for unit in bus["units"]] == [1, 2, 16]
+    unit = (await stage.request("GET", "/units/16", role="viewer")).json()
+    assert (unit["name"], unit["link"], unit["commanded"]) == ("Unit 16", "online", "100.0")
+
+
+async def test_figures_before_and_after_they_are_measured(stage: Stage) -> None:
+    worker = await stage.worker()
+    assert (await stage.request("GET", "/figures", role="viewer")).json()["measured"] is False
+    units = [UnitFigures(unit=1, polls=9, naks={128: 2})]
+    await worker.update(BusFigures(1.0, 12.0, 0.08, 0.98, 0.1, units=units))
+    await until(lambda: stage.live.buses["dry-end"].figures is not None, "figures")
+    figures = (await stage.request("GET", "/figures", role="viewer")).json()
+    assert figures["scan_hz"] == 12.0
+    assert figures["units"][0]["polls"] == 9
+    assert figures["units"][0]["naks"] == [
+        {"unit_error": 128, "unit_error_name": "unit is not in REMOTE mode", "count": 2}
+    ]
+
+
+async def test_an_anonymous_client_sees_nothing(stage: Stage) -> None:
+    for path in ("", "/units/1", "/figures"):
+        assert (await stage.request("GET", path, role="")).status_code == 401
+
+
+async def test_a_text_is_one_object_with_its_code(stage: Stage) -> None:
+    worker = await stage.worker()
+    late = Message("diagnosis_no_response")
+    await worker.update(BusFigures(1.0, 12.0, 0.08, 0.98, 0.1, responds_for_all=2, diagnosis=[late]))
+    await until(lambda: stage.live.buses["dry-end"].figures is not None, "figures")
+    await stage.request("POST", "/units/1/block", {"reason": "belt off"}, role="operator")
+    bus = (await stage.http("viewer").get("/api/v1/buses/dry-end")).json()
+    assert bus["diagnosis"] == [{"code": "diagnosis_no_response", "params": {}, "detail": str(late)}]
+    assert bus["link_cause"] is None
+    unit = bus["units"][0]
+    assert (unit["suspect"]["code"], unit["suspect"]["params"]) == ("suspect_by_duplicates", {"unit": 2})
+    assert unit["suspect"]["detail"] == "unit 2 may respond in its place (each response comes twice)"
+    assert unit["blocked"]["params"]["reason"] == "belt off"
+    assert "belt off" in unit["blocked"]["detail"]

@@ -1,0 +1,425 @@
+"""What pages show of units, buses, frames and the line, and which fields go on after a change."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.line.live.diagnosis import abnormal
+from app.line.live.fields import (
+    Groups,
+    bus_fields,
+    frame_fields,
+    health_fields,
+    merge_groups,
+    name_on_site,
+    put_fields,
+    unit_fields,
+)
+from app.line.live.screen import MAX_ENTRIES, NamedCause, entries_of, holders, line_fields
+from bus.contract import MAX_MEANING, BusFigures, BusLink, Frame, ParameterValue, UnitFigures
+from bus.instants import UnixTime
+from bus.messages import Message, term
+from bus.settings import Dialect
+from bus.wire.commands import WriteParameterRequest, encode_request
+from bus.wire.describe import describe_bytes
+from tests.app.screens import AT_SPEED, REMOTE, line, reading, screen, translator
+
+
+def test_only_fields_that_differ_go_on() -> None:
+    shown: Groups = {}
+    assert put_fields(shown, "a/1", {"speed": "1.0", "state": "run"}) == {
+        "a/1": {"speed": "1.0", "state": "run"}
+    }
+    assert put_fields(shown, "a/1", {"speed": "1.1", "state": "run"}) == {"a/1": {"speed": "1.1"}}
+    assert shown == {"a/1": {"speed": "1.1", "state": "run"}}
+
+
+def test_a_group_without_a_difference_does_not_go_on() -> None:
+    shown: Groups = {"a/1": {"speed": "1.0"}}
+    assert put_fields(shown, "a/1", {"speed": "1.0"}) == {}
+
+
+def test_later_fields_take_the_place_of_earlier_ones_and_leave_the_others() -> None:
+    first: Groups = {"a/1": {"speed": "1.0", "state": "run"}}
+    second: Groups = {"a/1": {"speed": "1.1"}, "a/2": {"speed": "2.0"}}
+    assert merge_groups({}, first, second) == {
+        "a/1": {"speed": "1.1", "state": "run"},
+        "a/2": {"speed": "2.0"},
+    }
+    assert first == {"a/1": {"speed": "1.0", "state": "run"}}
+    assert second["a/1"] == {"speed": "1.1"}
+
+
+def fields(tag: str = "en", **changes: int) -> dict[str, str]:
+    live = line()
+    bus = live.buses["dry"]
+    live.buses["dry"].apply([reading(**changes)])
+    return unit_fields(bus, bus.units[1], "online", translator(tag))
+
+
+def test_numbers_are_in_the_unit_s_own_decimals_and_the_language_s_sign() -> None:
+    assert fields(actual=1195)["actual"] == "119.5"
+    assert fields("de", actual=1195)["actual"] == "119,5"
+
+
+@pytest.mark.parametrize(("actual", "expected"), [(1200, "±0.0"), (1203, "+0.3"), (1150, "−5.0")])  # noqa: RUF001
+def test_the_error_has_a_sign(actual: int, expected: str) -> None:
+    assert fields(actual=actual)["deviation"] == expected
+
+
+def test_positions_are_parts_of_the_span() -> None:
+    shown = fields(commanded=1000, actual=500)
+    assert (shown["fill"], shown["mark"], shown["band"]) == ("0.2500", "0.5000", "0.0100")
+
+
+@pytest.mark.parametrize(
+    ("actual", "off"), [(1200, "0.500"), (1210, "0.667"), (1230, "1.000"), (100, "0.000")]
+)
+def test_the_band_is_the_middle_third_of_the_deviation_bar(actual: int, off: str) -> None:
+    assert fields(actual=actual)["off"] == off
+
+
+def test_more_than_the_span_fills_the_bar_and_no_more() -> None:
+    shown = fields(commanded=2500, actual=2500)
+    assert (shown["fill"], shown["mark"]) == ("1.0000", "1.0000")
+
+
+def test_without_the_span_there_is_no_position() -> None:
+    live = line()
+    bus = live.buses["dry"]
+    live.buses["dry"].apply([ParameterValue(unit=1, number=2, at=100.0, raw=None, available=False)])
+    shown = unit_fields(bus, bus.units[1], "online", translator())
+    assert (shown["fill"], shown["mark"], shown["band"]) == ("", "", "")
+
+
+def test_a_unit_that_never_responded_is_unknown_and_not_zero() -> None:
+    live = line()
+    bus = live.buses["dry"]
+    bus.units[1].reading = None
+    shown = unit_fields(bus, bus.units[1], "unknown", translator())
+    assert (shown["actual"], shown["at"], shown["state_text"]) == ("–", "", "not known")  # noqa: RUF001
+
+
+def test_bits_stand_in_the_order_of_the_lamps() -> None:
+    shown = fields(outputs=AT_SPEED | REMOTE | 0b000101, inputs=0b1000001)
+    assert shown["outputs"] == "101000"
+    assert shown["inputs"] == "1100001", "an open e-stop chain counts as active"
+
+
+def test_local_and_keylock_are_distinguished_by_parameter_19() -> None:
+    assert fields()["mode"] == "remote"
+    assert fields(outputs=0)["mode_text"] == "LOCAL"
+    live = line()
+    bus = live.buses["dry"]
+    live.buses["dry"].apply([reading(outputs=0), ParameterValue(unit=1, number=19, at=100.0, raw=2)])
+    assert unit_fields(bus, bus.units[1], "online", translator())["mode_text"] == "KEYLOCK"
+
+
+def test_analog_is_in_its_units() -> None:
+    assert fields()["analog"] == "254"
+
+
+def test_a_bus_without_figures_shows_unknown() -> None:
+    shown = bus_fields(line().buses["dry"], translator(), 100.5)
+    assert (shown["scan"], shown["wire"]) == ("–", "–")  # noqa: RUF001
+    assert shown["stale_after"] == "2.00"
+
+
+def test_the_rate_of_a_bus_is_shown_in_every_place() -> None:
+    live = line()
+    live.buses["dry"].apply([BusLink(at=100.0, link="open", baud=4800)])
+    shown = bus_fields(live.buses["dry"], translator("de"), 100.5)
+    assert (shown["baud"], shown["carries"]) == ("4800", "der Kapazität von 4800 Baud")
+
+
+def test_a_bus_s_figures_are_texts() -> None:
+    live = line()
+    live.buses["dry"].apply(
+        [BusFigures(at=100.0, scan_hz=4.8, scan_s=1.5, wire_utilisation=0.976, scan_s_with_one_more=1.6)],
+    )
+    shown = bus_fields(live.buses["dry"], translator("de"), 100.5)
+    assert (shown["scan"], shown["wire"], shown["stale_after"]) == ("1,50 s", "98 %", "3.00")
+
+
+def test_without_a_response_there_is_no_scan_time() -> None:
+    live = line()
+    live.buses["dry"].apply(
+        [BusFigures(at=100.0, scan_hz=0.0, scan_s=0.0, wire_utilisation=0.3, scan_s_with_one_more=0.0)],
+    )
+    shown = bus_fields(live.buses["dry"], translator(), 100.5)
+    assert (shown["scan"], shown["wire"]) == ("–", "30 %")  # noqa: RUF001
+
+
+def test_health_names_each_refusal() -> None:
+    figures = UnitFigures(
+        unit=1, polls=10, responses=8, naks={0x80: 2}, response_s_median=0.003, response_s_max=0.04
+    )
+    shown = health_fields(figures, translator("de"))
+    assert shown["naks"] == "2 x Regler ist nicht in REMOTE"
+    assert shown["answer_time"] == "3,0 ms, höchstens 40,0 ms"
+
+
+def test_a_frame_in_german() -> None:
+    (described,) = describe_bytes(encode_request(WriteParameterRequest(3, 6, 50), Dialect()))
+    frame = Frame(at=100.1234, direction="out", data=described.wire, meanings=[described.meaning])
+    assert frame_fields(frame, translator("de")) == {
+        "at": 100.1234,
+        "direction": "out",
+        "hex": "10 02 03 86 06 00 00 00 32 10 03 3F",
+        "meaning": "Regler 3: Hochlauframpe (Parameter 6) = 50 schreiben",
+        "valid": True,
+    }
+    assert frame.meaning == "unit 3: write Acceleration Ramp Rate (parameter 6) = 50"
+
+
+def test_each_statement_of_a_frame_is_shown() -> None:
+    noise = Message.of("noise", count=2, reason=Message("noise_outside"))
+    frame = Frame(at=1.0, direction="in", data=b"", meanings=[noise, Message("ack")])
+    assert frame_fields(frame, translator("de"))["meaning"] == (
+        "2 Byte, die kein Telegramm sind: außerhalb eines Telegramms; ACK, Schreiben angenommen"
+    )
+
+
+@pytest.mark.parametrize("tag", ["en", "de"])
+@pytest.mark.parametrize(
+    ("message", "meaning"),
+    [
+        (
+            Message.of("frame_recorded", text="{a.__class__} {a!r} {a:>99999}"),
+            "{a.__class__} {a!r} {a:>99999}",
+        ),
+        (Message.of("frame_recorded", words="x"), "{text}"),
+        (Message.of("of_another_version", unit=3), "of_another_version 3"),
+        (Message.of("frame_recorded", text="x" * 4_000), "x" * MAX_MEANING),
+    ],
+)
+def test_a_message_of_a_worker_is_no_format(tag: str, message: Message, meaning: str) -> None:
+    frame = Frame(at=1.0, direction="in", data=b"", meanings=[message])
+    assert frame_fields(frame, translator(tag))["meaning"] == frame.meaning == meaning
+
+
+@pytest.mark.parametrize(
+    ("held_by", "english", "german"),
+    [
+        ({"line": ""}, "", ""),
+        ({"line": "anna"}, "anna", "anna"),
+        ({"line": "", "wet": ""}, "", ""),
+        ({"line": "anna", "wet": "anna"}, "anna, every bus", "anna, jeder Bus"),
+        ({"line": "anna", "wet": "ben"}, "line: anna, wet: ben", "line: anna, wet: ben"),
+        ({"line": "", "wet": "ben"}, "line: free, wet: ben", "line: frei, wet: ben"),
+        (
+            {"line": "", "wet": "ben", "dry": ""},
+            "wet: ben, the others: free",
+            "wet: ben, die anderen: frei",
+        ),
+        ({"line": "a (token)", "wet": ""}, "line: a (token), wet: free", "line: a (token), wet: frei"),
+    ],
+)
+def test_the_holder_of_control_is_shown_with_the_bus(
+    held_by: dict[str, str], english: str, german: str
+) -> None:
+    texts = [holders(held_by, translator(tag)).replace("\u00a0", " ") for tag in ("en", "de")]
+    assert texts == [english, german]
+
+
+def test_a_unit_is_named_with_its_bus_where_there_are_several() -> None:
+    assert name_on_site("wet", "Nip", ["wet"]) == "Nip"
+    assert name_on_site("wet", "Nip", ["wet", "dry"]) == "wet · Nip"
+
+
+def test_what_the_strip_has_no_room_for_is_counted_and_a_bus_is_named() -> None:
+    now, english = UnixTime(1_000_000.0), translator("en")
+    units = [NamedCause(f"dry/{n}", f"Unit {n}", abnormal("estop_active")) for n in range(1, 41)]
+    found = [*units, NamedCause("wet", "wet", abnormal("no_unit_yet"))]
+    entries = entries_of(found, english, now)
+    assert [entry.key for entry in entries] == [each.key for each in units[: 1 + MAX_ENTRIES]]
+    fields = line_fields({}, {}, found, entries, english, now)
+    assert (fields["abnormal"], len(fields["strip"])) == ("41", MAX_ENTRIES)
+    assert fields["counts"] == "41 abnormal"
+    assert fields["named"] == "wet: No unit has responded yet"
+
+
+def figures(scan_s: float = 0.3) -> BusFigures:
+    return BusFigures(at=100.0, scan_hz=3, scan_s=scan_s, wire_utilisation=0.9, scan_s_with_one_more=0.4)
+
+
+def test_only_what_changed_is_given() -> None:
+    live = line()
+    shown = screen(live)
+    live.buses["dry"].apply([reading(1, at=100.2, actual=1199)])
+    changed = shown.render("dry", [1], 100.2, include_bus=False)
+    assert changed == {
+        "dry/1": {"at": "100.20", "actual": "119.9", "deviation": "−0.1", "fill": "0.5995", "off": "0.483"}  # noqa: RUF001
+    }
+    assert shown.render("dry", [1], 100.2, include_bus=False) == {}
+
+
+def test_the_worst_cause_is_the_verdict_and_goes() -> None:
+    live = line()
+    shown = screen(live)
+    assert shown.shown["line_summary"]["at"] == ""
+    live.buses["dry"].apply([reading(2, at=100.2, inputs=1)])
+    changed = shown.render("dry", [2], 100.2, include_bus=False)
+    assert {name: changed["line_summary"][name] for name in ("at", "level", "verdict", "counts")} == {
+        "at": "/units/dry/2",
+        "level": "urgent",
+        "verdict": "Unit 2 · Still turning: emergency stop active since 00:01",
+        "counts": "1 abnormal",
+    }
+    assert changed["dry/2"]["status"] == "Still turning: emergency stop active since 00:01"
+    live.buses["dry"].apply([reading(2, at=100.4)])
+    well = shown.render("dry", [2], 100.4, include_bus=False)["line_summary"]
+    assert (well["verdict"], well["at"], well["counts"]) == ("All 2 units at speed", "", "")
+
+
+def test_the_strip_has_abnormal_units_beside_the_worst() -> None:
+    live = line(3)
+    shown = screen(live)
+    for unit, at, inputs in ((1, 115.0, 2), (2, 135.0, 1), (3, 150.0, 2)):
+        live.buses["dry"].apply([reading(unit, at=at - 0.2), reading(unit, at=at, inputs=inputs, actual=0)])
+    live.buses["dry"].apply(
+        [reading(unit, at=150.2, inputs=inputs, actual=0) for unit, inputs in ((1, 2), (2, 1))]
+    )
+    changed = shown.render("dry", [1, 2, 3], 150.2, include_bus=False)["line_summary"]
+    assert changed["verdict"] == "Unit 2 · Stopped: emergency stop active since 00:02"
+    assert changed["strip"] == [
+        ["dry/1", "high", "Unit 1", "Stopped: run input off", "since 00:01"],
+        ["dry/3", "high", "Unit 3", "Stopped: run input off", "since 00:02"],
+    ]
+
+
+def test_a_unit_does_not_repeat_the_lost_cable_of_its_bus() -> None:
+    live = line()
+    shown = screen(live)
+    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
+    shown.render("dry", [1, 2], 130.0, include_bus=True)
+    assert [shown.shown["dry/1"][name] for name in ("link", "level", "cause", "status")] == [
+        *("offline", "", ""),
+        "Port closed since 00:01: unplugged",
+    ]
+
+
+def test_time_alone_makes_stale_then_offline() -> None:
+    shown = screen(line())
+    assert shown.render_aged(101.0) == {}
+    assert shown.render_aged(102.5)["dry/1"]["link"] == "stale"
+    assert shown.render_aged(111.0)["dry/1"]["link"] == "offline"
+
+
+def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
+    live = line()
+    shown = screen(live)
+    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
+    changed = shown.render("dry", [1, 2], 101.0, include_bus=True)
+    shown_fields = {name: changed["line_summary"][name] for name in ("verdict", "at", "abnormal")}
+    assert shown_fields == {
+        "verdict": "dry · Port closed since 00:01: unplugged",
+        "at": "/bus/dry",
+        "abnormal": "1",
+    }
+    assert changed["dry"]["link"] == "closed"
+
+
+def test_the_line_s_figures_are_the_worst_of_all_buses() -> None:
+    live = line()
+    shown = screen(live)
+    live.buses["dry"].apply([figures()])
+    assert shown.render("dry", [], 100.1, include_bus=True)["line_summary"] == {
+        "scan": "0.30 s",
+        "wire": "90 %",
+    }
+
+
+def test_a_block_is_shown_with_its_reason() -> None:
+    shown = screen(line(), blocks={2: "belt off"})
+    assert shown.shown["dry/2"]["status"] == "Commands blocked: belt off (anna)"
+
+
+def test_the_first_paint_has_the_same_texts() -> None:
+    shown = screen(line(), "de")
+    assert shown.flat()["dry/1.actual"] == "120,0"
+    assert shown.flat()["line_summary.verdict"] == "Alle 2 Regler auf Sollwert"
+
+
+def test_the_strip_has_an_end() -> None:
+    live = line(60)
+    shown = screen(live)
+    live.buses["dry"].apply([reading(n, at=100.2, inputs=1) for n in range(1, 61)])
+    changed = shown.render("dry", list(range(1, 61)), 100.2, include_bus=False)
+    assert len(changed["line_summary"]["strip"]) == 30
+    assert changed["line_summary"]["abnormal"] == "60"
+
+
+def test_a_bus_without_any_response_is_one_entry() -> None:
+    shown = screen(line())
+    shown.render_aged(111.0)
+    assert shown.shown["line_summary"]["verdict"] == "dry · No unit responds since 00:01"
+    assert shown.shown["line_summary"]["level"] == "urgent"
+    assert shown.shown["dry/1"]["status"] == "No response since 00:01"
+
+
+@pytest.mark.parametrize(
+    ("readings", "verdict", "german"),
+    [
+        ([{}, {}], "All 2 units at speed", "Alle 2 Regler auf Sollwert"),
+        ([{"commanded": 0, "actual": 0}] * 2, "All 2 units at zero", "Alle 2 Regler auf null"),
+        ([{}, {"outputs": 0x40, "actual": 900}], "1 of 2 ramping", "1 von 2 in Rampe"),
+        (
+            [{}, {"commanded": 0, "actual": 0}],
+            "1 of 2 at speed, the others at zero",
+            "1 von 2 auf Sollwert, die anderen auf null",
+        ),
+    ],
+)
+def test_the_verdict_of_a_normal_line_is_one_text(
+    readings: list[dict[str, int]], verdict: str, german: str
+) -> None:
+    live = line()
+    live.buses["dry"].apply([reading(unit, **changes) for unit, changes in enumerate(readings, 1)])
+    for tag, text in (("en", verdict), ("de", german)):
+        shown = screen(live, tag).shown["line_summary"]
+        assert (shown["verdict"], shown["counts"], shown["level"]) == (text, "", "")
+
+
+@pytest.mark.parametrize(
+    ("changes", "verdict", "german"),
+    [
+        ({}, "1 unit at speed", "1 Regler auf Sollwert"),
+        ({"commanded": 0, "actual": 0}, "1 unit at zero", "1 Regler auf null"),
+    ],
+)
+def test_the_verdict_of_one_unit(changes: dict[str, int], verdict: str, german: str) -> None:
+    live = line(1)
+    live.buses["dry"].apply([reading(1, **changes)])
+    assert screen(live).shown["line_summary"]["verdict"] == verdict
+    assert screen(live, "de").shown["line_summary"]["verdict"] == german
+
+
+def test_without_units_the_verdict_reports_it() -> None:
+    assert screen(line(0)).shown["line_summary"]["verdict"] == "No unit is configured"
+
+
+def test_the_first_line_of_a_unit_that_is_well_is_its_state() -> None:
+    assert screen(line()).shown["dry/1"]["status"] == "At speed"
+    assert screen(line(), "de").shown["dry/1"]["status"] == "Auf Sollwert"
+
+
+def test_a_ramp_updates_its_unit_and_not_the_line_each_second() -> None:
+    live = line()
+    shown = screen(live)
+    live.buses["dry"].apply([reading(1, at=101.0, outputs=0x40, actual=200)])
+    shown.render("dry", [1], 101.0, include_bus=False)
+    live.buses["dry"].apply([reading(1, at=103.0, outputs=0x40, actual=500)])
+    changed = shown.render("dry", [1], 103.0, include_bus=False)
+    assert changed["dry/1"]["status"] == "Ramping to 120.0, about 4 s left"
+    assert "line_summary" not in changed
+
+
+def test_checks_are_shown_with_the_cause() -> None:
+    live = line()
+    shown = screen(live)
+    live.buses["dry"].apply([reading(1, at=100.2, inputs=2, actual=0)])
+    assert (
+        shown.render("dry", [1], 100.2, include_bus=False)["dry/1"]["check"]
+        == "Check the run contact at the drive"
+    )
