@@ -13,7 +13,7 @@ from structlog.testing import capture_logs
 
 from app.cli import cli
 from app.core.database import Database
-from app.line.alarms.alarm import key_of
+from app.line.alarms.alarm import alarm_key
 from app.line.alarms.line_alarms import LineAlarms
 from app.main import create_app
 from app.people.audit.anchor import Anchoring, AnchorStatus
@@ -103,7 +103,7 @@ async def test_a_server_over_an_emptied_log_raises_the_alarm(tmp_path: Path) -> 
         async with services.lifespan.running():
             await services[Anchoring].export()
             services[LineAlarms].site.tick()
-            alarm = services[LineAlarms].site.list.alarms[key_of(None, None, "audit_degraded")]
+            alarm = services[LineAlarms].site.list.alarms[alarm_key(None, None, "audit_degraded")]
             assert alarm.holds is True
     assert [entry["event"] for entry in logs if entry["log_level"] == "error"] == ["audit log altered"]
 

@@ -60,14 +60,14 @@ class AlarmDefinition:
     about: AlarmGroup = "own"
 
 
-def key_of(bus: str | None, unit: int | None, code: str) -> str:
-    """Return the key of a built-in alarm."""
+def alarm_key(bus: str | None, unit: int | None, code: str) -> str:
+    """Return the key of an alarm: its place and its code."""
     return ".".join((bus or SITE, *(() if unit is None else (str(unit),)), code))
 
 
 def own_key(bus: str, unit: int, name: str) -> str:
     """Return the key of an alarm that the site defined, whose name may have any characters."""
-    return key_of(bus, unit, f"own-{blake2b(name.encode(), digest_size=6).hexdigest()}")
+    return alarm_key(bus, unit, f"own-{blake2b(name.encode(), digest_size=6).hexdigest()}")
 
 
 NORMAL = AlarmFacts()
@@ -135,7 +135,7 @@ def built_in(
     name, record = _texts(code)
     usual: AlarmGroup = "drive" if unit is not None else "system" if bus is None else "communication"
     return AlarmDefinition(
-        key=key_of(bus, unit, code),
+        key=alarm_key(bus, unit, code),
         code=code,
         name=name,
         bus=bus,

@@ -81,13 +81,13 @@ class AlarmList:
             alarm.first_out, alarm.hidden_by, alarm.reason = kept.first_out, kept.hidden_by, kept.reason
             self._schedule(alarm)
 
-    def put(self, alarm: Alarm) -> None:
+    def add(self, alarm: Alarm) -> None:
         """Add an alarm, or replace it by one with another definition."""
         self.alarms[alarm.definition.key] = alarm
         self._withdrawn.pop(alarm.definition.key, None)
         self._schedule(alarm)
 
-    def take_out(self, key: str) -> None:
+    def remove(self, key: str) -> None:
         """Remove an alarm whose definition has ended, and which is normal."""
         self._due.pop(key, None)
         self._withdrawn[key] = self.alarms.pop(key)
@@ -171,13 +171,13 @@ class AlarmList:
 
     # --- the journal ----------------------------------------------------------------------------------
 
-    def take_unwritten(self) -> tuple[list[JournalEntry], list[Alarm]]:
+    def pop_unwritten(self) -> tuple[list[JournalEntry], list[Alarm]]:
         """Return everything that is not on disk yet; the caller writes it, or gives it back."""
         entries, alarms = self._entries, list(self._changed.values())
         self._entries, self._changed = [], {}
         return entries, alarms
 
-    def give_back(self, entries: list[JournalEntry], alarms: list[Alarm]) -> None:
+    def requeue(self, entries: list[JournalEntry], alarms: list[Alarm]) -> None:
         """Queue again what could not be written, before what has changed since."""
         self._entries = entries + self._entries
         self._changed = {alarm.definition.key: alarm for alarm in alarms} | self._changed
@@ -185,14 +185,14 @@ class AlarmList:
     async def write(self) -> None:
         """Write everything that is not on disk yet. Raises StoreError; the changes then wait."""
         async with self.writing:
-            entries, alarms = self.take_unwritten()
+            entries, alarms = self.pop_unwritten()
             if not entries and not alarms:
                 return
             try:
                 # The end of the server cancels this wait, and must not cancel the write.
                 await asyncio.shield(self._store.write(entries, alarms))
             except StoreError:
-                self.give_back(entries, alarms)
+                self.requeue(entries, alarms)
                 raise
 
     async def record_observed(self) -> None:
@@ -271,7 +271,7 @@ class ActTransaction:
     ) -> None:
         """Record the act in the audit log, together with the journal and what is written ``beside`` it.
         Raises StoreError; every alarm is then as before, unless it has changed since."""
-        taken = [(each, *each.take_unwritten()) for each in self._lists]
+        taken = [(each, *each.pop_unwritten()) for each in self._lists]
         written = [*beside, *(alarm_writer(entries, alarms) for _, entries, alarms in taken)]
 
         def write(connection: StoreConnection) -> None:
@@ -282,7 +282,7 @@ class ActTransaction:
             await events.record(kind=kind, **fields, also=write)
         except StoreError:
             for each, entries, alarms in taken:
-                each.give_back([entry for entry in entries if entry.who != self._who], alarms)
+                each.requeue([entry for entry in entries if entry.who != self._who], alarms)
             for undo in self._undo:
                 undo()
             raise

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 from app.core.web.access import account_shown
-from app.line.alarms.alarm import Alarm, AlarmDefinition, built_in, key_of
+from app.line.alarms.alarm import Alarm, AlarmDefinition, alarm_key, built_in
 from app.line.alarms.alarm_list import AlarmList
 from app.line.alarms.journal import AlarmStore, StoredAlarm
 from app.line.alarms.own_condition import OwnCondition, known_decimals, own_definition
@@ -65,7 +65,7 @@ class BusAlarms:
         self._unit_names = {number: unit.settings.name for number, unit in live.units.items()}
         self.list = AlarmList(self._definitions(tuned), store, self.bus)
         self._monitors = {
-            number: UnitMonitor(live, unit, self.list.alarms, tuned, self._observe, has_drift)
+            number: _UnitMonitor(live, unit, self.list.alarms, tuned, self._observe, has_drift)
             for number, unit in live.units.items()
         }
         for settings in own:
@@ -91,11 +91,11 @@ class BusAlarms:
                 yield built_in(code, self.bus, unit, tuned)
 
     def _alarm_of(self, code: str) -> Alarm:
-        return self.list.alarms[key_of(self.bus, None, code)]
+        return self.list.alarms[alarm_key(self.bus, None, code)]
 
     def add_own(self, settings: AlarmSettings, alarm: Alarm) -> None:
         """Observe an alarm of the site from the next reading on."""
-        self.list.put(alarm)
+        self.list.add(alarm)
         self._monitors[settings.unit].add_own(alarm, OwnCondition(settings))
 
     def end_own(self, alarm: Alarm) -> None:
@@ -107,7 +107,7 @@ class BusAlarms:
         """Continue from the states that the last run left."""
         now = self._clock()
         self.list.load(stored, now)
-        estop_alarms = {unit: key_of(self.bus, unit, ESTOP_ACTIVE.code) for unit in self._monitors}
+        estop_alarms = {unit: alarm_key(self.bus, unit, ESTOP_ACTIVE.code) for unit in self._monitors}
         self._estops |= {unit for unit, key in estop_alarms.items() if self.list.alarms[key].facts.active}
         self._suppressors = self._suppressing()
         self._suppress(self.list.alarms.values(), now)
@@ -255,7 +255,7 @@ def control_left_by(
     return Message.of("alarm_control_left_by", who=account_shown(holder))
 
 
-class UnitMonitor:
+class _UnitMonitor:
     """Observes the conditions of one unit, and only those that a report can have changed. ``alarms``: those
     of its bus, by key; ``tuned``: the limits that the site set."""
 
@@ -271,7 +271,7 @@ class UnitMonitor:
         self._bus = bus
         self._unit = unit
         place = (bus.settings.name, unit.settings.id)
-        self._alarms = {code: alarms[key_of(*place, code)] for code in UNIT_ALARMS}
+        self._alarms = {code: alarms[alarm_key(*place, code)] for code in UNIT_ALARMS}
         self._own: dict[str, ObservedOwn] = {}
         self._sort_own()
         self._observe = observe

@@ -121,7 +121,7 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
     def alarms_in(_: Caller | None, language: Language) -> Fields:
         return banner.banner(Translator(language, templates.formats(language.tag)), unix_now())
 
-    services[Sources].show_alarms(banner.banner, banner.of_unit)
+    services[Sources].show_alarms(banner.banner, banner.unit_fields)
     templates.parts["head_alarms"] = alarms_in
 
 

@@ -53,7 +53,7 @@ class LineAlarms:
         self._clock = clock
         self._lists = (site.list, *(bus.list for bus in buses.values()))
         self._present: dict[str, Alarm] = {}
-        self._of_unit: dict[tuple[str, int], dict[str, Alarm]] = {}
+        self._by_unit: dict[tuple[str, int], dict[str, Alarm]] = {}
         self.rates = AlarmRates()
         self.subscribe(self._note)
 
@@ -72,7 +72,7 @@ class LineAlarms:
             self.rates.note(definition.key, alarm.facts.since)
         indexes = [self._present]
         if definition.bus is not None and definition.unit is not None:
-            indexes.append(self._of_unit.setdefault((definition.bus, definition.unit), {}))
+            indexes.append(self._by_unit.setdefault((definition.bus, definition.unit), {}))
         for index in indexes:
             if is_present:
                 index[definition.key] = alarm
@@ -124,9 +124,9 @@ class LineAlarms:
         sounding = (alarm for alarm in self._present.values() if alarm.facts.sounds)
         return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
 
-    def of_unit(self, bus: str, unit: int) -> list[Alarm]:
+    def unit_alarms(self, bus: str, unit: int) -> list[Alarm]:
         """Return the annunciated alarms of a unit, by :func:`rank`."""
-        of_unit = self._of_unit.get((bus, unit), {})
+        of_unit = self._by_unit.get((bus, unit), {})
         return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
 
     def place(self, bus: str | None, unit: int | None) -> str:
@@ -259,10 +259,10 @@ class AlarmBanner:
         at = max(float(alarm.facts.since or 0.0) for alarm in sounding)
         return {"sound": sounding[0].definition.priority, "sound_at": repr(at)}
 
-    def of_unit(self, bus: str, unit: int, translator: Translator, now: UnixTime) -> Fields:
+    def unit_fields(self, bus: str, unit: int, translator: Translator, now: UnixTime) -> Fields:
         """Return the first alarm of a unit, as it is drawn and in words, its page, and how many more there
         are."""
-        found = self._alarms.of_unit(bus, unit)
+        found = self._alarms.unit_alarms(bus, unit)
         first = found[0] if found else None
         fields = _state(first, len(found), translator, now)
         name = translator.t(first.definition.name) if first else ""

@@ -195,7 +195,7 @@ class OwnAlarmBook:
                 return
             own = self._of_version(key, version)
             await self._end(person, REMOVE_OWN, own, reason)
-            self._bus(own.settings).list.take_out(key)
+            self._bus(own.settings).list.remove(key)
             del self.added[key]
 
     def _of_version(self, key: str, version: int) -> OwnAlarm:
@@ -346,7 +346,7 @@ class OwnAlarmsShown(TypedDict):
 async def get_own_alarms(_: Engineer, own: OwnBook) -> OwnAlarmsShown:
     """The alarms of the site, with their origin."""
     return {
-        "alarms": [own_alarm_shown(*each) for each in own.every()],
+        "alarms": [_shown(*each) for each in own.every()],
         "left_aside": list(own.left_aside.values()),
     }
 
@@ -360,7 +360,7 @@ async def add_own_alarm(
 ) -> OwnAlarmShown:
     """Add an alarm. It is detected from the next reading on."""
     added = await own.add(person, body.written(), key)
-    return own_alarm_shown(added.settings, added)
+    return _shown(added.settings, added)
 
 
 @router.put("/own/{own_id}")
@@ -372,7 +372,7 @@ async def change_own_alarm(
 ) -> OwnAlarmShown:
     """Change an alarm that was added. One that is active ends, and comes again by the next reading."""
     changed = await own.change(person, own_id, body.version, body.written(), body.reason)
-    return own_alarm_shown(changed.settings, changed)
+    return _shown(changed.settings, changed)
 
 
 @router.delete("/own/{own_id}", status_code=204)
@@ -398,7 +398,7 @@ async def simulate_alarm(
     return await simulator.run(history.buses[settings.bus], settings, *span, person.account)
 
 
-def own_alarm_shown(settings: AlarmSettings, own: OwnAlarm | None) -> OwnAlarmShown:
+def _shown(settings: AlarmSettings, own: OwnAlarm | None) -> OwnAlarmShown:
     """Show an alarm of the site; ``own``: the alarm as it was added, None for one of the configuration."""
     return OwnAlarmShown.model_construct(
         **dict(settings),

@@ -48,7 +48,7 @@ class AlarmRow(NamedTuple):
     chatters: bool
 
 
-def listed(
+def _list_fields(
     alarms: LineAlarms, chosen: dict[str, str], now: UnixTime, shown: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Return what the list of alarms shows. ``shown``: the keys of the rows that a person sees. These stay in
@@ -57,19 +57,19 @@ def listed(
     kept = dict.fromkeys(alarm for alarm in known if alarm is not None)
     new = [alarm for alarm in alarms.present() if alarm not in kept and _matches(alarm, chosen)]
     found = [*kept, *new]
-    rows = [row_of(alarms, alarm, now) for alarm in found[:MAX_ROWS]]
+    rows = [_row(alarms, alarm, now) for alarm in found[:MAX_ROWS]]
     return {
         "rows": rows,
         "waiting": [row.alarm.id for row in rows if row.alarm.is_unacknowledged],
         "more": max(0, len(found) - MAX_ROWS),
-        "query": query_of(chosen),
+        "query": _query(chosen),
         "is_filtered": any(chosen.values()),
         "is_sorted": found == sorted(found, key=rank),
         "flood": alarms.rates.flood(now),
     }
 
 
-def query_of(chosen: dict[str, str]) -> str:
+def _query(chosen: dict[str, str]) -> str:
     """Return what a person filters by as the query of a link."""
     return urlencode({name: value for name, value in chosen.items() if value})
 
@@ -95,7 +95,7 @@ def places_of(alarms: LineAlarms) -> list[tuple[str, str]]:
     return places
 
 
-def row_of(alarms: LineAlarms, alarm: Alarm, now: UnixTime) -> AlarmRow:
+def _row(alarms: LineAlarms, alarm: Alarm, now: UnixTime) -> AlarmRow:
     """Make the row of an alarm as it is now."""
     definition = alarm.definition
     place = alarms.place(definition.bus, definition.unit)
@@ -149,7 +149,7 @@ async def journal_page(
     entries = await alarms.store.journal(
         ON_A_PAGE + 1, before, chosen=found if any(chosen.values()) else None
     )
-    query = query_of(chosen)
+    query = _query(chosen)
     older = f"before={entries[ON_A_PAGE - 1].id}" if len(entries) > ON_A_PAGE else ""
     return render(
         request,
@@ -208,7 +208,7 @@ async def alarms_page(
     return render(
         request,
         "alarms/page.html",
-        **listed(alarms, chosen, unix_now()),
+        **_list_fields(alarms, chosen, unix_now()),
         chosen=chosen,
         states=[(each, state_text(each)) for each in PRESENT_STATES],
         places=places_of(alarms),
@@ -234,7 +234,7 @@ def _list(
     request: Request, alarms: LineAlarms, chosen: dict[str, str], shown: Sequence[str], left_out: int = 0
 ) -> Response:
     return render(
-        request, "alarms/_list.html", **listed(alarms, chosen, unix_now(), shown), left_out=left_out
+        request, "alarms/_list.html", **_list_fields(alarms, chosen, unix_now(), shown), left_out=left_out
     )
 
 
@@ -274,7 +274,7 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
     return render(
         request,
         "alarms/one.html",
-        row=row_of(alarms, alarm, unix_now()),
+        row=_row(alarms, alarm, unix_now()),
         record=alarm.definition.record,
         beside=_beside(alarms, alarm),
         transitions=entries,
@@ -287,7 +287,7 @@ def _beside(alarms: LineAlarms, alarm: Alarm) -> list[Alarm]:
     bus, unit = alarm.definition.bus, alarm.definition.unit
     if bus is None or unit is None:
         return []
-    return [each for each in alarms.of_unit(bus, unit) if each is not alarm]
+    return [each for each in alarms.unit_alarms(bus, unit) if each is not alarm]
 
 
 @router.post("/alarms/acknowledge")
@@ -314,7 +314,7 @@ async def acknowledge_shown(
         response = _list(request, alarms, chosen, shown, left_out)
         response.headers["HX-Retarget"], response.headers["HX-Reswap"] = "#alarms", "innerMorph"
         return response
-    query = query_of(chosen | ({"left_out": str(left_out)} if left_out else {}))
+    query = _query(chosen | ({"left_out": str(left_out)} if left_out else {}))
     return RedirectResponse(f"/alarms?{query}", SEE_OTHER)
 
 

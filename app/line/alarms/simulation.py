@@ -102,7 +102,7 @@ ZeroStep = tuple[int, bool]
 AtRest = Callable[[int], bool]
 
 
-def rest_of(units: Sequence[Sequence[ZeroStep]]) -> AtRest:
+def _line_at_rest(units: Sequence[Sequence[ZeroStep]]) -> AtRest:
     """Return a function that tells whether the line was at rest at a time, by the steps of each unit in
     order. A unit without steps is no proof of rest; before its first step a unit was as after it."""
     if not units or not all(units):
@@ -428,7 +428,7 @@ class StoredHour:
 
     def _is_at_rest(self, at: int) -> bool:
         if self._rest is None:
-            self._rest = rest_of([self._zero_steps(unit.id) for unit in self._bus.unit])
+            self._rest = _line_at_rest([self._zero_steps(unit.id) for unit in self._bus.unit])
         return self._rest(at)
 
     def _zero_steps(self, unit: int) -> list[ZeroStep]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from app.errors import StoreError
-from app.line.alarms.alarm import Alarm, built_in, key_of
+from app.line.alarms.alarm import Alarm, alarm_key, built_in
 from app.line.alarms.alarm_list import AlarmList
 from app.line.alarms.journal import AlarmStore, StoredAlarm
 from app.line.alarms.settings import BuiltInAlarmSettings
@@ -134,7 +134,7 @@ class SiteAlarms:
         return self._about.get(alarm.definition.code)
 
     def _observe(self, code: str, holds: bool | None, now: UnixTime) -> None:
-        self.list.observe(self.list.alarms[key_of(None, None, code)], holds, now)
+        self.list.observe(self.list.alarms[alarm_key(None, None, code)], holds, now)
 
     def _see_clock(self, now: UnixTime) -> None:
         """Observe the clock. A step is over at once; the off-delay keeps its alarm active for a while."""

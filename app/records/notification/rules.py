@@ -210,7 +210,7 @@ def follow(
         done.notices += notices
 
     for entry in entries:
-        if is_ended_by(entry):
+        if _is_ended_by(entry):
             done.open.pop(entry.alarm, None)
         if entry.trigger == "clear":
             done.cleared.append(entry)
@@ -231,7 +231,7 @@ def opened_by(entry: JournalEntry) -> Episode | None:
     return Episode(entry.alarm, entry.id, entry.occurrence, entry.bus, entry.priority, entry.at)
 
 
-def is_ended_by(entry: JournalEntry) -> bool:
+def _is_ended_by(entry: JournalEntry) -> bool:
     """Whether a transition ends the episode of its alarm. A latched alarm waits for its acknowledgement."""
     if entry.trigger == "clear":
         return entry.after != "latched_unack"
@@ -321,7 +321,7 @@ def next_turn(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) ->
     """Return what follows for an address. New items go first, so that one refused message delays no other."""
     waits: list[float] = []
     if load.items:
-        is_flood, (_, since) = is_flooded(load, flood, now), load.items[0]
+        is_flood, (_, since) = _is_flooded(load, flood, now), load.items[0]
         # Where the clock was set back since the wait began, it is over.
         wait_s = digest_s - (now - since) if is_flood and now >= since else 0.0
         if wait_s <= 0:
@@ -336,7 +336,7 @@ def next_turn(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) ->
     return DeliveryTurn(wait_s=min(waits, default=None))
 
 
-def is_flooded(load: EndpointLoad, flood: int, now: UnixTime) -> bool:
+def _is_flooded(load: EndpointLoad, flood: int, now: UnixTime) -> bool:
     """Whether further items are collected: many messages in ten minutes, or an address that is failing."""
     recent = [at for at in load.sent if 0 <= now - at < FLOOD_WINDOW_S]
     return load.collects and (len(recent) >= flood or bool(load.retries))

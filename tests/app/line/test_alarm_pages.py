@@ -270,7 +270,7 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
     )
     at = translator().formats.since(facts_of(house).cleared or now, now)
     assert cleared["state"] == f"cleared {at}"
-    assert banner.of_unit(BUS, 1, translator(), now) == {
+    assert banner.unit_fields(BUS, 1, translator(), now) == {
         "alarm": "urgent cleared waiting",
         "alarm_text": "Emergency stop",
         "alarm_state": f"cleared {at}",
@@ -290,7 +290,7 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
     assert (acknowledged["mark"], acknowledged["acknowledge"]) == ("low", "")
     await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
     assert banner.banner(translator(), now)["more"] == ""
-    assert set(banner.of_unit(BUS, 1, translator(), now).values()) == {""}
+    assert set(banner.unit_fields(BUS, 1, translator(), now).values()) == {""}
 
 
 def remote_off(house: House, unit: int) -> None:

@@ -109,7 +109,7 @@ def engine(
         bus.now = at
         bus.read(1, **fields)
         tick(bus)
-    entries, _ = bus.alarms.list.take_unwritten()
+    entries, _ = bus.alarms.list.pop_unwritten()
     found: dict[str, list[float]] = {}
     for each in entries:
         if each.after == "unack_active" != each.before:
@@ -310,7 +310,7 @@ async def test_an_engineer_learns_how_often_it_would_have_come(house: House) -> 
     assert past["covered_from"] is None
     unscaled = await simulation_by(engineer, value="analog")
     assert (unscaled["annunciated"], unscaled["unknown_s"]) == (0, pytest.approx(600, abs=70))
-    assert not house.services[LineAlarms].buses[BUS].list.take_unwritten()[0]
+    assert not house.services[LineAlarms].buses[BUS].list.pop_unwritten()[0]
 
 
 async def test_readings_that_are_stored_no_longer_are_not_judged(

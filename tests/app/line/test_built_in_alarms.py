@@ -167,7 +167,7 @@ def test_a_step_of_the_clock_raises_nothing_on_a_bus_and_keeps_every_distance(
     bus.step_s = step_s
     bus.alarms.tick()
     assert bus.now + step_s - alarm.facts.since == age
-    assert bus.alarms.list.take_unwritten()[1] != []
+    assert bus.alarms.list.pop_unwritten()[1] != []
     bus.wait(9)
     assert bus.present() == {"1.not_in_remote"}
     bus.wait(1, 1, outputs=AT_SPEED)

@@ -259,7 +259,7 @@ def test_an_alarm_of_the_site_is_detected_from_the_reading_after_it_was_added(
     bus.alarms.end_own(alarm)
     bus.wait(1, 1, actual=500, inputs=HEALTHY)
     assert alarm.facts.state == "unack_active"
-    bus.alarms.list.take_out(alarm.definition.key)
+    bus.alarms.list.remove(alarm.definition.key)
     bus.wait(1, 1, 2, 3)
     assert alarm not in bus.alarms.list.alarms.values()
     assert bus.alarms.list.known[alarm.definition.key] is alarm

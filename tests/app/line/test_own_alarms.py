@@ -129,11 +129,11 @@ async def test_a_removed_alarm_is_gone_from_every_list(house: House) -> None:
     own = await added(engineer)
     read(house, 1060)
     services = house.services
-    of_unit = services[LineAlarms].of_unit(BUS, 1)
+    of_unit = services[LineAlarms].unit_alarms(BUS, 1)
     assert [alarm.definition.key for alarm in of_unit] == [own["id"]]
     response = await removed(engineer, own)
     assert response.status_code == 204, response.text
-    assert services[LineAlarms].of_unit(BUS, 1) == []
+    assert services[LineAlarms].unit_alarms(BUS, 1) == []
     assert own["id"] not in {each.definition.key for each in services[LineAlarms].every()}
     read(house, 1070)
     assert own["id"] not in {each.definition.key for each in services[LineAlarms].present()}

@@ -11,7 +11,7 @@ import pytest
 
 from app.core.database import Database
 from app.core.web.access import Role
-from app.line.alarms.alarm import key_of
+from app.line.alarms.alarm import alarm_key
 from app.line.alarms.site_alarms import SiteAlarms
 from app.line.history import tables
 from app.line.history.recorder import compact
@@ -206,7 +206,7 @@ async def test_an_alarm_has_when_it_came_cleared_and_who_acknowledged_it(
         await published(house)
         keep(house, SCALES)
         alarms = house.services[SiteAlarms]
-        alarm = alarms.list.alarms[key_of(None, None, "disk_low")]
+        alarm = alarms.list.alarms[alarm_key(None, None, "disk_low")]
         alarms.list.observe(alarm, True, unix_now())
         alarms.list.advance(UnixTime(unix_now() + 10))
         await alarms.list.write()
