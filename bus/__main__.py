@@ -15,7 +15,7 @@ import structlog
 
 from bus.configuration import ConfigurationError, load_bus
 from bus.messages import Message
-from bus.worker.process import run
+from bus.worker.service import run
 
 TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
 WRONG_USE = 2

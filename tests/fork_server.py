@@ -43,7 +43,7 @@ IMPORTED = (
     "app.cli.server",
     "app.cli.simulate",
     "app.cli.accounts",
-    "bus.worker.process",
+    "bus.worker.service",
 )
 """Before the first fork. None of them starts a thread."""
 MAX_BYTES = 200_000

@@ -51,7 +51,7 @@ def worker(
     bearer = bearer_token(token, token_file, WORKER_TOKEN_VARIABLE)
     settings = load_bus(config, bus)
     tls = _tls(app, ca, certificate, key)
-    from bus.worker.process import run
+    from bus.worker.service import run
 
     raise click.exceptions.Exit(run(settings, app, bearer, tls=tls))
 

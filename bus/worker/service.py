@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import os
+import signal
 import uuid
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib.metadata import version
-from typing import TYPE_CHECKING
 
 import msgspec
 import structlog
+import uvloop
 
 from bus.contract import (
     CONTRACT_VERSION,
@@ -37,10 +41,8 @@ from bus.line.timing import LineClock, RealClock
 from bus.messages import Message, in_english
 from bus.settings import BusSettings
 from bus.worker.outbox import Outbox, TraceReports
-from bus.worker.uplink import Uplink, is_encrypted
-
-if TYPE_CHECKING:
-    from bus.worker.uplink import UplinkTls
+from bus.worker.process import configure_log, named_parent, tie_to
+from bus.worker.uplink import Uplink, UplinkTls, is_encrypted
 
 MAX_RESULTS = 2_000
 MAX_COMMANDS = 300
@@ -223,8 +225,6 @@ async def run_worker(
     """
     worker = BusWorker(bus)
     if tls is None and any(map(is_encrypted, apps)):
-        from bus.worker.uplink import UplinkTls
-
         tls = UplinkTls()
     uplink = Uplink(apps, token, worker.outbox, worker, worker.app_clock, worker._epoch, tls)
     tasks = [asyncio.create_task(worker.run()), asyncio.create_task(uplink.run())]
@@ -239,3 +239,38 @@ async def run_worker(
         for ended in await asyncio.gather(*tasks, return_exceptions=True):
             if isinstance(ended, Exception):
                 raise ended
+
+
+PRIORITY = -10
+"""The worker sleeps 97 % of the time; when a response is complete its next request is due at once."""
+
+
+def run(
+    bus: BusSettings,
+    apps: Sequence[str],
+    token: str,
+    *,
+    child: bool = False,
+    tls: UplinkTls | None = None,
+) -> int:
+    """Run one worker until SIGTERM or SIGINT, a ``child`` also until its parent is gone; the exit code."""
+    configure_log()
+    if child:
+        tie_to(named_parent() or os.getppid())
+    # A busy machine must not leave the wire idle: go before others where the system allows it, and keep
+    # what is loaded out of every garbage collection.
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
+    gc.collect()
+    gc.freeze()
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        runner.run(_until_stopped(bus, apps, token, tls))
+    return 0
+
+
+async def _until_stopped(bus: BusSettings, apps: Sequence[str], token: str, tls: UplinkTls | None) -> None:
+    leave = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, leave.set)
+    await run_worker(bus, apps, token, leave=leave, tls=tls)
