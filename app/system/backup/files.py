@@ -18,9 +18,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 import msgspec
-from cryptography.hazmat.primitives.ciphers import Cipher
-from cryptography.hazmat.primitives.ciphers.algorithms import AES256
-from cryptography.hazmat.primitives.ciphers.modes import CTR
 from pydantic import BaseModel
 
 from app.core.database.files import make_folder, write_file
@@ -80,6 +77,11 @@ def _seal(key: bytes, salt: bytes, hidden: bytes) -> bytes:
 
 def _counted(content: bytes, password: bytes) -> bytes:
     """Encrypt or decrypt in counter mode, in which both are the same."""
+    # Not with the module: a server whose backups have no key does without the memory that it takes.
+    from cryptography.hazmat.primitives.ciphers import Cipher
+    from cryptography.hazmat.primitives.ciphers.algorithms import AES256
+    from cryptography.hazmat.primitives.ciphers.modes import CTR
+
     derived = hashlib.pbkdf2_hmac("sha256", password.hex().encode(), b"", PBKDF2_ROUNDS, 48)
     return Cipher(AES256(derived[:32]), CTR(derived[32:])).encryptor().update(content)
 

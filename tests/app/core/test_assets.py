@@ -1,6 +1,4 @@
-"""Static files: cached indefinitely under the address of their version, compressed, and nothing else
-served.
-"""
+"""Static files as they are sent, and templates that stay compiled between two starts."""
 
 from __future__ import annotations
 
@@ -11,10 +9,12 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from jinja2 import DictLoader, Environment
 from starlette.requests import Request
 
 from app.core.web.access import Role
 from app.core.web.assets import Assets, static_dir, templates_dir
+from app.core.web.templating import Compiled
 from app.errors import Problem
 from tests.app.complete_app import House, complete_app
 
@@ -194,3 +194,30 @@ async def test_a_first_visit_of_a_unit_page_is_light(house: House) -> None:
         if name.startswith(("css/", "js/"))
     }
     assert sum(weight.values()) <= 47 * 1024, weight
+
+
+def rendered(source: str, folder: Path) -> str:
+    """As a process just started renders it."""
+    loader = DictLoader({"page.html": source})
+    return Environment(loader=loader, bytecode_cache=Compiled(folder)).get_template("page.html").render()
+
+
+def test_stored_templates_are_used(tmp_path: Path) -> None:
+    assert rendered("one", tmp_path / "kept") == "one"
+    (kept,) = (tmp_path / "kept").iterdir()
+    kept.write_bytes(kept.read_bytes().replace(b"one", b"two"))
+    assert rendered("one", tmp_path / "kept") == "two"
+
+
+def test_a_changed_source_is_compiled_again(tmp_path: Path) -> None:
+    assert rendered("one", tmp_path) == "one"
+    assert rendered("two", tmp_path) == "two"
+
+
+def test_a_broken_file_and_a_folder_that_cannot_be_written_do_no_harm(tmp_path: Path) -> None:
+    rendered("one", tmp_path)
+    for kept in tmp_path.iterdir():
+        kept.write_bytes(kept.read_bytes()[:-5])
+    assert rendered("one", tmp_path) == "one"
+    (tmp_path / "file").write_text("")
+    assert rendered("one", tmp_path / "file") == "one"
