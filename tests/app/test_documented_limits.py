@@ -12,8 +12,7 @@ from app.core.web import api as api_route
 from app.core.web import request_rules as bounds
 from app.line.live.api import stream as line_stream
 from app.people.audit import acts
-from app.people.auth import pages, rights, rules, store
-from app.people.auth.sign_in import passwords, signin, throttle
+from app.people.auth import pages, passwords, rights, rules, sign_in, store, throttle
 
 DOCS = Path(__file__).parents[2] / "docs"
 SIGN_IN = "| limit | value |"
@@ -111,8 +110,8 @@ def test_every_limit_of_signing_in_is_documented_with_its_value() -> None:
         throttle.OF_NAME,
         throttle.OF_NAME_EVERY_S,
         throttle.OF_PANEL_EVERY_S,
-        signin.MAX_WAITING_OF_PLACE,
-        signin.MAX_WAITING,
+        sign_in.MAX_WAITING_OF_PLACE,
+        sign_in.MAX_WAITING,
         pages.DEVICE_KNOWN_S / rules.DAY,
         store.MAX_PLACES,
         rights.RECHECK_S,

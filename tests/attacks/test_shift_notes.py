@@ -11,7 +11,8 @@ import pytest
 
 from app.core.database.files import MIN_FREE_OF_OTHERS
 from app.core.web.access import Role
-from app.records.handover.notes import MAX_AGE_DAYS, MAX_PER_HOUR, notes, quota
+from app.records.handover import notes
+from app.records.handover.notes import MAX_AGE_DAYS, MAX_PER_HOUR
 from app.records.handover.rules.shifts import Shift
 from app.records.handover.service import Handover
 from app.records.handover.settings import ShiftSettings
@@ -107,7 +108,7 @@ async def test_where_the_disk_is_kept_for_commands_nothing_is_stored(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     operator = await house.signed_in(Role.OPERATOR)
-    monkeypatch.setattr(quota, "free_bytes", lambda _: MIN_FREE_OF_OTHERS - 1)
+    monkeypatch.setattr(notes, "free_bytes", lambda _: MIN_FREE_OF_OTHERS - 1)
     refused = await write(operator, pictures=[picture(1)])
     assert (refused.status_code, refused.json()["code"]) == (503, "store")
     assert await house.events("shift") == []
