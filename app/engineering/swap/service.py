@@ -21,8 +21,8 @@ from app.engineering.sets.restore_service import RestoreService
 from app.engineering.sets.saving import SetKeeper
 from app.engineering.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, SwapState, finding
 from app.errors import Problem, StoreError, or_404
-from app.line.commands.api.responses import outcome_message
 from app.line.commands.catalogue import WRITE_PARAMETER
+from app.line.commands.review import outcome_message
 from app.line.commands.service import CommandService
 from app.line.live.bus_live import LiveState
 from app.line.live.requests import unit_or_404

@@ -343,3 +343,13 @@ def _explains(result: Result | UnitOutcome) -> bool:
         return result.unit_error is None
     in_part = isinstance(result, UnitOutcome) and result.read_back is None
     return result.outcome == "invalid" or (in_part and result.outcome in ("not_sent", "unverified"))
+
+
+def outcome_message(result: Result | UnitOutcome) -> Message:
+    """Word the result of a command, or of one unit's part in it, for programs and events."""
+    if result.message:
+        return result.message
+    outcome = Message(f"outcome_{result.outcome}")
+    if result.unit_error is None:
+        return outcome
+    return Message.of("outcome_because", outcome=outcome, reason=unit_error(result.unit_error))

@@ -1,13 +1,15 @@
-"""The commands over HTTP; each responds once its result is known."""
+"""The commands over HTTP. Each responds once its result is known; its body is taken strictly, as it is."""
 
 from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query
+from pydantic import Field, StringConstraints, model_validator
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -15,17 +17,8 @@ from app.core.web.access import Person
 from app.core.web.api import ApiRoute, RequestKey, problems
 from app.core.web.arrival import Deadline, made_at
 from app.core.web.services import bus_service
+from app.core.web.shape import StrictBody
 from app.errors import Problem
-from app.line.commands.api.bodies import (
-    AnalogOutputRequest,
-    BaudRequest,
-    CommandRequestBody,
-    OutputRequest,
-    ParameterRequest,
-    Quantity,
-    SpeedRequest,
-    SpeedsRequest,
-)
 from app.line.commands.api.responses import CommandResult, FramesWanted, command_response
 from app.line.commands.catalogue import (
     CHANGE_BAUD,
@@ -66,7 +59,7 @@ from bus.messages import Message
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=ApiRoute)
 FIRST_READ_WITHIN_S = 5.0
-"""What a plain look at the parameters waits for those that were never read; the reading itself goes on."""
+"""How long a request for the parameters waits for those that were never read; the reading itself goes on."""
 RESULT_RESPONSES: dict[int | str, dict[str, Any]] = {
     200: {"model": CommandResult, "description": "verified or acknowledged"},
     **problems(404, 409, 423, 504),
@@ -82,9 +75,83 @@ async def _unit_in_path(bus: BusInPath, unit: int) -> UnitLive:
 UnitInPath = Annotated[UnitLive, Depends(_unit_in_path)]
 
 
+TimeoutS = Annotated[float, Field(ge=0.05, le=30)]
+"""How long a write may wait for the wire, seconds; after that it is dropped."""
+UnitKey = Annotated[str, StringConstraints(pattern=r"^[1-9][0-9]{0,2}$")]
+TypedValue = str | int | float
+
+
+class CommandRequestBody(StrictBody):
+    """What the body of every command may hold."""
+
+    timeout_s: Annotated[
+        TimeoutS | None, Field(description="Time that it may wait for the wire, 0.05 to 30 s; else 2 s.")
+    ] = None
+    confirm: Annotated[bool, Field(description="Confirms a dangerous value or a large step.")] = False
+
+
+class Quantity(StrictBody):
+    """A raw integer of the wire, or the value as displayed; not both."""
+
+    raw: Annotated[int | None, Field(description="Integer on the wire, 0 to 99999.")] = None
+    value: Annotated[
+        TypedValue | None,
+        Field(description="As the unit displays it, such as 1234.5; of a setpoint also 105 % of its own."),
+    ] = None
+
+    @model_validator(mode="after")
+    def _is_given_once(self) -> Quantity:
+        if (self.raw is None) == (self.value is None):
+            raise ValueError(Message("raw_or_value"))
+        if isinstance(self.value, bool):
+            raise ValueError(Message("value_not_a_number"))
+        return self
+
+    @property
+    def typed(self) -> str:
+        """The value as a person would type it; empty when ``raw`` is given."""
+        if isinstance(self.value, float):
+            return f"{Decimal(repr(self.value)).normalize():f}"
+        return "" if self.value is None else str(self.value)
+
+
+class SpeedRequest(CommandRequestBody, Quantity):
+    """``execute`` true: 84h, immediately; false: 82h, staged until executed."""
+
+    execute: bool = True
+
+
+class ParameterRequest(CommandRequestBody, Quantity):
+    """The new value of a parameter."""
+
+
+class OutputRequest(CommandRequestBody):
+    """Requested state of an auxiliary output."""
+
+    on: bool
+
+
+class BaudRequest(CommandRequestBody):
+    """The baud rate that every unit of a bus shall have (#18)."""
+
+    baud: Annotated[int, Field(description="300, 600, 1200, 2400, 4800 or 9600 bit/s.")]
+
+
+class AnalogOutputRequest(CommandRequestBody):
+    """The value of 88h, #29 to #30."""
+
+    raw: Annotated[int, Field(description="Integer on the wire, #29 (0 V) to #30 (10 V).")]
+
+
+class SpeedsRequest(CommandRequestBody):
+    """The setpoints of one change, by unit."""
+
+    setpoints: Annotated[dict[UnitKey, Quantity], Field(min_length=1)]
+
+
 @dataclass(frozen=True, slots=True)
 class CommandCall:
-    """What every command's request carries beside its body: its sender, the key, and when it was made."""
+    """The request of a command beside its body: its sender, the key, and when it was made."""
 
     request: Request
     person: Person
@@ -96,7 +163,8 @@ class CommandCall:
     frames: bool
 
     def deadline(self, body: CommandRequestBody, staged_units: int = 0, *, typed: bool = False) -> Deadline:
-        """By the body's ``timeout_s``, else the query's, else what a change of so many units may take."""
+        """Return the deadline by the body's ``timeout_s``, else the query's, else what such a change may
+        take."""
         given = body.timeout_s if body.timeout_s is not None else self.query_timeout_s
         usual = timeout_s_for(self.bus, staged_units, typed=typed)
         return Deadline(self.made_at, usual if given is None else given)
@@ -127,7 +195,7 @@ class CommandCall:
 
 
 def calling(kind: CommandKind[Any]) -> Any:
-    """A dependency: the call of who may send such a command."""
+    """Make a dependency that returns the call of a user with the role of a kind of command."""
     sender = permitted_writer(kind) if kind.request.writes else permitted(kind)
     wants_frames = Depends(_frames_wanted if kind.request.writes else _no_frames)
 
@@ -241,7 +309,7 @@ async def get_parameters(
 
 
 async def _read(call: CommandCall, unit: int, numbers: list[int], *, gaps: bool) -> None:
-    """Read them from the unit. Raises Problem 503 or 504 when not all of them come."""
+    """Read parameters from the unit. Raises Problem 503 or 504 if not all of them come."""
     action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
     result = await call.commands.send(call.person, action)
     check_all_read(unit, numbers, result)

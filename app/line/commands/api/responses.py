@@ -21,14 +21,14 @@ from app.core.web.shape import (
     reason_shown,
 )
 from app.errors import Problem
+from app.line.commands.review import outcome_message
 from app.line.live.bus_live import BusLive
 from bus.contract import Direction, Frame, Outcome, Result, UnitOutcome
-from bus.errors import unit_error, unit_error_name
+from bus.errors import unit_error_name
 from bus.instants import UnixTime
-from bus.messages import Message
 
 OutcomeShown = TypeAliasType("OutcomeShown", Outcome)
-"""Named, so that clients have one enumeration of it."""
+"""Has a name so that clients get a single enumeration of it."""
 Moment = Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds; null: it did not happen.")]
 Attempts = Annotated[int, Field(description="How often the request was sent.")]
 
@@ -108,14 +108,14 @@ STATUS = {
 
 FramesWanted = Annotated[bool, Query(description="With the frames that carried the command.")]
 _OF_A_PROBLEM = {"code", *ReasonShown.__annotations__}
-"""What a problem has without the members of a result."""
+"""The members that a problem has anyway."""
 
 
 def command_response(
     request: Request, bus: BusLive, result: Result, unit: int | None = None, *, frames: bool = False
 ) -> Response:
-    """200 with the result, or the problem it stands for; the members are the same in both. ``frames``: with
-    what carried the command."""
+    """Return 200 with the result, or the problem that it stands for; both have the same members. ``frames``:
+    with the frames that carried the command."""
     body = result_json(bus, result, unit)
     if frames:
         body["frames"] = [frame_json(frame) for frame in result.frames]
@@ -127,8 +127,8 @@ def command_response(
 
 
 def result_json(bus: BusLive, result: Result, unit: int | None = None) -> dict[str, Any]:
-    """``units``: of a command to several the result of each, keyed by its number as text; of one to ``unit``
-    the members are its own."""
+    """Return a result as JSON: in ``units`` the result at each of several, by its number as text; for a
+    command to one ``unit`` the members of its result."""
     by_unit = {str(part.unit): _unit_json(part) for part in result.units}
     alone = {} if unit is None else by_unit.pop(str(unit), {})
     return {
@@ -142,15 +142,6 @@ def result_json(bus: BusLive, result: Result, unit: int | None = None) -> dict[s
         "skew_s": result.skew_s,
         "units": by_unit,
     }
-
-
-def outcome_message(result: Result | UnitOutcome) -> Message:
-    if result.message:
-        return result.message
-    outcome = Message(f"outcome_{result.outcome}")
-    if result.unit_error is None:
-        return outcome
-    return Message.of("outcome_because", outcome=outcome, reason=unit_error(result.unit_error))
 
 
 def frame_json(frame: Frame) -> FrameShown:

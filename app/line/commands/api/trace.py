@@ -85,7 +85,8 @@ async def _pieces(commands: CommandService, person: Person, since: UnixTime) -> 
 
 
 async def _shown(frames: Iterable[Frame]) -> AsyncIterator[FrameShown]:
-    """Each frame for programs. Two thousand take a tenth of a second, in which others have their turns."""
+    """Yield each frame as JSON. Two thousand take a tenth of a second, during which others have their
+    turns."""
     for frame in frames:
         yield frame_json(frame)
         await asyncio.sleep(0)

@@ -19,6 +19,7 @@ _DIRECTIONS = ("out", "in")
 
 
 def trace_line(frame: Frame) -> str:
+    """Write a frame as a line."""
     time = datetime.fromtimestamp(float(frame.at), UTC).isoformat(timespec="microseconds")
     meaning = " ".join(frame.meaning.split())
     return f"{time}\t{frame.direction}\t{frame.data.hex(' ').upper()}\t{meaning}"
@@ -30,7 +31,7 @@ def is_trace_line(line: str) -> bool:
 
 
 def parse_trace_line(line: str) -> Frame:
-    """Raises CallerError for what ``trace_line`` did not write."""
+    """Parse a line. Raises CallerError for anything that :func:`trace_line` does not write."""
     try:
         time, direction, data, meaning = line.rstrip("\r\n").split("\t")
         if direction not in _DIRECTIONS:
