@@ -94,10 +94,6 @@ class PageContext:
         """Return all texts of the screen as they are now."""
         return service_of(self.request, Hub).screen(self.translator.language.tag).flat()
 
-    def people(self) -> dict[str, str]:
-        """Return the role of each user with an open page, keyed by user name."""
-        return service_of(self.request, Hub).people()
-
     def render(self, template: str, /, *, status: int = 200, **context: Any) -> Response:
         """Render a template in the reader's language."""
         return render(self.request, template, status=status, **context)

@@ -6,7 +6,7 @@ There is no other path from a request to the wire.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from math import inf
 from typing import Annotated, Any, Protocol
@@ -382,11 +382,24 @@ class CommandService:
             scales={unit: scale for unit, scale in scales.items() if scale},
             typed=typed,
         )
-        return await _while_permitted(
-            self._channel.send(command),
-            lambda: self._why_no_longer(request, slows=slows),
-            lambda: self._channel.cancel(request.id),
-        )
+        return await self._follow(command, request, slows=slows)
+
+    async def _follow(self, command: Command, request: CommandRequest, *, slows: bool) -> Result:
+        """Send a command and return its result. If it may no longer go on, the worker is told once to stop
+        where nothing is half done, and the reason precedes the message of the result."""
+        sending = asyncio.ensure_future(self._channel.send(command))
+        reason: Message | None = None
+        try:
+            while not sending.done():
+                await asyncio.wait({sending}, timeout=RECHECK_S)
+                if not sending.done() and reason is None:
+                    reason = await self._why_no_longer(request, slows=slows)
+                    if reason is not None:
+                        await self._channel.cancel(request.id)
+            result = sending.result()
+        finally:
+            sending.cancel()
+        return replace(result, message=joined((reason, result.message)))
 
     async def _why_no_longer(self, request: CommandRequest, *, slows: bool) -> Message | None:
         """Return why a command must not be sent, or be given up; None while it may go on. A store that cannot
@@ -451,28 +464,6 @@ def _steps(action: Action, live: BusLive) -> dict[int, int]:
         if present is not None and new.kind in (None, kind_of(unit)) and not new.is_staged:
             steps[new.unit] = abs(new.raw - present)
     return steps
-
-
-async def _while_permitted(
-    work: Coroutine[Any, Any, Result],
-    why_not: Callable[[], Awaitable[Message | None]],
-    give_up: Callable[[], Awaitable[None]],
-) -> Result:
-    """Return the result of ``work``, a command in progress. When ``why_not`` gives a reason, ``give_up`` is
-    called once, the worker stops where nothing is half done, and the reason precedes the result's message."""
-    task = asyncio.ensure_future(work)
-    reason: Message | None = None
-    try:
-        while not task.done():
-            await asyncio.wait({task}, timeout=RECHECK_S)
-            if not task.done() and reason is None:
-                reason = await why_not()
-                if reason is not None:
-                    await give_up()
-        result = task.result()
-    finally:
-        task.cancel()
-    return replace(result, message=joined((reason, result.message)))
 
 
 Commands = Annotated[CommandService, bus_service(CommandService)]

@@ -10,10 +10,7 @@ from typing import Any
 import pytest
 
 from app.core.web.access import Person, Role
-from app.core.web.arrival import DEFAULT_TIMEOUT_S
 from app.errors import Problem, StoreError
-from app.line.commands.catalogue import timeout_s_for
-from app.line.live.bus_live import LiveState
 from app.people.audit.queries import Filter
 from bus.contract import (
     Action,
@@ -27,7 +24,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.messages import Message, term
-from tests.app.stage import PlayedWorker, Stage, bus_settings, responding, result_of
+from tests.app.stage import PlayedWorker, Stage, responding, result_of
 
 ANNA = Person("anna", Role.ENGINEER, "token")
 COMMAND = SetSpeed(unit=1, raw=5)
@@ -175,9 +172,3 @@ async def test_reads_before_a_write_come_first(stage: Stage, worker: PlayedWorke
     await stage.commands.send(ANNA, ReadParameters(unit=1, numbers=[6]))
     kept = "kept anna [1]"
     assert order == [f"{kept} for parameters", "sent", kept, "sent", "sent"]
-
-
-def test_a_change_of_several_is_given_the_time_of_its_staging() -> None:
-    live = LiveState([bus_settings(turnaround_ms=0)], started_at=0.0).buses["dry-end"]
-    assert timeout_s_for(live) == DEFAULT_TIMEOUT_S
-    assert timeout_s_for(live, 255) == pytest.approx(DEFAULT_TIMEOUT_S + 255 * 220 / 9600)

@@ -304,12 +304,6 @@ async def test_dangerous_needs_its_confirmation(stage: Stage, worker: PlayedWork
     assert worker.commands == []
 
 
-async def test_out_of_range_offers_the_nearest(stage: Stage, worker: PlayedWorker) -> None:
-    assert (await stage.request("POST", "/units/1/speed", {"raw": 123456})).json()["nearest"] == 20000
-    assert (await stage.request("PUT", "/units/1/analog-output", {"raw": 5})).json()["nearest"] == 100
-    assert worker.commands == []
-
-
 async def test_the_time_is_passed_on(stage: Stage, worker: PlayedWorker) -> None:
     for path, body, seconds in (
         ("/units/1/speed", {"raw": 5}, 2.0),

@@ -11,6 +11,7 @@ from starlette.responses import RedirectResponse, Response
 
 from app.core.web.access import Person, Role, Viewer
 from app.core.web.arrival import Deadline
+from app.core.web.services import service_of
 from app.core.web.templating import render
 from app.errors import Problem
 from app.line.commands.catalogue import CHANGE_BAUD, SCAN_BUS
@@ -24,6 +25,7 @@ from app.line.commands.review import outcome_text
 from app.line.commands.safeguards import END_READ_ONLY, FORCE_CONTROL, SET_READ_ONLY, TAKE_CONTROL
 from app.line.commands.service import permitted
 from app.line.commands.undo import UndoOffer
+from app.line.live.hub import Hub
 from bus.contract import (
     ChangeBaud,
     ScanBus,
@@ -210,7 +212,11 @@ def _shown(page: BusPage, place: ControlPlace, *, fault: str | Message = "", of_
 
 def others(page: BusPage) -> list[str]:
     """Return the users with an open page who may set a line and do not hold control of this one."""
-    here = {name for name, role in page.people().items() if Role(role).includes(TAKE_CONTROL.role)}
+    here = {
+        name
+        for name, role in service_of(page.request, Hub).people().items()
+        if Role(role).includes(TAKE_CONTROL.role)
+    }
     if page.person.role.includes(FORCE_CONTROL.role):
         here.add(page.person.account)
     return sorted(here - {page.guards.bus_control().holder})
