@@ -26,7 +26,7 @@ OFFICE = {"width": 1280, "height": 900}
 PHONE = {"width": 360, "height": 740}
 HALL = {"width": 1920, "height": 1080}
 NUMBERS = (5, 6, 7, 9, 10, 11, 12, 15, 22, 23, 25, 39)
-"""Changed at the panel, each by one."""
+"""Changed at the keypad, each by one."""
 
 
 @pytest.fixture(scope="module")

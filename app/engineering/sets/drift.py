@@ -150,19 +150,19 @@ def _summary(found: list[DriftedParameter], formats: Formats, now: UnixTime) -> 
     differing: dict[str, ParamValue] = {"n": len(found), "number": found[0].row.number}
     if not all(one.traced for one in found):
         return Message("drift", differing)
-    at_panel = sum(one.change is None for one in found)
-    if at_panel == len(found):
+    at_keypad = sum(one.change is None for one in found)
+    if at_keypad == len(found):
         return Message("drift_at_panel", differing)
     people = _latest_of_each(found)
     authors = [{"who": one["who"], "when": formats.since(one["time"], now)} for one, _ in people]
-    if len(people) == 1 and not at_panel:
+    if len(people) == 1 and not at_keypad:
         return Message("drift_by", differing | authors[0])
     parts = [
         Message.of("drift_part_by", rows=rows, **author)
         for author, (_, rows) in zip(authors, people, strict=True)
     ]
-    if at_panel:
-        parts.append(Message.of("drift_part_at_panel", rows=at_panel))
+    if at_keypad:
+        parts.append(Message.of("drift_part_at_panel", rows=at_keypad))
     return Message.of("drift_parts", count=len(found), parts=listed(parts))
 
 

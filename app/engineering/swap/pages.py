@@ -97,8 +97,8 @@ async def _advice(person: Person, swaps: SwapService, swap: Swap) -> Advice:
     try:
         state = await swaps.look(person, swap)
     except Problem as problem:
-        return Advice("find", problem.message, at_panel=False)
-    return Advice("find", Message("swap_reading"), at_panel=False) if state is None else advice(state)
+        return Advice("find", problem.message, at_keypad=False)
+    return Advice("find", Message("swap_reading"), at_keypad=False) if state is None else advice(state)
 
 
 @router.post("/swap/{bus}/{unit}/spare")

@@ -39,46 +39,46 @@ class SwapState:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """The present step and what to do. ``at_panel``: only a person at the unit can do it; ``confirms_spare``:
-    a person may confirm that the unit is the spare."""
+    """The present step and what to do. ``at_keypad``: only a person at the unit can do it;
+    ``confirms_spare``: a person may confirm that the unit is the spare."""
 
     step: StepName
     text: Message
-    at_panel: bool
+    at_keypad: bool
     confirms_spare: bool = False
 
 
-PROVEN = Advice("proven", Message("swap_proven"), at_panel=False)
+PROVEN = Advice("proven", Message("swap_proven"), at_keypad=False)
 
 
 def advice(state: SwapState) -> Advice:
     """Advise what to do now."""
     if state.at_target == "late":
-        return Advice("find", Message.of("swap_late", target=state.target), at_panel=False)
+        return Advice("find", Message.of("swap_late", target=state.target), at_keypad=False)
     if state.at_target in ("garbled", "foreign"):
         code = "swap_foreign" if state.at_target == "foreign" else "swap_two_units"
-        return Advice("address", Message.of(code, target=state.target), at_panel=True)
+        return Advice("address", Message.of(code, target=state.target), at_keypad=True)
     if state.at_target == "silent":
         return _nothing_at_target(state)
     if not state.is_new:
         text = Message.of("swap_old_or_new", target=state.target)
-        return Advice("find", text, at_panel=True, confirms_spare=True)
+        return Advice("find", text, at_keypad=True, confirms_spare=True)
     if state.remote is not True:
-        return Advice("remote", Message("swap_set_remote"), at_panel=True)
+        return Advice("remote", Message("swap_set_remote"), at_keypad=True)
     if state.equal is not True:
-        return Advice("restore", Message("swap_restore_now"), at_panel=False)
+        return Advice("restore", Message("swap_restore_now"), at_keypad=False)
     return PROVEN
 
 
 def _nothing_at_target(state: SwapState) -> Advice:
     addresses: dict[str, ParamValue] = {"target": state.target, "factory": FACTORY_ADDRESS}
     if state.at_factory == "garbled":
-        return Advice("address", Message("swap_two_at_factory", addresses), at_panel=True)
+        return Advice("address", Message("swap_two_at_factory", addresses), at_keypad=True)
     if state.at_factory == "digimax" and FACTORY_ADDRESS not in state.configured:
-        return Advice("address", Message("swap_at_factory", addresses), at_panel=True)
+        return Advice("address", Message("swap_at_factory", addresses), at_keypad=True)
     code = "swap_nothing_new" if state.baud == FACTORY_BAUD else "swap_nothing_new_other_baud"
     text = Message.of(code, target=state.target, baud=state.baud, hundreds=state.baud // 100)
-    return Advice("find", text, at_panel=True)
+    return Advice("find", text, at_keypad=True)
 
 
 def finding(state: SwapState) -> Message:

@@ -38,7 +38,7 @@ def state(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: 
 
 
 @pytest.mark.parametrize(
-    ("seen", "step", "at_panel", "code"),
+    ("seen", "step", "at_keypad", "code"),
     [
         (state("silent"), "find", True, "swap_nothing_new"),
         (state("silent", "digimax"), "address", True, "swap_at_factory"),
@@ -54,9 +54,9 @@ def state(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: 
         (state("digimax", remote=True, equal=True), "proven", False, "swap_proven"),
     ],
 )
-def test_what_to_do_now(seen: SwapState, step: str, at_panel: bool, code: str) -> None:
+def test_what_to_do_now(seen: SwapState, step: str, at_keypad: bool, code: str) -> None:
     now = advice(seen)
-    assert (now.step, now.at_panel, now.text.code) == (step, at_panel, code)
+    assert (now.step, now.at_keypad, now.text.code) == (step, at_keypad, code)
     assert "{" not in str(now.text)
 
 
