@@ -80,21 +80,6 @@ def warning_of(number: int, raw: int, *, running: bool | None) -> Message | None
 INVERSE_FOLLOWER = 2
 """Value of #8 of a unit that slows down as its ratio goes up (manual, 4.0)."""
 _MEANING = (numbers.DECIMALS, numbers.FOLLOWER_MODE)
-_MAXIMA, _MINIMA = frozenset({numbers.MAX_DISPLAY, numbers.MAX_RATIO}), frozenset({numbers.MIN_RATIO})
-_FASTER_UPWARD = frozenset(
-    {
-        numbers.MAX_RPM,
-        numbers.BASE_RATIO,
-        numbers.ENCODER_PPR,
-        numbers.PRESET_SPEED,
-        numbers.JUMP_UP,
-        numbers.SPEED_SETPOINT,
-        numbers.RATIO_SETPOINT,
-    }
-)
-_SLOWER_UPWARD = frozenset({numbers.JUMP_DOWN})
-"""The motor speed is the setpoint * #1 / #2 by the pulses of #5; in a follower that of the master * #4 * #37.
-#2 is among the bounds. #9 to #11 take the place of the setpoint, or move it, while their inputs are on."""
 _ENDS_TALK = (numbers.PASSWORD, numbers.PROTOCOL, numbers.BAUD_RATE, numbers.CONTROL_MODE)
 """Rows after which the unit may not respond any more; they come last."""
 _BOUNDS = ((numbers.ANALOG_IN_LOW, numbers.ANALOG_IN_HIGH), (numbers.ANALOG_OUT_LOW, numbers.ANALOG_OUT_HIGH))
@@ -127,6 +112,25 @@ class _Step(IntEnum):
     ENDS_TALK = 8
 
 
+_STEPS: Mapping[int, tuple[_Step, _Step]] = {
+    **dict.fromkeys((numbers.MAX_DISPLAY, numbers.MAX_RATIO), (_Step.WIDEN, _Step.NARROW)),
+    numbers.MIN_RATIO: (_Step.NARROW, _Step.WIDEN),
+    **dict.fromkeys(
+        (
+            *(numbers.MAX_RPM, numbers.BASE_RATIO, numbers.ENCODER_PPR, numbers.PRESET_SPEED),
+            *(numbers.JUMP_UP, numbers.SPEED_SETPOINT, numbers.RATIO_SETPOINT),
+        ),
+        (_Step.FASTER, _Step.SLOWER),
+    ),
+    numbers.JUMP_DOWN: (_Step.SLOWER, _Step.FASTER),
+}
+"""By number the step of a value that grows, and of one that falls.
+
+The motor speed is the setpoint * #1 / #2 by the pulses of #5; in a follower that of the master * #4 * #37.
+#2 is among the bounds. #9 to #11 take the place of the setpoint, or move it, while their inputs are on.
+"""
+
+
 def in_order(writes: Iterable[Write], *, mode: int | None) -> tuple[Write, ...]:
     """Order the writes. ``mode``: #8 of the unit now, None where it is not known."""
     ordered = sorted(writes, key=lambda write: _rank(write, mode))
@@ -141,21 +145,11 @@ def _rank(write: Write, mode: int | None) -> tuple[_Step, int]:
         return _Step.MEANING, _MEANING.index(number)
     if number in _ENDS_TALK:
         return _Step.ENDS_TALK, _ENDS_TALK.index(number)
-    return _step(write, mode), number
-
-
-def _step(write: Write, mode: int | None) -> _Step:
-    number = write.number
     if number == numbers.SETUP_DURING_RUN:
-        return _Step.ALLOW_SETUP if write.wanted else _Step.FORBID_SETUP
-    if number in _MAXIMA:
-        return _Step.WIDEN if write.up else _Step.NARROW
-    if number in _MINIMA:
-        return _Step.NARROW if write.up else _Step.WIDEN
-    if number in _FASTER_UPWARD | _SLOWER_UPWARD:
-        inverse = number in _SLOWER_UPWARD or (number == numbers.RATIO_SETPOINT and mode == INVERSE_FOLLOWER)
-        return _Step.FASTER if write.up != inverse else _Step.SLOWER
-    return _Step.OTHERS
+        return (_Step.ALLOW_SETUP if write.wanted else _Step.FORBID_SETUP), number
+    growing, falling = _STEPS.get(number, (_Step.OTHERS, _Step.OTHERS))
+    is_inverse = number == numbers.RATIO_SETPOINT and mode == INVERSE_FOLLOWER
+    return (growing if write.up != is_inverse else falling), number
 
 
 def _widen_first(ordered: list[Write], low: int, high: int) -> None:
