@@ -111,3 +111,9 @@ async def played_line(services: Services, stopped: Collection[int] = ()) -> Play
     await line.channel.opened(line, "w1")
     line.keep_responding()
     return line
+
+
+def estop(services: Services, *, active: bool, unit: int = 1) -> None:
+    """Apply a reading in which the emergency stop of a unit is active, or is not."""
+    reading = Reading(unit, time.time(), 0, 0, 0, REMOTE, 0 if active else HEALTHY)
+    services[LiveState].buses[BUS].apply([reading])

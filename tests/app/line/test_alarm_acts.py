@@ -57,8 +57,9 @@ class ActiveAlarms:
     def clock(self) -> UnixTime:
         return UnixTime(self.bus.now)
 
-    async def recorded(self) -> list[str]:
-        return [event["what"] for event in (await self.events.page(Filter(kind="alarm"), 100))[0]]
+    async def recorded(self) -> list[tuple[str, str | None, int | None]]:
+        events, _ = await self.events.page(Filter(kind="alarm"), 100)
+        return [(event["what"], event["message"], event["unit"]) for event in events]
 
 
 def body_of(act: AlarmAct) -> ActBody:
@@ -106,12 +107,12 @@ async def test_each_act_follows_from_its_row(database: Database) -> None:
         assert active.alarm.facts.state == state
     assert active.alarm.hidden_by == "anna"
     assert await active.recorded() == [
-        "Alarm returned to service: Emergency stop",
-        "Alarm taken out of service: Emergency stop",
-        "Alarm unshelved: Emergency stop",
-        "Alarm shelved: Emergency stop",
-        "Alarm acknowledged: Emergency stop",
-        "Alarm silenced: Emergency stop",
+        ("Alarm returned to service: Emergency stop", "chatters", 1),
+        ("Alarm taken out of service: Emergency stop", "chatters", 1),
+        ("Alarm unshelved: Emergency stop", "chatters", 1),
+        ("Alarm shelved: Emergency stop", "chatters", 1),
+        ("Alarm acknowledged: Emergency stop", "seen", 1),
+        ("Alarm silenced: Emergency stop", "seen", 1),
     ]
     with pytest.raises(Problem, match="Nothing was changed"):
         await active.alarms.act(ANNA, RESET, f"{ESTOP}.1")

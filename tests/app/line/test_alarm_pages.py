@@ -23,7 +23,7 @@ from app.line.live.screen import ALARM_GROUP
 from bus.contract import Reading
 from bus.instants import UnixTime, unix_now
 from tests.app.complete_app import House, complete_app
-from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
+from tests.app.played_line import BUS, HEALTHY, estop, played_line
 from tests.app.screens import translator
 
 ESTOP = f"{BUS}.1.estop_active"
@@ -37,11 +37,6 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
         yield house
 
 
-def estop(house: House, *, active: bool, unit: int = 1) -> None:
-    live = house.services[LiveState].buses[BUS]
-    live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, 0 if active else HEALTHY)])
-
-
 async def page(client: httpx.AsyncClient, path: str) -> str:
     response = await client.get(path)
     assert response.status_code == 200, response.text
@@ -53,7 +48,7 @@ def state(house: House, key: str = ESTOP) -> str:
 
 
 async def test_the_summary_has_the_present_alarms_and_only_an_operator_may_act(house: House) -> None:
-    estop(house, active=True)
+    estop(house.services, active=True)
     viewer, operator = await house.signed_in(Role.VIEWER), await house.signed_in(Role.OPERATOR)
     for_viewer, for_operator = await page(viewer, "/alarms"), await page(operator, "/alarms")
     assert "Emergency stop" in for_viewer
@@ -62,7 +57,7 @@ async def test_the_summary_has_the_present_alarms_and_only_an_operator_may_act(h
 
 
 async def test_one_is_acknowledged_where_it_stands(house: House) -> None:
-    estop(house, active=True)
+    estop(house.services, active=True)
     operator = await house.signed_in(Role.OPERATOR)
     done = await operator.post("/alarms/acknowledge?priority=urgent", data={"id": f"{ESTOP}.1"})
     assert (done.status_code, done.headers["location"]) == (303, "/alarms?priority=urgent")
@@ -71,11 +66,11 @@ async def test_one_is_acknowledged_where_it_stands(house: House) -> None:
 
 async def test_those_shown_are_acknowledged_and_one_that_came_again_is_not(house: House) -> None:
     operator = await house.signed_in(Role.OPERATOR)
-    estop(house, active=True)
-    estop(house, active=True, unit=2)
+    estop(house.services, active=True)
+    estop(house.services, active=True, unit=2)
     shown = re.findall(rf'name="id" value="({BUS}[^"]+)"', await page(operator, "/alarms"))
-    estop(house, active=False)
-    estop(house, active=True)
+    estop(house.services, active=False)
+    estop(house.services, active=True)
     done = await operator.post("/alarms/acknowledge", data={"id": sorted(set(shown))})
     assert "left_out=1" in done.headers["location"]
     assert (state(house), state(house, f"{BUS}.2.estop_active")) == ("unack_active", "ack_active")
@@ -89,7 +84,7 @@ def rows(text: str) -> list[str]:
 
 async def test_no_row_moves_until_the_list_is_opened_again(house: House) -> None:
     operator = await house.signed_in(Role.OPERATOR)
-    estop(house, active=True)
+    estop(house.services, active=True)
     remote_off(house, unit=2)
     shown = rows(await page(operator, "/alarms"))
     local = f"{BUS}.2.not_in_remote"
@@ -97,8 +92,8 @@ async def test_no_row_moves_until_the_list_is_opened_again(house: House) -> None
     done = await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1", "shown": shown})
     assert (done.status_code, done.headers["hx-retarget"]) == (200, "#alarms")
     assert rows(done.text) == shown
-    estop(house, active=False)
-    estop(house, active=True, unit=2)
+    estop(house.services, active=False)
+    estop(house.services, active=True, unit=2)
     redrawn = await operator.get("/alarms/list", params={"shown": shown})
     assert rows(redrawn.text) == [ESTOP, local, f"{BUS}.2.estop_active"]
     assert "normal" in redrawn.text
@@ -114,9 +109,9 @@ async def test_a_row_that_was_never_an_alarm_is_not_listed(house: House) -> None
 
 async def test_the_list_reports_what_had_changed_before_it_was_acknowledged(house: House) -> None:
     operator = await house.signed_in(Role.OPERATOR)
-    estop(house, active=True)
-    estop(house, active=False)
-    estop(house, active=True)
+    estop(house.services, active=True)
+    estop(house.services, active=False)
+    estop(house.services, active=True)
     done = await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1", "shown": ESTOP})
     assert "had changed and was not acknowledged" in done.text
     assert state(house) == "unack_active"
@@ -124,7 +119,7 @@ async def test_the_list_reports_what_had_changed_before_it_was_acknowledged(hous
 
 async def test_the_list_has_the_three_times_and_an_acknowledgement_leaves_the_first(house: House) -> None:
     operator = await house.signed_in(Role.OPERATOR)
-    estop(house, active=True)
+    estop(house.services, active=True)
 
     async def times() -> list[str]:
         text = await page(operator, f"/alarms/list?shown={ESTOP}")
@@ -134,7 +129,7 @@ async def test_the_list_has_the_three_times_and_an_acknowledgement_leaves_the_fi
     came, *others = await times()
     assert (bool(came), others) == (True, ["", ""])
     await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
-    estop(house, active=False)
+    estop(house.services, active=False)
     after = await times()
     assert after[0] == came
     assert all(after)
@@ -144,7 +139,7 @@ async def test_the_list_is_filtered_by_place_priority_state_and_group(house: Hou
     viewer = await house.signed_in(Role.VIEWER)
     assert "No alarm is present." in await page(viewer, "/alarms/list")
     assert "No alarm matches the filter." in await page(viewer, "/alarms/list?priority=low")
-    estop(house, active=True)
+    estop(house.services, active=True)
     for query, is_in in (
         (f"place={BUS}/1", True),
         (f"place={BUS}/2", False),
@@ -159,7 +154,7 @@ async def test_the_list_is_filtered_by_place_priority_state_and_group(house: Hou
 
 async def test_one_page_has_the_record_and_shelves_with_a_reason(house: House) -> None:
     operator = await house.signed_in(Role.OPERATOR)
-    estop(house, active=True)
+    estop(house.services, active=True)
     text = await page(operator, f"/alarms/{ESTOP}.1")
     assert "Go to the machine, find the reason" in text
     assert "Take alarm out of service" not in text
@@ -182,14 +177,14 @@ async def test_an_engineer_takes_it_out_of_service_and_returns_it(house: House) 
 
 async def test_a_link_to_a_former_occurrence_leads_to_the_present_one(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
-    estop(house, active=True)
+    estop(house.services, active=True)
     moved = await viewer.get(f"/alarms/{ESTOP}.0")
     assert (moved.status_code, moved.headers["location"]) == (303, f"/alarms/{ESTOP}.1")
 
 
 async def test_the_journal_is_in_the_language_of_the_reader(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
-    estop(house, active=True)
+    estop(house.services, active=True)
     await house.services[LineAlarms].write()
     viewer.headers["Accept-Language"] = "de"
     text = await page(viewer, "/alarms/journal")
@@ -200,7 +195,7 @@ async def test_the_journal_is_in_the_language_of_the_reader(house: House) -> Non
 
 async def test_the_journal_is_found_by_unit_priority_state_day_and_the_names_people_use(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
-    estop(house, active=True)
+    estop(house.services, active=True)
     remote_off(house, unit=2)
     await house.services[LineAlarms].write()
     first, second = (house.services[LineAlarms].place(BUS, unit) for unit in (1, 2))
@@ -241,7 +236,7 @@ def head(text: str) -> tuple[str, ...]:
 async def test_every_page_has_the_alarm_with_its_state_before_a_script_runs(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
     assert head(await page(viewer, "/events")) == ("", "", "", "", "")
-    estop(house, active=True)
+    estop(house.services, active=True)
     name = house.services[LineAlarms].place(BUS, 1)
     came = facts_of(house).came or unix_now()
     since = house.services[Templates].formats("en").since(came, came)
@@ -261,8 +256,8 @@ def facts_of(house: House, unit: int = 1) -> AlarmFacts:
 async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_priority(house: House) -> None:
     banner, now = AlarmBanner(house.services[LineAlarms]), unix_now()
     operator = await house.signed_in(Role.OPERATOR)
-    estop(house, active=True)
-    estop(house, active=False)
+    estop(house.services, active=True)
+    estop(house.services, active=False)
     cleared = banner.banner(translator(), now)
     assert (cleared["mark"], cleared["more"], cleared["acknowledge"]) == (
         *("urgent cleared waiting", ""),
@@ -301,7 +296,7 @@ def remote_off(house: House, unit: int) -> None:
 
 
 async def test_an_unknown_condition_is_not_shown_as_active(house: House) -> None:
-    estop(house, active=True)
+    estop(house.services, active=True)
     alarm = house.services[LineAlarms].buses[BUS].list.alarms[ESTOP]
     alarm.facts = replace(alarm.facts, unknown_since=unix_now())
     state = AlarmBanner(house.services[LineAlarms]).banner(translator(), unix_now())["state"]
@@ -309,7 +304,7 @@ async def test_an_unknown_condition_is_not_shown_as_active(house: House) -> None
 
 
 async def test_an_alarm_of_another_day_shows_its_date_from_midnight_on(house: House) -> None:
-    estop(house, active=True)
+    estop(house.services, active=True)
     banner, came = AlarmBanner(house.services[LineAlarms]), facts_of(house).came or unix_now()
     later = banner.banner(translator(), UnixTime(came + 3 * 86_400.0))["state"]
     assert later == f"active since {translator().formats.since(came, UnixTime(came + 3 * 86_400.0))}"
@@ -321,13 +316,13 @@ async def test_an_open_page_gets_the_alarm_without_a_request(house: House) -> No
     assert isinstance(hub, Hub)
     screen = hub.screen("en")
     before = screen.shown[ALARM_GROUP]["changed"]
-    estop(house, active=True)
+    estop(house.services, active=True)
     assert hub.screen("en").shown[ALARM_GROUP]["changed"] != before
 
 
 async def test_the_figures_are_a_page_and_data_and_a_file(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
-    estop(house, active=True)
+    estop(house.services, active=True)
     await house.services[LineAlarms].write()
     assert "observed for less than 10 minutes" in await page(viewer, "/alarms/performance")
     now = unix_now()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -15,12 +14,10 @@ from app.errors import StoreError
 from app.line.alarms.acts import ALARM_ACTS
 from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import LineAlarms
-from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
-from bus.contract import Reading
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
-from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
+from tests.app.played_line import BUS, estop, played_line
 
 API = "/api/v1/alarms"
 OWN_FIELDS = {"id", "name", "code", "bus", "unit", "priority", "state", "active", "acknowledged", "since"}
@@ -32,12 +29,6 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
         await played_line(house.services)
         house.services.buses[BUS][BusAlarms].tick()
         yield house
-
-
-def estop(house: House, *, active: bool, unit: int = 1) -> None:
-    inputs = 0 if active else HEALTHY
-    live = house.services[LiveState].buses[BUS]
-    live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, inputs)])
 
 
 async def present(client: httpx.AsyncClient, **query: Any) -> list[dict[str, Any]]:
@@ -52,14 +43,14 @@ async def act(client: httpx.AsyncClient, alarm: str, what: str, **body: Any) -> 
 
 async def test_an_alarm_comes_is_acknowledged_and_goes(house: House) -> None:
     operator = await house.program(Role.OPERATOR)
-    estop(house, active=True)
+    estop(house.services, active=True)
     (alarm,) = await present(operator)
     assert set(alarm) >= OWN_FIELDS
     assert (alarm["code"], alarm["state"], alarm["priority"]) == ("estop_active", "unack_active", "urgent")
     assert alarm["message"].startswith("Emergency stop. Go to the machine")
     done = await act(operator, alarm["id"], "acknowledge", comment="seen")
     assert (done.status_code, done.json()["state"]) == (200, "ack_active")
-    estop(house, active=False)
+    estop(house.services, active=False)
     assert await present(operator) == []
     await house.services[LineAlarms].write()
     journal = (await operator.get(f"{API}/journal")).json()["transitions"]
@@ -73,7 +64,7 @@ async def test_an_alarm_comes_is_acknowledged_and_goes(house: House) -> None:
 async def test_an_acknowledgement_moves_no_active_alarm(house: House) -> None:
     operator = await house.program(Role.OPERATOR)
     for unit in (1, 2):
-        estop(house, active=True, unit=unit)
+        estop(house.services, active=True, unit=unit)
     before = [alarm["id"] for alarm in await present(operator)]
     assert len(before) == 2
     await act(operator, before[0], "acknowledge")
@@ -83,9 +74,9 @@ async def test_an_acknowledgement_moves_no_active_alarm(house: House) -> None:
 async def test_sheet_report_and_list_have_the_same_times_and_states(house: House) -> None:
     operator = await house.program(Role.OPERATOR)
     for unit in (1, 2):
-        estop(house, active=True, unit=unit)
+        estop(house.services, active=True, unit=unit)
     await act(operator, f"{BUS}.1.estop_active.1", "acknowledge")
-    estop(house, active=False, unit=2)
+    estop(house.services, active=False, unit=2)
     await house.services[LineAlarms].write()
     listed = {alarm["id"]: (alarm["came"], alarm["state"]) for alarm in await present(operator)}
     assert {state for _, state in listed.values()} == {"ack_active", "rtn_unack"}
@@ -108,14 +99,14 @@ async def test_came_cleared_and_acknowledged_are_three_times(house: House) -> No
         alarm: dict[str, Any] = (await operator.get(f"{API}/{BUS}.1.estop_active.1")).json()["alarm"]
         return alarm
 
-    estop(house, active=True)
+    estop(house.services, active=True)
     came = await shown()
     assert (came["came"], came["cleared"], came["acknowledged_at"]) == (came["since"], None, None)
     await act(operator, came["id"], "acknowledge")
     acknowledged = await shown()
     assert (acknowledged["came"], acknowledged["cleared"]) == (came["came"], None)
     assert acknowledged["acknowledged_at"] == acknowledged["since"] > came["came"]
-    estop(house, active=False)
+    estop(house.services, active=False)
     cleared = await shown()
     assert (cleared["came"], cleared["acknowledged_at"]) == (came["came"], acknowledged["acknowledged_at"])
     assert cleared["cleared"] == cleared["since"] > acknowledged["since"]
@@ -123,10 +114,10 @@ async def test_came_cleared_and_acknowledged_are_three_times(house: House) -> No
 
 async def test_an_acknowledgement_names_the_occurrence(house: House) -> None:
     operator = await house.program(Role.OPERATOR)
-    estop(house, active=True)
+    estop(house.services, active=True)
     (first,) = await present(operator)
-    estop(house, active=False)
-    estop(house, active=True)
+    estop(house.services, active=False)
+    estop(house.services, active=True)
     late = await act(operator, first["id"], "acknowledge")
     (second,) = await present(operator)
     assert (late.status_code, late.json()["code"], late.json()["id"]) == (409, "superseded", second["id"])
@@ -137,7 +128,7 @@ async def test_of_two_people_who_acknowledge_at_once_the_second_gets_its_refusal
     house: House,
 ) -> None:
     operator = await house.program(Role.OPERATOR)
-    estop(house, active=True)
+    estop(house.services, active=True)
     (alarm,) = await present(operator)
     await act(operator, alarm["id"], "acknowledge")
     again = await act(operator, alarm["id"], "acknowledge")
@@ -147,7 +138,7 @@ async def test_of_two_people_who_acknowledge_at_once_the_second_gets_its_refusal
 
 async def test_shelving_has_a_reason_and_an_end(house: House) -> None:
     operator = await house.program(Role.OPERATOR)
-    estop(house, active=True)
+    estop(house.services, active=True)
     (alarm,) = await present(operator)
     for wrong in (
         {"reason": "", "minutes": 5},
@@ -171,7 +162,7 @@ async def test_out_of_service_is_for_an_engineer(house: House) -> None:
     assert (await act(operator, alarm["id"], "out-of-service", reason="rebuilt")).status_code == 403
     out = await act(engineer, alarm["id"], "out-of-service", reason="rebuilt")
     assert out.json()["state"] == "out_of_service"
-    estop(house, active=True)
+    estop(house.services, active=True)
     (hidden,) = await present(operator)
     assert (hidden["state"], hidden["active"]) == ("out_of_service", True)
     back = await act(engineer, hidden["id"], "in-service")
@@ -181,7 +172,7 @@ async def test_out_of_service_is_for_an_engineer(house: House) -> None:
 @pytest.mark.parametrize("what", [act.path for act in ALARM_ACTS])
 async def test_a_viewer_changes_nothing(house: House, what: str) -> None:
     viewer = await house.program(Role.VIEWER)
-    estop(house, active=True)
+    estop(house.services, active=True)
     (alarm,) = await present(viewer)
     assert (await act(viewer, alarm["id"], what, reason="x", minutes=5)).status_code == 403
 
@@ -197,7 +188,7 @@ async def test_an_alarm_that_is_not_there(house: House, alarm: str) -> None:
 
 async def test_the_detail_has_the_record_and_the_transitions(house: House) -> None:
     viewer = await house.program(Role.VIEWER)
-    estop(house, active=True)
+    estop(house.services, active=True)
     (alarm,) = await present(viewer)
     await house.services.buses[BUS][BusAlarms].list.write()
     detail = (await viewer.get(f"{API}/{alarm['id']}")).json()
@@ -208,8 +199,8 @@ async def test_the_detail_has_the_record_and_the_transitions(house: House) -> No
 
 async def test_the_list_is_filtered(house: House) -> None:
     viewer = await house.program(Role.VIEWER)
-    estop(house, active=True)
-    estop(house, active=True, unit=2)
+    estop(house.services, active=True)
+    estop(house.services, active=True, unit=2)
     assert {each["unit"] for each in await present(viewer)} == {1, 2}
     assert {each["unit"] for each in await present(viewer, unit=2)} == {2}
     assert await present(viewer, priority="low") == []
@@ -217,24 +208,9 @@ async def test_the_list_is_filtered(house: House) -> None:
     assert (await viewer.get(API, params={"state": "odd"})).status_code == 422
 
 
-async def test_every_act_is_in_the_audit_log(house: House) -> None:
-    engineer = await house.program(Role.ENGINEER)
-    estop(house, active=True)
-    (alarm,) = await present(engineer)
-    await act(engineer, alarm["id"], "shelve", reason="chatters", minutes=5)
-    await act(engineer, alarm["id"], "unshelve", reason="repaired")
-    await act(engineer, alarm["id"], "acknowledge", comment="seen")
-    events = (await engineer.get("/api/v1/events", params={"kind": "alarm"})).json()["events"]
-    assert [(e["what"], e["message"], e["unit"]) for e in events] == [
-        ("Alarm acknowledged: Emergency stop", "seen", 1),
-        ("Alarm unshelved: Emergency stop", "repaired", 1),
-        ("Alarm shelved: Emergency stop", "chatters", 1),
-    ]
-
-
 async def test_what_cannot_be_recorded_did_not_happen(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     operator = await house.program(Role.OPERATOR)
-    estop(house, active=True)
+    estop(house.services, active=True)
     (alarm,) = await present(operator)
 
     async def fails(**_: Any) -> int:
@@ -253,8 +229,8 @@ async def test_what_cannot_be_recorded_did_not_happen(house: House, monkeypatch:
 async def test_the_journal_goes_on_by_pages(house: House) -> None:
     viewer = await house.program(Role.VIEWER)
     for _ in range(3):
-        estop(house, active=True)
-        estop(house, active=False)
+        estop(house.services, active=True)
+        estop(house.services, active=False)
     alarms = house.services.buses[BUS][BusAlarms]
     assert isinstance(alarms, BusAlarms)
     await alarms.list.write()
@@ -273,7 +249,7 @@ async def test_the_journal_goes_on_by_pages(house: House) -> None:
 async def test_occurrences_of_the_units_shown_are_in_the_language_of_the_reader(house: House) -> None:
     viewer = await house.program(Role.VIEWER)
     viewer.headers["Accept-Language"] = "de"
-    estop(house, active=True)
+    estop(house.services, active=True)
     await house.services[LineAlarms].write()
     here = (await viewer.get(f"{API}/occurrences", params={"unit": f"{BUS}/1"})).json()
     (mark,) = (each for each in here["occurrences"] if each["unit"] == 1)
@@ -285,7 +261,7 @@ async def test_occurrences_of_the_units_shown_are_in_the_language_of_the_reader(
 
 async def test_silence_ends_the_sound_and_nothing_else_until_it_comes_again(house: House) -> None:
     operator, alarms = await house.program(Role.OPERATOR), house.services[LineAlarms]
-    estop(house, active=True)
+    estop(house.services, active=True)
     (alarm,) = await present(operator)
     done = (await act(operator, alarm["id"], "silence", comment="on my way")).json()
     assert (done["silenced"], done["state"], done["acknowledged"]) == (True, "unack_active", False)
@@ -296,17 +272,17 @@ async def test_silence_ends_the_sound_and_nothing_else_until_it_comes_again(hous
     assert (entry["who"], entry["message"]) == (f"key-{Role.OPERATOR}", "on my way")
     (transition,) = (await operator.get(f"{API}/journal?limit=1")).json()["transitions"]
     assert (transition["trigger"], transition["before"]) == ("silence", transition["after"])
-    estop(house, active=False)
-    estop(house, active=True)
+    estop(house.services, active=False)
+    estop(house.services, active=True)
     assert [each.id for each in alarms.sounding()] == [f"{BUS}.1.estop_active.2"]
 
 
 async def test_a_press_silences_what_sounded_and_not_what_came_since(house: House) -> None:
     alarms = house.services[LineAlarms]
     viewer, operator = await house.signed_in(Role.VIEWER), await house.signed_in(Role.OPERATOR)
-    estop(house, active=True)
+    estop(house.services, active=True)
     until = {"until": str(float(alarms.sounding()[0].facts.since or 0.0))}
-    estop(house, active=True, unit=2)
+    estop(house.services, active=True, unit=2)
     assert (await viewer.post("/alarms/silence", data=until)).status_code == 403
     assert (await operator.post("/alarms/silence", data=until)).status_code == 204
     assert [each.definition.unit for each in alarms.sounding()] == [2]

@@ -30,7 +30,7 @@ from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.notification_servers import PlayedMailServer, PlayedReceiver, mail_server, receiver
-from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
+from tests.app.played_line import BUS, HEALTHY, REMOTE, estop, played_line
 
 LIMIT_S = 60.0
 
@@ -43,12 +43,8 @@ class Path_:
     mail: PlayedMailServer
     hooks: PlayedReceiver
 
-    def input(self, *, estop: bool, unit: int = 1) -> None:
-        live = self.house.services[LiveState].buses[BUS]
-        live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, 0 if estop else HEALTHY)])
-
     async def estop(self, *, active: bool, unit: int = 1) -> None:
-        self.input(estop=active, unit=unit)
+        estop(self.house.services, active=active, unit=unit)
         await self.advance()
 
     async def advance(self) -> None:
@@ -141,7 +137,7 @@ async def test_an_alarm_at_once_after_the_first_start_is_notified(
 
     monkeypatch.setattr(NotificationOutbox, "followed", load_slowly)
     async with running(tmp_path, *servers) as path:
-        path.input(estop=True)
+        estop(path.house.services, active=True)
         await path.house.services[LineAlarms].write()
         assert (await path.mail.mail())["Subject"] == "urgent: Unwind · Emergency stop"
 
