@@ -149,7 +149,7 @@ async def test_every_alarm_that_sounds_is_silenced_in_one_transaction(database: 
     assert event == ("anna", BUS, None)
 
 
-async def test_where_it_cannot_be_recorded_all_go_on_sounding(database: Database) -> None:
+async def test_when_silencing_cannot_be_recorded_all_alarms_go_on_sounding(database: Database) -> None:
     standing = ActiveAlarms(database, UNITS)
     await standing.bus.alarms.list.write()
     (pages,) = database._connection.execute("PRAGMA page_count").fetchone()

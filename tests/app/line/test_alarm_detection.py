@@ -80,7 +80,7 @@ def test_counters_are_judged_by_the_minute_and_may_begin_again_at_zero() -> None
         (Suppressors(estops={2}), ""),
     ],
 )
-def test_what_suppresses_which_group(suppressors: Suppressors, suppressed: str) -> None:
+def test_each_cause_suppresses_its_groups_of_alarms(suppressors: Suppressors, suppressed: str) -> None:
     assert [group for group in get_args(SuppressionGroup) if suppressors.suppress(group, 1)] == (
         suppressed.split()
     )
@@ -94,7 +94,7 @@ def test_a_line_is_at_rest_when_zero_is_commanded_to_every_unit() -> None:
     assert not is_at_rest([])
 
 
-def test_the_first_within_a_window_is_named_and_one_alone_is_not() -> None:
+def test_the_first_alarm_of_a_disturbance_is_named_and_one_alone_is_not() -> None:
     first_out = FirstOut()
     rises = (("a", 0), ("b", 5), ("a", 5), ("c", 5.1), ("d", 6), ("e", 2))
     assert [first_out.rise(alarm, UnixTime(at)) for alarm, at in rises] == [None, "a", None, None, "c", None]

@@ -95,7 +95,7 @@ async def measured(journal: Journal, seconds: float) -> dict[str, float | None]:
     return values(await performance_of(journal, seconds))
 
 
-async def test_rates_peak_and_priorities(journal: Journal) -> None:
+async def test_the_figures_have_rates_the_peak_and_the_share_of_each_priority(journal: Journal) -> None:
     journal.rise("a", 0, 700, 1300, priority="high")
     journal.rise("b", *range(10, 130, 10))
     found = await measured(journal, 1800)
@@ -128,7 +128,7 @@ async def test_what_clears_before_a_person_could_act_is_fleeting(journal: Journa
     assert (await measured(journal, 600))["fleeting"] == 1
 
 
-async def test_the_median_until_it_is_acknowledged(journal: Journal) -> None:
+async def test_the_median_time_to_an_acknowledgement_is_a_figure(journal: Journal) -> None:
     for alarm, after_s in (("a", 10), ("b", 30), ("c", 500), ("d", 40)):
         journal.write(
             alarm,
@@ -172,7 +172,7 @@ async def test_what_was_not_observed_meets_no_target(journal: Journal, observed_
     ]
 
 
-def test_alarms_are_observed_while_the_engine_looks_every_second() -> None:
+def test_an_observed_span_grows_until_a_gap_or_a_step_of_the_clock() -> None:
     span = observed_until(UnixTime(T), None)
     assert observed_until(UnixTime(T + 1), span) == (T, T + 1)
     assert observed_until(UnixTime(T + MAX_GAP_S + 1), span) == (T + MAX_GAP_S + 1,) * 2
@@ -260,7 +260,7 @@ async def test_an_alarm_is_marked_from_its_rise_to_its_end(journal: Journal) -> 
     assert await spans(journal, 0, 60, "b") == [("b", 12, None)]
 
 
-async def test_one_that_began_before_a_span_or_ended_after_it_has_its_own_times(journal: Journal) -> None:
+async def test_an_occurrence_keeps_its_times_beyond_the_span(journal: Journal) -> None:
     journal.write("a", (10, *RISE), (15, *SEEN), (40, *CLEAR), (50, *RISE))
     assert await spans(journal, 20, 30) == [("a", 10, 40)]
     assert await spans(journal, 40, 45) == []
@@ -274,7 +274,7 @@ async def test_what_was_hidden_is_not_marked_until_it_is_annunciated(journal: Jo
     assert await spans(journal, 0, 60) == [("b", 10, 15), ("a", 20, None)]
 
 
-async def test_of_very_many_the_newest_are_marked(journal: Journal) -> None:
+async def test_of_too_many_occurrences_the_newest_are_marked(journal: Journal) -> None:
     journal.rise("a", *range(2 * MAX_OCCURRENCES))
     found = await spans(journal, 0, 5000)
     assert len(found) == MAX_OCCURRENCES + 1, "one more than fit shows that there are more"

@@ -56,7 +56,7 @@ async def test_the_summary_has_the_present_alarms_and_only_an_operator_may_act(h
     assert f'name="id" value="{ESTOP}.1"' in for_operator
 
 
-async def test_one_is_acknowledged_where_it_stands(house: House) -> None:
+async def test_an_alarm_is_acknowledged_from_the_list(house: House) -> None:
     estop(house.services, active=True)
     operator = await house.signed_in(Role.OPERATOR)
     done = await operator.post("/alarms/acknowledge?priority=urgent", data={"id": f"{ESTOP}.1"})
@@ -64,7 +64,7 @@ async def test_one_is_acknowledged_where_it_stands(house: House) -> None:
     assert state(house) == "ack_active"
 
 
-async def test_those_shown_are_acknowledged_and_one_that_came_again_is_not(house: House) -> None:
+async def test_the_alarms_shown_are_acknowledged_but_not_one_that_came_again(house: House) -> None:
     operator = await house.signed_in(Role.OPERATOR)
     estop(house.services, active=True)
     estop(house.services, active=True, unit=2)

@@ -49,7 +49,7 @@ def test_an_own_alarm_is_read_as_documented(tmp_path: Path) -> None:
         ('value = "actual"\nbelow = "nan"\n', 12, "finite number"),
     ],
 )
-def test_a_fault_of_an_alarm_of_the_site_is_named_with_its_line(
+def test_a_fault_of_an_own_alarm_is_named_with_its_line(
     tmp_path: Path, text: str, line: int, words: str
 ) -> None:
     fault = faults_of(tmp_path, CONFIGURED + OWN + text)
@@ -139,7 +139,7 @@ def test_the_analog_input_has_limits_within_its_range(database: Database) -> Non
     assert bus.state("1.analog_out_of_limits") == "unack_active"
 
 
-def test_a_delay_of_an_alarm_of_a_bus(database: Database) -> None:
+def test_an_alarm_of_a_bus_has_the_delay_that_is_set(database: Database) -> None:
     bus = tuned_bus(database, {"code": "worker_lost", "on_delay_s": 30.0})
     assert bus.alarm("worker_lost").definition.attributes.on_delay_s == 30
     assert bus.alarm("no_unit_responds").definition.attributes.on_delay_s == 3
@@ -183,7 +183,9 @@ def test_a_delay_of_an_alarm_of_a_bus(database: Database) -> None:
         ('[[built_in_alarm]]\ncode = "deviations"\n', 8, "unit_offline"),
     ],
 )
-def test_a_fault_is_named_with_its_line(tmp_path: Path, text: str, line: int, words: str) -> None:
+def test_a_fault_of_a_built_in_alarm_is_named_with_its_line(
+    tmp_path: Path, text: str, line: int, words: str
+) -> None:
     fault = faults_of(tmp_path, CONFIGURED + text)
     assert words in fault
     assert fault.startswith(f"FILE:{line}: ")

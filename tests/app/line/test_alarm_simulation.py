@@ -179,7 +179,7 @@ def steadily(fields: dict[tuple[float, float], Values], minutes: int) -> list[tu
     return readings
 
 
-def test_a_rate_is_found_within_a_minute_and_over_its_end(tmp_path: Path, shelf: Shelf) -> None:
+def test_a_rate_of_change_is_found_within_a_minute_and_across_its_end(tmp_path: Path, shelf: Shelf) -> None:
     """Ten minutes in which nothing changes are passed over; a jump between two minutes is not."""
     readings = steadily({(720, 900): {"actual": 1100}, (1230, 1231): {"actual": 900}}, 30)
     keep(shelf, readings)
@@ -231,7 +231,7 @@ def test_the_extremes_of_a_minute_enclose_every_reading_of_it() -> None:
         assert max(found) <= abs(high.commanded - high.actual)
 
 
-def test_three_within_a_minute_chatter() -> None:
+def test_three_annunciations_within_a_minute_chatter() -> None:
     found = Annunciations()
     for at in (0, 25, 59, 200, 250, 400):
         found.see([Transition(UnixTime(at), "rise", 1, "normal", "unack_active")])
@@ -341,7 +341,9 @@ async def test_readings_that_are_stored_no_longer_are_not_judged(
         ({"speed": 1}, ""),
     ],
 )
-async def test_a_fault_is_named(house: House, body: dict[str, Any], words: str) -> None:
+async def test_a_fault_of_the_simulated_alarm_is_named(
+    house: House, body: dict[str, Any], words: str
+) -> None:
     engineer = await house.program(Role.ENGINEER)
     response = await engineer.post(PATH, json={**ABOVE, **body})
     assert response.status_code == 422
@@ -361,7 +363,7 @@ async def test_only_an_engineer_may_simulate(house: House) -> None:
     assert "/alarms/own" not in (await operator.get("/alarms")).text
 
 
-async def test_the_work_of_one_is_bounded_and_that_is_stated(house: House) -> None:
+async def test_the_work_of_a_simulation_is_bounded_and_the_response_says_so(house: House) -> None:
     history = house.services[History]
     settings = AlarmSettings(name="x", **{**ABOVE, "value": "actual"})
     now = UnixTime(time.time())

@@ -261,7 +261,7 @@ def test_an_acknowledgement_ends_where_it_is_annunciated_again_and_the_time_it_c
     assert (times(back), back.state) == ((10, None, None), "unack_active")
 
 
-def test_one_that_cleared_after_its_acknowledgement_is_not_annunciated_again_by_time() -> None:
+def test_an_alarm_that_cleared_after_its_acknowledgement_is_not_annunciated_again() -> None:
     how = AlarmAttributes(realarm_s=3)
     facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
     facts, _ = state_machine.acknowledge(facts, how, UnixTime(11))

@@ -180,7 +180,7 @@ async def test_a_viewer_changes_nothing(house: House, what: str) -> None:
 @pytest.mark.parametrize(
     "alarm", ["nothing", f"{BUS}.1.estop_active", f"{BUS}.1.estop_active.x", "..", "a.²"]
 )
-async def test_an_alarm_that_is_not_there(house: House, alarm: str) -> None:
+async def test_an_unknown_alarm_is_not_found(house: House, alarm: str) -> None:
     viewer = await house.program(Role.VIEWER)
     missing = await viewer.get(f"{API}/{alarm}")
     assert missing.status_code == 404

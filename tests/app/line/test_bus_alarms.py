@@ -204,7 +204,7 @@ def test_a_worker_of_an_older_link_is_lost_with_the_command_that_upgrades_it(bus
     assert bus.alarms.present(bus.alarm("worker_lost")) is None
 
 
-def test_of_several_within_a_window_the_first_is_marked(bus: AlarmBus) -> None:
+def test_of_several_alarms_within_a_window_the_first_is_marked(bus: AlarmBus) -> None:
     bus.wait(1, 2, inputs=RUN)
     assert not bus.alarm("2.estop_active").first_out
     bus.wait(1, 3, inputs=RUN)
@@ -229,7 +229,7 @@ def test_a_reading_of_a_snapshot_from_before_raises_nothing(database: Database) 
     assert bus.present() == set()
 
 
-def test_drift_ratio_and_staged_setpoint(bus: AlarmBus) -> None:
+def test_drift_a_ratio_and_a_staged_setpoint_are_alarms(bus: AlarmBus) -> None:
     bus.drifted.add(2)
     values = {8: 1, 37: 20_000, 38: 5_000, 31: 15_000}
     bus.apply(*(ParameterValue(unit=1, number=n, at=bus.now, raw=raw) for n, raw in values.items()))
@@ -316,7 +316,7 @@ def test_what_a_lost_unit_did_not_respond_to_is_no_poor_connection_as_well(
         ({"value": "estop", "state": "on"}, {"inputs": RUN}, "state_too_long"),
     ],
 )
-def test_an_alarm_of_the_site(
+def test_an_alarm_that_the_site_defined_rises_and_clears(
     database: Database, own: dict[str, str], outside: dict[str, int], code: str
 ) -> None:
     bus = AlarmBus(database, own)
@@ -349,7 +349,7 @@ def test_an_analog_input_is_compared_in_its_unit(database: Database) -> None:
     assert str(bus.alarms.present(bus.own())) == "196.078"
 
 
-def test_a_rate_of_change(database: Database) -> None:
+def test_a_rate_of_change_is_an_alarm(database: Database) -> None:
     bus = AlarmBus(database, {"value": "actual", "change_per_s": "10.0"})
     bus.connect()
     bus.wait(2, 1)

@@ -191,7 +191,7 @@ async def test_only_an_engineer_changes_alarms(house: House, role: Role) -> None
     assert len((await engineer.get(PATH)).json()["alarms"]) == 1
 
 
-async def test_there_is_a_greatest_number_of_them(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_number_of_added_alarms_is_bounded(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     assert MAX_OWN == 500
     monkeypatch.setattr("app.line.alarms.own_alarms.MAX_OWN", 1)
     engineer = await house.program(Role.ENGINEER)
@@ -220,7 +220,7 @@ async def test_an_act_that_cannot_be_recorded_did_not_happen(
     assert (await engineer.get(PATH)).json()["alarms"] == [own]
 
 
-async def test_a_restart_keeps_them_and_leaves_aside_what_no_longer_fits(tmp_path: Path) -> None:
+async def test_a_restart_keeps_added_alarms_and_leaves_aside_what_no_longer_fits(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         connect(house)
         engineer = await house.program(Role.ENGINEER)

@@ -256,14 +256,14 @@ def utc(at: UnixTime) -> str:
         ("autumn", "22:00", "02:30", [("25. 21:00", "26. 01:30")]),
     ],
 )
-def test_on_a_night_on_which_the_clocks_change(
+def test_a_recurring_maintenance_follows_the_clock_on_a_night_of_a_change(
     change: str, starts: str, ends: str, spans: list[tuple[str, str]]
 ) -> None:
     day = CHANGES[change]
     assert shown(window(starts, ends), day, day) == spans
 
 
-def test_over_the_changes_it_ends_by_the_clock_of_the_next_day() -> None:
+def test_a_recurring_maintenance_ends_by_the_clock_of_the_next_day() -> None:
     spring, autumn = (CHANGES[each] - timedelta(days=1) for each in ("spring", "autumn"))
     assert shown(window("22:00", "06:00"), spring, spring) == [("27. 21:00", "28. 04:00")]
     assert shown(window("22:00", "06:00"), autumn, autumn) == [("24. 20:00", "25. 05:00")]
@@ -272,7 +272,7 @@ def test_over_the_changes_it_ends_by_the_clock_of_the_next_day() -> None:
     ]
 
 
-def test_it_begins_on_its_days_up_to_the_last() -> None:
+def test_a_recurring_maintenance_begins_on_its_days_up_to_the_last() -> None:
     monday = date(2026, 11, 23)
     found = shown(
         window("06:00", "07:00", "mon", "wed", until=date(2026, 11, 30)), monday, monday + timedelta(days=30)
@@ -297,7 +297,7 @@ def test_no_earlier_moment_shows_the_clock_or_has_passed_it(
     assert all(clock(found - 60 * minutes) < wanted for minutes in (1, 15, 30, 59, 60, 61))
 
 
-def test_the_configuration_is_read_and_its_faults_are_named(tmp_path: Path) -> None:
+def test_a_recurring_maintenance_is_configured_and_its_faults_are_named(tmp_path: Path) -> None:
     bus = f'[[bus]]\nname = "{BUS}"\nport = "/dev/null"\n'
     assert faults_of(tmp_path, bus + TABLE) == ""
     (recurring,) = load(tmp_path / "lineside.toml").notify.maintenance
@@ -332,7 +332,7 @@ def settings(*, days_ahead: int) -> NotifySettings:
 
 
 @pytest.mark.parametrize(("days_ahead", "is_present"), [(0, True), (3, False)])
-async def test_nothing_is_notified_in_it_and_the_page_and_the_api_show_it(
+async def test_nothing_is_notified_in_a_recurring_maintenance_which_page_and_api_show(
     tmp_path: Path, days_ahead: int, is_present: bool
 ) -> None:
     async with complete_app(
@@ -355,7 +355,7 @@ async def test_nothing_is_notified_in_it_and_the_page_and_the_api_show_it(
         assert not any(span.covers(None, unix_now()) for span in spans)
 
 
-async def test_its_spans_follow_the_day(tmp_path: Path) -> None:
+async def test_the_spans_of_a_recurring_maintenance_follow_the_day(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         notification = house.services[Notification]
         now = UnixTime(first_at(date(2026, 11, 23), 12 * 60, BERLIN))

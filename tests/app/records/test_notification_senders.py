@@ -95,7 +95,7 @@ async def test_a_password_goes_over_the_encrypted_connection_only(
     assert server.mails == []
 
 
-async def test_a_password_of_the_environment(
+async def test_the_password_may_be_in_the_environment(
     server: PlayedMailServer, authority: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv(MAIL_PASSWORD_VARIABLE, raising=False)
@@ -136,7 +136,7 @@ async def test_a_refusal_is_reported_in_words(
     assert "s3cret" not in reason
 
 
-async def test_a_server_that_is_not_there(authority: Path) -> None:
+async def test_a_mail_server_that_is_not_there_is_reported(authority: Path) -> None:
     async with mail_server() as server:
         port = server.port
     assert f"No connection to 127.0.0.1:{port}: Connection refused" in await mail_refusal(
@@ -145,13 +145,15 @@ async def test_a_server_that_is_not_there(authority: Path) -> None:
     assert "There is no host plant.invalid" in await mail_refusal(smtp(port, authority, host="plant.invalid"))
 
 
-async def test_one_that_does_not_respond(authority: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_mail_server_that_does_not_respond_is_reported(
+    authority: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("app.records.notification.senders.SOCKET_S", 0.2)
     async with mail_server(greeting="") as server:
         assert "did not respond in time" in await mail_refusal(smtp(server.port, authority))
 
 
-async def test_who_waits_may_stop(context: ssl.SSLContext, authority: Path) -> None:
+async def test_a_canceled_mail_is_not_delivered(context: ssl.SSLContext, authority: Path) -> None:
     async with mail_server(context, replies={"RCPT": ""}) as server:
         sending = asyncio.create_task(send_mail(smtp(server.port, authority), "duty@plant", LETTER))
         async with asyncio.timeout(60), server.arrived:
@@ -237,13 +239,13 @@ async def test_a_body_without_end_is_not_read(key: Path) -> None:
             await post_hook(WebhookSettings(url=played.url, secret_file=key), BODY, AT)
 
 
-async def test_a_receiver_that_hangs(key: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_receiver_that_hangs_is_reported(key: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.records.notification.senders.SOCKET_S", 0.2)
     async with receiver(response=None) as played:
         assert "did not respond in time" in await hook_refusal(played.url, key)
 
 
-async def test_a_certificate_is_verified(key: Path, tmp_path: Path) -> None:
+async def test_the_certificate_of_a_receiver_is_verified(key: Path, tmp_path: Path) -> None:
     file = certificate(tmp_path)
     async with receiver(server_context(file)) as played:
         assert "self-signed certificate" in await hook_refusal(played.url, key)
@@ -251,7 +253,7 @@ async def test_a_certificate_is_verified(key: Path, tmp_path: Path) -> None:
         assert await played.body() == BODY
 
 
-async def test_without_its_secret_nothing_leaves(tmp_path: Path) -> None:
+async def test_without_its_secret_a_webhook_sends_nothing(tmp_path: Path) -> None:
     async with receiver() as played:
         assert "cannot be read" in await hook_refusal(played.url, tmp_path / "gone")
         (tmp_path / "empty").write_text("\n")
@@ -367,7 +369,7 @@ async def test_apprise_delivers(settings: AppriseSettings) -> None:
         await notify_by_apprise(settings, letter)
 
 
-async def test_a_way_that_hangs_or_fails_unexpectedly_ends_in_words(
+async def test_an_attempt_that_hangs_or_fails_unexpectedly_ends_in_words(
     settings: AppriseSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def hangs(*_: object) -> None:
