@@ -47,12 +47,12 @@ class _OnlyBuses(BaseModel):
 
 
 def load(path: Path, model: type[Model]) -> Model:
-    """The file as ``model``. Raises ConfigurationError ``FILE:LINE: what, and what would be right``."""
+    """Load the file as ``model``. Raises ConfigurationError ``FILE:LINE: what, and what would be right``."""
     return parse(read(path), path, model)
 
 
 def parse(text: str, path: Path, model: type[Model]) -> Model:
-    """The text of a file, or one that it may become, as ``model``. Raises ConfigurationError."""
+    """Parse the text of a file, or one that it may become, as ``model``. Raises ConfigurationError."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -68,7 +68,7 @@ def parse(text: str, path: Path, model: type[Model]) -> Model:
 
 
 def load_bus(path: Path, name: str) -> BusSettings:
-    """One ``[[bus]]`` of the file, for its worker. Raises ConfigurationError."""
+    """Load one ``[[bus]]`` of the file, for its worker. Raises ConfigurationError."""
     buses = {bus.name: bus for bus in load(path, _OnlyBuses).bus}
     if name not in buses:
         raise ConfigurationError(
@@ -78,7 +78,7 @@ def load_bus(path: Path, name: str) -> BusSettings:
 
 
 def read(path: Path) -> str:
-    """The text of a configuration, with its line ends as they are. Raises ConfigurationError."""
+    """Read the text of a configuration, with its line ends as they are. Raises ConfigurationError."""
     try:
         return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
@@ -116,7 +116,7 @@ class LineNumbers:
         self._places = {path: each.first for each in statements(text) for path in each.paths}
 
     def of(self, path: KeyPath) -> int:
-        """The line (from 1) of a key, or of what it would stand in."""
+        """Return the line (from 1) of a key, or of what it would stand in."""
         for length in range(len(path), 0, -1):
             if path[:length] in self._places:
                 return self._places[path[:length]]
@@ -133,8 +133,8 @@ class TomlStatement(NamedTuple):
 
 
 def lines_of(text: str) -> list[str]:
-    """The lines of a TOML text with their ends. Other separators, which ``splitlines`` knows, may be inside
-    of a text or a comment."""
+    """Return the lines of a TOML text with their ends. Other separators, which ``splitlines`` knows, may be
+    inside of a text or a comment."""
     return StringIO(text, newline="\n").readlines()
 
 
@@ -158,7 +158,7 @@ def statements(text: str) -> Iterator[TomlStatement]:
 
 
 def _table(header: dict[str, Any], counts: dict[KeyPath, int]) -> KeyPath:
-    """The path of a header, with the index of the present element after each name of an array."""
+    """Return the path of a header, with the index of the present element after each name of an array."""
     path: KeyPath = ()
     while header:
         [(name, inside)] = header.items()
@@ -222,7 +222,7 @@ def _unknown_key(model: type[BaseModel], place: KeyPath) -> Message:
 
 
 def _keys(annotation: Any, place: KeyPath) -> list[str]:
-    """The keys that are valid at a place of a model."""
+    """Return the keys that are valid at a place of a model."""
     if get_origin(annotation) is Annotated:
         return _keys(get_args(annotation)[0], place)
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):

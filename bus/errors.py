@@ -56,7 +56,7 @@ _UNIT_ERRORS: dict[int, Message] = {
 
 
 def unit_error(code: int) -> Message:
-    """What a NAK's error byte means (128-137 known; any other is shown by its number)."""
+    """Return what a NAK's error byte means (128-137 known; any other is shown by its number)."""
     return _UNIT_ERRORS.get(code) or Message("error_not_in_manual", {"code": f"{code:02X}"})
 
 
@@ -65,5 +65,5 @@ def unit_refused(unit: int, code: int) -> Message:
 
 
 def unit_error_name(code: int) -> str:
-    """What a NAK's error byte means, in English."""
+    """Return what a NAK's error byte means, in English."""
     return str(unit_error(code))

@@ -52,17 +52,18 @@ class Catalog(Protocol):
         """The decimal sign."""
 
     def template(self, code: str, n: object) -> str | None:
-        """The text of a message, names in braces, for ``n`` things where it counts; None: no such code."""
+        """Return the text of a message, names in braces, for ``n`` things where it counts; None: no such
+        code."""
 
     def term(self, text: str) -> str:
-        """A fixed word of the program in this language."""
+        """Return a fixed word of the program in this language."""
 
     def time(self, text: str) -> str:
-        """A date or a time in ISO 8601 as readers of this language write it."""
+        """Return a date or a time in ISO 8601 as readers of this language write it."""
 
     def isolated(self, text: str) -> str:
-        """What a person wrote, such as a name, as it is put into a text: letters from right to left turn
-        what is beside them on a screen. For all that programs read, as it is."""
+        """Return what a person wrote, such as a name, as it is put into a text: letters from right to left
+        turn what is beside them on a screen. For all that programs read, as it is."""
 
 
 class EnglishCatalog:
@@ -132,8 +133,8 @@ class Message(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, code: str, /, **params: ParamValue | list[Any]) -> Message:
-        """The message, its params as keywords. What would be nested too deeply, or too large, becomes text in
-        English, as another process may have sent it."""
+        """Make a message, its params as keywords. What would be nested too deeply, or too large, becomes text
+        in English, as another process may have sent it."""
         try:
             return cls(code, params)
         except ValueError:
@@ -181,7 +182,7 @@ def in_english(message: Message | None) -> str:
 
 
 def joined(messages: Iterable[Message | None]) -> Message | None:
-    """One message of several, those that are None left out; None where there is none."""
+    """Join several messages to one, without those that are None; None where nothing is left."""
     several = [each for each in messages if each is not None]
     if len(several) > 1:
         return Message.of("several", messages=several)
@@ -189,34 +190,34 @@ def joined(messages: Iterable[Message | None]) -> Message | None:
 
 
 def number(value: Decimal | str) -> Message:
-    """A decimal number; each language writes it with its own decimal sign."""
+    """Return a decimal number; each language writes it with its own decimal sign."""
     return Message(NUMBER, {"value": str(value)})
 
 
 def term(text: str) -> Message:
-    """A fixed word of the program as the value of another message."""
+    """Return a fixed word of the program as the value of another message."""
     return Message(TERM, {"text": text})
 
 
 def parameter_name(number: int) -> Message:
-    """The name of a parameter with its number, as the value of another message."""
+    """Return the name of a parameter with its number, as the value of another message."""
     return Message(PARAMETER, {"number": number})
 
 
 def _with_name(number: ParamValue) -> Message:
-    """A number that is in no list may come from another process."""
+    """Return the name of a parameter, also for a number that is in no list, from another process."""
     if not isinstance(number, int) or (name := PARAMETER_NAMES.get(number)) is None:
         return Message.of("parameter_not_listed", number=number)
     return Message("parameter_named", {"name": term(name), "number": number})
 
 
 def listed(items: Sequence[int | str | Message]) -> Message:
-    """Several values as the value of another message, joined by commas."""
+    """Return several values as the value of another message, joined by commas."""
     return Message.of(LIST, items=list(items))
 
 
 def shown(value: ParamValue, catalog: Catalog) -> str:
-    """A param as it stands in the text of its message."""
+    """Return a param as it stands in the text of its message."""
     match value:
         case Message():
             return value.render(catalog)
@@ -234,8 +235,8 @@ def shown(value: ParamValue, catalog: Catalog) -> str:
 
 
 def _check_bounds(values: Iterable[object]) -> None:
-    """Raises ValueError for ``values`` of a message that hold more than `DEEPEST` levels of others, or more
-    than `LARGEST` together: the state of every unit keeps one."""
+    """Check the bounds of a message. Raises ValueError for ``values`` of a message that hold more than
+    `DEEPEST` levels of others, or more than `LARGEST` together: the state of every unit keeps one."""
     size, waiting = 0, [(value, 0) for value in values]
     while waiting:
         value, depth = waiting.pop()

@@ -23,7 +23,7 @@ class Bucket:
         return self._level
 
     def has_room(self, now: Monotonic, amount: float = 1.0) -> bool:
-        """Whether so much more fits."""
+        """Return whether so much more fits."""
         return self.level(now) + amount <= self.capacity
 
     def take(self, now: Monotonic, amount: float = 1.0) -> bool:
@@ -86,5 +86,6 @@ class ReconnectDelay:
 
 
 def is_worth_logging(count: int) -> bool:
-    """Whether to log what happens for this time: the first three, then each time that it has doubled."""
+    """Return whether to log what happens for this time: the first three, then each time that it has
+    doubled."""
     return count <= 3 or count & (count - 1) == 0

@@ -96,7 +96,7 @@ class UnitLabels(StrictModel):
 
 
 def _check_band(value: object, check: ValidatorFunctionWrapHandler) -> tuple[Decimal, ...]:
-    """One message for each fault of it."""
+    """Return one message for each fault of it."""
     try:
         band: tuple[Decimal, ...] = check(value)
     except ValidationError:
@@ -204,7 +204,7 @@ PORT_EXAMPLE = "/dev/ttyUSB0"
 
 
 def check_port(port: str) -> str:
-    """The port itself. Raises ValueError for what is neither a path nor a URL that can be opened."""
+    """Check the port itself. Raises ValueError for what is neither a path nor a URL that can be opened."""
     if not port or not port.isprintable() or port != port.strip():
         raise ValueError(Message("setting_device_path"))
     fault = _url_fault(port) if "://" in port else _path_fault(port)
@@ -223,7 +223,7 @@ def _url_fault(url: str) -> Message | None:
 
 
 def _path_fault(path: str) -> Message | None:
-    """What keeps ``path`` from being that of one device of this machine."""
+    """Return what keeps ``path`` from being that of one device of this machine."""
     if _WINDOWS_PORT.fullmatch(path):
         return Message.of("setting_port_of_windows", example=PORT_EXAMPLE)
     if address := _ADDRESS.fullmatch(path):

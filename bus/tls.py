@@ -48,7 +48,7 @@ class Certificate:
 
 
 def certificates_in(pem: str) -> list[Certificate]:
-    """The certificates of a file, in its order; of a server's, its own comes first. Raises
+    """Return the certificates of a file, in its order; of a server's, its own comes first. Raises
     MalformedCertificateError where one is cut off or malformed, or there is none."""
     bodies = _PEM.findall(pem)
     if not bodies or len(bodies) != pem.count("-----BEGIN CERTIFICATE-----"):
@@ -69,7 +69,7 @@ def _certificate(body: str) -> Certificate:
 
 
 def _elements(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Tag and content of each element of a DER sequence. Raises IndexError where it is cut off."""
+    """Return tag and content of each element of a DER sequence. Raises IndexError where it is cut off."""
     at = 0
     while at < len(data):
         tag, length = data[at], data[at + 1]
@@ -108,7 +108,7 @@ def load_pair(context: ssl.SSLContext, certificate: Path, key: Path) -> Certific
     files = {"certificate": str(certificate), "key": str(key)}
 
     def refuse_passphrase() -> NoReturn:
-        """It would be requested on the terminal."""
+        """Refuse a passphrase, because it would be requested on the terminal."""
         raise TlsFileError(Message.of("tls_key_encrypted", file=str(key)))
 
     try:
@@ -131,7 +131,7 @@ def load_authority(context: ssl.SSLContext, file: Path) -> None:
 
 
 def read_certificate(file: Path) -> Certificate:
-    """The first certificate of a file. Raises TlsFileError where any of it cannot be read."""
+    """Return the first certificate of a file. Raises TlsFileError where any of it cannot be read."""
     try:
         return certificates_in(_text_of(file))[0]
     except MalformedCertificateError as error:
@@ -139,14 +139,14 @@ def read_certificate(file: Path) -> Certificate:
 
 
 def date_fault(certificate: Certificate, file: Path, now: UnixTime) -> Message | None:
-    """Why a certificate is not valid now."""
+    """Return why a certificate is not valid now."""
     if certificate.ends_at <= now:
         return Message.of("tls_expired", file=str(file), day=certificate.ends_on)
     return None if certificate.begins_at <= now else Message.of("tls_not_yet_valid", file=str(file))
 
 
 def stamp_of(file: Path) -> FileStamp:
-    """What changes when a file does; None where there is none."""
+    """Return what changes when a file does, or None where there is no file."""
     try:
         status = file.stat()
     except OSError:

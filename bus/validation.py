@@ -28,13 +28,13 @@ MASK = "…"
 
 
 def without_credentials(text: str) -> str:
-    """The text with every URL in it without user and password."""
+    """Return the text with every URL in it without user and password."""
     return _CREDENTIALS.sub(rf"\1{MASK}@", text)
 
 
 def composed(text: str) -> str:
-    """The text with each accented letter as one character (NFC). Some keyboards and programs write it as two,
-    which look the same and have to be equal."""
+    """Return the text with each accented letter as one character (NFC). Some keyboards and programs write it
+    as two, which look the same and have to be equal."""
     return unicodedata.normalize("NFC", text)
 
 
@@ -64,8 +64,8 @@ def _seen(text: str, allowed: frozenset[str]) -> str:
 
 
 def escaped(text: str) -> str:
-    """The text with a backslash escape in place of each character that a terminal obeys or does not show;
-    lines stay."""
+    """Return the text with a backslash escape in place of each character that a terminal obeys or does not
+    show; lines stay."""
     return "".join(
         sign.encode("unicode_escape").decode() if sign not in _BREAKS and _is_unseen(sign) else sign
         for sign in text
@@ -119,7 +119,7 @@ _TIMES = ("date_", "datetime_", "time_", "timezone_")
 
 
 def fault_message(error: Any) -> Message:
-    """The message of one of a ValidationError's ``errors()``."""
+    """Return the message of one of a ValidationError's ``errors()``."""
     of: Mapping[str, Any] = error.get("ctx", {})
     if error["type"] in _NUMBERS and _DECIMAL_COMMA.fullmatch(str(error["input"])):
         return Message.of("fault_decimal_comma", right=str(error["input"]).strip().replace(",", "."))

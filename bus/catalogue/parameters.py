@@ -125,7 +125,8 @@ def danger_of_writing(parameter: Parameter, raw: int) -> str:
 
 
 def check_writable_value(parameter: Parameter, raw: int) -> None:
-    """Raises CallerError for a parameter that is never written, IllegalValue for a value out of range."""
+    """Check a value before it is written. Raises CallerError for a parameter that is never written,
+    IllegalValue for a value out of range."""
     if parameter.never_writable:
         raise CallerError(Message.of("parameter_not_by_link", number=parameter.number, called=parameter.name))
     nearest = nearest_legal(parameter, raw)
@@ -149,7 +150,7 @@ def _refusal(parameter: Parameter, raw: int, nearest: int) -> Message:
 
 
 def nearest_legal(parameter: Parameter, raw: int) -> int:
-    """The value closest to ``raw`` that the parameter takes; of two equally close the smaller."""
+    """Return the value closest to ``raw`` that the parameter takes; of two equally close the smaller."""
     if parameter.allowed is not None:
         return min(sorted(parameter.allowed), key=lambda legal: abs(legal - raw))
     return min(max(raw, parameter.minimum), parameter.maximum)

@@ -49,7 +49,8 @@ class StatusBits:
 
 @lru_cache(maxsize=4096)
 def status_bits(outputs: int, inputs: int, estop_healthy: int = 1) -> StatusBits:
-    """``outputs`` is ST2, ``inputs`` is ST1; ``estop_healthy`` is the dialect's level of a healthy chain."""
+    """Return the bits of ``outputs`` (ST2) and ``inputs`` (ST1); ``estop_healthy`` is the dialect's level of
+    a healthy chain."""
     one, two, three, four, five, six, remote, at_speed = (_bit(outputs, position) for position in range(8))
     run, estop, preset, reverse, up, down, follower = (_bit(inputs, position) for position in range(7))
     auxiliary = (one, two, three, four, five, six)
@@ -58,7 +59,7 @@ def status_bits(outputs: int, inputs: int, estop_healthy: int = 1) -> StatusBits
 
 
 def output_is_on(outputs: int, number: int) -> bool:
-    """Whether auxiliary output ``number`` (1-6) is on in ST2."""
+    """Return whether auxiliary output ``number`` (1-6) is on in ST2."""
     return _bit(outputs, number - 1)
 
 
@@ -79,18 +80,19 @@ _SCALE_UNITS = {Scale.TENTHS: "s", Scale.BAUD: "baud"}
 
 
 def plausible_speed(raw: int | None) -> int | None:
-    """A commanded or actual speed, or ratio, as sent; None beyond the range of the manual (81h: 0-1869Fh)."""
+    """Return a commanded or actual speed, or ratio, as sent, or None beyond the range of the manual (81h:
+    0-1869Fh)."""
     return raw if raw is not None and raw <= HIGHEST_SPEED else None
 
 
 def plausible_parameter(number: int, raw: int | None) -> int | None:
-    """A parameter as sent; None outside of its printed range (manual, 4.0)."""
+    """Return a parameter as sent, or None outside of its printed range (manual, 4.0)."""
     known = PARAMETERS.get(number)
     return raw if raw is not None and known and known.minimum <= raw <= known.maximum else None
 
 
 def is_follower(mode: int | None) -> bool:
-    """Whether #8 makes a unit follow a master by a ratio; False also where it is not known."""
+    """Return whether #8 makes a unit follow a master by a ratio; False also where it is not known."""
     return mode in _FOLLOWER_MODES
 
 
@@ -106,7 +108,7 @@ def speed_text(raw: int, decimals: int) -> str:
 
 
 def speed_raw(text: str, decimals: int) -> int:
-    """The raw integer for a typed number; point and comma both separate decimals.
+    """Return the raw integer for a typed number; point and comma both separate decimals.
 
     More places than ``decimals`` are refused even when they are zeros: in "1.000" for a display with
     one decimal the point was most likely meant to group thousands. Raises CallerError.
@@ -132,53 +134,56 @@ def speed_message(raw: int, decimals: int | None) -> Message:
 
 
 def bare(raw: int) -> Message:
-    """An integer on the wire, marked as that."""
+    """Return an integer of the wire, marked as one."""
     return Message.of("raw_value", raw=raw)
 
 
 def ratio_text(raw: int) -> str:
-    """10000 is "1.0000"."""
+    """Return a ratio as people read it: 10000 is "1.0000"."""
     return speed_text(raw, RATIO_DECIMALS)
 
 
 def ratio_raw(text: str) -> int:
-    """The raw ratio for a typed number of up to four decimals. Raises CallerError."""
+    """Return the raw ratio for a typed number of up to four decimals. Raises CallerError."""
     return speed_raw(text, RATIO_DECIMALS)
 
 
 def analog_input_value(atd: int, low: int, high: int) -> float:
-    """Engineering value of ATD 0-255, ``low`` being #22 and ``high`` #23."""
+    """Return the engineering value of ATD 0-255, ``low`` being #22 and ``high`` #23."""
     return low + (high - low) * atd / HIGHEST_ATD
 
 
 def analog_output_volts(raw: int, low: int, high: int) -> float:
-    """Volts for the value of 88h; ``low`` is #29, ``high`` #30. Raises CallerError where these are equal."""
+    """Return the volts for the value of 88h; ``low`` is #29, ``high`` #30. Raises CallerError where these are
+    equal."""
     if low == high:
         raise CallerError(Message("analog_limits_equal"))
     return _FULL_VOLTS * (raw - low) / (high - low)
 
 
 def rpm(raw: int, max_rpm: int, max_display: int) -> float:
-    """Motor speed of a displayed one: ``max_rpm`` #1, ``max_display`` #2. Raises CallerError if #2 is 0."""
+    """Return the motor speed of a displayed one: ``max_rpm`` #1, ``max_display`` #2. Raises CallerError if #2
+    is 0."""
     if max_display == 0:
         raise CallerError(Message("maximum_speed_zero"))
     return raw * max_rpm / max_display
 
 
 def parameter_unit(parameter: Parameter) -> str:
-    """The unit that follows ``parameter_text``: "s", "rpm", "baud", or "" where it is the drive's own."""
+    """Return the unit that follows ``parameter_text``: "s", "rpm", "baud", or "" where it is the drive's
+    own."""
     return _SCALE_UNITS.get(parameter.scale, parameter.unit)
 
 
 def parameter_text(parameter: Parameter, raw: int, decimals: int | None, *, follower: bool = False) -> str:
-    """:func:`parameter_message` in English."""
+    """Return :func:`parameter_message` in English."""
     return str(parameter_message(parameter, raw, decimals, follower=follower))
 
 
 def parameter_message(
     parameter: Parameter, raw: int, decimals: int | None, *, follower: bool = False
 ) -> Message:
-    """What people read: a choice by its name where that is known, else the number in its scale.
+    """Return what people read: a choice by its name where that is known, else the number in its scale.
 
     ``decimals`` is #3 of the unit, None while it is not known: a speed is then marked as raw.
     ``follower``: #8 is 1 or 2, so presets and jumps are ratios. A secret is not shown, and what is outside of
@@ -196,7 +201,7 @@ def parameter_message(
 
 
 def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, follower: bool = False) -> int:
-    """The raw integer for what a person typed, a number or the name of a choice.
+    """Return the raw integer for what a person typed, a number or the name of a choice.
 
     Its range is not judged here. Raises CallerError for what is neither, and for a speed while the
     unit's decimals (#3) are not known.

@@ -232,12 +232,14 @@ _LONG_VALUE_BYTES = 7
 
 
 def stage_s(baud: int, reads: int = 0) -> float:
-    """82h to one unit of several and its acknowledgement at best, seconds, after so many ``reads``."""
+    """Return the seconds that 82h to one unit of several and its acknowledgement take at best, after so many
+    ``reads``."""
     return wire_seconds(_STAGE_BYTES + _ACK_BYTES + reads * _READ_BYTES, baud)
 
 
 def longest_stage_s(baud: int, turnaround_s: float, reads: int = 0) -> float:
-    """The same at worst, without a retry. ``turnaround_s``: what a unit may take to begin its response."""
+    """Return the seconds that a stage takes at worst, without a retry. ``turnaround_s``: what a unit may take
+    to begin its response."""
     stage = wire_seconds(_STAGE_BYTES + _DOUBLED_BYTES + _ACK_BYTES, baud) + turnaround_s
     return stage + reads * (wire_seconds(_READ_BYTES + _LONG_VALUE_BYTES, baud) + turnaround_s)
 

@@ -143,17 +143,17 @@ _app_decoder: msgspec.msgpack.Decoder[AppMessage] = msgspec.msgpack.Decoder(AppM
 
 
 def encode(message: WorkerMessage | AppMessage) -> bytes:
-    """One binary WebSocket message."""
+    """Encode a message as one binary WebSocket message."""
     return _encoder.encode(message)
 
 
 def decode_from_worker(data: bytes) -> WorkerMessage:
-    """The message. Raises MalformedMessageError when it is none of a worker, or outside the bounds."""
+    """Decode a message. Raises MalformedMessageError when it is none of a worker, or outside the bounds."""
     return _decoded(_worker_decoder, data)
 
 
 def decode_from_app(data: bytes) -> AppMessage:
-    """The message. Raises MalformedMessageError when it is none of the app, or outside the bounds."""
+    """Decode a message. Raises MalformedMessageError when it is none of the app, or outside the bounds."""
     return _decoded(_app_decoder, data)
 
 
@@ -197,5 +197,5 @@ class ClockOffset:
         return None if least == inf else least
 
     def here(self, time: UnixTime) -> UnixTime:
-        """The moment ``time`` of the other clock on this one; the same before the first message."""
+        """Return the moment ``time`` of the other clock on this one, the same before the first message."""
         return time + (self.seconds or 0.0)

@@ -43,7 +43,7 @@ class CommandQueue:
                     run.end(ProcedureResult("not_sent", Message("canceled_before_sending")))
 
     def note_overdue(self, units: Iterable[int]) -> None:
-        """Responses of these units came too late, while commands were under way."""
+        """Note that responses of these units came too late, while commands were under way."""
         for run in self._all:
             if run.begun:
                 run.context.overdue.update(units)
@@ -51,7 +51,7 @@ class CommandQueue:
     def next_request(
         self, now: Monotonic, pending_of: Callable[[int], PendingResponses], *, slow: bool = False
     ) -> tuple[CommandRun, Request] | None:
-        """Who sends what now; ``slow``: of those that take the gaps only, else of all the others."""
+        """Return who sends what now; ``slow``: of those that take the gaps only, else of all the others."""
         for run in self._all:
             if (run.priority is Priority.SLOW) != slow or run.result is not None:
                 continue
@@ -88,7 +88,7 @@ class CommandQueue:
         return any(run.begun and len(run.units) > 1 for run in self._all)
 
     def moments(self) -> list[Monotonic]:
-        """When one of them resumes, or gives up waiting for its turn."""
+        """Return when one of them resumes, or gives up waiting for its turn."""
         return [run.resume_at if run.begun else run.deadline for run in self._all]
 
     def _may_run(self, run: CommandRun, now: Monotonic) -> bool:
@@ -165,7 +165,7 @@ class Arbiter:
         return self._command_request(now) or self._routine_request(now)
 
     def settle(self, turn: NextRequest, exchange: ExchangeResult) -> bool:
-        """The exchange of ``turn`` is over; whether it is tried again, as nothing responded."""
+        """Take the result of ``turn``; return whether it is tried again, because nothing responded."""
         run = turn.run
         if run is not None:
             self._read_last = run.priority is Priority.READ
@@ -180,7 +180,7 @@ class Arbiter:
         return self._settle_routine(*self._routine, exchange)
 
     def moments(self) -> list[Monotonic]:
-        """When something may become due that is not now."""
+        """Return when something may become due that is not now."""
         probe = self.schedule.probes.wake_at()
         moments = [self._not_before, self._reserved_until, *self.commands.moments()]
         return moments if probe is None else [probe, *moments]
@@ -196,7 +196,8 @@ class Arbiter:
         return NextRequest(request, run)
 
     def _leave_a_poll(self, now: Monotonic) -> bool:
-        """A look at parameters takes every second turn at most: who reads many must not blind the others."""
+        """Return whether a poll goes first: reads of parameters take every second turn at most, so that they
+        do not blind others."""
         if self.commands.group_changes or len(self.schedule.poll_order) == 0:
             return False
         if now - self._routine_at > COMMANDS_AT_A_STRETCH_S:

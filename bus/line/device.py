@@ -53,7 +53,7 @@ _COUNTS = {termios.VMIN: "min", termios.VTIME: "time"}
 
 
 def differences(wanted: list[object], found: list[object]) -> list[str]:
-    """How ``found`` differs from ``wanted``, both of ``tcgetattr``, in the words of stty(1). Pure."""
+    """Return how ``found`` differs from ``wanted``, both of ``tcgetattr``, in the words of stty(1). Pure."""
     return list(_differences(wanted, found))
 
 
@@ -87,7 +87,7 @@ class _Control:
     mask: int = 0xFFFF_FFFF
 
     def read(self, descriptor: int) -> int | None:
-        """The kept part; None where the device has no such setting."""
+        """Return the kept part, or None where the device has no such setting."""
         with suppress(OSError):
             return int(struct.unpack_from("I", self._argument(descriptor), self.offset)[0]) & self.mask
         return None
@@ -164,7 +164,7 @@ class PortSettings:
                 control.write(self._descriptor, wanted)
 
     def take_changed(self) -> list[str]:
-        """What was put back since the last call, in the words of stty(1)."""
+        """Return what was put back since the last call, in the words of stty(1)."""
         changed, self._changed = list(self._changed), {}
         return changed
 
@@ -186,7 +186,7 @@ class DevicePort:
         self._name = name
 
     def write(self, data: bytes) -> None:
-        """Straight to the descriptor: the transport would wait for the loop's next turn."""
+        """Write straight to the descriptor, because the transport would wait for the loop's next turn."""
         try:
             self._settings.restore()
             written = os.write(self._descriptor, data)
@@ -199,7 +199,7 @@ class DevicePort:
             raise PartlySent(Message.of("port_partly_sent", port=self._name, sent=written, all=len(data)))
 
     def drop_output(self) -> None:
-        """After a request without a response."""
+        """Forget what has not left, after a request without a response."""
         self._is_silent = True
         with suppress(termios.error, OSError):
             termios.tcflush(self._descriptor, termios.TCOFLUSH)
@@ -295,6 +295,6 @@ class DeviceSerial(serial.Serial):
         return data
 
     def flush(self) -> None:
-        """pyserial-asyncio would wait on its loop until every byte has left."""
+        """Drop what has not left; pyserial-asyncio would wait on its loop until it has."""
         with suppress(termios.error, serial.SerialException, OSError):
             self.reset_output_buffer()

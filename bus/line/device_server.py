@@ -51,7 +51,7 @@ class TcpProtocol(PortProtocol):
 
 
 def reported_end(received: bytes, port: str) -> Message | None:
-    """Why a device server ended the connection, where all that it has sent is a text."""
+    """Return why a device server ended the connection, where all that it has sent is a text."""
     if not received or len(received) > MAX_TEXT_BYTES or not _TEXT.fullmatch(received):
         return None
     text = " ".join(received.decode("ascii").split())[:MAX_SHOWN]
@@ -73,7 +73,8 @@ class TcpPort:
         self._transport.write(data)
 
     def drop_output(self) -> None:
-        """The kernel's buffer cannot be emptied; a server that takes nothing is lost by its timeout."""
+        """Do nothing, because the kernel's buffer cannot be emptied; a server that takes nothing is lost by
+        its timeout."""
 
     def retune(self, baud: int) -> None:
         raise WireError(Message.of("port_own_baud", port=self._name, baud=baud))
@@ -104,7 +105,7 @@ async def open_socket(url: str, receiver: Receiver) -> OpenPort:
 
 
 def not_connected(url: str, error: Exception) -> Message:
-    """Why a connection to a device server was not made, by what that raised."""
+    """Return why a connection to a device server was not made, by what that raised."""
     match error:
         case TimeoutError():
             return Message.of("device_server_no_response", port=url)
@@ -129,7 +130,7 @@ def detect_loss_soon(connection: socket.socket | None) -> None:
 
 
 def address_of(url: str) -> tuple[str, int]:
-    """Host and port number. Raises PortUnavailable where one is missing."""
+    """Return host and port number. Raises PortUnavailable where one is missing."""
     parts = urlsplit(url)
     try:
         number = parts.port
@@ -182,12 +183,13 @@ class _UnconfirmedConnection:
     received: bytes = b""
 
     def reported_end(self, url: str) -> Message | None:
-        """Why the server ended it; ser2net states that its port is in use as data, after its options."""
+        """Return why the server ended it; ser2net states that its port is in use as data, after its
+        options."""
         return reported_end(_OPTIONS.sub(b"", self.received), url)
 
 
 def _parsed(feed: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
-    """``feed`` of the parser, raising OSError for what is not RFC 2217."""
+    """Wrap ``feed`` of the parser, raising OSError for what is not RFC 2217."""
 
     def parse(data: bytes) -> Any:
         try:
@@ -199,7 +201,7 @@ def _parsed(feed: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
 
 
 def _rfc2217_transport(opening: _UnconfirmedConnection) -> Any:
-    """serialx's transport, which takes servers as they are. ``opening``: what it notes meanwhile.
+    """Return serialx's transport, changed to take servers as they are. ``opening``: what it notes meanwhile.
 
     Many never acknowledge the masks of line and modem states (RFC 2217, 3), which mean nothing on RS-422, and
     many send first: what they send before the connection is confirmed would be an error. A command that

@@ -55,17 +55,17 @@ class SecondMaster:
         """By unit, when this host sent each request that the unit has not responded to."""
 
     def requested(self, unit: int, now: Monotonic) -> None:
-        """This host sent a request."""
+        """Note that this host sent a request."""
         self._outstanding[unit].append(now)
 
     def responded(self, unit: int) -> None:
-        """A unit responded to the newest request."""
+        """Note that a unit responded to the newest request."""
         if self._outstanding[unit]:
             self._outstanding[unit].pop()
 
     def explains(self, unit: int, now: Monotonic) -> bool:
-        """Whether a response of a unit may be one to an earlier request of this host, which it then counts
-        as."""
+        """Return whether a response of a unit may be one to an earlier request of this host, which it then
+        counts as."""
         outstanding = self._outstanding[unit]
         while outstanding and now - outstanding[0] > LATE_WITHIN_S:
             outstanding.popleft()
@@ -75,7 +75,7 @@ class SecondMaster:
         return False
 
     def note(self, now: Monotonic) -> None:
-        """A unit responded to what this host did not request."""
+        """Note that a unit responded to what this host did not request."""
         self.noted += 1
         self._noted.append(now)
         is_frequent = len(self._noted) == MIN_RESPONSES and now - self._noted[0] <= WITHIN_S
@@ -83,7 +83,7 @@ class SecondMaster:
             self._until = now + CLEAR_AFTER_S
 
     def is_present(self, now: Monotonic) -> bool:
-        """Whether another host is on the wire."""
+        """Return whether another host is on the wire."""
         return self._until is not None and now < self._until
 
 
@@ -106,7 +106,7 @@ class Figures:
     def take(
         self, now: Monotonic, at: UnixTime, counts: WireCounts, roster: Roster, schedule: PollSchedule
     ) -> BusFigures:
-        """The figures of this moment: ``now`` on the line's clock, ``at`` since the epoch."""
+        """Return the figures of this moment: ``now`` on the line's clock, ``at`` since the epoch."""
         units = {unit: roster[unit].statistics.figures() for unit in roster.configured}
         self._marks.append(_Mark(now, replace(counts), units))
         while len(self._marks) > 1 and self._marks[1].at <= now - WINDOW_S:
@@ -191,7 +191,7 @@ class UnitSymptoms(msgspec.Struct, frozen=True):
 
 
 def diagnose(units: Sequence[UnitSymptoms], noise_bytes: int, echoes: int) -> list[Message]:
-    """One or two causes; empty when all is well."""
+    """Return one or two causes, none when all is well."""
     found = [_in_another_name(units), _garbled(units), _collided(units, noise_bytes) or _unresponsive(units)]
     if (all_twice := responds_for_all(units)) != 0:
         found.append(Message.of("diagnosis_all_twice", unit=all_twice))

@@ -64,7 +64,8 @@ class Found:
 
 
 def remarks_on(one: Found, *, garbled: int, requests: int, uncertain: bool) -> tuple[Message, ...]:
-    """Remarks about a DIGIMAX IV; of ``requests``, ``garbled`` had noise, some (``uncertain``) nothing."""
+    """Return remarks about a DIGIMAX IV; of ``requests``, ``garbled`` had noise, some (``uncertain``)
+    nothing."""
     remarks = _on_its_address(one)
     last = len(one.parameters)
     if last < _HIGHEST:
@@ -91,7 +92,7 @@ def _on_its_address(one: Found) -> list[Message]:
 
 
 def conclude(found: Sequence[Found]) -> list[Message]:
-    """What only all addresses together show."""
+    """Return what only all addresses together show."""
     remarks = [LATE] if any(one.late for one in found) else []
     owners = [one.own_address for one in found if one.own_address not in (None, one.unit)]
     for owner in sorted({owner for owner in owners if owner is not None}):
@@ -104,7 +105,8 @@ def conclude(found: Sequence[Found]) -> list[Message]:
 
 
 def settings_seen(found: Sequence[Found]) -> dict[str, Setting]:
-    """The keys of ``[[bus]]`` as these units want them; None where nothing showed it, or units differ."""
+    """Return the keys of ``[[bus]]`` as these units want them, None where nothing showed it or units
+    differ."""
     return {name: values.pop() if len(values) == 1 else None for name, values in _seen(found).items()}
 
 
@@ -227,7 +229,8 @@ class Examination:
         return outcome
 
     def _first_status(self) -> Generator[Probe, ProbeOutcome, StatusReply | None]:
-        """The 81h to unit 111 has the checksum 10h itself: a unit that takes it twice is found so only."""
+        """Send the first 81h, to unit 111 also doubled: its checksum is 10h, which some units take only
+        twice."""
         status = yield from self._status(STATUS_READS)
         if self.outcomes[-1].no_response and checksum(bytes((self.unit, ReadStatusRequest.COMMAND))) == DLE:
             self.doubles = True
@@ -245,7 +248,7 @@ class Examination:
         return None
 
     def _read(self, number: int) -> Generator[Probe, ProbeOutcome, Reply | None]:
-        """85h, with 81h before it as the fence."""
+        """Send 85h, with 81h before it as the fence."""
         for _ in range(TRIES):
             yield from self._status(TRIES)
             outcome = yield from self._probe(ReadParameterRequest(self.unit, number))
@@ -304,7 +307,8 @@ class Examination:
         return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS_OR_ELSE,))
 
     def _surplus(self) -> tuple[int, int]:
-        """How many responses were late, as a unit owes one to each request, and how many none explains."""
+        """Return how many responses were late, as a unit owes one to each request, and how many none
+        explains."""
         awaited = late = doubled = 0
         for outcome in self.outcomes:
             paid = min(awaited, outcome.noise.late)
@@ -317,7 +321,8 @@ class Examination:
         return "twice" if "twice" in seen else "once" if "once" in seen else None
 
     def _estop_healthy(self) -> Literal[0, 1] | None:
-        """A motor that turns at speed, whenever it is looked at, has a healthy e-stop chain."""
+        """Return the healthy e-stop level, where the motor turned at speed each time: then its chain is
+        healthy."""
         replies = [outcome.reply for outcome in self.outcomes]
         statuses = [reply for reply in replies if isinstance(reply, StatusReply)]
         for status in statuses:
@@ -329,7 +334,7 @@ class Examination:
 
 
 def _number_byte(number: int, in_bcd: bool) -> int:
-    """The PRM byte for ``number``, to be sent in the plain dialect."""
+    """Return the PRM byte for ``number``, to be sent in the plain dialect."""
     return number // 10 * 16 + number % 10 if in_bcd else number
 
 

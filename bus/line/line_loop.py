@@ -182,7 +182,7 @@ class LineLoop:
                 alarm.cancel()
 
     def _report(self) -> None:
-        """Every event since the last report, and the result of every command that has one."""
+        """Report every event since the last report, and the result of every command that has one."""
         at = self.clock.epoch(self.clock.now())
         for run in self.commands.take_finished():
             self._events.append(run.report(at, self.dialect))
@@ -196,12 +196,12 @@ class LineLoop:
     # --- the port ------------------------------------------------------------------------------
 
     def lose_port(self, cause: Message) -> None:
-        """The port is unusable; the exchange under way ends without a response."""
+        """Give up the port; the exchange under way ends without a response."""
         self.link.lose(cause)
         self._woken.set()
 
     def still_closed(self, cause: Message) -> None:
-        """Another attempt to open it failed."""
+        """Note that another attempt to open it failed."""
         now = self.clock.now()
         self._port_closed(cause)
         if now - self._closed_at > CLOSED_TO_OFFLINE_S:
@@ -234,7 +234,7 @@ class LineLoop:
             self._woken.set()
 
     def _port_lost(self) -> Message:
-        """Whatever was under way ends as unknown; nothing is sent later. Returns the cause."""
+        """End whatever was under way as unknown, and return the cause; nothing is sent later."""
         assert self.link.loss is not None
         self.trace.witness = None
         now, cause = self.clock.now(), self.link.loss
@@ -271,7 +271,7 @@ class LineLoop:
     # --- commands ------------------------------------------------------------------------------
 
     def reserve(self) -> None:
-        """A write is about to be requested: no poll leaves before it, for a moment."""
+        """Hold back polls for a moment, because a write is about to be requested."""
         self._arbiter.reserve(self.clock.now())
 
     def submit(self, run: CommandRun) -> None:

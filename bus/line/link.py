@@ -115,7 +115,7 @@ class Link:
     # --- the port ------------------------------------------------------------------------------
 
     def attach(self, port: OpenPort, baud: int) -> None:
-        """The port is open: nothing that was under way before can still arrive."""
+        """Use a port that was opened; nothing that was under way before can still arrive."""
         self._port = port
         self._last = None
         self.loss, self.has_responses = None, False
@@ -129,7 +129,7 @@ class Link:
         self._go_at(baud)
 
     def lose(self, cause: Message) -> None:
-        """The port is gone; the exchange under way ends without a response."""
+        """Give up the port; the exchange under way ends without a response."""
         if self._port is None:
             return
         self._port, self.loss = None, cause
@@ -223,7 +223,7 @@ class Link:
         return Exchange(request, dialect or self._dialect, decoder=self._decoder, pending=pending)
 
     def _begin(self, exchange: Exchange, began: Monotonic) -> CurrentExchange:
-        """``exchange`` was handed to the port at ``began``."""
+        """Begin to await the response to ``exchange``, which was handed to the port at ``began``."""
         has_response = exchange.request.unit != 0
         ends_sending = began + len(exchange.sent) * self._byte_s
         window_ends = ends_sending + (self._turnaround_s + MARGIN_S if has_response else 0.0)
@@ -293,9 +293,9 @@ class Link:
             self.second_master.note(now)
 
     def _is_another_s_late(self, event: Foreign) -> bool:
-        """Whether another unit's frame is late: that unit has not responded to an earlier request, or this is
-        the last response a second time. It ends no uncertainty about that unit: it may be of a third one that
-        responds to a wrong address."""
+        """Return whether another unit's frame is late: that unit has not responded to an earlier request,
+        or this is the last response a second time. It ends no uncertainty about that unit: it may be of a
+        third one that responds to a wrong address."""
         is_overdue = bool(self.pending(event.unit).outstanding)
         if is_overdue:
             self._overdue.append(event.unit)
@@ -305,7 +305,7 @@ class Link:
         self._roster[unit].statistics.counts.late += 1
 
     def _take_noise(self, noise: Noise, unit: int, now: Monotonic) -> None:
-        """After a response with a wrong checksum no other will come, so only quiet is waited for."""
+        """Count noise; after a response with a wrong checksum no other comes, so only quiet is waited for."""
         self.counts.noise_bytes += len(noise.data)
         if noise.reason is Fault.CHECKSUM:
             self._roster[unit].statistics.counts.checksum_errors += 1

@@ -30,7 +30,7 @@ async def open_port(port: str, baud: int, receiver: Receiver) -> OpenPort:
 
 
 def port_fault(port: str) -> Message | None:
-    """Why a device or the device server of a URL cannot be opened now; None where it can."""
+    """Return why a device or the device server of a URL cannot be opened now, or None where it can."""
     try:
         if "://" in port:
             _connect(port)
@@ -42,7 +42,7 @@ def port_fault(port: str) -> Message | None:
 
 
 def _open(path: str) -> None:
-    """Its settings stay as they are: only their reading is tried. Raises PortUnavailable."""
+    """Open a device and read its settings, which stay as they are. Raises PortUnavailable."""
     try:
         # Else a port that waits for a carrier would block, and one without a terminal's user become it.
         descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -63,7 +63,7 @@ def _open(path: str) -> None:
 
 
 def _connect(url: str) -> None:
-    """Raises PortUnavailable."""
+    """Connect to a device server. Raises PortUnavailable."""
     try:
         socket.create_connection(address_of(url), timeout=CONNECT_TIMEOUT_S).close()
     except (OSError, UnicodeError) as error:

@@ -126,7 +126,7 @@ class Opener:
             self._line.note_port(remark, about=f"{remark}", lasts_s=OTHERS_S + 2 * CHECK_S)
 
     def _note_stable(self) -> None:
-        """An opening that lasts is logged even where the ones before were not worth it."""
+        """Log an opening that lasts, even where the ones before were not worth it."""
         self._causes = 0
         self._line.port_is_back()
         if not self._backoff.is_worth_logging:
@@ -153,7 +153,7 @@ class _Opening:
         self._loss: Message | None = None
 
     def check(self) -> None:
-        """Raises EndedWhileOpening where it is over already."""
+        """Check that it still goes on. Raises EndedWhileOpening where it is over already."""
         if self._loss is not None:
             raise EndedWhileOpening(self._loss)
 

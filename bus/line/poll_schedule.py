@@ -63,7 +63,7 @@ class ParameterQueue:
         self._turn = 0
 
     def learn_all(self, unit: int) -> None:
-        """``unit`` is new or has returned: everything about it is to be read."""
+        """Have everything about ``unit`` read, because it is new or has returned."""
         self.forget(unit)
         self.need(unit)
         for number in self._numbers:
@@ -76,13 +76,13 @@ class ParameterQueue:
             self._add_needed(unit, number, _RANKS.get(number, len(_FIRST)))
 
     def forget(self, unit: int) -> None:
-        """``unit`` does not respond; nothing is read from it."""
+        """Forget ``unit``, which does not respond."""
         for queue in (self._needed, self._background, self._decimals):
             for entry in [entry for entry in queue if entry[0] == unit]:
                 del queue[entry]
 
     def next_needed(self) -> UnitParameter | None:
-        """Unit and number of the next needed parameter, taken from the queue."""
+        """Return unit and number of the next needed parameter, and remove it from the queue."""
         if not self._needed:
             return None
         entry = min(self._needed, key=self._needed.__getitem__)
@@ -105,7 +105,7 @@ class ParameterQueue:
             self._add_background(unit, number)
 
     def was_not_read(self, unit: int, number: int) -> None:
-        """No response: put it back into the queue it came from."""
+        """Put a parameter without a response back into the queue it came from."""
         if number in self._needed_numbers:
             self._add_needed(unit, number, len(_FIRST))
         else:
@@ -180,11 +180,11 @@ class ProbeBackoff:
         return unit in self._units
 
     def stopped_responding(self, unit: int, now: Monotonic) -> None:
-        """``unit`` stopped responding, or did not respond to its first request."""
+        """Note that ``unit`` stopped responding, or did not respond to its first request."""
         self._units[unit] = _OfflineUnit(0, now + self._wait(0))
 
     def no_response(self, unit: int, now: Monotonic, cost_s: float) -> None:
-        """A probe of ``unit`` cost a timeout of ``cost_s`` seconds that ended at ``now``."""
+        """Note that a probe of ``unit`` cost a timeout of ``cost_s`` seconds, which ended at ``now``."""
         self._rations[self.alone].spend(now, cost_s)
         offline = self._units.get(unit)
         if offline is not None:
@@ -192,19 +192,20 @@ class ProbeBackoff:
             offline.due = now + self._wait(offline.step)
 
     def responded(self, unit: int, now: Monotonic) -> None:
-        """``unit`` responds again; others may have had the same cause, so they are due now."""
+        """Note that ``unit`` responds again; others may have had the same cause, so they are due now."""
         if self._units.pop(unit, None) is not None:
             for other in self._units.values():
                 other.due = min(other.due, now)
 
     def forgive(self, now: Monotonic) -> None:
-        """Every unit is due at once, the longest waiting first, the first whatever was spent before."""
+        """Make every unit due at once, the longest waiting first, the first whatever was spent before."""
         self._rations = _rations()
         for offline in self._units.values():
             offline.step, offline.due = 0, min(offline.due, now)
 
     def due(self, now: Monotonic) -> int | None:
-        """The unit to probe now, the longest overdue first; None when none is due or the ration is used."""
+        """Return the unit to probe now, the longest overdue first, or None when none is due or the ration is
+        used."""
         if not self._units or not self._rations[self.alone].ready(now):
             return None
         unit = min(self._units, key=lambda each: self._due_of(self._units[each]))
@@ -250,13 +251,12 @@ class BaudSearch:
         self._tuned_at = now
 
     def expect(self, baud: int, present: int) -> None:
-        """Units that respond at ``present`` come up at ``baud`` once they have been switched off and on; the
-        same twice: no former expectation applies any more.
-        """
+        """Expect units that respond at ``present`` to come up at ``baud`` once they have been switched off
+        and on. The same rate twice ends a former expectation."""
         self._expected, self._old = (None, None) if baud == present else (baud, present)
 
     def tuned(self, now: Monotonic) -> None:
-        """The port goes at another rate from now on."""
+        """Note that the port goes at another rate from now on."""
         self._tuned_at = now
 
     def turn(self, now: Monotonic, baud: int, *, responds: bool) -> int | None:
@@ -308,7 +308,7 @@ class PollOrder:
             self._weigh()
 
     def watch(self, units: Collection[int]) -> None:
-        """These, where they take part, are polled at once, and more often from now on."""
+        """Poll these, where they take part, at once, and more often from now on."""
         self._watched = frozenset(units)
         self._weigh()
 
@@ -330,7 +330,7 @@ class PollOrder:
         self._spread(others, plain)
 
     def _spread(self, units: list[int], stride: float) -> None:
-        """Evenly over one stride from the present turn on, in the order in which they wait."""
+        """Spread them evenly over one stride from the present turn on, in the order in which they wait."""
         for rank, unit in enumerate(units):
             self._strides[unit] = stride
             self._passes[unit] = self._present + stride * rank / len(units)
@@ -340,7 +340,7 @@ class PollOrder:
 
 
 def _strides(units: int, watched: int, poll_s: float) -> tuple[float, float]:
-    """How far the pass of a watched and of another unit moves in a turn; 1 is an equal share."""
+    """Return how far the pass of a watched and of another unit moves in a turn; 1 is an equal share."""
     others = units - watched
     if watched == 0 or others == 0:
         return 1.0, 1.0
@@ -406,7 +406,7 @@ class PollSchedule:
         self._slow.fraction = SLOW_SHARE_WATCHED if units else SLOW_SHARE_UNWATCHED
 
     def responded(self, unit: int, now: Monotonic) -> None:
-        """``unit`` responded for the first time, or after timeouts."""
+        """Note that ``unit`` responded for the first time, or after timeouts."""
         self.probes.responded(unit, now)
         if unit in self.poll_order:
             return
@@ -415,7 +415,7 @@ class PollSchedule:
         self._adapt()
 
     def stopped_responding(self, unit: int, now: Monotonic) -> None:
-        """``unit`` missed so often that it is out of the round."""
+        """Take ``unit`` out of the round, because it missed so often."""
         self.poll_order.leave(unit)
         self.parameters.forget(unit)
         if unit not in self.probes:
@@ -423,7 +423,7 @@ class PollSchedule:
         self._adapt()
 
     def spent(self, task: Task, began: Monotonic, ended: Monotonic, *, responded: bool) -> None:
-        """``task`` used the wire between these moments; settles the shares and the averages."""
+        """Note that ``task`` used the wire between these moments, in the shares and the averages."""
         seconds = ended - began
         match task.kind:
             case TaskKind.PROBE if not responded:
@@ -441,7 +441,7 @@ class PollSchedule:
     # --- the next claim ------------------------------------------------------------------------
 
     def next(self, now: Monotonic, *, slow_waits: bool = False) -> Task | None:
-        """The next use of the wire; None: nothing before a probe is due."""
+        """Return the next use of the wire, or None: nothing before a probe is due."""
         if self._unseen:
             return Task(TaskKind.FIRST, self._unseen.pop())
         unit = self.probes.due(now)
@@ -453,12 +453,12 @@ class PollSchedule:
         return self.next_poll() or self._gap(None, slow_waits=slow_waits)
 
     def next_poll(self) -> Task | None:
-        """The unit whose turn it is, whatever else would be due."""
+        """Return the unit whose turn it is, whatever else would be due."""
         unit = self.poll_order.take()
         return Task(TaskKind.POLL, unit) if unit is not None else None
 
     def _gap(self, now: Monotonic | None, *, slow_waits: bool) -> Task | None:
-        """What may use a gap now; ``now`` None: the wire is free anyhow."""
+        """Return what may use a gap now; ``now`` None: the wire is free anyhow."""
         if (now is None or self._needed.ready(now)) and (wanted := self.parameters.next_needed()):
             return Task(TaskKind.PARAMETER, *wanted, needed=True)
         if slow_waits and (now is None or self._slow.ready(now)):

@@ -17,7 +17,7 @@ from bus.messages import Message
 
 
 def why_not(path: str, error: Exception) -> Message:
-    """``error`` is what opening ``path`` raised."""
+    """Return why ``path`` cannot be opened, by the ``error`` that this raised."""
     number = getattr(error, "errno", None) or _errno_in(error)
     if number == errno.ENOENT:
         return _missing(path)
@@ -32,12 +32,12 @@ def why_not(path: str, error: Exception) -> Message:
 
 
 def in_use(path: str) -> Message:
-    """Another program has it, and which."""
+    """Return that another program has it, and which."""
     return used_by(path, users_of(path))
 
 
 def used_by(path: str, users: Iterable[tuple[int, str]]) -> Message:
-    """These programs have it, by process id and name; without any, another program."""
+    """Return that these programs have it, by process id and name; without any, another program."""
     programs = programs_of(users)
     if not programs:
         return Message.of("port_in_use", port=path)
@@ -45,12 +45,12 @@ def used_by(path: str, users: Iterable[tuple[int, str]]) -> Message:
 
 
 def programs_of(users: Iterable[tuple[int, str]]) -> list[Message]:
-    """Programs by process id and name, as the value of a message."""
+    """Return programs by process id and name as the value of a message."""
     return [Message.of("process", program=name, pid=pid) for pid, name in users]
 
 
 def _errno_in(error: Exception) -> int | None:
-    """pySerial keeps the number of some errors only in what they were raised from."""
+    """Return the number of an error; pySerial keeps some only in what they were raised from."""
     for each in (error, error.__context__):
         if each is not None and each.args and isinstance(each.args[0], int):
             return each.args[0]
@@ -80,7 +80,7 @@ _PSEUDO_TERMINALS = Path("/dev/pts")
 
 
 def users_of(path: str) -> list[tuple[int, str]]:
-    """Process id and name of the others that hold a lock on it, else of those that have it open."""
+    """Return process id and name of the others that hold a lock on it, else of those that have it open."""
     device = Path(path).resolve()
     own = {os.getpid(), *_simulators_of(device)}
     pids = _lockers(device) - own or {pid for pid in _pids() if _has_open(pid, device)} - own
@@ -88,17 +88,18 @@ def users_of(path: str) -> list[tuple[int, str]]:
 
 
 def is_device(path: str) -> bool:
-    """Whether a device is there, and not the URL of a device server."""
+    """Return whether a device is there, and not the URL of a device server."""
     return Path(path).is_char_device()
 
 
 def is_pseudo_terminal(path: str) -> bool:
-    """Whether this is a pseudo-terminal, at whose other end a program plays the device."""
+    """Return whether this is a pseudo-terminal, at whose other end a program plays the device."""
     return Path(path).resolve().parent == _PSEUDO_TERMINALS
 
 
 def _simulators_of(device: Path) -> set[int]:
-    """The programs at the other end of a pseudo-terminal: they are the line, and no other host on it."""
+    """Return the programs at the other end of a pseudo-terminal: they are the line, and no other host on
+    it."""
     if not is_pseudo_terminal(str(device)):
         return set()
     end = f"tty-index:\t{device.name}\n"
@@ -135,7 +136,7 @@ def _has_open(pid: int, device: Path) -> bool:
 
 
 def _is_same(pid: int, number: str, device: Path) -> bool:
-    """Whether a descriptor is of ``device``: each container has a pseudo-terminal 0 of its own."""
+    """Return whether a descriptor is of ``device``: each container has a pseudo-terminal 0 of its own."""
     with suppress(OSError):
         opened, wanted = (_PROC / str(pid) / "fd" / number).stat(), device.stat()
         is_here = opened.st_dev == wanted.st_dev or not is_pseudo_terminal(str(device))
@@ -144,7 +145,7 @@ def _is_same(pid: int, number: str, device: Path) -> bool:
 
 
 def _open_files(pid: int) -> Iterator[tuple[str, Path]]:
-    """The number of each descriptor of a process, and what it is of."""
+    """Return the number of each descriptor of a process, and what it is of."""
     with suppress(OSError):
         for descriptor in (_PROC / str(pid) / "fd").iterdir():
             with suppress(OSError):
@@ -173,10 +174,10 @@ class Receiver(Protocol):
     """Called with what comes from the port."""
 
     def data_received(self, data: bytes) -> None:
-        """Bytes came in."""
+        """Take bytes that came in."""
 
     def connection_lost(self, cause: Message) -> None:
-        """The port is gone, and why. Called once, never after ``close``."""
+        """Note that the port is gone, and why. Called once, never after ``close``."""
 
 
 class OpenPort(Protocol):
@@ -192,8 +193,8 @@ class OpenPort(Protocol):
         """Go on at ``baud``. Raises WireError where the port cannot."""
 
     def check(self) -> list[str]:
-        """What another program changed of its settings since the last call, which was put back.
-        Raises WireError when the port is gone and this was not reported yet."""
+        """Return what another program changed of its settings since the last call, which was put back. Raises
+        WireError when the port is gone and this was not reported yet."""
 
     def close(self) -> None:
         """Give it back, at once."""

@@ -164,7 +164,8 @@ class UnitRecord:
         return self.misses >= MISSES_TO_OFFLINE
 
     def lost(self, at: UnixTime) -> bool:
-        """Whether it has been unresponsive for long enough; a clock that was set back counts as long."""
+        """Return whether it has been unresponsive for long enough; a clock that was set back counts as
+        long."""
         return self.unresponsive and (
             self.responded_at is None or not 0 <= at - self.responded_at < LOST_AFTER_S
         )
@@ -175,8 +176,8 @@ class UnitRecord:
         return plausible_speed(self.reading.commanded) if self.reading is not None else None
 
     def raw(self, number: int) -> int | None:
-        """A parameter as last read; None when it never was, the unit does not have it, or it is outside of
-        its printed range."""
+        """Return a parameter as last read, or None when it never was, the unit does not have it, or it is
+        outside of its printed range."""
         known = self.parameters.get(number)
         return plausible_parameter(number, known.raw) if known is not None else None
 
@@ -299,7 +300,8 @@ def _stranger(unit: int, at: UnixTime) -> UnitRecord:
 def parameter_value(
     unit: int, number: int, reply: Reply | None, at: UnixTime, frame: bytes
 ) -> ParameterValue | None:
-    """The value in a response to 85h, None where it has none. NAK 82h: the unit lacks the parameter."""
+    """Return the value in a response to 85h, None where it has none. NAK 82h: the unit lacks the
+    parameter."""
     match reply:
         case ParameterReply():
             return ParameterValue(unit, number, at, reply.raw, frame=frame)

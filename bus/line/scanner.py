@@ -32,7 +32,7 @@ _PLAIN = Dialect()
 
 @asynccontextmanager
 async def scan_port(port: str, baud: int) -> AsyncIterator[ScanPort]:
-    """``port``, open for a scan. Raises WireError when it cannot be opened."""
+    """Open ``port`` for a scan. Raises WireError when it cannot be opened."""
     line = ScanPort(baud, RealClock())
     opened = await open_port(port, baud, line)
     line.attach(opened)
@@ -86,7 +86,8 @@ class ScanPort:
         self._window.attach(self._byte_s)
 
     async def listen(self, seconds: float) -> int:
-        """How many bytes arrive although nothing is requested. Raises WireError when the port is lost."""
+        """Return how many bytes arrive although nothing is requested. Raises WireError when the port is
+        lost."""
         self._unrequested_bytes = 0
         await asyncio.sleep(seconds)
         self._check()
@@ -180,7 +181,8 @@ class Prober:
         self._quick: set[int] = set()
 
     async def examine(self, unit: int) -> Found | None:
-        """Everything about one address, None where nothing responds. Raises SlowUnitError, WireError."""
+        """Return everything about one address, or None where nothing responds. Raises SlowUnitError,
+        WireError."""
         examination = Examination(unit, self._baud).run()
         try:
             probe = next(examination)
@@ -202,7 +204,7 @@ class Prober:
         return _outcome(collected)
 
     def _seem_late(self, collected: Collected) -> set[int]:
-        """Units whose response to an earlier request this may have been."""
+        """Return the units whose response to an earlier request this may have been."""
         responded = {event.unit for event in collected.events if isinstance(event, Foreign)}
         if any(isinstance(event, Responded | Late) for event in collected.events):
             responded.add(collected.exchange.request.unit)

@@ -186,14 +186,14 @@ class SendAttempts:
         return self.result is None and exchange.reply is None
 
     def close(self) -> None:
-        """The port is gone."""
+        """End the request, because the port is gone."""
         if self.result is None:
             self._end(SendStatus.PORT_CLOSED)
 
     def _fence(self, pending: PendingResponses) -> Request | None:
-        """A retry may take the response to the try before, which is hardly older. A later request may not: a
-        response that a buffer on the way kept for seconds would be shown as new.
-        """
+        """Return the fence that must go first, if any. A retry may take the response to the try before, which
+        is hardly older; a later request may not: a response that a buffer on the way kept for seconds would
+        be shown as new."""
         fence = pending.fence_before(self.send.request)
         fresh = self.send.fresh or not self.begun
         if fence is None and fresh and self.send.request in pending.outstanding:

@@ -109,7 +109,7 @@ class Window:
         self._ring_at(ends)
 
     def received(self, now: Monotonic, *, inside_frame: bool) -> None:
-        """Bytes came in; ``inside_frame``: they end in the middle of what may be a frame."""
+        """Note that bytes came in; ``inside_frame``: they end in the middle of what may be a frame."""
         self._quiet_at = now + (max(self._quiet_s, MIN_FRAME_GAP_S) if inside_frame else self._quiet_s)
 
     def shorten(self, ends: Monotonic) -> None:
@@ -119,7 +119,7 @@ class Window:
             self._ring_at(ends)
 
     def close(self) -> None:
-        """The exchange is over. Its alarm is let come in vain: most are set again before."""
+        """End the window. Its alarm is let come in vain, because most are set again before."""
         self._ends = None
 
     def _ring_at(self, when: Monotonic) -> None:
@@ -162,7 +162,8 @@ class PortPace:
         self._against = 0
 
     def believes(self, took_s: float, least_s: float) -> bool:
-        """Whether a response that took ``took_s`` may be taken; ``least_s``: what it takes on the wire."""
+        """Return whether a response that took ``took_s`` may be taken; ``least_s``: what it takes on the
+        wire."""
         early = took_s < least_s * EARLY
         if self.paced is None:
             self.paced = not early

@@ -68,7 +68,8 @@ class WireRecord:
         self._entries.append(WireEvent(self.count, at, what, unit, data))
 
     def since(self, number: int = 0, *what: WireEventKind) -> Iterator[WireEvent]:
-        """The entries after ``number`` of the kinds ``what`` (default all); another thread may call it."""
+        """Return the entries after ``number`` of the kinds ``what`` (default all); another thread may call
+        it."""
         entries = tuple(self._entries)  # In one step for the interpreter.
         known = number - entries[0].number + 1 if entries else 0
         return (entry for entry in entries[max(known, 0) :] if not what or entry.what in what)
@@ -144,17 +145,18 @@ class Faults:
         self._rates.clear()
 
     def strikes(self, kind: FaultKind, unit: int = EVERY_UNIT) -> bool:
-        """Whether ``kind`` happens now; draws nothing where its rate is 0, so that it disturbs no seed."""
+        """Return whether ``kind`` happens now; draws nothing where its rate is 0, so that it disturbs no
+        seed."""
         rate = max(self._rates[EVERY_UNIT].get(kind, 0.0), self._rates[unit].get(kind, 0.0))
         return rate > 0 and self._random.random() < rate
 
     def refusal(self, command: int) -> int:
-        """The code of a NAK out of nowhere: one of those that the manual lists for ``command``."""
+        """Return the code of a NAK out of nowhere: one of those that the manual lists for ``command``."""
         listed = sorted(TRAITS[command].refusals) if command in TRAITS else []
         return self._random.choice([*listed, UnitErrorCode.ILLEGAL_COMMAND])
 
     def noise_bytes(self, count: int) -> bytes:
-        """``count`` bytes without a frame in them: no 10h, so nothing ever starts or ends."""
+        """Return ``count`` bytes without a frame in them: no 10h, so nothing ever starts or ends."""
         return bytes(self._random.choice(_NO_DLE) for _ in range(count))
 
     def spoil(self, unit: int, frame: bytes, body: bytes) -> list[Piece]:
@@ -242,7 +244,7 @@ class SimulatedLine:
         self._physics_at = math.inf
 
     def receive(self, now: float, data: bytes, host_baud: int | None = None) -> None:
-        """The host wrote ``data`` at ``now``, its port set to ``host_baud`` (None: not known)."""
+        """Take ``data`` that the host wrote at ``now``, its port set to ``host_baud`` (None: not known)."""
         self.record.add(now, WireEventKind.CAME, EVERY_UNIT, data)
         byte_s = self._byte_s(host_baud)
         for at, value in zip(self._requests.carry(now, len(data), byte_s), data, strict=True):
@@ -275,14 +277,14 @@ class SimulatedLine:
         return inside if reply is None else min(inside, reply)
 
     def unplug(self) -> None:
-        """The cable is gone: nothing that is under way arrives."""
+        """Pull the cable: nothing that is under way arrives."""
         self._arriving.clear()
         self._partial = None
         self._replies.clear()
         self._decoder = FrameDecoder(Dialect())
 
     def _receive_second_10h(self, at: float, value: int, byte_s: float) -> None:
-        """A unit that waits for a second 10h has its frame when that follows at once."""
+        """Give a unit that waits for a second 10h its frame when that follows at once."""
         half, self._partial = self._partial, None
         if half is not None and value == DLE and at - half.at < 2 * byte_s:
             self._arriving.append(half._replace(at=at, checksum_10h="twice"))

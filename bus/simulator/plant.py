@@ -65,7 +65,7 @@ class Section:
         return self.speed * self.unit.memory[numbers.MAX_RPM]
 
     def step(self, dt: float, master_rpm: float, upstream: Section | None) -> None:
-        """``dt`` seconds pass, with the master at ``master_rpm`` and the web coming from ``upstream``."""
+        """Let ``dt`` seconds pass, with the master at ``master_rpm`` and the web coming from ``upstream``."""
         self._ramp(dt, self._wanted(master_rpm))
         self._turn(dt)
         self._pull(dt, upstream)
@@ -112,7 +112,8 @@ class Section:
         self._unrest = self._unrest * fade + UNREST * math.sqrt(1 - fade * fade) * self._random.gauss(0, 1)
 
     def _pull(self, dt: float, upstream: Section | None) -> None:
-        """The web's tension, on the analog input: taut where this section runs faster than the one before."""
+        """Return the web's tension, on the analog input: taut where this section runs faster than the one
+        before."""
         draw = abs(self.speed) - abs(upstream.speed) if upstream else 0.0
         goal = TENSION_RUNNING if self.speed else TENSION_AT_REST
         goal = min(max(goal + draw * TENSION_PER_DRAW, 0.0), 255.0)
@@ -205,7 +206,7 @@ class Plant:
         return [section.unit for section in self.sections]
 
     def unit(self, address: int) -> Unit:
-        """The first unit at ``address``. Raises KeyError where there is none."""
+        """Return the first unit at ``address``. Raises KeyError where there is none."""
         return {unit.address: unit for unit in reversed(self.units)}[address]
 
     def settle(self) -> None:
@@ -267,8 +268,8 @@ def demo_line(
     script: bool = True,
     unrest: bool = True,
 ) -> DemoLine:
-    """``units`` (1-255) sections in floor order at addresses 1, 2, …; same seed, same line.
-    ``unrest``: speeds and tensions move a little, as on a machine.
+    """Make ``units`` (1-255) sections in floor order at addresses 1, 2, …; same seed, same line. ``unrest``:
+    speeds and tensions move a little, as on a machine.
 
     The first eight are set in m/min. In a longer line the machines repeat, and from the second eight on
     the last of each eight follows the master by ratio.

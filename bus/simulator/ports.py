@@ -28,7 +28,7 @@ class RequestLine:
     free_at: float = 0.0
 
     def carry(self, now: float, count: int, byte_s: float) -> list[float]:
-        """The times at which ``count`` bytes, written at ``now``, have completely arrived."""
+        """Return the times at which ``count`` bytes, written at ``now``, have completely arrived."""
         start = max(now, self.free_at)
         self.free_at = start + count * byte_s
         return [start + place * byte_s for place in range(1, count + 1)]
@@ -76,7 +76,7 @@ class ReplyLine:
         return slots[-1].due
 
     def due(self, now: float) -> bytes:
-        """The bytes that the host has by ``now`` and had not before."""
+        """Return the bytes that the host has by ``now`` and had not before."""
         arrived = bytearray()
         while self._slots and self._slots[0].due <= now:
             arrived.append(self._slots.popleft().value)
@@ -95,11 +95,11 @@ class ReplyLine:
         return Wake(latest, sharp=False)
 
     def clear(self) -> None:
-        """The cable is gone, and what was on it."""
+        """Drop what is on the cable, which is gone."""
         self._slots.clear()
 
     def _collide(self, slots: list[Slot], byte_s: float) -> list[Slot]:
-        """Bytes of two talkers less than a byte time apart become one that is neither's."""
+        """Merge bytes of two talkers less than a byte time apart into one that is neither's."""
         merged: list[Slot] = []
         for slot in sorted((*self._slots, *slots)):
             if merged and slot.due - merged[-1].due < byte_s * 0.999:
@@ -154,13 +154,13 @@ class PtyPort:
                 os.write(self._master, data)
 
     def host_baud(self) -> int | None:
-        """The speed to which the host has set the port, where that can be seen."""
+        """Return the speed to which the host has set the port, where that can be seen."""
         if not self._follow_speed or self._master < 0:
             return None
         return _SPEEDS.get(termios.tcgetattr(self._slave)[5], 0) or None
 
     def unplug(self) -> None:
-        """Pull the cable out of the host, and leave nothing behind."""
+        """Pull the cable out of the host and leave nothing behind."""
         if self._master < 0:
             return
         if self._link is not None:

@@ -95,7 +95,8 @@ class Memory(dict[int, int]):
         self.update(changed or {})
 
     def takes(self, number: int, raw: int) -> bool:
-        """Whether ``raw`` is a value that the parameter can hold, by its printed range and its kind."""
+        """Return whether ``raw`` is a value that the parameter can hold, by its printed range and its
+        kind."""
         if nearest_legal(PARAMETERS[number], raw) != raw:
             return False
         if number == numbers.SPEED_SETPOINT:
@@ -106,7 +107,7 @@ class Memory(dict[int, int]):
 
 
 def width_by_type(number: int) -> int:
-    """Bytes of the parameter's data type: UCHR 1, UINT 2, ULNG 4."""
+    """Return bytes of the parameter's data type: UCHR 1, UINT 2, ULNG 4."""
     return _WIDTHS[PARAMETERS[number].type]
 
 
@@ -165,14 +166,15 @@ class Unit:
         self.power_up()
 
     def power_up(self) -> None:
-        """Off and on again: parameters stay, the staged speed and the outputs do not, #18 takes effect."""
+        """Switch it off and on again: parameters stay, the staged speed and the outputs do not, #18 takes
+        effect."""
         self.baud = self.memory[numbers.BAUD_RATE] * 100
         self.outputs = [False] * 6
         self.analog_output = self.memory[numbers.ANALOG_OUT_LOW]
         self.entered = self.setpoint
 
     def has(self, number: int) -> bool:
-        """Whether its firmware knows the parameter."""
+        """Return whether its firmware knows the parameter."""
         return 1 <= number <= self.traits.last_parameter
 
     @property
@@ -249,7 +251,7 @@ class Unit:
 
 
 def _byte_of(bits: Sequence[bool | int]) -> int:
-    """The byte with these bits, the lowest first."""
+    """Return the byte with these bits, the lowest first."""
     return sum(bool(on) << place for place, on in enumerate(bits))
 
 
@@ -291,7 +293,7 @@ def respond(unit: Unit, body: bytes) -> Turn:
 
 
 def _refuse_illegal(unit: Unit, error: IllegalRequest) -> Reply | None:
-    """A command that is none is that in every mode; a malformed value matters only where it could count."""
+    """Refuse what is no command, in every mode, and a malformed value where it could count."""
     if error.unit == ALL_UNITS:
         return None
     if error.code == UnitErrorCode.ILLEGAL_OUTPUT_VALUE and unit.mode is not Mode.REMOTE:

@@ -164,12 +164,12 @@ Reply = StatusReply | Ack | Nak | ParameterReply
 
 
 def is_write(request: Request) -> bool:
-    """Whether ``request`` can change anything in a unit."""
+    """Return whether ``request`` can change anything in a unit."""
     return not isinstance(request, ReadStatusRequest | ReadParameterRequest)
 
 
 def is_secret(request: Request) -> bool:
-    """Whether the frames of this exchange carry a value that may not be shown or kept (#21)."""
+    """Return whether the frames of this exchange carry a value that may not be shown or kept (#21)."""
     if not isinstance(request, ReadParameterRequest | WriteParameterRequest):
         return False
     return request.number in PARAMETERS and PARAMETERS[request.number].secret
@@ -180,7 +180,7 @@ _FRAME_OVERHEAD = 5
 
 
 def acknowledged_lengths(request: Request, dialect: Dialect) -> frozenset[int]:
-    """How many data bytes an ACK to ``request`` may carry."""
+    """Return how many data bytes an ACK to ``request`` may carry."""
     width = dialect.parameter_reply_bytes
     if width and request.COMMAND == ReadParameterRequest.COMMAND:
         return frozenset((width,))
@@ -226,7 +226,8 @@ class IllegalRequest(LinesideError):
 
 
 def encode_request(request: Request, dialect: Dialect) -> bytes:
-    """The frame to send. Raises CallerError for an address, number or value outside the manual's ranges."""
+    """Return the frame to send. Raises CallerError for an address, number or value outside the manual's
+    ranges."""
     return encode_frame(request_body(request, dialect), dialect)
 
 
@@ -306,7 +307,7 @@ def _decoded(unit: int, field: str, value: int, dialect: Dialect) -> int:
 
 
 def encode_reply(reply: Reply, dialect: Dialect) -> bytes:
-    """The unit's frame. Raises CallerError where a field does not fit its bytes."""
+    """Return the unit's frame. Raises CallerError where a field does not fit its bytes."""
     return encode_frame(reply_body(reply, dialect), dialect)
 
 

@@ -58,7 +58,7 @@ class Described:
     """The parsed request, where the frame is one."""
 
     def as_json(self) -> dict[str, Json]:
-        """The object of ``lineside decode --json``."""
+        """Return the object of ``lineside decode --json``."""
         names = ("uid", "kind", "fields", "checksum_ok")
         return {name: getattr(self, name) for name in names}
 
@@ -79,7 +79,7 @@ class Describer:
         self._request: Request | None = None
 
     def describe(self, received: Iterable[Received]) -> list[Described | DescribedNoise]:
-        """Everything but the doubled checksum bytes, which belong to the frames before them."""
+        """Describe everything but the doubled checksum bytes, which belong to the frames before them."""
         described: list[Described | DescribedNoise] = []
         for item in received:
             if isinstance(item, ReceivedFrame):
@@ -101,7 +101,7 @@ class Describer:
 
 
 def describe_bytes(data: bytes, dialect: Dialect | None = None) -> list[Described | DescribedNoise]:
-    """Whatever is in ``data``, in order."""
+    """Describe whatever is in ``data``, in order."""
     dialect = dialect or Dialect()
     decoder = FrameDecoder(dialect)
     return Describer(dialect).describe([*decoder.feed(data), *decoder.flush()])

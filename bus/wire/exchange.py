@@ -129,7 +129,7 @@ class Exchange:
         return begins if self.first_byte_at is None else min(begins, self.first_byte_at - byte_s)
 
     def give_up(self) -> None:
-        """The deadline has passed: whatever comes now is late."""
+        """Take whatever comes from now on for late, because the deadline has passed."""
         self.awaiting = False
 
     def _classify(self, frame: ReceivedFrame) -> ExchangeEvent:

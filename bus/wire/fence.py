@@ -153,7 +153,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return PendingResponses(self.unit, self.dialect, self.outstanding)
 
     def _is_a_long_run(self, position: int) -> bool:
-        """Whether so many equal reads begin at ``position`` that more of them are not kept."""
+        """Return whether so many equal reads begin at ``position`` that more of them are not kept."""
         run = self.outstanding[position : position + LONG_RUN] if position >= 0 else ()
         return len(run) == LONG_RUN and not is_write(run[0]) and all(sent == run[0] for sent in run)
 
@@ -195,7 +195,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return ReadStatusRequest(self.unit), ReadParameterRequest(self.unit, OWN_ADDRESS)
 
     def _after(self, fence: Request) -> PendingResponses:
-        """Once ``fence`` has got its shortest acknowledgement."""
+        """Return the state once ``fence`` has got its shortest acknowledgement."""
         data = bytes(min(acknowledged_lengths(fence, self.dialect)))
         return self.sent(fence).received(bytes((self.unit, ACK, *data)))
 
@@ -251,7 +251,7 @@ class PendingByUnit:
         return pending is not None and pending.may_hold_secret
 
     def after(self, pending: PendingResponses) -> None:
-        """An exchange is over; ``pending`` is what it left."""
+        """Note what an exchange that is over left ``pending``."""
         if pending.unit:
             self._units[pending.unit] = pending
             self._last_unit = pending.unit

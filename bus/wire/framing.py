@@ -87,12 +87,14 @@ class _Verdict(NamedTuple):
 
 
 def checksum(body: bytes) -> int:
-    """Two's complement of the sum of the unstuffed bytes (manual, 2.0: its frame, not its prose)."""
+    """Return the two's complement of the sum of the unstuffed bytes (manual, 2.0: its frame, not its
+    prose)."""
     return -sum(body) & 0xFF
 
 
 def encode_frame(body: bytes, dialect: Dialect) -> bytes:
-    """The frame of ``body`` ([UID][CMD or ACK/NAK][data]). Raises CallerError where none can carry it."""
+    """Return the frame of ``body`` ([UID][CMD or ACK/NAK][data]). Raises CallerError where none can carry
+    it."""
     if not MIN_BODY <= len(body) <= MAX_BODY:
         raise CallerError(
             Message.of("frame_length_illegal", lowest=MIN_BODY, highest=MAX_BODY, count=len(body))
@@ -131,7 +133,8 @@ class FrameDecoder:
         return events
 
     def _plain_frame(self) -> ReceivedFrame | None:
-        """The buffer where it is one good frame without a 10h in it: a shorter way to what ``_events`` gives.
+        """Return the buffer where it is one good frame without a 10h in it: a shorter way to what ``_events``
+        gives.
 
         Most responses are so, and the next request waits for it: 0.04 ms, 0.0015 of the rate at 9600 baud.
         """
@@ -179,7 +182,7 @@ class FrameDecoder:
         return ReceivedFrame(verdict.body, self._take(verdict.end))
 
     def _give_up(self, end: int, fault: Fault, body: bytes) -> Noise:
-        """Rule 3: keep all from the next possible start on, which may be a lone 10h at the end."""
+        """Keep (rule 3) all from the next possible start on, which may be a lone 10h at the end."""
         next_start = self._buffer.find(_START, 1, end)
         if next_start < 0:
             next_start = end - 1 if self._buffer[end - 1] == DLE else end

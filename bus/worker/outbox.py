@@ -72,8 +72,8 @@ class Outbox:
         self.connected = False
 
     def resume(self, delivered: int, *, oldest: UnixTime = UnixTime(0.0)) -> None:
-        """The app is back and has every batch up to ``delivered``; all else is backlog now, except what is
-        from before ``oldest`` (seconds since the epoch), which it would refuse."""
+        """Resume with an app that has every batch up to ``delivered``; all else is backlog now, except what
+        is from before ``oldest`` (seconds since the epoch), which it would refuse."""
         self.delivered(delivered)
         updates = chain(chain.from_iterable(batch.updates for batch in self._sent), self._waiting)
         lasting = [update for update in updates if not isinstance(update, Passing)]
@@ -88,7 +88,8 @@ class Outbox:
         self.connected = True
 
     def next_batch(self, at: UnixTime, app_behind_s: float | None = None) -> Batch | None:
-        """The next to send, at epoch second ``at``; None when nothing waits. ``app_behind_s``: see Batch."""
+        """Return the next to send, at epoch second ``at``, or None when nothing waits. ``app_behind_s``: see
+        Batch."""
         count = min(MAX_UPDATES, self._backlog or MAX_UPDATES, len(self._waiting))
         if not count:
             self.filled.clear()
@@ -106,7 +107,7 @@ class Outbox:
         return batch
 
     def delivered(self, seq: int) -> None:
-        """The app has every batch up to ``seq``."""
+        """Drop every batch up to ``seq``, which the app has."""
         while self._sent and self._sent[0].seq <= seq:
             for update in self._sent.popleft().updates:
                 self._count(update, -1)
@@ -140,7 +141,8 @@ class Outbox:
 
 
 def _weight(update: Update) -> int:
-    """How many updates an update counts for: a result with a piece of the trace is as large as many."""
+    """Return how many updates an update counts for: a result with a piece of the trace is as large as
+    many."""
     return 1 + len(update.frames) // FRAMES_OF_ONE if isinstance(update, Result | Frames) else 1
 
 

@@ -34,7 +34,7 @@ class BestEffortStream(io.TextIOBase):
 
 
 def without_escapes(_logger: WrappedLogger, _method: str, event: EventDict) -> EventDict:
-    """A line of the log for a terminal, which obeys nothing that a client has sent."""
+    """Return a line of the log for a terminal, which obeys nothing that a client has sent."""
     return {name: escaped(value) if isinstance(value, str) else value for name, value in event.items()}
 
 
@@ -65,7 +65,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def tied_environment() -> dict[str, str]:
-    """The environment for a child of this process."""
+    """Return the environment for a child of this process."""
     return {**os.environ, PARENT: str(os.getpid())}
 
 

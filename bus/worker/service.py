@@ -81,13 +81,13 @@ class BusWorker:
         self._leaving = False
 
     async def run(self) -> None:
-        """The line and its figures; the uplink is run beside it."""
+        """Run the line and its figures; the uplink is run beside it."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._opener.run())
             tasks.create_task(self._report_figures())
 
     async def finish(self) -> None:
-        """No new command; what is under way ends or is withdrawn, within ``FINISH_WITHIN_S``."""
+        """Take no new command; what is under way ends or is withdrawn, within ``FINISH_WITHIN_S``."""
         self._leaving = True
         for run in self.line.commands:
             self.line.cancel(run.id)
@@ -156,7 +156,7 @@ class BusWorker:
         self.line.submit(run)
 
     def _refusal(self, action: WireAction, time_left_s: float) -> tuple[Outcome, Message] | None:
-        """Why nothing is sent for it, where that is plain at once."""
+        """Return why nothing is sent for it, where that is plain at once."""
         if self._leaving:
             return "not_sent", Message("worker_stopping")
         if len(self.line.commands) >= MAX_COMMANDS:

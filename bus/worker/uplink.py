@@ -49,7 +49,7 @@ from bus.worker.outbox import Outbox
 
 
 def feed_url(url: str) -> str:
-    """``http(s)://host:port`` or ``ws(s)://host:port/feed`` as the address of the feed."""
+    """Return ``http(s)://host:port`` or ``ws(s)://host:port/feed`` as the address of the feed."""
     parts = urlsplit(url)
     scheme = {"http": "ws", "https": "wss"}.get(parts.scheme, parts.scheme)
     path = parts.path.rstrip("/")
@@ -57,7 +57,7 @@ def feed_url(url: str) -> str:
 
 
 def is_encrypted(url: str) -> bool:
-    """Whether the feed at this address is opened by TLS."""
+    """Return whether the feed at this address is opened by TLS."""
     return feed_url(url).startswith("wss:")
 
 
@@ -123,7 +123,8 @@ class UplinkTls:
     _connection: _LinkConnection | None = field(default=None, init=False)
 
     def context(self) -> ssl.SSLContext:
-        """Of the next connection, which verifies the dashboard and its name. Raises TlsFileError."""
+        """Return the context of the next connection, which verifies the dashboard and its name. Raises
+        TlsFileError."""
         stamps = tuple(map(stamp_of, (*((self.ca,) if self.ca else ()), *(self.pair or ()))))
         if self._context is None or stamps != self._stamps:
             self._context, self._stamps = self._made(), stamps
@@ -287,7 +288,7 @@ class Uplink:
             await asyncio.sleep(pause * random.uniform(0.75, 1.25))
 
     async def _attempt(self) -> bool:
-        """Be connected once, until that ends; whether the app refused this worker."""
+        """Stay connected once, until that ends; return whether the app refused this worker."""
         try:
             await self._connect_once()
         except RefusedByAppError as error:
@@ -374,7 +375,8 @@ class Uplink:
             await asyncio.sleep(bucket.pour(1.0, Monotonic(loop.time())))
 
     async def _messages(self, socket: ClientConnection) -> AsyncIterator[str | bytes]:
-        """What the app sends, to its end; also the end of one that sends nothing while there are others."""
+        """Yield what the app sends, to its end, which comes also where it sends nothing while there are
+        others."""
         with suppress(ConnectionClosedOK):
             while True:
                 async with asyncio.timeout(STALLED_S if self._addresses.are_several else None) as patience:
@@ -433,7 +435,7 @@ def _about_status(response: Response) -> str:
 
 
 def _problem_detail(body: bytes) -> str:
-    """The detail of an ``application/problem+json``, for the log: one line of bounded length."""
+    """Return the detail of an ``application/problem+json``, for the log: one line of bounded length."""
     try:
         detail = msgspec.json.decode(body[:MAX_DETAIL_BYTES], type=_Problem).detail
     except (msgspec.DecodeError, ValueError):

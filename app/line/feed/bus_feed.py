@@ -66,11 +66,12 @@ class Holder:
         self.free_at = now + ending.value
 
     def is_same(self, worker: str, credential: Credential) -> bool:
-        """Whether this is the very process, come back."""
+        """Return whether this is the very process, come back."""
         return self.worker == worker and self.credential.token == credential.token
 
     def yields_to(self, worker: str, credential: Credential, now: Monotonic) -> bool:
-        """Whether the bus goes to this worker: to the same one always, to another when the holder is gone."""
+        """Return whether the bus goes to this worker: to the same one always, to another when the holder
+        is gone."""
         if self.is_same(worker, credential) or now >= self.free_at:
             return True
         if credential.own:
@@ -81,7 +82,8 @@ class Holder:
 
 
 def refusal(hello: Hello, credential: Credential, buses: Collection[str]) -> Message | None:
-    """Why no bus is for this worker; None where there is one. ``buses``: those of the configuration."""
+    """Return why no bus is for this worker, or None where there is one. ``buses``: those of the
+    configuration."""
     if hello.version != CONTRACT_VERSION:
         versions = {"version": hello.version, "needed": CONTRACT_VERSION}
         return Message.of(OTHER_RELEASE, of_worker=hello.software, release=VERSION, **versions)
@@ -116,8 +118,8 @@ class WorkerConnection(MessageSink, Protocol):
     """A worker's WebSocket as this package sees it."""
 
     async def receive(self) -> bytes:
-        """The next message. Raises ConnectionError when there is none (WorkerLeft where that was announced),
-        MalformedMessageError for text."""
+        """Return the next message. Raises ConnectionError when there is none (WorkerLeft where that was
+        announced), MalformedMessageError for text."""
 
     def admit(self) -> None:
         """Take the large messages that follow Hello."""
@@ -255,7 +257,7 @@ class BusFeed:
         raise WorkerTimeout(str(TIMED_OUT))
 
     def _release(self, connection: WorkerConnection, cause: Message, ending: Ending) -> None:
-        """This connection has ended. Nothing where it was released already, or another has its place."""
+        """Note that this connection has ended, unless it was released already or another has its place."""
         self._channel.closed(connection)
         if self._connection is connection and self._holder is not None:
             self._connection = None

@@ -35,7 +35,7 @@ class MessageSink(Protocol):
     """What the channel needs of a worker's WebSocket."""
 
     async def send(self, message: AppMessage) -> None:
-        """Raises ConnectionError when the worker is gone."""
+        """Send one message. Raises ConnectionError when the worker is gone."""
 
 
 @dataclass(slots=True)
@@ -67,7 +67,7 @@ class Channel:
         return self._connection is not None
 
     async def opened(self, connection: MessageSink, worker: str) -> None:
-        """A worker is ready: send it the watched units and the open commands."""
+        """Send a worker that is ready the watched units and the open commands."""
         self._connection, self._worker = connection, worker
         if self._watch.units or self._watch.trace:
             await self._deliver(self._watch)
@@ -79,7 +79,7 @@ class Channel:
                 await self._send_command(open_command)
 
     def closed(self, connection: MessageSink) -> None:
-        """The connection ended. Open commands wait a while for the worker's return."""
+        """Note that the connection ended; open commands wait a while for the worker's return."""
         if self._connection is not connection:
             return
         self._connection = None
@@ -87,7 +87,7 @@ class Channel:
             open_command.give_up_at = min(open_command.give_up_at, monotonic_now() + self._reask_s)
 
     def on_message(self) -> None:
-        """Any message shows that the worker lives."""
+        """Note that the worker lives, as any message shows."""
         self._words += 1
 
     async def send(self, command: Command) -> Result:
@@ -122,7 +122,7 @@ class Channel:
             await self._deliver(wanted)
 
     def awaits(self, id: str) -> bool:
-        """Whether the result of this command is still to come."""
+        """Return whether the result of this command is still to come."""
         return id in self._open and not self._open[id].result.done()
 
     def on_update(self, update: Result | Progress, connection: MessageSink) -> None:
@@ -163,7 +163,7 @@ class Channel:
         return open_command.result.result()
 
     def _time_left(self, open_command: _OpenCommand, missed_looks: int) -> float:
-        """Seconds for which the result is still awaited."""
+        """Return seconds for which the result is still awaited."""
         stuck = missed_looks >= (STUCK_AFTER_LOOKS if self.connected else AWAY_LOOKS)
         return (
             min(open_command.due_at, open_command.give_up_at) if stuck else open_command.give_up_at

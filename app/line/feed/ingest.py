@@ -83,7 +83,7 @@ class FeedQuota:
 
 
 def cost_of(message: WorkerMessage) -> float:
-    """What a message costs the app, in updates of the live state."""
+    """Return what a message costs the app, in updates of the live state."""
     match message:
         case Batch(updates=updates, live=True):
             return 1.0 + sum(map(_cost_of_update, updates))
@@ -151,8 +151,8 @@ class WorkerClock:
         return self._settle(0.0 if _is_one_clock(difference, app_behind_s) else difference, first)
 
     def _own_stepped(self, received_at: UnixTime, running: Monotonic) -> bool:
-        """Whether this is too soon after a step of the app's clock. A worker of another machine is off by
-        that step now; one of this machine has made it too."""
+        """Return whether this is too soon after a step of the app's clock. A worker of another machine is
+        off by that step now; one of this machine has made it too."""
         self._own = self._own or ClockWatch(received_at, running)
         step = self._own.step(received_at, running)
         if step:
@@ -171,14 +171,14 @@ class WorkerClock:
 
 
 def _is_one_clock(difference: float, app_behind_s: float | None) -> bool:
-    """Whether messages that were only late, in either direction, would differ as much."""
+    """Return whether messages that were only late, in either direction, would differ as much."""
     if app_behind_s is None or app_behind_s <= -SAME_CLOCK_S:
         return abs(difference) < SAME_CLOCK_S
     return -SAME_CLOCK_S < difference < MAX_DELAY_S
 
 
 def shifted(message: M, offset_s: float) -> M:
-    """The same message, and all its parts, with every time moved by ``offset_s``."""
+    """Return the same message, and all its parts, with every time moved by ``offset_s``."""
     if offset_s == 0.0:
         return message
     changed: dict[str, object] = {}
@@ -245,7 +245,7 @@ class Ingest:
         await self._hold_back(self._quota.pause_s(message, size, monotonic_now()))
 
     def _is_requested(self, message: WorkerMessage) -> bool:
-        """Whether it has a piece of the trace that the app has requested: an hour of it would use
+        """Return whether it has a piece of the trace that the app has requested: an hour of it would use
         up the quota, and what came after it would wait until the link is lost."""
         return isinstance(message, Batch) and any(
             isinstance(update, Result) and update.frames and self._channel.awaits(update.id)
@@ -253,7 +253,7 @@ class Ingest:
         )
 
     async def tick(self) -> None:
-        """About once a second: send the app's time, and confirm what arrived a tick ago, as it is on disk by
+        """Send the app's time, about once a second, and confirm what arrived a tick ago, as it is on disk by
         now. A server that crashes gets it again."""
         self.missed_ticks += not self._is_held_back
         await self._connection.send(ClockSync(app_time=self._now()))
@@ -263,7 +263,7 @@ class Ingest:
         self._settled = self._received.seq
 
     async def _hold_back(self, seconds: float) -> None:
-        """Even for no time others have their turn between two messages."""
+        """Pause, so that others have their turn between two messages even where the pause is 0."""
         self._is_held_back = True
         await asyncio.sleep(seconds)
         self._is_held_back = False
@@ -320,14 +320,14 @@ class Ingest:
             self._pipeline.updates_refused(now, refused)
 
     def _in_window(self, late: Sequence[Update], until: UnixTime, refused: Counter[Message]) -> list[Update]:
-        """Those of the time that was not followed; repetitions after a crash are left out."""
+        """Return the updates of the time that was not followed, without repetitions after a crash."""
         fresh = [update for update in late if not self._window.is_repeated(update)]
         taken = [update for update in fresh if self._window.admits(update, self._clock.offset_s, until)]
         refused[KNOWN] += len(fresh) - len(taken)
         return taken
 
     def _within_quota(self, updates: Sequence[Update], refused: Counter[Message]) -> list[Update]:
-        """Without those that no wire can have carried."""
+        """Return the updates without those that no wire can have carried."""
         now = monotonic_now()
         taken = [update for update in updates if self._quota.admits(update, now)]
         refused[OVER_QUOTA] += len(updates) - len(taken)

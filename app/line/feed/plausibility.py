@@ -67,8 +67,8 @@ def sort_updates(updates: Iterable[Update], units: Collection[int], now: UnixTim
 
 
 def judge_snapshot(snapshot: Snapshot, units: Collection[int], now: UnixTime) -> Snapshot:
-    """The snapshot without values from the future and units that are not configured. What it holds may be as
-    old as the worker."""
+    """Return the snapshot without values from the future and units that are not configured. What it holds may
+    be as old as the worker."""
     states = {state.unit: _judged_state(state, now) for state in snapshot.units if state.unit in units}
     figures = snapshot.figures
     return replace(
@@ -80,7 +80,7 @@ def judge_snapshot(snapshot: Snapshot, units: Collection[int], now: UnixTime) ->
 
 
 def result_for(result: Result, action: Action) -> Result:
-    """The parts of a result that can belong to ``action``."""
+    """Return the parts of a result that can belong to ``action``."""
     values = [value for value in result.values if action.returns_values and value.unit == action.only_unit]
     return replace(result, values=values, frames=result.frames[: action.most_frames])
 
@@ -107,7 +107,8 @@ def _judged(update: Update, units: Collection[int], now: UnixTime) -> Update | N
 
 
 def believed_reading(reading: Reading) -> Reading:
-    """The reading with None for a speed that the manual rules out, and then with what the unit sent."""
+    """Return the reading with None for a speed that the manual rules out, and then with what the unit
+    sent."""
     commanded, actual = plausible_speed(reading.commanded), plausible_speed(reading.actual)
     if commanded == reading.commanded and actual == reading.actual:
         return reading
@@ -141,7 +142,7 @@ def _judged_state(state: UnitState, now: UnixTime) -> UnitState:
 
 
 def _judged_figures(figures: BusFigures, units: Collection[int], now: UnixTime) -> BusFigures:
-    """Figures are never kept: they describe the present, whatever the worker's clock."""
+    """Take figures as present, whatever the worker's clock: they are never kept."""
     known = {each.unit: each for each in figures.units if each.unit in units}
     at = figures.at if now - LIVE_S <= figures.at <= now + AHEAD_S else now
     return replace(figures, at=at, units=list(known.values()))
@@ -159,7 +160,7 @@ def _judged_result(result: Result, units: Collection[int], now: UnixTime) -> Res
 
 
 def _read_now(value: ParameterValue, now: UnixTime) -> ParameterValue:
-    """A value that was requested a moment ago, whatever the worker's clock."""
+    """Take a value that was requested a moment ago as present, whatever the worker's clock."""
     return value if _in_window(value.at, now) else replace(value, at=now)
 
 
@@ -176,7 +177,7 @@ def _judged_outcome(outcome: UnitOutcome, now: UnixTime) -> UnitOutcome:
 
 
 def _is_of_before(update: Update, now: UnixTime) -> bool:
-    """Whether a value is too old to be shown as live. A state is not: its time is when it began."""
+    """Return whether a value is too old to be shown as live. A state is not: its time is when it began."""
     return isinstance(update, Reading | ParameterValue | Staged) and update.at < now - LIVE_S
 
 
@@ -198,8 +199,8 @@ class LateWindow:
     """By unit its newest reading, by the worker's clock."""
 
     def admits(self, update: Update, offset_s: float, until: UnixTime) -> bool:
-        """Whether a late update is of the time that was not followed, up to ``until``. ``offset_s``: by which
-        its time was moved."""
+        """Return whether a late update is of the time that was not followed, up to ``until``.
+        ``offset_s``: by which its time was moved."""
         if not isinstance(update, KEPT):
             return True
         if not self.since < update.at <= until:
@@ -207,15 +208,17 @@ class LateWindow:
         return not isinstance(update, Reading) or self._is_next(update, offset_s)
 
     def is_repeated(self, update: Update) -> bool:
-        """Whether it is sent again because the app ended before it was confirmed."""
+        """Return whether it is sent again because the app ended before it was confirmed."""
         return isinstance(update, KEPT) and self.since - REPEATED_S < update.at <= self.since
 
     def is_known(self, update: Update) -> bool:
-        """Whether a reading of a live batch is of the time before, though it is young enough to be live."""
+        """Return whether a reading of a live batch is of the time before, though it is young enough to be
+        live."""
         return isinstance(update, Reading) and self.since - LIVE_S < update.at <= self.since
 
     def _is_next(self, reading: Reading, offset_s: float) -> bool:
-        """Whether it follows the last one of its unit, by the worker's clock, whose offset may change."""
+        """Return whether it follows the last one of its unit, by the worker's clock, whose offset may
+        change."""
         own_at = reading.at - offset_s
         if own_at <= self._newest.get(reading.unit, UnixTime(-inf)):
             return False
@@ -246,7 +249,7 @@ class Coverage:
     until: UnixTime | None = None
 
     def window(self, now: UnixTime) -> LateWindow:
-        """What a worker that connects now may report late."""
+        """Return what a worker that connects now may report late."""
         if self.until is None:
             return LateWindow(now - FIRST_S, now + OFFSET_ERROR_S)
         # A clock that was set back must not refuse all that follows.

@@ -44,8 +44,8 @@ class Workers:
         """Buses whose own worker connected since `responds` was last called."""
 
     def responds(self, bus: str) -> bool:
-        """Whether the child of this server for ``bus`` is linked, or connected since the last call: one whose
-        bus another worker has is refused, and tries again."""
+        """Return whether the child of this server for ``bus`` is linked, or connected since the last call:
+        one whose bus another worker has is refused, and tries again."""
         called = bus in self._own_called
         self._own_called.discard(bus)
         return called or self._feeds[bus].has_own_worker
@@ -100,7 +100,7 @@ class WorkerSocket:
         self._websocket = websocket
 
     async def send(self, message: AppMessage) -> None:
-        """Raises ConnectionError when the worker is gone, or does not read."""
+        """Send one message. Raises ConnectionError when the worker is gone, or does not read."""
         try:
             async with asyncio.timeout(SEND_WITHIN_S):
                 await self._websocket.send_bytes(encode(message))
@@ -108,8 +108,8 @@ class WorkerSocket:
             raise ConnectionError("the bus worker disconnected") from error
 
     async def receive(self) -> bytes:
-        """Raises ConnectionError at the end (WorkerLeft where the worker announced it), MalformedMessageError
-        for anything but bytes."""
+        """Return the next message. Raises ConnectionError at the end (WorkerLeft where the worker announced
+        it), MalformedMessageError for anything but bytes."""
         if self._websocket.application_state is not WebSocketState.CONNECTED:
             raise ConnectionError("the connection was closed")
         message = await self._websocket.receive()
@@ -139,7 +139,8 @@ class WorkerSocket:
 
 
 def _check_certificate(websocket: WebSocket) -> None:
-    """Raises Problem 403 without the certificate that ``client_ca`` demands of a worker elsewhere."""
+    """Require a certificate. Raises Problem 403 without the certificate that ``client_ca`` demands of a
+    worker elsewhere."""
     tls = service_of(websocket, Settings).server.tls
     is_demanded = tls is not None and tls.client_ca is not None
     if is_demanded and not client_connection(websocket.scope).is_certified():

@@ -108,8 +108,8 @@ def command_run_of(
     *,
     typed: bool = False,
 ) -> CommandRun:
-    """``action`` with its claim on the wire; its procedure is made in its turn. ``deadline``: line time.
-    ``scales``, ``typed``: as in ``bus.contract.Command``."""
+    """Return ``action`` with its claim on the wire; its procedure is made in its turn. ``deadline``: line
+    time. ``scales``, ``typed``: as in ``bus.contract.Command``."""
     scales = scales or {}
     reads = max(map(len, scales.values()), default=0) if typed else 0
     command = CommandContext(

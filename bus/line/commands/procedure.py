@@ -113,7 +113,7 @@ class CommandContext:
 
 
 def send(step: Send) -> Subprocedure[SendResult]:
-    """The result of one Send."""
+    """Carry out one Send and return its result."""
     sent = yield step
     assert sent is not None
     return sent
@@ -177,7 +177,7 @@ class CommandRun:
         return again
 
     def close(self, now: Monotonic) -> None:
-        """The port is gone: every request of it ends so."""
+        """End every request of it, because the port is gone."""
         while self.result is None:
             if self.attempts is not None:
                 self.attempts.close()

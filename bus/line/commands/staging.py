@@ -109,7 +109,7 @@ def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandConte
 
 
 def execute_all(roster: Roster, context: CommandContext) -> Procedure:
-    """83h to every unit, and what each shows afterwards."""
+    """Send 83h to every unit, and read what each shows afterwards."""
     records = list(map(roster.__getitem__, roster.configured))
     unknown = [record.unit for record in records if record.staged_unknown]
     if unknown:
@@ -147,7 +147,8 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
 def _likely_refusals_first(
     roster: Roster, setpoints: Mapping[int, int], context: CommandContext
 ) -> list[tuple[int, int]]:
-    """Units that were last seen offline or LOCAL come first: then nothing is staged in the others yet."""
+    """Put units that were last seen offline or LOCAL first, because then nothing is staged in the others
+    yet."""
 
     def well(unit: int) -> bool:
         record = roster[unit]
@@ -181,7 +182,7 @@ def _suspend_others(
 
 
 def _stage_all(members: list[Member], context: CommandContext) -> Subprocedure[Failure | None]:
-    """None when every unit acknowledged, else how the change ended and why."""
+    """Stage each unit; return None when every one acknowledged, else how the change ended and why."""
     if (failure := (yield from _read_scales(members, context))) is not None:
         return failure
     for done, member in enumerate(members):
@@ -242,7 +243,7 @@ def _stage_present(record: UnitRecord, context: CommandContext) -> Subprocedure[
 
 
 def _withdraw_all(members: list[Member], context: CommandContext) -> Subprocedure[None]:
-    """Instead of the broadcast, for each member whose memory may hold the stage."""
+    """Withdraw the stage, instead of the broadcast, from each member whose memory may hold it."""
     for member in members:
         if member.sent is None or not member.sent.may_have_acted:
             continue
@@ -296,7 +297,7 @@ def _verify_all(
 
 
 def _verify(member: Member, broadcast: SendResult, context: CommandContext) -> Subprocedure[None]:
-    """Whether it shows what it had staged."""
+    """Return whether it shows what it had staged."""
     readback = yield from verify_speed(member.record, member.raw, context.dialect, before=member.before)
     staging, message = member.sent, None
     if readback.shown:
@@ -328,7 +329,7 @@ def _verify_scales(members: Sequence[Member]) -> Subprocedure[None]:
 
 
 def _verify_unchanged(member: Member, broadcast: SendResult) -> Subprocedure[None]:
-    """Whether a unit that had nothing staged from here is as before."""
+    """Return whether a unit that had nothing staged from here is as before."""
     readback = yield from verify_unchanged(member.record, member.before)
     message = Message("unit_unchanged")
     if readback.why is not None:

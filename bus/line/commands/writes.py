@@ -78,7 +78,7 @@ Verification = Subprocedure[Readback]
 
 
 def read_status(unit: int) -> Subprocedure[tuple[StatusReply | None, SendResult]]:
-    """A fresh 81h that nothing older can be taken for."""
+    """Send a fresh 81h, for whose response nothing older can be taken."""
     sent = yield from send(Send(ReadStatusRequest(unit), fresh=True))
     return (sent.reply if isinstance(sent.reply, StatusReply) else None), sent
 
@@ -133,7 +133,8 @@ class ScaleReading:
 
 
 def follows(record: UnitRecord, bits: StatusBits) -> Subprocedure[bool]:
-    """Whether the unit is a follower: by #8, read now where it is not known or the status bit disagrees."""
+    """Return whether the unit is a follower: by #8, read now where it is not known or the status bit
+    disagrees."""
     mode = record.raw(FOLLOWER_MODE)
     if mode is None or bool(mode) != bits.follower:
         mode, _ = yield from read_parameter(record.unit, FOLLOWER_MODE)
@@ -141,7 +142,7 @@ def follows(record: UnitRecord, bits: StatusBits) -> Subprocedure[bool]:
 
 
 def _until_shown(look: Callable[[], Subprocedure[Readback | None]]) -> Verification:
-    """``look`` reads it once, and again where it differs; None: the unit did not respond."""
+    """Call ``look``, and again where it differs; it returns None where the unit did not respond."""
     readback = Readback(False)
     for count in range(1 + REREADS):
         if count:
@@ -240,7 +241,8 @@ def verify_output(unit: int, number: int, on: bool) -> Verification:
 
 
 def present_setpoint(record: UnitRecord, dialect: Dialect) -> Subprocedure[int | None]:
-    """What 82h must put into a unit so that a stray execute changes nothing; None when it cannot be read.
+    """Return what 82h must put into a unit so that a stray execute changes nothing; None when it cannot be
+    read.
 
     The commanded speed of a fresh 81h; a follower's ratio where CS is a speed; #20 while an input stands
     above the setpoint.
@@ -390,7 +392,7 @@ def outcome_without_readback(unit: int, sent: SendResult) -> UnitOutcome:
 
 
 def not_sent(unit: int, sent: SendResult) -> tuple[Outcome, Message]:
-    """Why nothing left for ``unit``."""
+    """Return why nothing left for ``unit``."""
     if sent.status is SendStatus.PORT_CLOSED:
         return "bus_closed", Message("bus_not_linked")
     if sent.status is SendStatus.TOO_LATE:
@@ -414,7 +416,7 @@ def outcome_with_readback(unit: int, sent: SendResult, readback: Readback) -> Un
 
 
 def _remark(unit: int, sent: SendResult, readback: Readback) -> Message | None:
-    """What the readback of a write leaves open; None where nothing."""
+    """Return what the readback of a write leaves open, or None."""
     if readback.shown:
         return None if sent.acknowledged else Message("verified_unacknowledged")
     response = Message("response_acknowledged" if sent.acknowledged else "response_missing")
