@@ -7,9 +7,8 @@ from functools import partial
 
 import structlog
 
-from app.core.server.tls import Encryption
+from app.core.server.tls import Encryption, ServerEvents
 from app.feature import Feature, Services
-from app.people.audit.log import EventLog
 from bus.messages import Message
 
 _log = structlog.get_logger()
@@ -22,14 +21,14 @@ def make(services: Services) -> None:
 
         certificate = ServerCertificate(server.tls)
         services.lifespan.add(
-            "certificate", partial(certificate.follow, partial(_record, services[EventLog]))
+            "certificate", partial(certificate.follow, partial(_record, services[ServerEvents]))
         )
     encryption = services.add(Encryption(certificate, is_missing=server.is_in_clear))
     if encryption.fault is not None:
         _log.warning("certificate" if certificate else "not encrypted", why=str(encryption.fault))
 
 
-async def _record(events: EventLog, what: Message, fault: Message | None) -> None:
+async def _record(events: ServerEvents, what: Message, fault: Message | None) -> None:
     """Record an event about the certificate."""
     log = _log.info if fault is None else _log.warning
     log(str(what), **({} if fault is None else {"why": str(fault)}))

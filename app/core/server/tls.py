@@ -9,6 +9,7 @@ import ssl
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
 
 from app.core.server.settings import TlsSettings
 from bus.instants import Clock, unix_now
@@ -209,6 +210,14 @@ def _context(settings: TlsSettings) -> tuple[ssl.SSLContext, Certificate]:
     context.options |= ssl.OP_NO_RENEGOTIATION
     context.set_alpn_protocols([HTTP_ALPN])
     return context, load_pair(context, settings.certificate, settings.key)
+
+
+@runtime_checkable
+class ServerEvents(Protocol):
+    """The record of events about the server."""
+
+    async def record(self, *, kind: Literal["server"], what: Message, message: Message | str) -> object:
+        """Record an event. Raises StoreError."""
 
 
 @dataclass(frozen=True)

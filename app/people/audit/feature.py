@@ -15,6 +15,7 @@ from app.core.database import Database
 from app.core.database.files import write_file
 from app.core.database.migration import FIRST, Migration
 from app.core.find.finders import Finders
+from app.core.server.tls import ServerEvents
 from app.feature import Feature, Services
 from app.people.audit import api, pages
 from app.people.audit.acts import ActLimit
@@ -35,6 +36,7 @@ def make(services: Services) -> None:
     keys = open_keys(settings.key_files, database.path, database.read_now(heads_of))
     services.add(ActLimit())
     events = services.add(EventLog(database, keys=keys))
+    services.add(events, ServerEvents)
     services[Finders].add("find_events", services.add(EventFinder(events, settings.bus)))
     anchor, is_configured = anchor_file(settings.audit, settings.key_files), settings.audit.anchor is not None
     anchoring = services.add(Anchoring(events, anchor, is_configured=is_configured))
