@@ -1,4 +1,5 @@
-"""``lineside user`` and ``lineside token``: who may sign in, and keys for programs. The dashboard may run."""
+"""``lineside user`` and ``lineside token``: who may sign in, and keys for programs, also while the dashboard
+runs."""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ def token() -> None:
 
 
 def with_accounts(config: Path, work: Callable[[Accounts], Coroutine[Any, Any, T]]) -> T:
-    """Run ``work`` on the accounts. Raises ConfigurationError, StoreError, CallerError in words."""
+    """Run ``work`` on the accounts of a site. Raises ConfigurationError, StoreError, CallerError."""
     settings = load(config)
     buses = [bus.name for bus in settings.bus]
     with site_log(settings) as (database, events):
@@ -60,7 +61,7 @@ def add_user(name: str, role: str, password_stdin: bool, config: Path) -> None:
 
 
 def store_user(config: Path, name: str, role: Role, password: str) -> None:
-    """Raises CallerError for a name or a password that cannot be chosen."""
+    """Add a user. Raises CallerError for a name or a password that cannot be chosen."""
     with_accounts(config, lambda accounts: accounts.add_user(name, role, password, by=console()))
 
 
@@ -123,8 +124,8 @@ def _token_shown(each: Token) -> dict[str, Any]:
 
 
 def _password(from_input: bool) -> str:
-    """Whether it may be chosen is judged where it is stored, for the pages alike. A terminal is prompted in
-    any case: it must not wait without a prompt."""
+    """Return the password that was typed or piped; the accounts judge it. A terminal is always prompted: it
+    must not wait without a prompt."""
     if not sys.stdin.isatty():
         if not from_input:
             raise CallerError(Message("password_without_terminal"))
@@ -133,7 +134,7 @@ def _password(from_input: bool) -> str:
 
 
 def prompted_password() -> str:
-    """What a terminal is prompted for twice, without echo."""
+    """Prompt twice for a password, without echo."""
     typed: str = click.prompt("Password", hide_input=True, confirmation_prompt=True)
     return typed
 

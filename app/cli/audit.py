@@ -73,7 +73,7 @@ def rotate_key(config: Path) -> None:
 
 
 def proof_of(settings: Settings, anchor: Path | None = None, archive: Path | None = None) -> list[Message]:
-    """Verify the log of a store; gives how much of it is proven. Raises StoreError where it is not intact."""
+    """Verify the log of a site; return what is proven. Raises StoreError if it is not intact."""
     verdict, anchors, archived = _verdict(settings, anchor, archive or settings.audit.archive)
     if verdict.broken is not None:
         fault = in_english(verdict.fault)
@@ -82,7 +82,7 @@ def proof_of(settings: Settings, anchor: Path | None = None, archive: Path | Non
 
 
 def _compared(settings: Settings, config: Path) -> list[Message]:
-    """Compare the log with the plant's database. Raises StoreError where they differ."""
+    """Compare the log with the plant's database. Raises StoreError if they differ."""
     if settings.postgresql is None:
         raise CallerError(Message.of("publish_not_configured", config=str(config)))
     with reading_site(settings) as connection:
@@ -103,7 +103,7 @@ def _compared(settings: Settings, config: Path) -> list[Message]:
 def _verdict(
     settings: Settings, anchor: Path | None, archive: Path | None
 ) -> tuple[AuditVerification, Anchors, ArchiveProof]:
-    """Verify the files as they are: nothing is migrated, nothing is written."""
+    """Verify the files as they are: nothing is migrated or written."""
     check_store(settings)
     if not has_store(settings):
         raise StoreError(Message.of("store_missing", path=str(settings.server.store)))
@@ -122,7 +122,7 @@ def _verdict(
 
 
 def _anchors(settings: Settings, named: Path | None, ring: KeyRing) -> Anchors:
-    """Read the anchors of the file that was named or configured, or beside the key where that exists."""
+    """Read the anchors of the named or configured file, else of the one beside the key if that exists."""
     path = named or anchor_file(settings.audit, settings.key_files)
     if path not in (named, settings.audit.anchor) and not path.exists():
         return Anchors()
@@ -138,7 +138,7 @@ def _ring(paths: Sequence[Path], store: Path | None, heads: Ends) -> KeyRing:
 
 
 def _remarks(verdict: AuditVerification, anchors: Anchors, archived: ArchiveProof) -> list[Message]:
-    """What the proof covers beside the store, and what it does not."""
+    """Return what the proof covers beside the store, and what it does not."""
     remarks = []
     if archived.entries:
         remarks.append(Message.of("audit_archive_intact", n=archived.entries))

@@ -13,13 +13,12 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import click
 
-from app.cli.options import PATH, config_option, json_option, yes_option
+from app.cli.options import PATH, config_option, json_option, typed_time, yes_option
 from app.cli.process import become_owner_of, report
 from app.cli.site import open_log, reading_site, record
 from app.core.database import Database, StoreConnection
@@ -147,7 +146,7 @@ def restore_store(
 
 
 def _report_published(settings: Settings, backup: Backup) -> None:
-    """Say what the plant's database has of the time after the backup."""
+    """Report what the plant's database has of the time after the backup."""
     if settings.postgresql is None:
         return
     place = settings.postgresql.place
@@ -180,16 +179,9 @@ def _opened(file: Path | None, folder: Path | None, at: str = "", zone: str = "U
             yield archive
     elif folder is not None:
         with in_words(folder):
-            yield open_newest(folder, _time_of(at, zone) if at else None)
-
-
-def _time_of(text: str, zone: str) -> UnixTime:
-    """A time as it was typed, by the clock of the site unless it names another. Raises StoreError."""
-    try:
-        time = datetime.fromisoformat(text)
-        return UnixTime((time if time.tzinfo else time.replace(tzinfo=ZoneInfo(zone))).timestamp())
-    except (ValueError, OverflowError) as error:
-        raise StoreError(Message.of("restore_time_malformed", text=text)) from error
+            yield open_newest(
+                folder, typed_time(at, ZoneInfo(zone), "restore_time_malformed") if at else None
+            )
 
 
 def _report(done: Restored, backup: Backup, data: Path, anchor: Path | None) -> None:
@@ -221,9 +213,9 @@ def _confirm(file: Path, folder: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Restored:
-    """``names`` of the stores, what was ``withheld`` from the main one where the backup contains it, and the
-    ``anchor`` of the log that it replaced, under its new name; ``events``: the files that were put into
-    the archive of events, ``events_lost``: those that should be beside the backup and in no place are."""
+    """What a restore did. ``withheld``: what was left out of the main store, None if the backup has none;
+    ``anchor``: the anchor of the replaced log under its new name; ``events``: files that were put into the
+    archive of events; ``events_lost``: files that should be beside the backup and are not found."""
 
     names: list[str]
     withheld: Withheld | None
@@ -243,12 +235,11 @@ def put_back(
     keep_tokens: bool = False,
 ) -> Restored:
     """Put the stores of a backup into a data folder. The log of the main one continues under the key in the
-    first of ``key_files``; ``anchor`` is put aside, for it names what came after the backup.
-    ``event_archive``: the folder that gets the archived events that are not there. ``begin`` is
-    called with the names of the tokens that will be revoked, before anything is replaced; what it raises ends
-    the restore.
+    first of ``key_files``; ``anchor``, which names what came after the backup, is put aside.
+    ``event_archive``: the folder that gets archived events that it lacks. ``begin`` is called with the names
+    of the tokens that will be revoked, before anything is replaced; what it raises ends the restore.
 
-    Raises StoreError, and then leaves everything unchanged, but for archived events that came back: every
+    Raises StoreError, and then leaves everything unchanged but for archived events that came back: every
     store of the backup is checked, and the main one prepared, before the first is put in its place.
     """
     # Not before: only root may be able to read the backup.
@@ -301,7 +292,7 @@ def _require_archive(folder: Path | None) -> None:
 
 
 def _prove(store: Path, file: Path) -> None:
-    """A store of a backup is sound, and one that Lineside made."""
+    """Raise StoreError for a store of a backup that is damaged, or that Lineside did not make."""
     with examining(store) as connection:
         fault: str | Message = fault_of(connection)
         if not fault and not is_store(connection):
@@ -315,10 +306,10 @@ def _unsound(file: Path, store: str, verdict: str | Message) -> StoreError:
 
 
 def _refuse_while_open(store: Path) -> None:
-    """Raises StoreError for a store that another program uses, and for a link, which may lead anywhere.
+    """Raise StoreError for a store that another program uses, and for a link, which may lead anywhere.
 
-    A store in WAL mode gives the exclusive lock to a sole user only. A damaged one has no users: a backup is
-    to take its place.
+    A store in WAL mode gives its exclusive lock to a sole user only. A damaged one has no users, and is
+    replaced.
     """
     refuse_link(store)
     if not store.exists():
@@ -343,8 +334,8 @@ def _put(fresh: Path, place: Path) -> None:
 def make_ready(
     fresh: Path, present: Path, backup: Message, key_files: Sequence[Path], *, keep_tokens: bool = False
 ) -> Withheld:
-    """Change ``fresh``, the main store of a backup, before it takes the place of ``present``. ``key_files``:
-    where the key of its audit log is or may be made. Raises StoreError for one that cannot be used."""
+    """Prepare ``fresh``, the main store of a backup, to take the place of ``present``. ``key_files``: where
+    the key of its audit log is or may be made. Raises StoreError for a store that cannot be used."""
     standing = _standing(present)
 
     def bring_in(connection: StoreConnection) -> Withheld:
@@ -365,7 +356,7 @@ def make_ready(
 
 @dataclass(frozen=True, slots=True)
 class InForce:
-    """What the present store has in force, and the newest entry of its log."""
+    """What is in force in the present store, and the newest entry of its log."""
 
     rights: Present | None
     protection: Protection
@@ -373,7 +364,7 @@ class InForce:
 
 
 def _standing(present: Path) -> InForce | None:
-    """Read the present store; None where there is none that can be read, which may be why it is replaced."""
+    """Read the present store; return None if it cannot be read, which may be why it is replaced."""
     if not present.exists():
         return None
     try:
@@ -385,7 +376,7 @@ def _standing(present: Path) -> InForce | None:
 
 
 def consequences(withheld: Withheld) -> list[Message]:
-    """Name what a restore does not bring back."""
+    """Return what a restore does not bring back."""
     found = [Message("withheld_sessions")]
     names = {
         "withheld_tokens": withheld.tokens,

@@ -37,7 +37,8 @@ _WORD_BYTES = 4
 
 
 def live_findings(settings: Settings, users: PortUsers) -> Iterator[Finding]:
-    """Everything that can be tried, in the order of the file. ``users``: the programs at the serial ports."""
+    """Try everything that can be tried, in the order of the file. ``users``: the programs at the serial
+    ports."""
     serves = _serves(settings.server)
     has_lock = is_locked(settings.server.data / LOCK_FILE)
     yield Finding(Message.of("live_user", user=user()))
@@ -48,8 +49,8 @@ def live_findings(settings: Settings, users: PortUsers) -> Iterator[Finding]:
 
 
 def is_locked(file: Path) -> bool | None:
-    """Whether a process has a lock on the file; None where this user cannot see that. It is looked up: to try
-    it would keep a server from it."""
+    """Return whether a process has a lock on the file, None if this user cannot see that. It is looked up:
+    trying it would keep a server from it."""
     try:
         inode, lines = file.stat().st_ino, _LOCKS.read_text().splitlines()
     except FileNotFoundError:
@@ -87,7 +88,8 @@ def _address(server: ServerSettings, *, has_lock: bool | None, serves: bool) -> 
 
 
 def _folders(settings: Settings) -> Iterator[Finding]:
-    """Those in which a running server writes, where `lineside check` has found no fault in them."""
+    """Report the folders in which a running server writes, unless `lineside check` has found a fault in
+    them."""
     data = settings.server.data
     inner = sorted(_entries(data))
     folders = [data, *(each for each in inner if each.is_dir() and not each.is_symlink())]
@@ -103,13 +105,13 @@ def _folders(settings: Settings) -> Iterator[Finding]:
 
 
 def _entries(data: Path) -> Iterator[Path]:
-    """All below a folder, as far as this user may look."""
+    """Return everything below a folder, as far as this user may look."""
     for folder, folders, files in os.walk(data):
         yield from (Path(folder, name) for name in (*folders, *files))
 
 
 def _store(settings: Settings) -> Iterator[Finding]:
-    """Whether the tables of the main store are those of this version."""
+    """Compare the tables of the main store with those of this version."""
     store = settings.server.store
     try:
         if presence_of(store) != "sound":
@@ -122,12 +124,12 @@ def _store(settings: Settings) -> Iterator[Finding]:
 
 
 def port_users(settings: Settings) -> PortUsers:
-    """The programs at the serial ports. Only root sees those of every user."""
+    """Return the programs at the serial ports. Only root sees those of every user."""
     return {bus.name: users_of(bus.port) for bus in settings.bus if bus.has_local_port}
 
 
 def port_findings(settings: Settings, users: PortUsers, *, server_runs: bool) -> Iterator[Finding]:
-    """Each port that the server uses. One that `lineside check` has refused already is not tried."""
+    """Try each port that the server uses, unless `lineside check` has refused it already."""
     for bus in settings.bus:
         if bus.worker == "server" and bus_refusal(bus) is None:
             yield _server(bus, runs=server_runs) if "://" in bus.port else _device(bus, users)
@@ -166,7 +168,7 @@ def _opened(bus: BusSettings, code: str) -> Finding:
 
 
 def is_worker_of(bus: str, pid: int) -> bool:
-    """Whether a process is the worker of a bus: a child of the server, or ``lineside worker``."""
+    """Return whether a process is the worker of a bus: a child of the server, or ``lineside worker``."""
     try:
         words = (_PROC / str(pid) / "cmdline").read_text().split("\0")
     except (OSError, UnicodeDecodeError):
@@ -176,7 +178,7 @@ def is_worker_of(bus: str, pid: int) -> bool:
 
 
 def is_connected_to(url: str) -> bool:
-    """Whether a program of this machine has a connection to the device server of a URL."""
+    """Return whether a program of this machine has a connection to the device server of a URL."""
     parts = urlsplit(url)
     try:
         found = socket.getaddrinfo(parts.hostname, parts.port, type=socket.SOCK_STREAM)
@@ -187,7 +189,7 @@ def is_connected_to(url: str) -> bool:
 
 
 def _remotes() -> Iterator[tuple[IPv4Address | IPv6Address, int]]:
-    """The other end of each connection of this machine."""
+    """Return the other end of each connection of this machine."""
     for name in ("tcp", "tcp6"):
         with suppress(OSError):
             for line in (_PROC / "net" / name).read_text().splitlines()[1:]:

@@ -27,13 +27,13 @@ class DashboardError(LinesideError):
 
 
 class Dashboard:
-    """``url`` of the dashboard and a bearer ``token`` that it knows."""
+    """The HTTP API of a dashboard, opened by `dashboard`."""
 
     def __init__(self, client: httpx.Client) -> None:
         self._client = client
 
     def get(self, path: str, **query: str) -> Any:
-        """The JSON of ``/api/v1`` + path; raises DashboardError or CallerError in words."""
+        """Return the JSON of ``/api/v1`` + path. Raises DashboardError and CallerError."""
         return self._call("GET", path, params=query)
 
     def post(self, path: str, body: Mapping[str, Any] | None = None) -> Any:
@@ -41,7 +41,7 @@ class Dashboard:
         return self._call("POST", path, json=dict(body or {}))
 
     def units(self, bus: str) -> dict[int, str]:
-        """Address → name of the units of a bus, in floor order."""
+        """Return the names of the units of a bus by address, in floor order."""
         buses = {found["name"]: found for found in self.get("/line")["buses"]}
         if bus not in buses:
             raise CallerError(
@@ -58,7 +58,7 @@ class Dashboard:
         return units[unit]
 
     def read_unit(self, bus: str, unit: int, *, gaps: bool = False) -> UnitRows:
-        """Return all parameters of a unit, read from it now; with ``gaps`` only in the gaps of the scan."""
+        """Read all parameters of a unit now; with ``gaps`` only in the gaps of the scan."""
         name = self.check_unit(bus, unit)
         query = {"refresh": "true", "gaps": str(gaps).lower()}
         rows = [_row(given) for given in self.get(f"/buses/{bus}/units/{unit}/parameters", **query)]
@@ -80,8 +80,8 @@ class Dashboard:
 
 @contextmanager
 def dashboard(url: str, token: str, own: ssl.SSLContext | None = None) -> Iterator[Dashboard]:
-    """Open a dashboard by its base URL; ``own``: verifies that of this machine. Raises CallerError for a URL
-    that is none."""
+    """Open a dashboard by its base URL and a bearer token. ``own``: what verifies the dashboard of this
+    machine. Raises CallerError for a malformed URL."""
     if not url.startswith(("http://", "https://")):
         raise CallerError(Message.of("dashboard_url_malformed", url=url))
     client = httpx.Client(
@@ -96,8 +96,9 @@ def dashboard(url: str, token: str, own: ssl.SSLContext | None = None) -> Iterat
 
 
 def trusted_authorities() -> ssl.SSLContext:
-    """Those of ``SSL_CERT_FILE`` or ``SSL_CERT_DIR`` alone where given, as OpenSSL has it; else the
-    well-known ones and those of this machine. Raises CallerError for a file that holds none."""
+    """Return a context that trusts the certificates of ``SSL_CERT_FILE`` or ``SSL_CERT_DIR`` alone if they
+    are set, as OpenSSL does; else the well-known ones and those of this machine. Raises CallerError for a
+    file without any."""
     named = next((name for name in _AUTHORITIES if os.environ.get(name)), "")
     try:
         context = httpx.create_ssl_context()
@@ -112,7 +113,7 @@ def trusted_authorities() -> ssl.SSLContext:
 
 
 def _is_untrusted(error: BaseException | None) -> bool:
-    """Whether it came from a certificate that no trusted authority has signed."""
+    """Return whether an error came from a certificate that no trusted authority has signed."""
     while error is not None and not isinstance(error, ssl.SSLCertVerificationError):
         error = error.__cause__ or error.__context__
     return error is not None

@@ -56,7 +56,8 @@ def demo(units: int, port: int | None) -> None:
 
 @contextmanager
 def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
-    """``lineside simulate`` as a child process; the context begins when its port exists."""
+    """Run ``lineside simulate`` as a child process; the function that the context gives waits for its
+    port."""
     called = [sys.executable, "-P", "-m", "app.cli", "simulate", "--units", str(units), "--link", str(link)]
     process = subprocess.Popen(
         called, stdout=subprocess.PIPE, env=tied_environment(), process_group=0, text=True
@@ -76,7 +77,7 @@ def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
 
 
 def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:
-    """The lineside.toml of a demo."""
+    """Return the lineside.toml of a demo."""
     unit = [each.model_dump(exclude_defaults=True) for each in units]
     sections = {
         "site": {"name": "Demo line", "simulated": True},
@@ -87,7 +88,7 @@ def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:
 
 
 def _toml(value: Any) -> str:
-    """A value in one line of TOML, which has the strings, numbers and truth values of JSON."""
+    """Return a value in one line of TOML, whose strings, numbers and truth values are those of JSON."""
     match value:
         case dict():
             return "{" + ", ".join(f"{json.dumps(key)} = {_toml(each)}" for key, each in value.items()) + "}"

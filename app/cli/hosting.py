@@ -1,10 +1,4 @@
-"""The dashboard and its workers from the first moment to the last.
-
-The bus workers as child processes: started, replaced when one dies or does not respond, ended in time.
-
-When a process that does not respond is given up. Pure: looks are counted, not seconds, so that a stall of
-the one who looks does not count as a stall of the process.
-"""
+"""The dashboard and its bus workers from the first moment to the last."""
 
 from __future__ import annotations
 
@@ -60,7 +54,7 @@ class HostingError(LinesideError):
 
 @contextmanager
 def only_one(data: Path) -> Iterator[None]:
-    """Two servers on one folder of data would write the same store. Raises HostingError."""
+    """Lock the data folder: two servers on one folder would write the same store. Raises HostingError."""
     try:
         make_folder(data)
         lock = os.open(data / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
@@ -85,8 +79,8 @@ def host(
     *,
     demo: bool = False,
 ) -> bool:
-    """Serve at ``listening`` until SIGTERM or SIGINT, or until a person restarts the server: then True.
-    ``since``: when the first client can have connected. Raises HostingError and StoreError in words."""
+    """Serve at ``listening`` until SIGTERM or SIGINT; return whether a person requested a restart, which also
+    ends it. ``since``: when the first client can have connected. Raises HostingError and StoreError."""
     rights = os.geteuid()
     become_owner_of(settings.server.data)
     can_restart = os.geteuid() == rights and settings.server.port != 0 and not demo
@@ -112,9 +106,9 @@ async def _host(
     demo: bool,
     restarts: bool,
 ) -> bool:
-    """The workers begin while the dashboard is still being read, and end before it does. ``feed``: where they
-    find it; None: where browsers do; ``restarts``: whether a person may restart it. Return
-    whether one has."""
+    """Run the workers and the dashboard: the workers begin while the dashboard's code is still being
+    imported, and end before it does. ``feed``: the port of the workers, None if that of browsers is theirs
+    too; ``restarts``: whether a person may restart the server. Return whether one has."""
     address, port = listening.getsockname()[:2]
     url = url_of(address, port, "http" if feed is None else "https")
     feed_url = url_of(*(feed or listening).getsockname()[:2])
@@ -153,7 +147,7 @@ async def _host(
 
 
 def _report_serving(url: str, manager: ServiceManager, code: str) -> None:
-    """``code``: for the first admin; empty where there is a user."""
+    """Report that the dashboard serves. ``code``: for the first admin; empty if there is a user."""
     manager.ready(f"serving at {url}")
     report(Message.of("dashboard_at", url=url))
     if code:
@@ -161,8 +155,8 @@ def _report_serving(url: str, manager: ServiceManager, code: str) -> None:
 
 
 async def _server_module(stopping: asyncio.Task[Any]) -> Any:
-    """The dashboard's code; None where ``stopping`` came first. Beside many workers that start too,
-    importing it takes a minute on a small machine: they must not go on for so long."""
+    """Import the dashboard's code; return None if ``stopping`` came first. Beside many workers that start
+    too, the import takes a minute on a small machine: a request to stop must not wait for it."""
     reading = asyncio.create_task(asyncio.to_thread(_import_server))
     await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
     return None if stopping.done() else await reading
@@ -180,7 +174,7 @@ def _import_server() -> Any:
 
 
 def _stop_requested() -> asyncio.Task[Any]:
-    """Done once SIGTERM or SIGINT has come."""
+    """Return a task that is done once SIGTERM or SIGINT has come."""
     ending = asyncio.Event()
     for number in _ENDINGS:
         asyncio.get_running_loop().add_signal_handler(number, ending.set)
@@ -196,8 +190,8 @@ GRACE_S = 2.3
 
 
 class WorkerProcesses:
-    """One child for each bus, over the same WebSocket as a worker far away. ``tokens``: by bus, what its
-    child opens the feed with."""
+    """The bus workers as child processes, each connected by the same WebSocket as a worker far away.
+    ``tokens``: by bus, the token with which its worker opens the feed."""
 
     def __init__(self, config: Path, tokens: Mapping[str, str], app_url: str) -> None:
         self._config = config
@@ -210,7 +204,7 @@ class WorkerProcesses:
         self._looked_at: dict[str, Monotonic] = {}
 
     def start_all(self) -> None:
-        """Start them all, and keep them."""
+        """Start all workers; each that ends is started again."""
         for bus in self._tokens:
             task = asyncio.create_task(self._keep(bus), name=f"keep worker of {bus}")
             task.add_done_callback(_log_failure)
@@ -218,16 +212,16 @@ class WorkerProcesses:
 
     def watch(self, responds: Callable[[str], bool]) -> None:
         """Kill each worker that does not respond from now on; another is started. ``responds``: whether the
-        worker of a bus did since the last call."""
+        worker of a bus has responded since the last call."""
         self._responds = responds
 
     def are_kept(self) -> bool:
-        """Whether every worker was looked at lately, or is about to be started again."""
+        """Return whether every worker was looked at lately, or is about to be started again."""
         now = monotonic_now()
         return all(now - self._looked_at.get(bus, now) < MAX_UNWATCHED_S for bus in self._tasks)
 
     async def stop_all(self) -> None:
-        """End them all: by SIGTERM, and by SIGKILL after the grace."""
+        """End all workers: by SIGTERM, and by SIGKILL after the grace."""
         await asyncio.gather(*map(self._stop, tuple(self._tasks)))
 
     async def _stop(self, bus: str) -> None:
@@ -250,7 +244,7 @@ class WorkerProcesses:
             await asyncio.sleep(pause)
 
     async def _run(self, bus: str) -> int:
-        """Start one, watch it and wait for its end; return its exit code."""
+        """Start a worker, watch it and wait for its end; return its exit code."""
         called = ["-P", "-m", "bus", "--config", str(self._config), "--bus", bus, "--app", self._app_url]
         # In its own process group: Ctrl-C reaches it through the parent.
         process = await asyncio.create_subprocess_exec(
@@ -279,7 +273,7 @@ def _log_failure(task: asyncio.Task[None]) -> None:
 
 
 async def end(process: Process, grace_s: float) -> None:
-    """SIGTERM, and SIGKILL after the grace."""
+    """End a process by SIGTERM, and by SIGKILL after the grace."""
     if process.returncode is not None:
         return
     with suppress(ProcessLookupError):
@@ -304,14 +298,15 @@ MAX_MISSED_AT_START = 120
 
 @dataclass(slots=True)
 class Watchdog:
-    """Watches one process."""
+    """Decides when a process that does not respond is given up. It counts looks, not seconds, so that a stall
+    of the one who looks does not count as a stall of the process. Pure."""
 
     missed: int = 0
     limit: int = MAX_MISSED_AT_START
     has_looked: bool = False
 
     def expires(self, *, responds: bool) -> bool:
-        """Look once; True where the process has been without a response for too long."""
+        """Look once; return whether the process has been without a response for too long."""
         if not self.has_looked:
             # What responded may have been the process before.
             self.has_looked = True

@@ -62,13 +62,13 @@ def init(config: Path) -> None:
 
 
 def is_interactive() -> bool:
-    """Whether there is a person at a terminal."""
+    """Return whether a person is at a terminal."""
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def present_text(config: Path) -> str | None:
-    """Return the text of a file that has no bus yet, None where there is no file. Raises LinesideError for
-    any other, which is kept."""
+    """Return the text of a file that has no bus yet, or None if there is no file. Raises LinesideError for
+    any other file, which is kept."""
     try:
         text = read(config)
     except ConfigurationError as error:
@@ -103,7 +103,7 @@ def _exists(config: Path) -> LinesideError:
 @contextmanager
 def service_stopped(config: Path) -> Iterator[None]:
     """Stop the installed service of this configuration, which may have the port open, and start it again in
-    any case. Only root may, and only systemd has one."""
+    any case. Raises LinesideError unless root calls."""
     is_installed = UNIT_FILE.exists() or PACKAGED_UNIT.exists()
     if not (is_installed and config.absolute() == CONFIGURATION and install_service.BOOTED.is_dir()):
         yield
@@ -119,8 +119,8 @@ def service_stopped(config: Path) -> Iterator[None]:
 
 
 def prompted_text(config: Path, text: str) -> str:
-    """Return the configuration with what a person types, and with what a scan finds. Raises
-    ConfigurationError for what cannot be, such as too long a name."""
+    """Return the configuration with what a person types and a scan finds. Raises ConfigurationError for what
+    cannot be, such as too long a name."""
     site = click.prompt("Name of the machine", default="My line")
     for adapter in adapters():
         click.echo(f"  adapter: {adapter}")
@@ -138,7 +138,8 @@ def prompted_text(config: Path, text: str) -> str:
 
 
 def _scanned(port: str) -> str:
-    """Return the bus with the units that respond; empty where there is none, or no port, which it prints."""
+    """Scan a port; return the bus with the units that respond, or an empty text if there is none, which is
+    reported."""
     # The scanner is the bus worker's: a file without a scan does not need it.
     from app.cli.wire import allowed_ms, bauds_to_try, bus_table, scan_bauds, units_of
     from bus.line.scanner import BaudScan

@@ -56,8 +56,8 @@ def install_service(config: Path, user: str, dry_run: bool, remove: bool, json_o
 
 
 def configured(config: Path) -> Settings | None:
-    """The configuration; None where it is yet to be written. Raises ConfigurationError: a service of a wrong
-    one would not start."""
+    """Return the configuration, or None if it is yet to be written. Raises ConfigurationError: a service with
+    a wrong one would not start."""
     try:
         return load(config)
     except ConfigurationError as error:
@@ -76,8 +76,8 @@ def unit_of(command: Path, config: Path, user: str, settings: Settings | None) -
 
 
 def folders_written(settings: Settings, config: Path) -> tuple[Path, ...]:
-    """The folders beside its own in which a service of this configuration writes: nightly backups, the
-    archive of events, the anchor of the audit log and its key, and the data where they are elsewhere."""
+    """Return the folders, beside its own, in which a service of this configuration writes: backups, the
+    archive of events, the anchor of the audit log and its key, and the data if they are elsewhere."""
     key, anchor = settings.audit.key_file, settings.audit.anchor
     archives = (settings.backup.folder, settings.audit.archive)
     named = (settings.server.data, *archives, anchor and anchor.parent, key and key.parent)
@@ -87,8 +87,8 @@ def folders_written(settings: Settings, config: Path) -> tuple[Path, ...]:
 
 
 def installation(unit: ServiceUnit, user_is_there: bool) -> Iterator[list[str]]:
-    """The commands that install a service, in order. Its configuration and unit file are written after those
-    that make the folders."""
+    """Return the commands that install a service, in order. Configuration and unit file are written after
+    those that make the folders."""
     if not user_is_there:
         shell = ("--shell", "/usr/sbin/nologin")
         yield ["useradd", "--system", "--home-dir", str(DATA), *shell, unit.user]
@@ -101,7 +101,7 @@ def installation(unit: ServiceUnit, user_is_there: bool) -> Iterator[list[str]]:
 
 
 def removal(unit_file: Path) -> Iterator[list[str]]:
-    """The commands that remove a service."""
+    """Return the commands that remove a service."""
     yield ["systemctl", "disable", "--now", unit_file.name]
     yield ["rm", "-f", str(unit_file)]
     yield ["systemctl", "daemon-reload"]
@@ -110,7 +110,7 @@ def removal(unit_file: Path) -> Iterator[list[str]]:
 def carry_out(
     unit: ServiceUnit, commands: Sequence[Sequence[str]], run: Runner, *, unit_file: Path | None
 ) -> None:
-    """Run the commands; before systemd reads it, write the unit file, if there is one to write."""
+    """Run the commands, and write the unit file, if any, before systemd reads it."""
     for command in commands:
         if unit_file is not None and command[:2] == ["systemctl", "daemon-reload"]:
             write_configuration(unit)
@@ -121,7 +121,7 @@ def carry_out(
 
 
 def keep_edited(unit_file: Path, text: str) -> None:
-    """A unit file with another text, which a person may have edited, is kept under another name."""
+    """Keep a unit file with another text, which a person may have edited, under another name."""
     if unit_file.exists() and unit_file.read_bytes() != text.encode():
         kept = unit_file.with_name(f"{unit_file.name}.before")
         unit_file.replace(kept)
@@ -129,7 +129,7 @@ def keep_edited(unit_file: Path, text: str) -> None:
 
 
 def write_configuration(unit: ServiceUnit) -> None:
-    """A first configuration with the folder of the data; one that is there stays as it is."""
+    """Write a first configuration with the folder of the data, unless there is one."""
     try:
         with unit.configuration.open("x", encoding="utf-8") as file:
             file.write(first_configuration(unit.configuration))
@@ -151,7 +151,7 @@ def user_exists(name: str) -> bool:
 
 
 def refuse_without_systemd() -> None:
-    """Raises LinesideError where there is no systemd, or who calls may not change it."""
+    """Raise LinesideError if there is no systemd, or the caller may not change it."""
     if not BOOTED.is_dir():
         raise LinesideError(Message("service_without_systemd"))
     if os.geteuid() != 0:
@@ -159,13 +159,13 @@ def refuse_without_systemd() -> None:
 
 
 def refuse_elsewhere(command: Path) -> None:
-    """Raises LinesideError for a program in a home folder, which the service cannot read (ProtectHome)."""
+    """Raise LinesideError for a program in a home folder, which the service cannot read (ProtectHome)."""
     if command.is_relative_to("/home") or command.is_relative_to("/root"):
         raise LinesideError(Message.of("service_in_home", path=str(command)))
 
 
 def run(command: Sequence[str]) -> None:
-    """Raises LinesideError with what the command printed."""
+    """Run a command. Raises LinesideError with what it printed."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:

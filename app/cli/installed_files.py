@@ -96,9 +96,9 @@ NO_BUS = f"{BUS}# Not set yet: sudo lineside init, or the page Configuration.\n"
 
 @dataclass(frozen=True, slots=True)
 class ServiceUnit:
-    """``command``: the program ``lineside``; ``configuration``: its file; ``user``: who runs it; ``written``:
-    the folders beside that of the configuration and the data which it may write in; ``has_ports``: whether a
-    bus is on a serial port of this machine."""
+    """The unit of the server. ``command``: the program ``lineside``; ``written``: folders, beside those of
+    the configuration and the data, that it may write in; ``has_ports``: whether a bus is on a serial port of
+    this machine."""
 
     command: Path = INSTALLED
     configuration: Path = CONFIGURATION
@@ -108,7 +108,7 @@ class ServiceUnit:
 
     @property
     def text(self) -> str:
-        """The unit file. Raises LinesideError for a path that cannot be in it."""
+        """Return the unit file. Raises LinesideError for a path that cannot be in it."""
         # With a hyphen: a disk that is not mounted does not keep the service from its start.
         written = (f"-{folder}" for folder in self.written)
         return _TEMPLATE.format(
@@ -124,8 +124,9 @@ class ServiceUnit:
 
 
 def quoted(word: str) -> str:
-    """A word of a unit file as systemd writes it: a percent sign begins a specifier, and a space ends a word.
-    Raises LinesideError for one with a line break or the like, which a unit file cannot hold."""
+    """Return a word as systemd reads it in a unit file, where a percent sign begins a specifier and a space
+    ends a word. Raises LinesideError for a word with a line break or the like, which a unit file cannot
+    hold."""
     if not word.isprintable():
         raise LinesideError(Message.of("service_path_unprintable", path=repr(word)))
     if _PLAIN.fullmatch(word):
@@ -135,12 +136,12 @@ def quoted(word: str) -> str:
 
 
 def likely_port(folder: Path = BY_ID) -> str:
-    """Return the first serial adapter, else a usual name."""
+    """Return the first serial adapter, or a usual name if there is none."""
     return next(iter(adapters(folder)), USUAL_PORT)
 
 
 def starter(config: Path, port: str) -> str:
-    """Return the text of a new configuration. JSON's strings are TOML's too."""
+    """Return the text of a new configuration. Strings of JSON are strings of TOML."""
     text = STARTER.read_text(encoding="utf-8")
     for name, value in {"config": str(config), "quoted_port": json.dumps(port), "port": port}.items():
         text = text.replace(f"{{{name}}}", value)
@@ -148,7 +149,7 @@ def starter(config: Path, port: str) -> str:
 
 
 def first_configuration(path: Path) -> str:
-    """Return what a service begins with at ``path``: it serves, and has no bus yet."""
+    """Return the configuration that a service begins with at ``path``: it serves, and has no bus yet."""
     # Below the folder that the service may write in: the anchor of the audit log is beside the data.
     text = without_bus(path)
     return re.sub(r'^data = ".*"', f"data = {json.dumps(str(DATA / 'data'))}", text, flags=re.M)
@@ -165,8 +166,8 @@ def example_bus(config: Path, port: str) -> str:
 
 
 def has_own_bus(text: str) -> bool:
-    """Whether a text has a bus that a person set up, or is no TOML: such a file is kept as it is. The example
-    of the starter is none, at whatever port."""
+    """Return whether a text has a bus that a person set up, or is no TOML: such a file is kept as it is. The
+    example of the starter does not count, at whatever port."""
     data = content_of(text)
     return data is None or bool(_buses(data) and _shape(data) != _shape(tomllib.loads(starter(Path(), ""))))
 

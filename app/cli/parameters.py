@@ -65,7 +65,8 @@ def backup(
 
 
 def _check_place(out: Path) -> None:
-    """Raises CallerError where no file can be put, or something is there already: for root /dev/null too."""
+    """Raise CallerError if no file can be made there, or something exists already: for root also
+    /dev/null."""
     if not out.parent.is_dir():
         raise CallerError(Message.of("folder_missing", folder=str(out.parent), file=out.name))
     if os.path.lexists(out):
@@ -73,7 +74,8 @@ def _check_place(out: Path) -> None:
 
 
 def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows], dict[int, Message]]:
-    """The units that responded, and why the others did not; one offline unit does not prevent the backup."""
+    """Return the units that responded, and why the others did not; one offline unit does not prevent the
+    backup."""
 
     def read(unit: int) -> UnitRows | Message:
         try:
@@ -145,7 +147,7 @@ def diff(
 
 
 def load(path: Path) -> ParameterSet:
-    """A parameter set from a file; raises CallerError (DocumentError) in words."""
+    """Read a parameter set from a file. Raises CallerError."""
     try:
         if path.stat().st_size > MAX_DOCUMENT:
             raise CallerError(Message.of("source_too_long", source=str(path)))
@@ -159,7 +161,8 @@ def load(path: Path) -> ParameterSet:
 
 
 def rows_for(parameter_set: ParameterSet, unit: int, path: Path) -> UnitRows:
-    """The rows meant for a unit: its own, or those of the only unit in the file (a spare, a sister)."""
+    """Return the rows meant for a unit: its own, or those of the only unit in the file (a spare, a
+    sister)."""
     own = parameter_set.unit(unit)
     if own is not None:
         return own
@@ -301,7 +304,7 @@ def _run(there: Dashboard, planned: Any, *, quiet: bool) -> Any:
 
 
 def _results(ended: Any) -> list[Any]:
-    """A result per row, also of those that differ and were left out."""
+    """Return a result per row, also of those that differ and were left out."""
     left_out = [
         {**left, "outcome": "left_out", "message": left["reason"]}
         for left in ended["left_out"]
@@ -318,7 +321,7 @@ def _plan_text(planned: Any) -> str:
 
 
 def _detail(message: Any) -> str:
-    """The English text of a message of the API; a hyphen where it has none."""
+    """Return the English text of a message of the API, a hyphen for none."""
     return str(message["detail"]) if message else "-"
 
 

@@ -74,7 +74,7 @@ _Record = tuple[UnixTime, Callable[[], Awaitable[None]]]
 
 
 class Phase(NamedTuple):
-    """From so many hours before now on, the line ran at this part of its setpoints."""
+    """The part of its setpoints at which the line ran, from so many hours ago on."""
 
     hours_ago: float
     share: float
@@ -86,7 +86,7 @@ PHASES = (Phase(24.0, 0.75), Phase(13.6, 0.0), Phase(13.2, 1.0))
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """What stopped a unit, or its link; acknowledged after so many seconds, or not at all."""
+    """An event that stopped a unit or its link, acknowledged after so many seconds, or not at all."""
 
     code: Literal["estop_active", "unit_offline"]
     unit: int
@@ -119,7 +119,8 @@ _INCIDENTS: tuple[tuple[Literal["estop_active", "unit_offline"], int, float, flo
 
 
 class Stretch(NamedTuple):
-    """A time in which nothing about a unit changed: the part of its setpoint that it ran at, and why not."""
+    """A time in which nothing about a unit changed: the part of its setpoint at which it ran, and the
+    incident that stopped it."""
 
     begins: UnixTime
     ends: UnixTime
@@ -144,7 +145,7 @@ class Past:
         return self.now - hours * HOUR_S
 
     def stretches(self, unit: int) -> Iterator[Stretch]:
-        """The day of a unit, in order."""
+        """Return the day of a unit, in order."""
         ends = self.now - GAP_S
         phases = [(self.hours_ago(phase.hours_ago), phase.share) for phase in PHASES]
         incidents = [each for each in self.incidents if each.unit == unit]
@@ -156,7 +157,7 @@ class Past:
 
 
 def past_of(line: DemoLine, now: UnixTime) -> Past:
-    """The past of a line; units that it does not have were in no incident."""
+    """Return the past of a line; incidents of units that it does not have are left out."""
     incidents = (
         Incident(code, unit, now - hours * HOUR_S, lasted, acknowledged)
         for code, unit, hours, lasted, acknowledged in _INCIDENTS
@@ -166,7 +167,7 @@ def past_of(line: DemoLine, now: UnixTime) -> Past:
 
 
 def setpoint_of(unit: Unit, share: float) -> int:
-    """The setpoint of a unit while the line runs at this part: a follower's ratio stays."""
+    """Return the setpoint of a unit while the line runs at this part of it; the ratio of a follower stays."""
     return unit.setpoint if unit.follows else round(unit.memory[numbers.SPEED_SETPOINT] * share)
 
 
@@ -193,7 +194,7 @@ def _write_readings(connection: StoreConnection, bus: str, past: Past) -> None:
 
 
 def _links(stretches: list[Stretch]) -> list[tuple[int, str]]:
-    """When the unit came into which state."""
+    """Return when the unit came into which state."""
     states = [(micros(each.begins), "online" if _is_online(each) else "offline") for each in stretches]
     return [next(of) for _, of in groupby(states, key=lambda each: each[1])]
 
@@ -226,7 +227,7 @@ def _is_online(stretch: Stretch) -> bool:
 
 
 def _runs(unit: Unit, stretches: list[Stretch], noise: random.Random) -> Iterator[PlainRun]:
-    """One run a minute, and another where something changes."""
+    """Return one run a minute, and another when something changes."""
     for stretch in filter(_is_online, stretches):
         commanded = setpoint_of(unit, stretch.share)
         at, ends = micros(stretch.begins), micros(stretch.ends)
@@ -240,7 +241,7 @@ def _runs(unit: Unit, stretches: list[Stretch], noise: random.Random) -> Iterato
 
 
 def _values(commanded: int, stretch: Stretch, noise: random.Random) -> tuple[int, int, int]:
-    """Actual speed, analog input and bits."""
+    """Return actual speed, analog input and bits."""
     word = _AT_SPEED if stretch.incident is None else _ESTOPPED
     if stretch.incident is None and stretch.share:
         return (
@@ -283,7 +284,7 @@ class _Records:
             yield from self._changes(incident)
 
     def _changes(self, incident: Incident) -> Iterator[_Record]:
-        """The beginning and the end of an incident, and who acknowledged its alarm."""
+        """Return the beginning and the end of an incident, and the acknowledgement of its alarm."""
         alarm = built_in(incident.code, self._bus, incident.unit)
         yield incident.began, partial(self._changed, incident, alarm, partial(observe, holds=True))
         yield incident.ended, partial(self._changed, incident, alarm, partial(observe, holds=False))
@@ -293,7 +294,7 @@ class _Records:
     async def _changed(
         self, incident: Incident, alarm: AlarmDefinition, change: Callable[..., Changed]
     ) -> None:
-        """Let the alarm change as the standard has it, and record that with its event."""
+        """Let the alarm change by the rules of real alarms, and record that with its event."""
         former = self._facts.get(alarm.key, AlarmFacts())
         facts, done = change(former, AlarmAttributes(), at=self._now)
         self._facts[alarm.key] = facts
@@ -354,7 +355,8 @@ class _Records:
             )
 
     def _parameters(self, address: int) -> dict[int, ParameterRow]:
-        """As the unit has them now, but for the drift; the operator password is masked."""
+        """Return the parameters that the unit has now, but for the drift and without the operator
+        password."""
         memory = self._past.units[address - 1].memory
         raws = {number: None if row.secret else memory[number] for number, row in PARAMETERS.items()}
         if address == min(DRIFTED, len(self._past.units)):

@@ -20,7 +20,7 @@ WRONG_CONFIGURATION = os.EX_CONFIG
 
 @contextmanager
 def ending() -> Iterator[None]:
-    """Turn the errors of this project into a text and an exit code."""
+    """Turn the errors of a command into one line and an exit code."""
     try:
         yield
     except CallerError as error:
@@ -42,23 +42,24 @@ def ending() -> Iterator[None]:
 
 
 def wrong_option(option: str, code: str, **params: ParamValue) -> click.BadParameter:
-    """A value of ``option`` that cannot be, by the code of its message: exit code 2."""
+    """Make the error of a wrong value of ``option`` (exit code 2), by the code of its message."""
     return click.BadParameter(str(Message(code, params)), param_hint=option)
 
 
 def report(message: Message, *, err: bool = False) -> None:
-    """A line of standard output, or of standard error."""
+    """Print a line to standard output or standard error."""
     click.echo(str(message), err=err)
 
 
 def complain(reason: Message) -> None:
-    """A line of standard error that names the program, as Unix tools do."""
+    """Print a line to standard error that names the program, as Unix tools do."""
     report(Message.of("command_failed", reason=reason), err=True)
 
 
 def become_owner_of(folder: Path) -> None:
-    """Go on as the owner of a folder, for good, where root calls and the folder is another user's. One that
-    is not there yet will be of who has the folder that it is made in."""
+    """Go on as the owner of a folder, for good, if root calls and the folder belongs to another user: the
+    files of the service stay its own. A missing folder counts as owned by the owner of the folder that it
+    would be made in."""
     if os.geteuid() != 0 or (owner := _owner(folder)) is None:
         return
     uid, gid = owner
@@ -69,7 +70,7 @@ def become_owner_of(folder: Path) -> None:
 
 @contextmanager
 def acting_as_owner_of(folder: Path) -> Iterator[None]:
-    """Act as the owner of a folder, as `become_owner_of` does, and as root again afterwards."""
+    """Act as the owner of a folder within this context, as `become_owner_of` does for good."""
     if os.geteuid() != 0 or (owner := _owner(folder)) is None:
         yield
         return
@@ -86,7 +87,7 @@ def acting_as_owner_of(folder: Path) -> Iterator[None]:
 
 
 def _owner(folder: Path) -> tuple[int, int] | None:
-    """User and group of the folder, or of the nearest one above that is there; None where that is root."""
+    """Return user and group of the folder, or of the nearest parent that exists; None if that is root."""
     nearest = next((each for each in (folder, *folder.parents) if os.path.isdir(each)), None)  # noqa: PTH112
     if nearest is None:
         return None
@@ -95,7 +96,8 @@ def _owner(folder: Path) -> tuple[int, int] | None:
 
 
 def _groups_of(uid: int, gid: int) -> list[int]:
-    """Those of the user, such as that of the serial ports; a user without a name has its own alone."""
+    """Return the groups of a user, such as that of the serial ports; a user without a name has its own
+    alone."""
     # Only root comes here; every other command does without the module.
     import pwd
 

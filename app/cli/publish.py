@@ -5,21 +5,17 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
-from datetime import datetime
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import click
 
-from app.cli.options import config_option
+from app.cli.options import config_option, typed_time
 from app.cli.process import report
-from app.cli.site import reading_site
-from app.core.database import StoreConnection
-from app.core.database.connection import examining
+from app.cli.site import open_history, reading_site
 from app.line.history.series.runs import SECOND, micros
-from app.line.history.service import FILE as HISTORY
 from app.records.handover.rules.shifts import site_time
-from app.settings import Settings, load
+from app.settings import load
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.outbox import HistoryRows, fill, read_identity
 from bus.errors import CallerError
@@ -44,12 +40,14 @@ def publish(since: str, until: str, config: Path) -> None:
     if to is None:
         raise CallerError(Message.of("publish_not_configured", config=str(config)))
     zone = ZoneInfo(settings.site.zone)
-    span = _instant(since, zone), _instant(until, zone) if until else micros(unix_now())
+    code = "publish_time_malformed"
+    begins, ends = typed_time(since, zone, code), typed_time(until, zone, code) if until else unix_now()
+    span = micros(begins), micros(ends)
     if span[0] >= span[1]:
         raise CallerError(Message("publish_span_reversed"))
     with ExitStack() as opened:
         site = opened.enter_context(reading_site(settings))
-        history = _history(settings, opened)
+        history = open_history(settings, opened)
         destination = Destination(to, settings.site.name, read_identity(site), settings.bus)
         opened.callback(destination.abandon)
         destination.connect()
@@ -61,21 +59,8 @@ def publish(since: str, until: str, config: Path) -> None:
         report(Message.of("published_without", n=len(rows.damaged)))
 
 
-def _history(settings: Settings, opened: ExitStack) -> StoreConnection | None:
-    file = settings.server.data / HISTORY
-    return opened.enter_context(examining(file)) if file.exists() else None
-
-
-def _instant(text: str, zone: ZoneInfo) -> int:
-    try:
-        at = datetime.fromisoformat(text.strip())
-    except ValueError:
-        raise CallerError(Message.of("publish_time_malformed", text=text)) from None
-    return micros(UnixTime((at if at.tzinfo else at.replace(tzinfo=zone)).timestamp()))
-
-
 def _shown(progress: Iterator[tuple[int, int]], zone: ZoneInfo) -> Iterator[int]:
-    """The rows of each batch; a person at a terminal sees how far it is."""
+    """Return the rows of each batch, and show a person at a terminal how far it is."""
     for until, count in progress:
         if sys.stderr.isatty():
             click.echo(f"\r{site_time(UnixTime(until / SECOND), zone)}", err=True, nl=False)

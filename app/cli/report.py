@@ -12,14 +12,13 @@ from zoneinfo import ZoneInfo
 
 import click
 
-from app.cli.options import config_option, json_option
-from app.cli.site import reading_site
+from app.cli.options import config_option, json_option, typed_time
+from app.cli.site import open_history, reading_site
 from app.core.database import StoreConnection
-from app.core.database.connection import examining, snapshot
+from app.core.database.connection import snapshot
 from app.core.web.csv_file import FOR_PROGRAMS
 from app.core.web.formats import lasting
 from app.core.web.shape import iso
-from app.line.history.service import FILE as HISTORY
 from app.line.history.unit_report import UnitReport, stored_tail
 from app.records.handover.rules.shifts import EVERYTHING, Shift, shift_at, site_time
 from app.records.handover.signatures import signed_between
@@ -62,7 +61,7 @@ def report(
     settings, now = load(config), unix_now()
     with ExitStack() as opened:
         connection = opened.enter_context(reading_site(settings))
-        history = _history(settings, opened)
+        history = open_history(settings, opened)
         opened.enter_context(snapshot(connection))
         span = (
             _span_of(settings, since, until, now)
@@ -81,13 +80,6 @@ def report(
         click.echo(line)
 
 
-def _history(settings: Settings, opened: ExitStack) -> StoreConnection | None:
-    file = settings.server.data / HISTORY
-    if not file.exists():
-        return None
-    return opened.enter_context(examining(file))
-
-
 def _figures(
     history: StoreConnection, settings: Settings, span: Shift, now: UnixTime
 ) -> list[tuple[BusSettings, UnitReport]]:
@@ -101,7 +93,7 @@ def _figures(
 
 
 def _shift_of(connection: StoreConnection, settings: Settings, named: str, now: UnixTime) -> Shift:
-    """Raises CallerError where no shift starts then, or it has not begun."""
+    """Return the shift that was named. Raises CallerError if no shift starts then, or it has not begun."""
     starts, zone = settings.shift.minutes, ZoneInfo(settings.site.zone)
     present = shift_at(now, starts, zone)
     if named in ("now", "last"):
@@ -118,7 +110,8 @@ def _shift_of(connection: StoreConnection, settings: Settings, named: str, now: 
 
 
 def _span_of(settings: Settings, since: str, until: str, now: UnixTime) -> Shift:
-    """Raises CallerError where it does not end after it begins, or begins in the future."""
+    """Return the span that was named. Raises CallerError if it ends before it begins, begins in the future,
+    or is too long."""
     zone = ZoneInfo(settings.site.zone)
     end = _moment(until, zone) if until else now
     if not since or not UnixTime(0.0) < (start := _moment(since, zone)) < min(end, now):
@@ -129,12 +122,7 @@ def _span_of(settings: Settings, since: str, until: str, now: UnixTime) -> Shift
 
 
 def _moment(text: str, zone: ZoneInfo) -> UnixTime:
-    """A time by the clock of the site. Raises CallerError."""
-    try:
-        written = datetime.fromisoformat(text)
-        return UnixTime((written if written.tzinfo else written.replace(tzinfo=zone)).timestamp())
-    except (ValueError, OverflowError):
-        raise CallerError(Message.of("report_shift_malformed", text=text)) from None
+    return typed_time(text, zone, "report_shift_malformed")
 
 
 def _lines(found: dict[str, Any], zone: ZoneInfo) -> Iterator[str]:
@@ -162,7 +150,7 @@ def _lines(found: dict[str, Any], zone: ZoneInfo) -> Iterator[str]:
 
 
 def _section(code: str, lines: list[str]) -> Iterator[str]:
-    """The newest lines of a section; its head has how many there are."""
+    """Return the newest lines of a section, after a head with their number."""
     yield str(Message.of(code, n=len(lines)))
     yield from (f"  {line}" for line in lines[-MAX_LINES:])
 

@@ -1,7 +1,5 @@
-"""Taking the dashboard's TCP port; it imports little, so that a port in use is reported at once.
-
-``lineside serve``: the dashboard and one bus worker for each ``[[bus]]``.
-"""
+"""``lineside serve``: takes the TCP port, then starts the dashboard and one bus worker for each ``[[bus]]``.
+It imports little, so that a port in use is reported at once."""
 
 from __future__ import annotations
 
@@ -75,7 +73,8 @@ def _reason(host: str, port: int, choose: Message, error: Exception) -> Message:
 
 
 def url_of(host: str, port: int, scheme: str = "http") -> str:
-    """Where a browser or a worker on this machine finds the dashboard that listens on ``host``."""
+    """Return the URL by which a browser or a worker on this machine finds the dashboard that listens on
+    ``host``."""
     if host == "0.0.0.0" or (host == "::" and socket.has_dualstack_ipv6()):
         host = "127.0.0.1"
     elif host == "::":
@@ -115,7 +114,8 @@ def serve(config: Path, new: bool) -> None:
 
 @contextmanager
 def configuration_refused(manager: ServiceManager) -> Iterator[None]:
-    """A service whose configuration is wrong ends with an exit code that systemd does not start again."""
+    """End a service whose configuration is wrong with an exit code after which systemd does not start it
+    again."""
     try:
         yield
     except ConfigurationError as error:
@@ -126,8 +126,8 @@ def configuration_refused(manager: ServiceManager) -> Iterator[None]:
 
 
 def check_store(settings: Settings, *, new: bool = False) -> None:
-    """Raises StoreError where the main store is missing, empty or damaged and no first start explains that;
-    with ``new`` where one is there."""
+    """Raise StoreError if the main store is missing, empty or damaged and no first start explains that; with
+    ``new`` if there is a sound one."""
     store = settings.server.store
     refusal = refusal_to_start(store, presence_of(store), find_key_file(settings.key_files), new=new)
     if refusal is not None:

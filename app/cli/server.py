@@ -80,7 +80,7 @@ class Server(uvicorn.server.Server):
         self._serving = serving
 
     def each_second(self, act: Callable[[], None]) -> None:
-        """Call ``act`` once a second while it serves."""
+        """Call ``act`` once a second while the server runs."""
         self._each_second.append(act)
 
     def offer_restart(self) -> asyncio.Event:
@@ -98,7 +98,7 @@ class Server(uvicorn.server.Server):
         return nullcontext()
 
     async def serve(self, sockets: list[socket.socket] | None = None) -> None:
-        """Serve until :meth:`end`. Raises StartError where a service cannot start."""
+        """Serve until :meth:`end`. Raises StartError if a service cannot start."""
         listening = [*(sockets or ()), *self._feed]
         for each in listening:
             each.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)  # inherited

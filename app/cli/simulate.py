@@ -26,7 +26,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def dialect_option(name: str, words: str) -> Callable[[F], F]:
-    """An option for what the manual leaves open; its values are those of lineside.toml."""
+    """Make an option for what the manual leaves open; its values are those of lineside.toml."""
     field = Dialect.model_fields[name]
     values = click.Choice(get_args(field.annotation))
     return click.option(f"--{name.replace('_', '-')}", type=values, default=field.default, help=words)

@@ -6,7 +6,7 @@ import asyncio
 import getpass
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 from app.cli.process import become_owner_of
@@ -17,6 +17,7 @@ from app.core.database.files import in_words, make_private
 from app.core.database.migration import presence_of, put_aside, require_version
 from app.core.web.access import Person, Role
 from app.errors import StoreError
+from app.line.history.service import FILE as HISTORY
 from app.people.audit.entry import EventKind
 from app.people.audit.keys import find_key_file, open_keys
 from app.people.audit.log import EventLog
@@ -26,7 +27,8 @@ from bus.messages import Message
 
 
 def console() -> Person:
-    """The user of this machine as the caller of an act: a user who can write the store has every role."""
+    """Return the user of this machine as the caller of an act: a user who can write the store has every
+    role."""
     try:
         name = getpass.getuser()
     except (KeyError, OSError):
@@ -35,14 +37,14 @@ def console() -> Person:
 
 
 def record(events: EventLog, kind: EventKind, what: Message, message: str | Message = "") -> None:
-    """Record in the events what the user of this machine has done."""
+    """Record an event about what the user of this machine has done."""
     by = console()
     who = by.name or by.address
     asyncio.run(events.record(kind=kind, what=what, who=who, origin=by.address, message=message))
 
 
 def open_log(database: Database, key_files: Sequence[Path]) -> EventLog:
-    """The event log of a store, with its keys. Raises KeyFileError."""
+    """Open the event log of a store with its keys. Raises KeyFileError."""
     return EventLog(database, keys=open_keys(key_files, database.path, database.read_now(heads_of)))
 
 
@@ -57,14 +59,14 @@ def site_log(settings: Settings) -> Iterator[tuple[Database, EventLog]]:
 
 
 def has_store(settings: Settings) -> bool:
-    """Whether the site has a main store. Raises StoreError."""
+    """Return whether the site has a main store. Raises StoreError."""
     return presence_of(settings.server.store) != "missing"
 
 
 @contextmanager
 def reading_site(settings: Settings) -> Iterator[StoreConnection]:
     """Read the main store as it is, also on a read-only disk: nothing is made or changed. Raises StoreError,
-    also for one of another version."""
+    also for a store of another version."""
     check_store(settings)
     if not has_store(settings):
         raise StoreError(Message.of("store_missing", path=str(settings.server.store)))
@@ -73,10 +75,16 @@ def reading_site(settings: Settings) -> Iterator[StoreConnection]:
         yield connection
 
 
+def open_history(settings: Settings, opened: ExitStack) -> StoreConnection | None:
+    """Open the history of a site until ``opened`` ends; return None if it has none."""
+    file = settings.server.data / HISTORY
+    return opened.enter_context(examining(file)) if file.exists() else None
+
+
 def begin_new_site(settings: Settings) -> None:
-    """Make a new store and a new key, with an entry in the new audit log; what is left of the former site is
-    kept under other names. Raises StoreError, also where the former store can be used or the configured
-    anchor is of the former site."""
+    """Make a new store and a new key, with an entry in the new audit log; keep what is left of the former
+    site under other names. Raises StoreError, also if the former store can be used or the configured anchor
+    belongs to the former site."""
     check_store(settings, new=True)
     if settings.audit.anchor is not None and settings.audit.anchor.exists():
         # It may be on a medium that is written once, and would contradict the new log at each start.

@@ -1,8 +1,8 @@
 """``lineside support-bundle``: what helps to find a fault from afar, and no secret.
 
-The configuration is as in its record in the audit log, of which each setting leaves out what is secret; of
-one that cannot be read there are the faults, without what was written. Of events there is neither who nor a
-value; of files there are names and sizes. Every URL is without its user and password.
+The configuration is as its record in the audit log, which leaves out what is secret; of a configuration that
+cannot be read only the faults are included, without what was written. Events are without who and values;
+files are names and sizes; URLs are without user and password.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def support_bundle(out: Path, config: Path) -> None:
 
 
 def parts(config: Path) -> Iterator[tuple[str, bytes]]:
-    """Each file of the bundle, by its name. A part that cannot be had has the reason instead."""
+    """Return each file of the bundle by its name; a part that cannot be had has the reason instead."""
     yield "about.json", _json(_about())
     try:
         settings = load(config)
@@ -88,7 +88,7 @@ def parts(config: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def bundle(files: Iterable[tuple[str, bytes]]) -> bytes:
-    """The files as a packed archive."""
+    """Pack the files as one archive."""
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:gz") as archive:
         for name, written in files:
@@ -102,7 +102,7 @@ def bundle(files: Iterable[tuple[str, bytes]]) -> bytes:
 
 
 def _masked(fault: Message) -> Message:
-    """A fault of the configuration without what was written in the file."""
+    """Return a fault of the configuration without what was written in the file."""
     params = {
         name: MASK if name in WRITTEN else _masked(value) if isinstance(value, Message) else value
         for name, value in fault.params.items()
@@ -129,7 +129,7 @@ def _found(settings: Settings) -> Iterator[Message]:
 
 
 def _files(settings: Settings) -> dict[str, Any]:
-    """Sizes in bytes below the folder of the data."""
+    """Return the sizes in bytes of the files below the data folder."""
     data = settings.server.data
     if not data.is_dir():
         return {"folder": str(data), "files": None}

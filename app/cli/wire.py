@@ -1,7 +1,5 @@
-"""``lineside decode``: the meaning of the frames in some bytes.
-
-``lineside scan``: which addresses respond, at which baud, what they are. It reads only.
-"""
+"""``lineside scan``, which addresses respond, at which baud rate, and what they are; and ``lineside decode``,
+the meaning of frames. Neither needs a site, and neither writes to a unit."""
 
 from __future__ import annotations
 
@@ -54,7 +52,7 @@ def decode(hex_bytes: tuple[str, ...], file: Path | None, as_json: bool) -> None
 
 
 def decode_text(text: str) -> list[Described | DescribedNoise]:
-    """The content of a trace or a run of hex. Raises CallerError when it is neither."""
+    """Decode a trace or a run of hex. Raises CallerError for other text."""
     lines = [line for line in text.splitlines() if line.strip()]
     if any(is_trace_line(line) for line in lines):
         return _decode_trace([parse_trace_line(line) for line in lines])
@@ -62,10 +60,8 @@ def decode_text(text: str) -> list[Described | DescribedNoise]:
 
 
 def parse_hex(text: str) -> bytes:
-    """Bytes from hex in any case, with or without 0x, blanks, commas, brackets.
-
-    Raises CallerError naming the invalid part.
-    """
+    """Return bytes from hex in any case, with or without 0x, blanks, commas, brackets. Raises CallerError
+    naming the invalid part."""
     tokens = [token for token in _SEPARATORS.split(text) if token]
     if not tokens:
         raise CallerError(Message("bytes_missing"))
@@ -76,7 +72,7 @@ def parse_hex(text: str) -> bytes:
 
 
 def _decode_trace(traced: list[Frame]) -> list[Described | DescribedNoise]:
-    """Each direction is a separate stream; a response is decoded with the request before it."""
+    """Decode each direction as a separate stream; a response is decoded with the request before it."""
     dialect = Dialect()
     describer = Describer(dialect)
     streams = {"out": FrameDecoder(dialect), "in": FrameDecoder(dialect)}
@@ -183,7 +179,7 @@ def _refuse_wrong_use(port: str, first: int, last: int, is_twofold: bool) -> Non
 
 
 def bauds_to_try(port: str, baud: int | None) -> tuple[int, ...]:
-    """A device server sets its baud rate itself: 9600 is assumed for its pace."""
+    """Return the baud rates to try. A device server sets its own: 9600 is assumed for its pace."""
     if baud is not None:
         return (baud,)
     return (9600,) if port.startswith(_SOCKET) else FASTEST_FIRST
@@ -192,7 +188,7 @@ def bauds_to_try(port: str, baud: int | None) -> tuple[int, ...]:
 def announcement(
     port: str, bauds: Sequence[int], addresses: range, turnaround_s: float, every_baud: bool
 ) -> Message:
-    """What will be done and how long it takes, before it is done."""
+    """Return what will be done and how long it takes."""
     seconds = [PASSES * len(addresses) * no_response_s(baud, turnaround_s) for baud in bauds]
     which = Message.of(
         "scan_addresses" if len(addresses) > 1 else "scan_address", first=addresses[0], last=addresses[-1]
@@ -222,7 +218,7 @@ async def scan_bauds(
     turnaround_s: float,
     every_baud: bool,
 ) -> None:
-    """Scan at one baud rate after another, by default until one has a unit; each adds to ``scans`` as it
+    """Scan at one baud rate after another, by default until one has a unit. Each adds to ``scans`` as it
     begins, so that an early end leaves what was found. Raises WireError."""
     for baud in bauds:
         scans.append(BaudScan(baud, turnaround_s))
@@ -234,17 +230,17 @@ async def scan_bauds(
 
 
 def units_of(scans: Sequence[BaudScan]) -> list[Found]:
-    """What responded, in the order of the scan."""
+    """Return what responded, in the order of the scan."""
     return [one for done in scans for one in done.found]
 
 
 def allowed_ms(scans: Sequence[BaudScan]) -> int:
-    """What units were allowed to take in the end."""
+    """Return what units were allowed to take in the end."""
     return max((round(1000 * done.turnaround_s) for done in scans), default=0)
 
 
 def _remarks_on(scans: Sequence[BaudScan], turnaround_ms: float) -> list[Message]:
-    """What is said of the port as a whole."""
+    """Return remarks on the port as a whole."""
     remarks = conclude(units_of(scans))
     if any(done.echoes for done in scans):
         remarks.append(Message("scan_echo"))

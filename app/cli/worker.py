@@ -59,7 +59,8 @@ def worker(
 def _tls(
     apps: Sequence[str], ca: Path | None, certificate: Path | None, key: Path | None
 ) -> UplinkTls | None:
-    """What secures the link. Raises CallerError for options that do not fit and files that cannot be used."""
+    """Return what secures the link. Raises CallerError for options that do not fit and files that cannot be
+    used."""
     if not any(url.startswith(("https://", "wss://")) for url in apps):
         if ca or certificate or key:
             raise CallerError(Message.of("app_url_in_clear", url=apps[0]))
