@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SYSTEM_PYTHON = Path("/usr/bin/python3")
 TESTS = (
-    "tests/app/cli/test_cli_backup_store.py",
+    "tests/app/cli/test_backup_store.py",
     "tests/attacks/test_restored_store.py",
     "tests/attacks/test_backup_archive.py",
 )

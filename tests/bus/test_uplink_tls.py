@@ -1,5 +1,5 @@
 """A worker's link by TLS: it verifies the dashboard and its name, and names the end that has a fault. What
-the dashboard holds against a worker's certificate: `tests.app.cli.test_worker_certificate`."""
+the dashboard holds against a worker's certificate: `tests.app.core.test_worker_certificate`."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from app.cli import cli
 from app.cli.accounts import with_accounts
 from app.cli.installed_files import first_configuration, likely_port, starter
 from app.settings import load
-from tests.app.cli.test_cli_scan import line, unit
+from tests.app.cli.test_wire import line, unit
 
 PASSWORD = "collect house bakery stable"
 

@@ -25,7 +25,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from app.cli import hosting
 from app.cli.demo import CHOOSE
-from app.cli.hosting import HostingError, only_one
+from app.cli.hosting import MAX_MISSED, MAX_MISSED_AT_START, HostingError, Watchdog, only_one
 from app.cli.serve import NEXT_PORTS, ListenError, listen, listen_from
 from app.core.database import Database
 from app.core.server.service_manager import ServiceManager
@@ -425,3 +425,34 @@ def test_nothing_of_a_killed_demo_lives_on() -> None:
         process.kill()
         process.wait()
         eventually(lambda: not any(is_alive(pid) for pid in pids), "both end too")
+
+
+def looks_until_expired(watchdog: Watchdog) -> int:
+    looks = 1
+    while not watchdog.expires(responds=False):
+        looks += 1
+    return looks
+
+
+def test_one_that_responded_is_given_up_after_its_limit() -> None:
+    watchdog = Watchdog()
+    assert not watchdog.expires(responds=True)
+    assert not watchdog.expires(responds=True)
+    assert looks_until_expired(watchdog) == MAX_MISSED
+
+
+def test_every_response_begins_the_count_again() -> None:
+    watchdog = Watchdog()
+    for responds in (False, True) * MAX_MISSED_AT_START:
+        assert not watchdog.expires(responds=responds)
+    assert looks_until_expired(watchdog) == MAX_MISSED
+
+
+def test_one_that_starts_has_longer() -> None:
+    assert looks_until_expired(Watchdog()) == 1 + MAX_MISSED_AT_START
+
+
+def test_a_response_at_the_first_look_may_be_of_the_one_before() -> None:
+    watchdog = Watchdog()
+    assert not watchdog.expires(responds=True)
+    assert looks_until_expired(watchdog) == MAX_MISSED_AT_START

@@ -14,7 +14,7 @@ from app.settings import Settings
 from app.system.configuration.document import ConfigurationVersion, StoredVersion, VersionStore
 from bus.instants import UnixTime
 from tests.app.archived_site import archived_site
-from tests.app.cli.test_cli_archive import verified
+from tests.app.cli.test_backup_store import verified
 
 MONTHS = [f"events-2026-0{month}.jsonl.gz" for month in (1, 2, 3)]
 

@@ -35,7 +35,7 @@ from app.system.backup.stores import CHANGED, copy_store
 from bus.instants import UnixTime
 from tests.app.archived_site import archived_site
 from tests.app.busy_site import make_site
-from tests.app.cli.test_cli_archive import verified
+from tests.app.cli.test_backup_store import verified
 from tests.app.history_line import NOON, Shelf, polls
 from tests.app.plant_database import keep, published, publishing, reading
 from tests.mounted import mounted

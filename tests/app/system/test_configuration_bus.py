@@ -14,7 +14,7 @@ from app.core.web.access import Role
 from app.settings import load
 from app.system.configuration import port_scan
 from app.system.configuration.port_scan import PortScan, ports
-from tests.app.cli.test_cli_scan import line, unit
+from tests.app.cli.test_wire import line, unit
 from tests.app.complete_app import House, complete_app
 from tests.app.configuration_file import TEXT, PlantFile, fields_of, house_with_file, plant_file
 

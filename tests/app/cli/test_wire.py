@@ -1,4 +1,4 @@
-"""``lineside scan`` over a pseudo-terminal, with simulated units behind it."""
+"""``lineside scan`` against simulated lines, and ``lineside decode``."""
 
 from __future__ import annotations
 
@@ -7,19 +7,24 @@ import os
 import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
 import serial
 from click.testing import CliRunner, Result
 
+from app.cli import cli as command_line
 from app.cli import wire as scan
-from app.cli.wire import announcement, bauds_to_try
+from app.cli.wire import announcement, bauds_to_try, bus_table, parse_hex
+from app.line.commands.api.trace_file import trace_line
+from app.settings import Settings
 from bus.catalogue import parameters as numbers
-from bus.errors import WireError
+from bus.contract import Frame
+from bus.errors import CallerError, WireError
 from bus.line.examination import Found
 from bus.line.scanner import Prober
-from bus.messages import Message
+from bus.messages import Message, term
 from bus.settings import Dialect
 from bus.simulator.line import FaultKind, Faults, SimulatedLine
 from bus.simulator.plant import Plant, Section
@@ -241,3 +246,133 @@ def test_it_prints_beforehand_how_long_it_takes() -> None:
         announcement("P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, True)
     )
     assert "address 7, at 300 baud: about 1 s" in str(announcement("P", (300,), range(7, 8), 0.05, False))
+
+
+MANUAL = "10 02 04 82 00 00 02 10 10 10 03 68"
+JSON_OF_MANUAL = [{"uid": 4, "kind": "set_speed", "fields": {"raw": 528}, "checksum_ok": True}]
+
+
+def decoded(arguments: list[str], **given: str) -> Result:
+    return CliRunner().invoke(command_line, ["decode", *arguments], **given)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [MANUAL],
+        MANUAL.split(),
+        [MANUAL.replace(" ", "")],
+        [MANUAL.lower()],
+        ["0x" + MANUAL.replace(" ", "")],
+        ["0x" + MANUAL.replace(" ", ", 0x")],
+        [MANUAL.replace(" ", "\n")],
+        ["[" + MANUAL.replace(" ", "][") + "]"],
+        ["0X10,0X02;04:82-0000-0210-1010-0368".replace("-", " ")],
+    ],
+)
+def test_hex_in_many_spellings(arguments: list[str]) -> None:
+    result = decoded(["--json", *arguments])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout) == JSON_OF_MANUAL
+
+
+def test_words() -> None:
+    result = decoded([MANUAL])
+    assert result.stdout == f"{MANUAL}\n    unit 4: set speed (staged) 528\n"
+
+
+def test_standard_input() -> None:
+    result = decoded(["--json", "-"], input=MANUAL + "\n")
+    assert json.loads(result.stdout) == JSON_OF_MANUAL
+
+
+@pytest.mark.parametrize("bad", ["xyz", "1", "10 0", "10 02 0g"])
+def test_bad_hex_is_wrong_use(bad: str) -> None:
+    result = decoded([bad])
+    assert result.exit_code == 2
+    assert result.stderr.count("\n") == 1
+    assert "is not hex" in result.stderr
+
+
+def test_nothing_given_is_wrong_use() -> None:
+    assert decoded([]).exit_code == 2
+    assert decoded(["-"], input="").exit_code == 2
+    with pytest.raises(CallerError, match="no bytes given"):
+        parse_hex("  ")
+
+
+@pytest.mark.parametrize("data", ["10 02 04 82 00 00 02 10 10 10 03 67", "00 11 22", "10 02"])
+def test_no_valid_frame(data: str) -> None:
+    result = decoded(["--json", data])
+    assert result.exit_code == 1
+    assert not any(frame["checksum_ok"] for frame in json.loads(result.stdout))
+    assert "no valid frame" in result.stderr
+
+
+def test_a_bad_frame_beside_a_good_one() -> None:
+    result = decoded(["--json", "10 02 04 06 10 03 00", MANUAL])
+    assert result.exit_code == 0
+    assert [frame["checksum_ok"] for frame in json.loads(result.stdout)] == [False, True]
+
+
+def test_a_trace_file_with_its_directions_apart(tmp_path: Path) -> None:
+    """The response overlaps the next request, as it may on four wires; each direction is decoded
+    separately.
+    """
+    request, response = bytes.fromhex("10 02 01 85 06 10 03 74"), bytes.fromhex("10 02 01 06 00 32 10 03 C7")
+    frames = [
+        Frame(1.0, "out", request, [term("unit 1: read parameter #6")]),
+        Frame(1.01, "in", response[:4], [term("the first half")]),
+        Frame(1.02, "in", response[4:], [term("the second half")]),
+    ]
+    trace = tmp_path / "trace.txt"
+    trace.write_text("".join(trace_line(frame) + "\n" for frame in frames))
+    result = decoded(["--json", "--file", str(trace)])
+    assert result.exit_code == 0, result.output
+    assert [(frame["kind"], frame["fields"].get("raw")) for frame in json.loads(result.stdout)] == [
+        ("read_parameter", None),
+        ("parameter_value", 50),
+    ]
+
+
+def test_a_spoilt_trace_names_the_line(tmp_path: Path) -> None:
+    trace = tmp_path / "trace.txt"
+    trace.write_text(trace_line(Frame(1.0, "out", b"\x10", [term("x")])) + "\nnot a line\n")
+    result = decoded(["--file", str(trace)])
+    assert result.exit_code == 2
+    assert "not a line of a trace" in result.stderr
+
+
+def test_a_file_of_hex(tmp_path: Path) -> None:
+    (tmp_path / "bytes.txt").write_text(MANUAL)
+    assert decoded(["--file", str(tmp_path / "bytes.txt")]).exit_code == 0
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    result = decoded(["--file", str(tmp_path / "none")])
+    assert result.exit_code == 1
+    assert "none" in result.stderr
+
+
+def test_bytes_and_a_file_are_too_much(tmp_path: Path) -> None:
+    assert decoded(["10", "--file", str(tmp_path / "none")]).exit_code == 2
+
+
+def found(unit: int, baud: int = 9600, kind: str = "digimax", **more: object) -> Found:
+    return Found(unit, baud, kind, **more)  # type: ignore[arg-type]
+
+
+def test_it_is_a_bus_of_a_configuration_with_what_the_units_want() -> None:
+    text = bus_table('/dev/a "b"', [found(7, checksum_10h="twice", estop_healthy=0), found(12)], 62)
+    [bus] = Settings.model_validate(tomllib.loads(text)).bus
+    assert (bus.port, bus.baud, bus.turnaround_ms) == ('/dev/a "b"', 9600, 62)
+    assert (bus.checksum_10h, bus.estop_healthy) == ("twice", 0)
+    assert [(unit.id, unit.name) for unit in bus.unit] == [(7, "Unit 7"), (12, "Unit 12")]
+
+
+def test_units_of_another_baud_and_other_devices_are_named_beside_it() -> None:
+    text = bus_table("/dev/a", [found(1, 4800), found(2), found(3), found(9, kind="foreign")], 50)
+    [bus] = Settings.model_validate(tomllib.loads(text)).bus
+    assert (bus.baud, [unit.id for unit in bus.unit]) == (9600, [2, 3])
+    assert "# Address 1 at 4800 baud: digimax." in text
+    assert "# Address 9 at 9600 baud: foreign." in text

@@ -1,17 +1,30 @@
-"""Numbered steps forward, with a copy first; a newer store is refused."""
+"""What opening a store needs: its steps, copies that are kept, and whether a server may start on it."""
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from app.core.database import Database
+from app.core.database import migration as copies
+from app.core.database.connection import examining
 from app.core.database.messages import UNREADABLE, messages_of, stored_messages
-from app.core.database.migration import MIGRATIONS, migrations_in
+from app.core.database.migration import (
+    MIGRATIONS,
+    Presence,
+    copy_of,
+    migrations_in,
+    presence_of,
+    put_aside,
+    refusal_to_start,
+    remove_older_copies,
+)
 from app.engineering.sets.model import ParameterRow, UnitRows
 from app.engineering.sets.restore_plan import LeftOut, RestorePlan, RowResult, Write
 from app.engineering.sets.restore_service import RestoreStore
@@ -214,3 +227,144 @@ def test_an_alarm_that_waits_from_before_has_the_time_at_which_it_cleared(tmp_pa
     with closing(sqlite3.connect(path)) as connection:
         found = connection.execute("SELECT alarm, came, cleared FROM alarm_facts ORDER BY alarm").fetchall()
     assert found == [("active", 10.0, None), ("normal", 10.0, None), ("waits", 10.0, 20.0)]
+
+
+def names_in(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_the_newest_two_stay_with_their_companions(tmp_path: Path) -> None:
+    store = tmp_path / "x.db"
+    store.touch()
+    (tmp_path / "y.db.damaged-20250101T000000Z").touch()
+    copy_of(store, "before", "0001").touch()
+    for day in range(1, 5):
+        for suffix in ("", "-wal"):
+            copy_of(store, "damaged", f"2026010{day}T000000Z{suffix}").touch()
+    remove_older_copies(store, "damaged")
+    assert names_in(tmp_path) == [
+        "x.db",
+        "x.db.before-0001",
+        *(f"x.db.damaged-2026010{day}T000000Z{suffix}" for day in (3, 4) for suffix in ("", "-wal")),
+        "y.db.damaged-20250101T000000Z",
+    ]
+
+
+def test_one_that_cannot_be_removed_stays_and_is_logged(tmp_path: Path) -> None:
+    store = tmp_path / "x.db"
+    for label in ("1", "2", "3", "4"):
+        copy_of(store, "before", label).touch()
+    copy_of(store, "before", "1").unlink()
+    copy_of(store, "before", "1").mkdir()
+    with capture_logs() as logs:
+        remove_older_copies(store, "before")
+    assert names_in(tmp_path) == ["x.db.before-1", "x.db.before-3", "x.db.before-4"]
+    assert [entry["path"] for entry in logs] == [str(copy_of(store, "before", "1"))]
+
+
+def test_each_step_leaves_the_newest_two(tmp_path: Path) -> None:
+    steps = tmp_path / "steps"
+    steps.mkdir()
+    for number in range(1, 6):
+        (steps / f"{number:04d}_step.sql").write_text(f"CREATE TABLE t{number} (x INTEGER);\n")
+        Database(tmp_path / "x.db", steps).close()
+    assert [path.name for path in sorted(tmp_path.glob("x.db.*-*"))] == [
+        "x.db.before-0004",
+        "x.db.before-0005",
+    ]
+
+
+def test_a_store_put_aside_again_and_again_leaves_the_newest_two(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = tmp_path / "history.db"
+    for minute in range(4):
+        stamp = f"20260101T00{minute:02d}00Z"
+        monkeypatch.setattr(copies.time, "strftime", lambda *_, stamp=stamp: stamp)
+        store.write_text(stamp)
+        assert put_aside(store).read_text() == stamp
+    assert names_in(tmp_path) == [f"history.db.damaged-20260101T00{minute:02d}00Z" for minute in (2, 3)]
+
+
+STORE, KEY = Path("/data/lineside.db"), Path("/etc/lineside.audit.key")
+
+
+@pytest.mark.parametrize(
+    ("presence", "key", "code"),
+    [
+        ("sound", KEY, None),
+        ("sound", None, None),
+        ("missing", None, None),
+        ("empty", None, None),
+        ("missing", KEY, "store_missing_at_start"),
+        ("empty", KEY, "store_empty_at_start"),
+        ("damaged", KEY, "store_damaged_at_start"),
+        ("damaged", None, "store_damaged_at_start"),
+    ],
+)
+def test_a_site_that_was_there_is_not_replaced(
+    presence: Presence, key: Path | None, code: str | None
+) -> None:
+    refusal = refusal_to_start(str(STORE), presence, key, new=False)
+    assert (refusal and refusal.code) == code
+    assert refusal is None or "lineside serve --new" in str(refusal)
+
+
+@pytest.mark.parametrize("key", [None, KEY])
+@pytest.mark.parametrize(
+    ("presence", "code"),
+    [("sound", "store_not_new"), ("missing", None), ("empty", None), ("damaged", None)],
+)
+def test_a_new_site_is_begun_where_none_can_be_used(
+    presence: Presence, code: str | None, key: Path | None
+) -> None:
+    refusal = refusal_to_start(str(STORE), presence, key, new=True)
+    assert (refusal and refusal.code) == code
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    path = tmp_path / "data" / "lineside.db"
+    Database(path).close()
+    return path
+
+
+def files_beside(store: Path) -> set[str]:
+    return {path.name for path in store.parent.iterdir()}
+
+
+def test_a_store_is_read_and_no_file_is_made(store: Path) -> None:
+    before = files_beside(store)
+    assert presence_of(store) == "sound"
+    with examining(store) as connection:
+        assert connection.execute("SELECT count(*) FROM events").fetchone()[0] == 0
+    assert files_beside(store) == before
+
+
+def test_a_store_that_a_server_has_open_is_read_with_its_log(store: Path) -> None:
+    database = Database(store)
+    database.write_now(lambda connection: connection.execute("CREATE TABLE newest (a)"))
+    try:
+        with examining(store) as connection:
+            assert connection.execute("SELECT count(*) FROM newest").fetchone()[0] == 0
+    finally:
+        database.close()
+
+
+def test_what_else_is_in_its_place(store: Path) -> None:
+    size = store.stat().st_size
+    os.truncate(store, size // 2)
+    assert presence_of(store) == "damaged"
+    os.truncate(store, 0)
+    assert presence_of(store) == "empty"
+    store.write_bytes(b"no store " * 1000)
+    assert presence_of(store) == "damaged"
+    store.unlink()
+    assert presence_of(store) == "missing"
+    assert presence_of(store.parent.parent / "unmounted" / "lineside.db") == "missing"
+
+
+def test_a_link_is_not_followed(store: Path, tmp_path: Path) -> None:
+    (tmp_path / "link.db").symlink_to(store)
+    with pytest.raises(StoreError, match="link"):
+        presence_of(tmp_path / "link.db")
