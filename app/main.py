@@ -18,7 +18,8 @@ from app.core.server.refusal_log import RefusalLog
 from app.core.server.refusals import SecurityHeaders
 from app.core.web import feature as web
 from app.core.web import problems
-from app.core.web.routes import HEALTH, AnonymousLimiter, Turns, guard, refuse_undeclared
+from app.core.web.request_rules import HEALTH
+from app.core.web.routes import AnonymousLimiter, Turns, guard, refuse_undeclared
 from app.core.web.templating import Templates
 from app.engineering.recipes import feature as recipes
 from app.engineering.sets import feature as sets

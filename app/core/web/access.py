@@ -231,7 +231,7 @@ def is_encrypted(connection: HTTPConnection) -> bool:
     return connection.url.scheme in ("https", "wss")
 
 
-def cookie_name(connection: HTTPConnection, name: str) -> str:
+def _cookie_name(connection: HTTPConnection, name: str) -> str:
     """Return the name of a cookie under the scheme and the port of a request; cookies of others are not
     read."""
     port = _PORT.search(connection.headers.get("host", ""))
@@ -240,13 +240,13 @@ def cookie_name(connection: HTTPConnection, name: str) -> str:
 
 def cookie_of(connection: HTTPConnection, name: str) -> str:
     """Return the value of a cookie; empty without one."""
-    return connection.cookies.get(cookie_name(connection, name), "")
+    return connection.cookies.get(_cookie_name(connection, name), "")
 
 
 def session_name(connection: HTTPConnection) -> str:
     """Return the name of the cookie that has the session of a request: without a port if the session began
     before names had one."""
-    name = cookie_name(connection, SESSION)
+    name = _cookie_name(connection, SESSION)
     return name if name in connection.cookies else _of_scheme(connection, SESSION)
 
 
@@ -261,7 +261,7 @@ def set_cookie(
     opens signed in; changes are guarded by their Origin
     (`app.core.web.request_rules`). It is not Secure on plain HTTP, which plants use."""
     response.set_cookie(
-        cookie_name(connection, name),
+        _cookie_name(connection, name),
         value,
         max_age=int(max_age_s),
         httponly=True,
@@ -272,4 +272,4 @@ def set_cookie(
 
 def forget_cookie(connection: HTTPConnection, response: Response, name: str) -> None:
     """Make the browser delete a cookie."""
-    response.delete_cookie(cookie_name(connection, name), path="/", secure=is_encrypted(connection))
+    response.delete_cookie(_cookie_name(connection, name), path="/", secure=is_encrypted(connection))

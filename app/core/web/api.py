@@ -38,7 +38,7 @@ from bus.messages import Message
 MAX_MEMBERS = 1000
 """Members of a JSON object; the largest has one for each of 255 units. An unknown one is a fault each."""
 _HALF_PAIR = re.compile("[\ud800-\udfff]")
-RouteHandler = Callable[[Request], Coroutine[Any, Any, Response]]
+_RouteHandler = Callable[[Request], Coroutine[Any, Any, Response]]
 RequestKey = Annotated[
     str | None,
     Header(
@@ -65,10 +65,10 @@ class ApiRoute(APIRoute):
             if is_typeddict(shown):
                 # Its validator is built for the first response: all at once would take a fifth of the start.
                 with_config(ConfigDict(defer_build=True))(cast(type, shown))
-        usual = usual_problems(path, options.get("methods") or ["GET"])
+        usual = _usual_problems(path, options.get("methods") or ["GET"])
         super().__init__(path, endpoint, **{**options, "responses": usual | (options.get("responses") or {})})
 
-    def get_route_handler(self) -> RouteHandler:
+    def get_route_handler(self) -> _RouteHandler:
         """Return FastAPI's handler behind the checks."""
         handle = super().get_route_handler()
         expected = get_flat_params(self.dependant)
@@ -153,7 +153,7 @@ PARTS: dict[str, Any] = json.loads(Path(__file__).with_name("openapi_parts.json"
 statuses, the header of every write, and the schemas of a refusal."""
 
 
-RATE_LIMIT = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
+_RATE_LIMIT = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -165,10 +165,10 @@ def limited(status: int) -> dict[int | str, dict[str, Any]]:
     """Return ``responses=`` of an operation with a limit: its headers on success (``status``) and on
     refusal."""
     return {
-        status: {"headers": _header_references(*RATE_LIMIT)},
+        status: {"headers": _header_references(*_RATE_LIMIT)},
         429: {
             **_response(PARTS["statuses"]["429"]),
-            "headers": _header_references("Retry-After", *RATE_LIMIT),
+            "headers": _header_references("Retry-After", *_RATE_LIMIT),
         },
     }
 
@@ -177,7 +177,7 @@ def _header_references(*names: str) -> dict[str, Any]:
     return {name: {"$ref": f"#/components/headers/{name}"} for name in names}
 
 
-def usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[str, Any]]:
+def _usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[str, Any]]:
     """Return the problems that any operation of the API may have, by its path and methods."""
     statuses = {401, 403, 422, 503}
     statuses |= {404} if "{" in path else set()
@@ -191,7 +191,7 @@ def usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[st
     }
 
 
-def problem_schemas(schemas: Mapping[str, Any]) -> dict[str, Any]:
+def _problem_schemas(schemas: Mapping[str, Any]) -> dict[str, Any]:
     """Return the schemas of a problem, which also has the members of a command's result where one was
     sent."""
     result, own = schemas["CommandResult"]["properties"], PARTS["schemas"]
@@ -234,7 +234,7 @@ def openapi_document(app: Any) -> dict[str, Any]:
         for method, operation in path.items():
             _complete(operation, is_write=method not in ("get", "head"))
     components = document["components"]
-    components["schemas"] |= problem_schemas(components["schemas"])
+    components["schemas"] |= _problem_schemas(components["schemas"])
     components["headers"] = PARTS["headers"]
     components["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
     add_examples(document)
@@ -328,7 +328,7 @@ def add_examples(document: dict[str, Any]) -> None:
         for status, response in operation["responses"].items():
             for media_type, content in response.get("content", {}).items() if status[0] == "2" else ():
                 written = _WRITTEN["texts"].get(media_type)
-                content["example"] = example_of(content["schema"], schemas) if written is None else written
+                content["example"] = _example_of(content["schema"], schemas) if written is None else written
 
 
 def _operations(document: Schema) -> Iterator[dict[str, Any]]:
@@ -336,30 +336,30 @@ def _operations(document: Schema) -> Iterator[dict[str, Any]]:
         yield from methods.values()
 
 
-def example_of(schema: Schema, schemas: Schema, name: str = "") -> Any:
+def _example_of(schema: Schema, schemas: Schema, name: str = "") -> Any:
     """Return a value of the schema; ``name``: of the member that it is for."""
     match schema:
         case {"examples": [example, *_]}:
             return example
         case {"$ref": str(reference)}:
             model = reference.removeprefix(_REF)
-            made = example_of(schemas[model], schemas, name)
+            made = _example_of(schemas[model], schemas, name)
             return made | _WRITTEN["objects"][model] if model in _WRITTEN["objects"] else made
         case {"enum": [first, *_]} | {"const": first}:
             return first
         case {"anyOf": [*choices]} if {"type": "null"} in choices and name not in _WRITTEN["members"]:
             return None
         case {"anyOf": [first, *_]} | {"oneOf": [first, *_]}:
-            return example_of(first, schemas, name)
+            return _example_of(first, schemas, name)
         case {"type": "object"}:
             return {
-                member: example_of(each, schemas, member)
+                member: _example_of(each, schemas, member)
                 for member, each in schema.get("properties", {}).items()
             }
         case {"type": kind} if _is_of(_WRITTEN["members"].get(name), kind):
             return _WRITTEN["members"][name]
         case {"type": "array"}:
-            return [example_of(schema["items"], schemas)]
+            return [_example_of(schema["items"], schemas)]
         case {"format": str(form)} if form in _FORMATS:
             return _FORMATS[form]
     plain = _PLAIN.get(schema.get("type", "null"))

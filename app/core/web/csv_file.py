@@ -124,7 +124,7 @@ def number_or_text(text: str | None) -> Cell:
 FOR_PROGRAMS = CsvForm()
 
 
-async def wanted_form(
+async def _wanted_form(
     request: Request,
     form: Annotated[Literal["data", "reader"], Query()] = "data",
 ) -> CsvForm:
@@ -141,4 +141,4 @@ def reader_form(language: Language, zone: str) -> CsvForm:
     return CsvForm(language, ZoneInfo(zone), language.point)
 
 
-WantedCsv = Annotated[CsvForm, Depends(wanted_form)]
+WantedCsv = Annotated[CsvForm, Depends(_wanted_form)]

@@ -49,7 +49,7 @@ def same_origin(origin: str, host: str) -> bool:
         return False
 
 
-def foreign_problem(scope: Scope) -> Problem | None:
+def _foreign_problem(scope: Scope) -> Problem | None:
     """Return the refusal of a request that a foreign page makes a browser send; None for any other."""
     if not _is_foreign(scope):
         return None
@@ -95,7 +95,7 @@ ONCE = ("host", "authorization", "content-type", "content-encoding", "transfer-e
 """Headers that may be there once: of two, a proxy may have believed one and we the other (RFC 9110, 5.3)."""
 
 
-def header_problem(scope: Scope) -> Problem | None:
+def _header_problem(scope: Scope) -> Problem | None:
     """Return the refusal of a header given twice, a missing Host, a path below which a proxy serves us, or a
     coding of the body that is not decoded."""
     headers = Headers(scope=scope)
@@ -119,13 +119,13 @@ def _unknown_coding(name: str, status: int) -> Problem:
 
 
 LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
-OPEN_PATH = "/healthz"
-"""Probes request by address, and learn only that the server is up."""
+HEALTH = "/healthz"
+"""Path of probes, which request it by address and learn only that the server is up."""
 
 
-def host_problem(scope: Scope, allowed: Collection[str]) -> Problem | None:
+def _host_problem(scope: Scope, allowed: Collection[str]) -> Problem | None:
     """Return the refusal, 421, of a request under any name but the allowed ones; an empty list allows all."""
-    if not allowed or scope["path"] == OPEN_PATH:
+    if not allowed or scope["path"] == HEALTH:
         return None
     host = host_name(Headers(scope=scope).get("host", ""))
     if host in allowed or _is_local(scope, host):
@@ -167,9 +167,9 @@ def request_problem(scope: Scope, allowed_hosts: Collection[str]) -> Problem | N
     """Return the refusal of a request with ambiguous headers, under another host name, of a foreign page, or
     with an address or a header longer than anything that the app needs."""
     return (
-        header_problem(scope)
-        or host_problem(scope, allowed_hosts)
-        or foreign_problem(scope)
+        _header_problem(scope)
+        or _host_problem(scope, allowed_hosts)
+        or _foreign_problem(scope)
         or _out_of_bounds(scope)
     )
 

@@ -22,7 +22,7 @@ from app.core.server.addresses import source_of
 from app.core.server.turns import FairQueue, TooManyWaitingError
 from app.core.web.access import Requires, Role, Viewer, address_of, caller_of, public
 from app.core.web.problems import too_many_requests
-from app.core.web.request_rules import MAX_PLAIN_BODY_BYTES, bounded, refuse
+from app.core.web.request_rules import HEALTH, MAX_PLAIN_BODY_BYTES, bounded, refuse
 from app.errors import Problem
 from bus.instants import Monotonic
 from bus.pacing import Bucket
@@ -158,8 +158,6 @@ SEARCH, DOWNLOAD = Depends(_search), Depends(_download)
 (`app.core.web.routes.RouteGuard`)."""
 
 
-HEALTH = "/healthz"
-"""Path that is polled to check that this server works."""
 ANONYMOUS_AT_ONCE, AT_ONCE_OF_ADDRESS = 2, 1
 ANONYMOUS_WAITING, MAX_WAITING_OF_ADDRESS = 512, 64
 ANONYMOUS_REST = 4.0

@@ -172,7 +172,7 @@ def render(
         path=request.url.path,
         now=time(),
         has_lines=lambda: service_of(request, PageLines).has_several,
-        rail_pages=lambda: pages_for(service_of(request, PageLines), partial(templates.may, person)),
+        rail_pages=lambda: _pages_for(service_of(request, PageLines), partial(templates.may, person)),
         **{name: partial(part, person, language) for name, part in templates.parts.items()},
         **context,
     )
@@ -246,7 +246,7 @@ HELP = {
 """The chapter of the help that is about a page, by its ``key``; of all others the list of chapters."""
 
 
-def pages_for(lines: PageLines, may: Callable[[str], bool]) -> list[PageLink]:
+def _pages_for(lines: PageLines, may: Callable[[str], bool]) -> list[PageLink]:
     """Return the pages of a person; ``may``: whether the person is permitted an act."""
     every: Sequence[PageLink] = (LINES, *PAGES) if lines.has_several else PAGES
     if lines.is_overview:

@@ -140,7 +140,7 @@ class Accounts:
     async def set_language(self, person: Person, language: str) -> None:
         """Store the language that the user chose; empty: that of the browser. Raises Problem 403 for a
         program."""
-        check_is_user(person)
+        _check_is_user(person)
         await self._database.write(lambda connection: store.set_language(connection, person.name, language))
 
     async def create_token(
@@ -237,7 +237,7 @@ class Accounts:
         await self._database.write(guarded)
 
 
-def check_is_user(person: Person) -> None:
+def _check_is_user(person: Person) -> None:
     """Raises Problem 403 for a program, which may have the name of a user."""
     if person.via != "session":
         raise Problem(403, "forbidden", Message("no_account"))
@@ -246,7 +246,7 @@ def check_is_user(person: Person) -> None:
 def check_has_own_password(person: Person) -> None:
     """Raises Problem 403 for a program, for the user of a company account, and for a panel, whose PIN an
     admin changes."""
-    check_is_user(person)
+    _check_is_user(person)
     if person.has_company_account:
         raise Problem(403, "forbidden", Message.of("no_password_of_company_account", name=person.name))
     if person.panel:

@@ -64,7 +64,7 @@ PUBLIC_PREFIX = "/static/"
 NO_LONGER_SIGNED_IN = 4401
 """Close code: 4000 and the HTTP status of the same refusal."""
 
-Withdrawal = Callable[[], Coroutine[Any, Any, None]]
+_Withdrawal = Callable[[], Coroutine[Any, Any, None]]
 
 
 class Identify:
@@ -145,7 +145,7 @@ class Identify:
         try:
             return await self._caller(HTTPConnection(scope))
         except ExpiredTokenError as expired:
-            scope[REFUSED_ACCOUNT] = expired.account
+            scope[_REFUSED_ACCOUNT] = expired.account
             raise
         except StoreError as error:
             raise Problem(503, "store", error.message) from None
@@ -205,7 +205,7 @@ def _address(scope: Scope) -> str:
 
 
 async def run_while_allowed(
-    run: Callable[[Send], Awaitable[None]], withdrawal: Withdrawal, send: Send, *, is_socket: bool = False
+    run: Callable[[Send], Awaitable[None]], withdrawal: _Withdrawal, send: Send, *, is_socket: bool = False
 ) -> None:
     """Run ``run``, which sends a response or has a WebSocket open, and end it once ``withdrawal`` returns, as
     it is allowed no longer: a WebSocket by its close, a response in pieces where it is, also while it waits
@@ -240,7 +240,7 @@ async def run_while_allowed(
             watch.cancel()
 
 
-def _follow(withdrawal: Withdrawal, end: Callable[[asyncio.Task[None]], None]) -> asyncio.Task[None]:
+def _follow(withdrawal: _Withdrawal, end: Callable[[asyncio.Task[None]], None]) -> asyncio.Task[None]:
     watch = asyncio.create_task(withdrawal())
     watch.add_done_callback(end)
     return watch
@@ -253,10 +253,10 @@ async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -
         message = Message.of("served_below_a_path", path=connection.url.path)
         await respond(connection, Problem(404, "not_found", message))(connection.scope, receive, send)
     else:
-        await to_login(connection)(connection.scope, receive, send)
+        await _to_login(connection)(connection.scope, receive, send)
 
 
-def to_login(connection: HTTPConnection) -> Response:
+def _to_login(connection: HTTPConnection) -> Response:
     """Redirect a person to the login page, which leads back; htmx moves the complete page."""
     if is_fragment(connection):
         response = problem_json(not_signed_in())
@@ -295,7 +295,7 @@ def _is_loopback(connection: HTTPConnection) -> bool:
     return address_of(connection) in LOOPBACK and connection.url.hostname in LOOPBACK
 
 
-REFUSED_ACCOUNT = "refused_account"
+_REFUSED_ACCOUNT = "refused_account"
 """Key in the scope: the account of an expired token."""
 
 
@@ -303,7 +303,7 @@ def _event_of(status: int, scope: Scope) -> tuple[Message, str | Message, str]:
     """Return what the events record of a refusal: its text, whose request it was, and the method and the path
     of its route, without what the request filled into it."""
     if status == 401:
-        account: str | None = scope.get(REFUSED_ACCOUNT)
+        account: str | None = scope.get(_REFUSED_ACCOUNT)
         who = account_shown(account) if account else Message("unknown_token")
         return Message("event_token_refused"), who, ""
     person: Caller | None = scope.get("caller")

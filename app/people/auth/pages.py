@@ -101,7 +101,7 @@ async def login_page(
     """Show the form, or redirect a signed-in user. ``refused``: an action has led here; ``company_account``:
     why a company account was not admitted."""
     if caller_of(request):
-        return RedirectResponse(own_path(next), 303)
+        return RedirectResponse(_own_path(next), 303)
     return await _login_form(
         request, sign_in, next, panel, refused=refused, company_refusal=refusal_shown(company_account)
     )
@@ -132,7 +132,7 @@ async def begin_login(request: Request, single_sign_on: SingleSignOnService, nex
     """Redirect to the provider; a signed-in user to the page. After a log-out here the person signs in there
     again: a panel or a PC may be shared, and the provider may know the last one still."""
     if caller_of(request):
-        return RedirectResponse(own_path(next), 303)
+        return RedirectResponse(_own_path(next), 303)
     has_logged_out = bool(cookie_of(request, REAUTHENTICATE_COOKIE))
     try:
         url, attempt = single_sign_on.begin(next, _callback_url(request), reauthenticate=has_logged_out)
@@ -156,7 +156,7 @@ async def finish_login(
             dict(request.query_params),
             _callback_url(request),
             address=address_of(request),
-            device=device_of(request),
+            device=_device_of(request),
         )
     except NotAdmittedError as refused:
         response = _back_to_login(refused, "/" if attempt is None else attempt.next)
@@ -245,7 +245,7 @@ async def change_password(
     check_has_own_password(person)
     this_one = rules.secret_hash(request.cookies[session_name(request)])
     try:
-        await sign_in.check_present(person.name, present, address_of(request), device_of(request))
+        await sign_in.check_present(person.name, present, address_of(request), _device_of(request))
         if composed(password) != composed(again):
             raise CallerError(Message("new_passwords_differ"))
         await accounts.change_own_password(password, by=person, keep=this_one)
@@ -257,7 +257,7 @@ async def change_password(
 async def _sign_in(
     request: Request, sign_in: SignIn, name: str, secret: str, next: str, *, panel: bool
 ) -> Response:
-    device = device_of(request)
+    device = _device_of(request)
     try:
         begun = await sign_in.sign_in(name, secret, address_of(request), panel=panel, device=device)
     except Problem as problem:
@@ -275,13 +275,13 @@ async def signed_in(request: Request, sign_in: SignIn, begun: SignedIn, next_pag
     if before is not None and before.via == "session":
         await sign_in.sign_out(request.cookies[session_name(request)], before.granted(LOG_OUT.role))
     home = begun.user.home if next_page == "/" else next_page
-    response = RedirectResponse(own_path(home), 303)
+    response = RedirectResponse(_own_path(home), 303)
     set_cookie(request, response, SESSION, begun.session, sign_in.lifetime_of(begun.user).absolute_s)
     set_cookie(request, response, DEVICE_COOKIE, begun.device, DEVICE_KNOWN_S)
     return response
 
 
-def device_of(request: Request) -> str:
+def _device_of(request: Request) -> str:
     """Return the cookie of a browser with an earlier sign-in; empty for an invalid one."""
     device = cookie_of(request, DEVICE_COOKIE)
     return device if len(device) == rules.SECRET_LENGTH and device.isascii() else ""
@@ -304,7 +304,7 @@ async def _login_form(
         "auth/login.html",
         status=problem.status if problem else 200,
         headers=problem.headers if problem else None,
-        next=own_path(next),
+        next=_own_path(next),
         panel=panel,
         problem=problem,
         name=name,
@@ -325,7 +325,7 @@ def _callback_url(request: Request) -> str:
 
 def _back_to_login(refused: NotAdmittedError, next_page: str) -> Response:
     query: dict[str, str] = {"company_account": refused.reason}
-    if own_path(next_page) != "/":
+    if _own_path(next_page) != "/":
         query["next"] = next_page
     return RedirectResponse(f"/login?{urlencode(query)}", 303)
 
@@ -348,7 +348,7 @@ def _account(request: Request, *, done: str = "", fault: CallerError | None = No
     return render(request, "auth/account.html", status=422 if fault else 200, done=done, fault=fault)
 
 
-def own_path(path: str) -> str:
+def _own_path(path: str) -> str:
     """Return the path if it is of this server, else that of the first page."""
     return path if rules.is_own_path(path) else "/"
 
@@ -392,13 +392,13 @@ class UsersPage:
         return Response(headers={"HX-Redirect": "/users"}) if in_dialog else RedirectResponse("/users", 303)
 
 
-OfUsers = Annotated[
+Users = Annotated[
     UsersPage, looked_up(lambda connection: UsersPage(connection, service_of(connection, Accounts)))
 ]
 
 
 @router.get("/users")
-async def users_page(_: Admin, page: OfUsers) -> HTMLResponse:
+async def users_page(_: Admin, page: Users) -> HTMLResponse:
     """Show every user and every token."""
     return await page.render()
 
@@ -406,7 +406,7 @@ async def users_page(_: Admin, page: OfUsers) -> HTMLResponse:
 @router.post("/users")
 async def add_user(
     by: Annotated[Person, ADD_USER.permitted],
-    page: OfUsers,
+    page: Users,
     name: TypedName = "",
     role: FormText = "viewer",
     password: FormText = "",
@@ -418,7 +418,7 @@ async def add_user(
 @router.post("/users/panels")
 async def add_panel(
     by: Annotated[Person, ADD_PANEL.permitted],
-    page: OfUsers,
+    page: Users,
     panel: TypedName = "",
     panel_role: FormText = "viewer",
     pin: FormText = "",
@@ -431,34 +431,34 @@ async def add_panel(
 
 @router.post("/users/{name}/role")
 async def set_role(
-    by: Annotated[Person, SET_ROLE.permitted], page: OfUsers, name: str, role: FormText = ""
+    by: Annotated[Person, SET_ROLE.permitted], page: Users, name: str, role: FormText = ""
 ) -> Response:
     """Change the role of a user."""
     return await page.after(page.accounts.set_role(name, role_named(role), by=by))
 
 
 @router.post("/users/{name}/disable")
-async def disable(by: Annotated[Person, DISABLE_USER.permitted], page: OfUsers, name: str) -> Response:
+async def disable(by: Annotated[Person, DISABLE_USER.permitted], page: Users, name: str) -> Response:
     """Disable a user; every session ends."""
     return await page.after(page.accounts.set_disabled(name, True, by=by))
 
 
 @router.post("/users/{name}/enable")
-async def enable(by: Annotated[Person, ENABLE_USER.permitted], page: OfUsers, name: str) -> Response:
+async def enable(by: Annotated[Person, ENABLE_USER.permitted], page: Users, name: str) -> Response:
     """Enable a user again."""
     return await page.after(page.accounts.set_disabled(name, False, by=by))
 
 
 @router.post("/users/{name}/password")
 async def reset_password(
-    by: Annotated[Person, SET_PASSWORD.permitted], page: OfUsers, name: str, password: FormText = ""
+    by: Annotated[Person, SET_PASSWORD.permitted], page: Users, name: str, password: FormText = ""
 ) -> Response:
     """Set a new password, or the PIN of a panel; every session of the user ends."""
     return await page.after(page.accounts.set_password(name, password, by=by))
 
 
 @router.get("/users/{name}/remove")
-async def review_removal(_: Admin, page: OfUsers, name: str) -> HTMLResponse:
+async def review_removal(_: Admin, page: Users, name: str) -> HTMLResponse:
     """Show the consequences of removing a user."""
     found = next((user for user in await page.accounts.users() if user.name == name), None)
     has_company_account = found is not None and found.company_account is not None
@@ -468,7 +468,7 @@ async def review_removal(_: Admin, page: OfUsers, name: str) -> HTMLResponse:
 
 
 @router.post("/users/{name}/remove")
-async def remove(by: Annotated[Person, REMOVE_USER.permitted], page: OfUsers, name: str) -> Response:
+async def remove(by: Annotated[Person, REMOVE_USER.permitted], page: Users, name: str) -> Response:
     """Remove a user, whose actions stay in the events."""
     return await page.after(page.accounts.remove_user(name, by=by))
 
@@ -476,7 +476,7 @@ async def remove(by: Annotated[Person, REMOVE_USER.permitted], page: OfUsers, na
 @router.post("/users/tokens")
 async def create_token(
     by: Annotated[Person, CREATE_TOKEN.permitted],
-    page: OfUsers,
+    page: Users,
     token: TypedName = "",
     token_role: FormText = "viewer",
     token_bus: FormText = "",
@@ -493,7 +493,7 @@ async def create_token(
 
 
 @router.get("/users/tokens/{name}/revoke")
-async def review_revocation(_: Admin, page: OfUsers, name: str) -> HTMLResponse:
+async def review_revocation(_: Admin, page: Users, name: str) -> HTMLResponse:
     """Show what revoking a token means, and whether a program has been using it."""
     token = next((token for token in await page.accounts.tokens() if token.name == name), None)
     used_at = token.used_at if token else None
@@ -501,7 +501,7 @@ async def review_revocation(_: Admin, page: OfUsers, name: str) -> HTMLResponse:
 
 
 @router.post("/users/tokens/{name}/revoke")
-async def revoke_token(by: Annotated[Person, REVOKE_TOKEN.permitted], page: OfUsers, name: str) -> Response:
+async def revoke_token(by: Annotated[Person, REVOKE_TOKEN.permitted], page: Users, name: str) -> Response:
     """Revoke a token, which is refused from the next request on."""
     return await page.after(page.accounts.revoke_token(name, by=by))
 

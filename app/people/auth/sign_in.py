@@ -85,7 +85,8 @@ class SignIn:
         if user.is_refused_panel:
             refusal = Message.of("panel_with_higher_role", called=user.name, role=term(user.role))
             raise Problem(403, "forbidden", refusal)
-        return await self._begin(user, secret, address, device)
+        weak = self._is_weak(user, secret)
+        return await self.begin(user, address, device, Message("event_signed_in"), weak_secret=weak)
 
     async def identify(
         self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
@@ -152,7 +153,7 @@ class SignIn:
                     self._throttle.succeeded(attempt, self._monotonic())
                 return user
         except TooManyWaitingError:
-            raise too_soon(1) from None
+            raise _too_soon(1) from None
 
     async def _attempt(self, name: str, address: str, device: str, panel: bool) -> Attempt:
         network, browser = source_of(address), _browser(device)
@@ -166,7 +167,7 @@ class SignIn:
     def _refuse_too_soon(self, attempt: Attempt) -> None:
         wait_s = self._throttle.wait_s(attempt, self._monotonic())
         if wait_s > 0:
-            raise too_soon(ceil(wait_s))
+            raise _too_soon(ceil(wait_s))
 
     async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
         secret = secret[: MAX_CODE_POINTS + 1]
@@ -195,18 +196,10 @@ class SignIn:
 
         return await self._database.read(find)
 
-    async def _begin(self, user: User, secret: str, address: str, device: str) -> SignedIn:
-        what, weak = Message("event_signed_in"), self._is_weak(user, secret)
-        return await self._begin_session(user, address, device, what, weak_secret=weak)
-
-    async def begin_by_company_account(self, user: User, address: str, device: str) -> SignedIn:
-        """Begin a session of a user whose company account has been verified."""
-        what = Message("event_signed_in_by_company_account")
-        return await self._begin_session(user, address, device, what, weak_secret=False)
-
-    async def _begin_session(
-        self, user: User, address: str, device: str, what: Message, *, weak_secret: bool
+    async def begin(
+        self, user: User, address: str, device: str, what: Message, *, weak_secret: bool = False
     ) -> SignedIn:
+        """Begin a session of a user who was verified. ``what``: the text of its event."""
         session, device, now = rules.new_secret(), device or rules.new_secret(), self._clock()
         hash_, ends = rules.secret_hash(session), self.lifetime_of(user).ends_at(now, now)
         places = (source_of(address), _browser(device))
@@ -250,7 +243,7 @@ def _browser(device: str) -> str:
     return f"browser {rules.secret_hash(device).hex()}"
 
 
-def too_soon(seconds: int) -> Problem:
+def _too_soon(seconds: int) -> Problem:
     """Return 429 with the time to wait, after which there is one try. A refusal of a wrong secret does not
     show how many tries are left: only a guesser needs that."""
     problem = Problem(429, "too_many", Message.of("too_many_sign_ins", seconds=seconds))
@@ -307,7 +300,7 @@ class FirstAdmin:
         attempt, now = Attempt("", source_of(address)), self._monotonic()
         wait_s = self._throttle.wait_s(attempt, now)
         if wait_s > 0:
-            raise too_soon(ceil(wait_s))
+            raise _too_soon(ceil(wait_s))
         self._throttle.begin(attempt, now)
         if not hmac.compare_digest(_plain(code).encode(), _plain(self.code).encode()):
             self._throttle.failed(attempt, now)

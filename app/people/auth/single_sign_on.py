@@ -105,7 +105,7 @@ class SingleSignOn:
     def begin(self, next_page: str, callback: str, *, reauthenticate: bool) -> tuple[str, LoginAttempt]:
         """Return where the browser goes, and the attempt that it keeps. ``callback``: where the provider
         sends it back to. Raises NotAdmittedError."""
-        attempt = new_attempt(next_page)
+        attempt = _new_attempt(next_page)
         url = None
         if self.provider is not None and self.provider.fault is None:
             url = self.provider.login_url(attempt, callback, reauthenticate=reauthenticate)
@@ -131,7 +131,8 @@ class SingleSignOn:
         except NotAdmittedError as refused:
             await self._note(refused, address)
             raise
-        return await self._sign_in.begin_by_company_account(user, address, device)
+        what = Message("event_signed_in_by_company_account")
+        return await self._sign_in.begin(user, address, device, what)
 
     def _code(self, attempt: LoginAttempt | None, response: dict[str, str]) -> str:
         """Return the code of a response to this attempt. Raises NotAdmittedError."""
@@ -165,7 +166,7 @@ class SingleSignOn:
                 self._failures.kept(place).pour(1, self._monotonic())
             raise
         account = CompanyAccount(self.settings.issuer, claims["sub"])
-        name, role = name_of(claims, self.settings), role_of(claims, self.settings)
+        name, role = name_of(claims, self.settings), _role_of(claims, self.settings)
         if role is None:
             raise NotAdmittedError("groups", "no group has a role", name)
         try:
@@ -241,7 +242,7 @@ class LoginAttempt(msgspec.Struct, frozen=True, array_like=True):
         return urlsafe_b64encode(msgspec.json.encode(self)).rstrip(b"=").decode()
 
 
-def new_attempt(next_page: str) -> LoginAttempt:
+def _new_attempt(next_page: str) -> LoginAttempt:
     """Make an attempt that leads to ``next_page`` where that is a page of this server, else to the first."""
     is_kept = rules.is_own_path(next_page) and len(next_page) <= MAX_NEXT
     state, nonce, verifier = (rules.new_secret() for _ in range(3))
@@ -269,7 +270,7 @@ def name_of(claims: Mapping[str, Any], settings: OidcSettings) -> str:
     return ""
 
 
-def role_of(claims: Mapping[str, Any], settings: OidcSettings) -> Role | None:
+def _role_of(claims: Mapping[str, Any], settings: OidcSettings) -> Role | None:
     """Return the highest role of the groups; None where no group has one."""
     found = claims.get(settings.groups_claim)
     groups = [found] if isinstance(found, str) else found if isinstance(found, list) else []

@@ -174,7 +174,7 @@ def set_role(connection: StoreConnection, name: str, role: Role) -> bool:
 def set_secret(connection: StoreConnection, name: str, secret_hash: str, keep: bytes = b"") -> bool:
     """Store a new password or PIN and end every session of the user but that with the hash ``keep``. Return
     whether there is such a user."""
-    end_sessions_of(connection, name, keep)
+    _end_sessions_of(connection, name, keep)
     change = (
         "UPDATE users SET secret_hash = ?, weak_secret = 0, secret_serial = secret_serial + 1 WHERE name = ?"
     )
@@ -189,7 +189,7 @@ def replace_hash(connection: StoreConnection, name: str, before: str, secret_has
 
 def set_disabled(connection: StoreConnection, name: str, disabled: bool) -> bool:
     """Refuse or admit a user again; sessions end. Return whether there is such a user."""
-    end_sessions_of(connection, name)
+    _end_sessions_of(connection, name)
     change = "UPDATE users SET disabled = ? WHERE name = ?"
     return connection.execute(change, (disabled, name)).rowcount == 1
 
@@ -279,7 +279,7 @@ def signed_in(connection: StoreConnection, now: UnixTime) -> set[str]:
     return {row["name"] for row in connection.execute(query, (now,))}
 
 
-def end_sessions_of(connection: StoreConnection, name: str, keep: bytes = b"") -> None:
+def _end_sessions_of(connection: StoreConnection, name: str, keep: bytes = b"") -> None:
     """Sign a user out everywhere but in the session with the hash ``keep``."""
     connection.execute("DELETE FROM sessions WHERE name = ? AND hash != ?", (name, keep))
 
