@@ -11,6 +11,7 @@ from fastapi import APIRouter, Request, Response
 from starlette.datastructures import FormData
 
 from app.core.web.access import Person
+from app.core.web.arrival import Deadline
 from app.core.web.shape import parse_integer
 from app.core.web.templating import render
 from app.engineering.sets.model import UnitRows, known_rows, status_of, with_unit
@@ -103,7 +104,7 @@ async def learn(commands: CommandService, person: Person, bus: BusLive, number: 
     async def read(unit: int) -> None:
         action = ReadParameters(unit=unit, numbers=[number], urgent=True)
         with suppress(Problem):
-            await commands.send(person, action, timeout_s=_LEARN_WITHIN_S)
+            await commands.send(person, action, deadline=Deadline.within(_LEARN_WITHIN_S))
 
     unknown = [
         key for key, unit in bus.units.items() if number not in unit.parameters and unit.link.link == "online"

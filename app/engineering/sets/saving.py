@@ -13,6 +13,7 @@ import structlog
 
 from app.core.lifespan import Background
 from app.core.web.access import Person, Role
+from app.core.web.arrival import Deadline
 from app.engineering.sets.drift import BusDrift
 from app.engineering.sets.model import (
     ParameterSet,
@@ -79,7 +80,7 @@ class ParameterReader:
         Raises Problem 503 when the bus is closed, 504 when the unit does not respond.
         """
         action = ReadParameters(unit=unit, numbers=list(PARAMETERS), urgent=urgent)
-        result = await self._commands.send(person, action, timeout_s=_READ_TIMEOUT_S)
+        result = await self._commands.send(person, action, deadline=Deadline.within(_READ_TIMEOUT_S))
         check_all_read(unit, action.numbers, result)
         return UnitRows(unit, self._live.units[unit].settings.name, rows_of(result.values))
 

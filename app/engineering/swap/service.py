@@ -14,6 +14,7 @@ from app.core.database.connection import upsert
 from app.core.database.database import Tables, writing
 from app.core.database.messages import messages_of, stored_messages
 from app.core.web.access import Person, account_shown
+from app.core.web.arrival import Deadline
 from app.engineering.sets.lookup import FormSource, side
 from app.engineering.sets.model import ParameterSet, status_of
 from app.engineering.sets.restore_plan import Restore
@@ -380,7 +381,7 @@ class SwapService:
     async def _probe(self, person: Person, bus: str, address: int) -> ProbeFinding:
         action = ScanBus(first=address, last=address)
         result = await self._commands[bus].send(
-            person, action, timeout_s=_PROBE_TIMEOUT_S, origin="unit swap"
+            person, action, deadline=Deadline.within(_PROBE_TIMEOUT_S), origin="unit swap"
         )
         if result.outcome != "verified":
             raise Problem(503, "not_looked", outcome_message(result))

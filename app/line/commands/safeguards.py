@@ -185,21 +185,24 @@ class Safeguards:
         until = unix_now() + request.left_s(now)
         return replace(shown, requester=request.by, request=request.state(now), request_until=until)
 
+    async def _refuse_without_right(self, act: Act, person: Person) -> None:
+        """Raise Problem 403 for an account without the role of an act, or which has lost a right
+        meanwhile."""
+        act.check(person)
+        await self._rights.check(person)
+
     async def take(self, person: Person) -> None:
         """Take control, if it is free. Raises Problem 403 and 409."""
-        TAKE_CONTROL.check(person)
-        await self._rights.check(person)
+        await self._refuse_without_right(TAKE_CONTROL, person)
         before = self.holding()
         self.control.take(person.account, monotonic_now(), unix_now())
         if before is None:
-            self._publish_control()
-            await self._record(TAKE_CONTROL, person, None, person.account)
+            await self._control_changed(TAKE_CONTROL, person, None, person.account)
 
     async def request(self, person: Person) -> None:
         """Request control from its holder, on every page that the holder has open. Raises Problem 403, 409,
         and 429 after too many requests of this account."""
-        REQUEST_CONTROL.check(person)
-        await self._rights.check(person)
+        await self._refuse_without_right(REQUEST_CONTROL, person)
         now, bucket = monotonic_now(), self._requests[person.account]
         if not bucket.has_room(now):
             seconds = math.ceil(bucket.wait_s(now))
@@ -208,8 +211,7 @@ class Safeguards:
             raise problem.with_headers(Retry_After=str(seconds))
         if self.control.request(person.account, now):
             bucket.take(now)
-            self._publish_control()
-            await self._record(REQUEST_CONTROL, person, self.holder(), person.account)
+            await self._control_changed(REQUEST_CONTROL, person, self.holder(), person.account)
 
     def request_limit(self, person: Person) -> RateLimit:
         """Return how many more requests for control of this bus a person may make now."""
@@ -219,8 +221,7 @@ class Safeguards:
         """Hand control over to the account that has requested it. ``shown``: whose request the person saw;
         None: whichever is open. Raises Problem 403, 409, and 422 if that account may no longer command the
         bus."""
-        GRANT_CONTROL.check(person)
-        await self._rights.check(person)
+        await self._refuse_without_right(GRANT_CONTROL, person)
         to = self.control.requester(person.account, monotonic_now())
         self._refuse_other_request(shown)
         if await self._who_may_hold(person, to) != to:
@@ -228,20 +229,17 @@ class Safeguards:
         if self.control.requester(person.account, monotonic_now()) != to:
             raise controlled(Message("control_not_requested"))
         self.control.hand_over(person.account, to, monotonic_now(), unix_now())
-        self._publish_control()
-        await self._record(GRANT_CONTROL, person, person.account, to)
+        await self._control_changed(GRANT_CONTROL, person, person.account, to)
 
     async def end_request(self, person: Person, shown: str | None = None) -> None:
         """Decline the open request as the holder, or withdraw it as its account; ``shown`` as in
         :meth:`grant`. Raises Problem 403, 409."""
-        END_CONTROL_REQUEST.check(person)
-        await self._rights.check(person)
+        await self._refuse_without_right(END_CONTROL_REQUEST, person)
         self._refuse_other_request(shown)
         request = self.control.end_request(person.account, monotonic_now())
-        self._publish_control()
         withdrawn = request.by == person.account
         result = Message("control_withdrawn" if withdrawn else "control_declined")
-        await self._record(END_CONTROL_REQUEST, person, request.by, result)
+        await self._control_changed(END_CONTROL_REQUEST, person, request.by, result)
 
     def _refuse_other_request(self, shown: str | None) -> None:
         request = self.control.request_now(monotonic_now())
@@ -256,8 +254,7 @@ class Safeguards:
         before = self.holding()
         by_force = person.role.includes(FORCE_CONTROL.role)
         self.control.hand_over(person.account, to, monotonic_now(), unix_now(), by_force=by_force)
-        self._publish_control()
-        await self._record(HAND_OVER_CONTROL, person, before.holder if before else None, to)
+        await self._control_changed(HAND_OVER_CONTROL, person, before.holder if before else None, to)
 
     async def _who_may_hold(self, person: Person, to: str) -> str:
         found = (to, person.role) if to == person.account else await self._find(to)
@@ -272,8 +269,7 @@ class Safeguards:
         """Release control. Raises Problem 403 and 409."""
         RELEASE_CONTROL.check(person)
         self.control.release(person.account, monotonic_now())
-        self._publish_control()
-        await self._record(RELEASE_CONTROL, person, person.account, None)
+        await self._control_changed(RELEASE_CONTROL, person, person.account, None)
 
     async def revoke_control(self, account: str) -> None:
         """Free control that the account holds: it is no longer signed in anywhere, or may do less."""
@@ -310,6 +306,13 @@ class Safeguards:
     def _publish_control(self) -> None:
         for subscriber in self._control_subscribers:
             subscriber()
+
+    async def _control_changed(
+        self, act: Act, person: Person, old: str | None, new: str | Message | None
+    ) -> None:
+        """Show and record what a person has done with control."""
+        self._publish_control()
+        await self._record(act, person, old, new)
 
     async def _record(
         self,

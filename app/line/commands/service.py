@@ -111,7 +111,6 @@ class CommandService:
         action: Action,
         *,
         deadline: Deadline | None = None,
-        timeout_s: float | None = None,
         confirm: bool = False,
         id: str | CommandKey | None = None,
         origin: CommandOrigin | Message = "api",
@@ -125,8 +124,7 @@ class CommandService:
         ``scales``: what its values were shown and typed with, unless they were given raw; a unit that has
         another scale by now is not written, and the result is *refused*.
 
-        ``deadline``: the request's. Without one it may wait ``timeout_s`` from now, or as long as its
-        kind takes.
+        ``deadline``: the request's; without one the command may wait as long as its kind takes.
 
         Raises Problem for a command that is not sent to the worker: 404 for a unit that is not
         configured, 403 ``forbidden`` for a person without the role of its kind, 403 ``rights_withdrawn`` when
@@ -142,8 +140,7 @@ class CommandService:
             earlier = self._record.result_of(key.stored, key.id, self._bus, action)
             return replace(earlier, id=id)
         if kept is None:
-            timeout_s = timeout_s or kind_of_command(action).timeout_s(action, self._live)
-            deadline = deadline or Deadline.within(timeout_s)
+            deadline = deadline or Deadline.within(kind_of_command(action).timeout_s(action, self._live))
             request = CommandRequest(
                 new_command_id(id), person, self._bus, action, deadline, origin, id, undoes, scales
             )

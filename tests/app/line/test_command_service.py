@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from app.core.web.access import Person, Role
+from app.core.web.arrival import Deadline
 from app.errors import Problem, StoreError
 from app.people.audit.queries import Filter
 from bus.contract import (
@@ -116,7 +117,9 @@ async def hand_over(stage: Stage) -> str:
 async def test_a_long_command_is_given_up_when_it_may_not_go_on(
     stage: Stage, worker: PlayedWorker, cause: Callable[[Stage], Awaitable[str]], action: Action
 ) -> None:
-    sending = asyncio.create_task(stage.commands.send(ANNA, action, timeout_s=30, confirm=True, id="mine"))
+    sending = asyncio.create_task(
+        stage.commands.send(ANNA, action, deadline=Deadline.within(30), confirm=True, id="mine")
+    )
     command = await worker.receive(Command)
     assert isinstance(command, Command)
     reason = await cause(stage)
