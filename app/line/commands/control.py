@@ -175,7 +175,7 @@ class Control:
         self._declined.clear()
 
     def _rests_s(self, who: str, now: Monotonic) -> float:
-        """Seconds for which an account whose request was declined may make no other."""
+        """Return for how many seconds an account whose request was declined may not make another."""
         declined_at = self._declined.get(who)
         return 0.0 if declined_at is None else declined_at + REQUEST_RESTS_S - now
 

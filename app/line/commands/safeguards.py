@@ -46,7 +46,7 @@ SIGNED_OUT = Message("holder_signed_out")
 REQUEST_EVERY_S, MAX_REQUESTS = 10.0, 6
 """How often control of a bus is requested, and how often at once: each request disturbs a person."""
 AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
-"""The account with this name, and its role; None where there is none."""
+"""Finds the account with a name, and its role; None if there is none."""
 
 
 class Safeguards:
@@ -126,7 +126,7 @@ class Safeguards:
         await self._record(BLOCK, person, before.reason if before else None, reason, unit)
 
     async def lift(self, person: Person, unit: int) -> None:
-        """Free a unit. Nothing happens to one that is free. Raises Problem 403."""
+        """Free a unit. Does nothing to a unit that is free. Raises Problem 403."""
         UNBLOCK.check(person)
         before = self.block_of(unit)
         if before is None:
@@ -147,7 +147,7 @@ class Safeguards:
         await self._record(SET_READ_ONLY, person, before.reason if before else None, new)
 
     async def end_read_only(self, person: Person) -> None:
-        """Let commands through again. Nothing happens where they are not kept. Raises Problem 403."""
+        """Let commands through again. Does nothing on a bus that is not read-only. Raises Problem 403."""
         END_READ_ONLY.check(person)
         before = self.read_only()
         if before is None:
@@ -165,7 +165,7 @@ class Safeguards:
         return self.control.objection(account, monotonic_now())
 
     def use_control(self, account: str) -> Message | None:
-        """Renew control for a write; the same as :meth:`objection` where another has control."""
+        """Renew control for a write. Returns why the account may not write, as :meth:`objection` does."""
         return self.control.use(account, monotonic_now())
 
     def holder(self) -> str:

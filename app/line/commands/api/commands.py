@@ -186,7 +186,7 @@ class CommandCall:
         scales: Scales | None = None,
     ) -> Response:
         """Send ``action`` and return its result as a response. ``scales``: what its values were converted
-        with, where they were not given raw."""
+        with, unless they were given raw."""
         deadline = deadline or self.deadline(body)
         result = await self.commands.send(
             self.person, action, deadline=deadline, confirm=body.confirm, id=self.key, scales=scales or None
