@@ -258,8 +258,7 @@ class Anchoring:
         known, ring = self._anchored, self._events.keys.ring
         if known is None:
             known = await self._in_thread(lambda: self._present(ring), within_s)
-        heads, _ = await self._events.proof.extent()
-        newest = newest_of(heads.values())
+        newest = newest_of((await self._events.proof.heads()).values())
         is_noted = (newest.id, newest.hash) == (known.id, known.hash)
         if is_noted and self._anchored is not None:
             return

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable, Mapping
+from contextlib import closing
 from dataclasses import astuple, dataclass, fields, replace
+from functools import partial
 from typing import Annotated, Any
 
 import msgspec
 from pydantic import ConfigDict, Field
 
 from app.core.database import Database, StoreConnection
-from app.core.database.connection import has_column
+from app.core.database.connection import has_column, open_for_reading
+from app.core.database.files import in_words
+from app.core.server.in_thread import in_thread
 from app.core.web.shape import MessageObject
 from app.people.audit.chain import (
     SITE,
@@ -240,43 +244,41 @@ def extent(connection: StoreConnection) -> tuple[dict[str, Head], int]:
     return {head.chain: head for head in heads}, rows[0]["last"] or 0
 
 
-def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]) -> AuditVerification:
-    """Verify the log, chunk by chunk, up to the entry that is the last one now."""
+def prove(
+    connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str], known: Head | None = None
+) -> AuditVerification:
+    """Verify the log up to the entry that is the last one now, and that it has the hashes of ``anchors``, by
+    entry. With ``known`` only what follows that entry, if the log has it. It reads chunk by chunk, so that
+    the store's checkpoint does not wait for a long log."""
     heads, last = extent(connection)
-    walk, number = _from_cut(connection, ring, anchors), LOWEST_ID
-    while (following := _follow_chunk(connection, walk, number, last)) is not None:
-        number = following
+    walk, number = _begun(connection, ring, anchors, known)
+    query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"
+    while chunk := [dict(row) for row in connection.execute(query, (number, last, CHUNK))]:
+        walk.follow(chunk)
+        if walk.fault is not None:
+            break
+        number = chunk[-1]["id"] + 1
     return walk.end(heads)
 
 
-def _from_cut(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]) -> Walk:
-    cut = newest_cut(connection, ring)
-    return Walk(ring, anchors) if cut is None else Walk(ring, anchors, cut.ends, cut.last)
-
-
-def _from_known(connection: StoreConnection, ring: KeyRing, known: Head) -> tuple[Walk, int]:
-    """Return a walk over what follows an entry, and the number it begins with. Over the complete log where
-    the entry is not there as known, or several chains go on from it."""
-    query = "SELECT id, hash, key, chain FROM events WHERE id = ?"
-    row = connection.execute(query, (known.id,)).fetchone()
-    if row is None or row["hash"] != known.hash or row["chain"] is not None:
+def _begun(
+    connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str], known: Head | None
+) -> tuple[Walk, int]:
+    """Return a walk and the number of its first entry: over the complete log unless it has the entry
+    ``known``, which it goes on from as a single chain."""
+    if known is not None:
+        query = "SELECT id, hash, key, chain FROM events WHERE id = ?"
+        row = connection.execute(query, (known.id,)).fetchone()
+        if row is not None and row["hash"] == known.hash and row["chain"] is None:
+            return Walk(ring, start={SITE: Head(row["id"], row["hash"], row["key"])}), known.id + 1
         anchors = {known.id: known.hash} if known.id else {}
-        return _from_cut(connection, ring, anchors), LOWEST_ID
-    return Walk(ring, start={SITE: Head(row["id"], row["hash"], row["key"])}), known.id + 1
-
-
-def _follow_chunk(connection: StoreConnection, walk: Walk, number: int, until: int) -> int | None:
-    """Verify at most `CHUNK` entries from ``number`` to ``until``; return the next number, None at the
-    end."""
-    query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"
-    chunk = [dict(row) for row in connection.execute(query, (number, until, CHUNK))]
-    walk.follow(chunk)
-    return chunk[-1]["id"] + 1 if chunk and walk.fault is None else None
+    cut = newest_cut(connection, ring)
+    walk = Walk(ring, anchors) if cut is None else Walk(ring, anchors, cut.ends, cut.last)
+    return walk, LOWEST_ID
 
 
 class LogProof:
-    """Verifies the log of a running server chunk by chunk in a thread, so that neither the event loop nor the
-    store's checkpoint waits for a long log."""
+    """Verifies the log of a running server, in a thread that does not delay the server's end."""
 
     def __init__(self, database: Database, keys: Keys) -> None:
         self._database = database
@@ -286,31 +288,18 @@ class LogProof:
     async def verify(self, anchors: Mapping[int, str] | None = None) -> AuditVerification:
         """Verify the complete log, and that it has the hashes of ``anchors``, by entry."""
         async with self._one_at_a_time:
-            heads, last = await self.extent()
-            ring = self._knowing(heads)
-            walk = await self._database.read(lambda connection: _from_cut(connection, ring, anchors or {}))
-            await self._follow(walk, LOWEST_ID, last)
-            return walk.end(heads)
+            return await in_thread(partial(self._prove, anchors or {}))
 
     async def since(self, known: Head) -> AuditVerification:
         """Verify that the log has the entry ``known``, which the anchor names, and what follows it."""
-        heads, last = await self.extent()
-        ring = self._knowing(heads)
-        walk, number = await self._database.read(lambda connection: _from_known(connection, ring, known))
-        await self._follow(walk, number, last)
-        return walk.end(heads)
+        return await in_thread(partial(self._prove, {}, known))
 
-    async def extent(self) -> tuple[dict[str, Head], int]:
-        """Return the newest entries as noted apart, and the number of the last one stored."""
-        return await self._database.read(extent)
+    async def heads(self) -> dict[str, Head]:
+        """Return the entries that were noted apart as the newest, by chain."""
+        return await self._database.read(heads_of)
 
-    def _knowing(self, heads: Ends) -> KeyRing:
-        return self._keys.knowing(newest_of(heads.values()).key)
-
-    async def _follow(self, walk: Walk, number: int, until: int) -> None:
-        def follow(connection: StoreConnection) -> int | None:
-            return _follow_chunk(connection, walk, number, until)
-
-        while (following := await self._database.read(follow)) is not None:
-            number = following
-            await asyncio.sleep(0)
+    def _prove(self, anchors: Mapping[int, str], known: Head | None = None) -> AuditVerification:
+        path = self._database.path
+        with in_words(path), closing(open_for_reading(path)) as connection:
+            ring = self._keys.knowing(newest_of(heads_of(connection).values()).key)
+            return prove(connection, ring, anchors, known)
