@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from app.core.database import Database, StoreConnection
-from app.people.audit.archive import ArchiveWriter, Month
+from app.people.audit.archive import Month, write_file
 from app.people.audit.chain import BEGINNING, ROTATED, Head, KeyRing, sealed_entry, sealed_head
 from app.people.audit.entry import new_entry
 from app.people.audit.proof import Cut, add_cut
@@ -58,9 +58,7 @@ class FormerLog:
     def archive(self, folder: Path, month: Month) -> None:
         """Move all entries into a file of the archive."""
         rows = self.database.read_now(lambda c: c.execute("SELECT * FROM events ORDER BY id").fetchall())
-        writer = ArchiveWriter(folder, month)
-        writer.write([dict(row) for row in rows])
-        name, digest = writer.close()
+        name, digest = write_file(folder, month, [[dict(row) for row in rows]])
         heads = {chain: [head.id, head.hash, head.key] for chain, head in sorted(self.ends.items())}
         text = json.dumps(heads, separators=(",", ":"))
         first, last = rows[0]["id"], rows[-1]["id"]

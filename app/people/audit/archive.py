@@ -13,20 +13,23 @@ import json
 import os
 import re
 import secrets
+import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from itertools import count, islice
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
 import structlog
 
 from app.core.database import Database, StoreConnection
-from app.core.database.files import FILE_MODE, sync_folder
+from app.core.database.connection import open_for_reading
+from app.core.database.files import FILE_MODE, in_words, sync_folder
 from app.core.server.in_thread import in_thread
 from app.errors import StoreError, system_error
 from app.people.audit.chain import Ends, KeyRing
@@ -37,6 +40,8 @@ from bus.messages import Message
 
 EVERY_S = 3600.0
 """The time between two looks whether a month is due, and before the first one."""
+LEFT_S = 86_400.0
+"""A file that was begun so long ago was left by a server that ended."""
 STEP_S = 60.0
 """A clock that was changed by more is not trusted for an hour."""
 MAX_REMOVED = 200
@@ -86,50 +91,45 @@ def months_due(oldest: UnixTime, now: UnixTime, keep: int, zone: ZoneInfo) -> li
     return [first.after(months) for months in range(over)]
 
 
-class ArchiveWriter:
-    """Writes one file, which ``close`` puts in its place and ``discard`` removes. Raises OSError."""
+def write_file(folder: Path, month: Month, chunks: Iterable[Sequence[Entry]]) -> tuple[str, str]:
+    """Write entries as the file of a month, and read it back; return its name and SHA-256. It replaces a file
+    with the same content and no other one: after a restore from a backup a month may have a second file.
+    Nothing is left of it after a failure. Raises EventArchiveError, OSError."""
+    if not folder.is_dir():
+        # It may be that of a disk that is not mounted: it is not made.
+        raise EventArchiveError(Message.of("audit_archive_folder_missing", folder=str(folder)))
+    for left in folder.glob(".events-*"):
+        if left.lstat().st_mtime < time.time() - LEFT_S:
+            left.unlink()
+    fresh, entries = folder / f".events-{month}.{secrets.token_hex(4)}", 0
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+    with os.fdopen(os.open(fresh, flags, FILE_MODE), "wb") as file:
+        try:
+            # Without its time and name: the same entries are the same bytes.
+            with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed:
+                for chunk in chunks:
+                    packed.write("".join(map(_line_of, chunk)).encode())
+                    entries += len(chunk)
+            file.flush()
+            os.fsync(file.fileno())
+            if sum(1 for _ in entries_in(fresh)) != entries:
+                raise EventArchiveError(Message.of("audit_archive_not_read_back", file=str(fresh)))
+            digest = digest_of(fresh)
+            names = (f"events-{month}{f'-{number}' * (number > 1)}.jsonl.gz" for number in count(1))
+            path = next(path for name in names if _is_free_for(path := folder / name, digest))
+            fresh.replace(path)
+        finally:
+            fresh.unlink(missing_ok=True)
+    sync_folder(folder)
+    return path.name, digest
 
-    def __init__(self, folder: Path, month: Month) -> None:
-        if not folder.is_dir():
-            # It may be that of a disk that is not mounted: it is not made.
-            raise EventArchiveError(Message.of("audit_archive_folder_missing", folder=str(folder)))
-        self._folder, self._month = folder, month
-        self._path = folder / f".events-{month}.{secrets.token_hex(4)}"
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        self._file: BinaryIO = os.fdopen(os.open(self._path, flags, FILE_MODE), "wb")
-        # Without its time and name: the same entries are the same bytes.
-        self._packed = gzip.GzipFile(filename="", mode="wb", fileobj=self._file, mtime=0)
-        self.entries = 0
 
-    def write(self, entries: list[Entry]) -> None:
-        lines = (json.dumps({k: v for k, v in each.items() if v is not None}) for each in entries)
-        self._packed.write("".join(f"{line}\n" for line in lines).encode())
-        self.entries += len(entries)
+def _line_of(entry: Entry) -> str:
+    return json.dumps({name: value for name, value in entry.items() if value is not None}) + "\n"
 
-    def close(self) -> tuple[str, str]:
-        """Put the file in its place on disk; return its name and SHA-256. It replaces a file with the same
-        content and no other one: after a restore from a backup a month may have a second file. Raises
-        EventArchiveError."""
-        self._packed.close()
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        self._file.close()
-        digest = digest_of(self._path)
-        if sum(1 for _ in entries_in(self._path)) != self.entries:
-            raise EventArchiveError(Message.of("audit_archive_not_read_back", file=str(self._path)))
-        names = (f"events-{self._month}{f'-{number}' * (number > 1)}.jsonl.gz" for number in count(1))
-        path = next(path for name in names if self._is_free_for(path := self._folder / name, digest))
-        self._path.replace(path)
-        sync_folder(self._folder)
-        return path.name, digest
 
-    def discard(self) -> None:
-        self._file.close()
-        self._path.unlink(missing_ok=True)
-
-    @staticmethod
-    def _is_free_for(path: Path, digest: str) -> bool:
-        return not os.path.lexists(path) or (path.is_file() and digest_of(path) == digest)
+def _is_free_for(path: Path, digest: str) -> bool:
+    return not os.path.lexists(path) or (path.is_file() and digest_of(path) == digest)
 
 
 def digest_of(path: Path) -> str:
@@ -242,11 +242,14 @@ class EventArchive:
         """Archive all months that are due. A failure is an event and :attr:`failing`, and is retried."""
         try:
             await self._remove_archived()
-            while self._folder is not None and (due := await self._next_due()):
-                await self._archive(self._folder, due)
+            while cut := await in_thread(self._write_next):
+                what = Message.of("event_archived", first=cut.first, last=cut.last, file=cut.file)
+                digest = Message.of("event_archived_digest", digest=cut.digest)
+                add = partial(add_cut, cut=cut)
+                await self._events.record(kind="audit", what=what, message=digest, also=add)
                 await self._remove_archived()
-        except (StoreError, OSError) as error:
-            await self._failed(error.message if isinstance(error, StoreError) else system_error(error))
+        except StoreError as error:
+            await self._failed(error.message)
         else:
             self.failing = None
 
@@ -260,72 +263,54 @@ class EventArchive:
             except StoreError as error:
                 log.error("failure of the archive not logged", why=str(error))
 
-    async def _next_due(self) -> _Due | None:
-        """Return the next entries to archive. They end before the first entry of a later month, so that a
-        clock that is ahead cannot archive the newest ones."""
-        cut = await self._newest_cut()
-        now, first, last = self._clock(), None, 0 if cut is None else cut.last
-        begin = last + 1
+    def _write_next(self) -> Cut | None:
+        """Write the next file of the archive; return its cut, sealed, or None if nothing is due."""
+        path, ring = self._database.path, self._events.keys.ring
+        if self._folder is None:
+            return None
+        with in_words(path), closing(open_for_reading(path)) as connection:
+            before = self._newest_cut(connection)
+            due = self._next_due(connection, before.last if before else 0)
+            if due is None:
+                return None
+            walk = Walk(ring, start=before.ends if before else None)
+            try:
+                name, digest = write_file(self._folder, due.month, _verified(connection, walk, due))
+            except OSError as error:
+                raise EventArchiveError(system_error(error)) from error
+        cut = Cut(due.last, due.first, name, digest, "", heads_text(walk.ends), self._clock())
+        return cut.sealed(ring)
+
+    def _newest_cut(self, connection: StoreConnection) -> Cut | None:
+        noted = cuts_of(connection)
+        if noted and not noted[-1].is_sealed(self._events.keys.ring):
+            raise EventArchiveError(Message.of("audit_archive_forged", file=noted[-1].file))
+        return noted[-1] if noted else None
+
+    def _next_due(self, connection: StoreConnection, cut: int) -> _Due | None:
+        """Return the next entries to archive after number ``cut``. They end before the first entry of a later
+        month, so that a clock that is ahead cannot archive the newest ones."""
+        now, first, last = self._clock(), None, cut
         due: list[Month] = []
-        while times := await self._database.read(partial(_times_after, number=last)):
-            for number, time in times:
-                if not 0 < float(time) <= float(now):
+        while times := _times_after(connection, last):
+            for number, at in times:
+                if not 0 < float(at) <= float(now):
                     continue  # of a clock that was wrong
                 if first is None:
-                    first, due = number, months_due(time, now, self._keep, self._zone)
-                while due and time >= due[0].after(1).begins(self._zone):
+                    first, due = number, months_due(at, now, self._keep, self._zone)
+                while due and at >= due[0].after(1).begins(self._zone):
                     month = due.pop(0)
-                    until = await self._database.read_costly(
-                        partial(_before_unfinished, first=begin, last=number - 1)
-                    )
-                    if until >= begin:
-                        return _Due(month, begin, until)
+                    until = _before_unfinished(connection, first=cut + 1, last=number - 1)
+                    if until > cut:
+                        return _Due(month, cut + 1, until)
                 if not due:
                     return None
             last = times[-1][0]
         return None
 
-    async def _newest_cut(self) -> Cut | None:
-        noted = await self._database.read(cuts_of)
-        if noted and not noted[-1].is_sealed(self._events.keys.ring):
-            raise EventArchiveError(Message.of("audit_archive_forged", file=noted[-1].file))
-        return noted[-1] if noted else None
-
-    async def _archive(self, folder: Path, due: _Due) -> None:
-        before = await self._newest_cut()
-        walk = Walk(self._events.keys.ring, start=before.ends if before else None)
-        writer = await in_thread(partial(ArchiveWriter, folder, due.month))
-        try:
-            await self._write(writer, walk, due)
-            name, digest = await in_thread(writer.close)
-        except BaseException:
-            writer.discard()
-            raise
-        cut = Cut(due.last, due.first, name, digest, "", heads_text(walk.ends), self._clock())
-        sealed = cut.sealed(self._events.keys.ring)
-        what = Message.of("event_archived", first=due.first, last=due.last, file=name)
-        digest_text = Message.of("event_archived_digest", digest=digest)
-        await self._events.record(
-            kind="audit", what=what, message=digest_text, also=partial(add_cut, cut=sealed)
-        )
-
-    async def _write(self, writer: ArchiveWriter, walk: Walk, due: _Due) -> None:
-        """Write the entries. Raises EventArchiveError if the log was altered: it then stays as evidence."""
-        number = due.first
-        while number <= due.last:
-            read = partial(_entries_between, first=number, last=due.last)
-            chunk = await self._database.read(read)
-            bare = [{name: value for name, value in each.items() if name != "part_of"} for each in chunk]
-            await in_thread(partial(walk.follow, bare))
-            if not chunk or walk.fault is not None:
-                altered = walk.fault or Message("audit_altered_after_anchor")
-                raise EventArchiveError(Message.of("audit_archive_of_altered", reason=altered))
-            await in_thread(partial(writer.write, chunk))
-            number = chunk[-1]["id"] + 1
-
     async def _remove_archived(self) -> None:
         """Remove archived entries, in short transactions."""
-        if await self._newest_cut() is None:
+        if await self._database.read(self._newest_cut) is None:
             return
         while await self._database.write(_remove_some):
             continue
@@ -350,13 +335,20 @@ def _before_unfinished(connection: StoreConnection, first: int, last: int) -> in
         last = parted - 1
 
 
-def _entries_between(connection: StoreConnection, first: int, last: int) -> list[Entry]:
-    """Return entries as they are stored, each with the change that it is a part of as ``part_of``."""
+def _verified(connection: StoreConnection, walk: Walk, due: _Due) -> Iterator[list[Entry]]:
+    """Yield entries as they are stored, chunk by chunk, each with the change that it is a part of as
+    ``part_of``. Raises EventArchiveError if the log was altered: it then stays as evidence."""
     query = (
         "SELECT e.*, p.change AS part_of FROM events e LEFT JOIN event_parts p ON p.event = e.id "
         "WHERE e.id >= ? AND e.id <= ? ORDER BY e.id LIMIT ?"
     )
-    return [dict(row) for row in connection.execute(query, (first, last, CHUNK))]
+    first = due.first
+    while chunk := [dict(row) for row in connection.execute(query, (first, due.last, CHUNK))]:
+        walk.follow({name: each[name] for name in each if name != "part_of"} for each in chunk)
+        if walk.fault is not None:
+            raise EventArchiveError(Message.of("audit_archive_of_altered", reason=walk.fault))
+        yield chunk
+        first = chunk[-1]["id"] + 1
 
 
 def _remove_some(connection: StoreConnection) -> bool:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 import shutil
 from collections.abc import AsyncIterator
-from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from zoneinfo import ZoneInfo
@@ -21,7 +21,6 @@ from app.people.audit import archive as module
 from app.people.audit.anchor import Anchoring, read_anchor_file
 from app.people.audit.archive import (
     ArchiveProof,
-    ArchiveWriter,
     EventArchive,
     EventArchiveError,
     Month,
@@ -29,6 +28,7 @@ from app.people.audit.archive import (
     month_of,
     months_due,
     prove_archive,
+    write_file,
 )
 from app.people.audit.chain import KeyRing
 from app.people.audit.keys import Keys
@@ -200,23 +200,33 @@ async def test_a_missing_folder_removes_nothing_and_is_reported_once(log: Log) -
 async def test_a_full_disk_leaves_nothing_and_removes_nothing(
     log: Log, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(_self: ArchiveWriter, _entries: object) -> None:
+    def full(_file: int) -> None:
         raise OSError(28, "No space left on device")
 
     await log.five_months()
-    monkeypatch.setattr(ArchiveWriter, "write", full)
-    await log.archive.archive_due()
+    with monkeypatch.context() as disk:
+        disk.setattr(module.os, "fsync", full)
+        await log.archive.archive_due()
     assert log.archive.failing is not None
     assert (log.files(), await log.cuts(), (await log.numbers())[0]) == ([], [], 1)
+
+
+async def test_a_file_that_an_ended_server_left_is_removed_after_a_day(log: Log) -> None:
+    await log.five_months()
+    old, new = log.folder / ".events-2026-01.0", log.folder / ".events-2026-01.1"
+    for left in (old, new):
+        left.touch()
+    os.utime(old, (1.0, 1.0))
+    await log.archive.archive_due()
+    assert log.files() == [new.name, "events-2026-01.jsonl.gz", "events-2026-02.jsonl.gz"]
 
 
 async def test_a_server_that_ended_before_the_cut_writes_the_same_file(log: Log) -> None:
     await log.five_months()
     written = log.folder / "events-2026-01.jsonl.gz"
-    with suppress(EventArchiveError):
-        writer = ArchiveWriter(log.folder, Month(2026, 1))
-        writer.write(await log.database.read(lambda c: module._entries_between(c, 1, 6)))
-        writer.close()
+    query = "SELECT * FROM events WHERE id <= 6 ORDER BY id"
+    entries = await log.database.read(lambda c: [dict(row) for row in c.execute(query)])
+    write_file(log.folder, Month(2026, 1), [entries])
     before = written.read_bytes()
     await log.started().archive_due()
     assert written.read_bytes() == before
