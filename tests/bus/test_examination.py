@@ -1,4 +1,4 @@
-"""The rules of a scan, with made-up outcomes: what one address is taken for."""
+"""The rules of a scan, with made-up outcomes: what an address is taken for, and which comes next."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from itertools import pairwise
 import pytest
 
 from bus.line.examination import (
+    PASSES,
     Examination,
     Found,
+    Passes,
     Probe,
     ProbeOutcome,
     conclude,
@@ -269,3 +271,35 @@ def test_what_turns_at_speed_has_no_emergency_stop(
         return replace(outcome, reply=status) if isinstance(outcome.reply, StatusReply) else outcome
 
     assert found(respond).estop_healthy == healthy
+
+
+def requested(addresses: range, responses: dict[int, int]) -> tuple[list[int], list[int]]:
+    """Return the requested addresses, and the progress after each; ``responses``: unit -> the try that it
+    responds to.
+    """
+    passes, seen, settled = Passes(addresses), list[int](), list[int]()
+    for unit in passes:
+        seen.append(unit)
+        passes.note(found=seen.count(unit) == responses.get(unit))
+        settled.append(passes.settled)
+    assert settled == sorted(settled)
+    assert settled[-1] == PASSES * len(addresses)
+    assert passes.done == len(addresses)
+    return seen, settled
+
+
+def test_addresses_without_a_response_are_probed_twice() -> None:
+    assert requested(range(1, 4), {2: 1}) == ([1, 2, 3, 1, 3], [1, 3, 4, 5, 6])
+
+
+def test_passes_repeat_while_they_find_a_unit() -> None:
+    assert requested(range(1, 3), {1: 2})[0] == [1, 2, 1, 2, 2]
+    assert requested(range(1, 4), {1: 2, 2: 3})[0] == [1, 2, 3, 1, 2, 3, 2, 3, 3]
+
+
+def test_four_times_at_the_most() -> None:
+    assert requested(range(1, 5), {1: 2, 2: 3, 3: 4})[0].count(4) == 4
+
+
+def test_where_all_units_respond_none_is_probed_twice() -> None:
+    assert requested(range(1, 4), {1: 1, 2: 1, 3: 1}) == ([1, 2, 3], [2, 4, 6])

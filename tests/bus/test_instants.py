@@ -1,14 +1,15 @@
-"""Moments and durations are both floats at run time, and never each other for the type checker."""
+"""Moments and durations are never each other for the type checker; a clock that was set is noticed."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import msgspec
+import pytest
 from mypy import api
 from pydantic import TypeAdapter
 
-from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
+from bus.instants import ClockWatch, Monotonic, UnixTime, monotonic_now, unix_now
 
 RIGHT = """
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
@@ -58,3 +59,20 @@ def test_they_are_floats_at_run_time() -> None:
     assert isinstance(monotonic_now(), float)
     assert msgspec.json.decode(b"1.5", type=UnixTime) == TypeAdapter(Monotonic).validate_json("1.5") == 1.5
     assert TypeAdapter(UnixTime).json_schema() == {"type": "number"}
+
+
+def test_a_running_clock_has_no_step() -> None:
+    watch = ClockWatch(1000.0, 5.0)
+    assert [watch.step(1000.0 + i, 5.0 + i) for i in range(1, 5)] == [0.0] * 4
+
+
+@pytest.mark.parametrize("step", [-3600.0, 3600.0, 1.5, -1.0])
+def test_a_step_is_reported_once_with_its_size(step: float) -> None:
+    watch = ClockWatch(1000.0, 5.0)
+    assert watch.step(1001.0 + step, 6.0) == pytest.approx(step)
+    assert watch.step(1002.0 + step, 7.0) == 0.0
+
+
+def test_a_slow_correction_is_none() -> None:
+    watch = ClockWatch(0.0, 0.0)
+    assert all(watch.step(i * 1.01, float(i)) == 0.0 for i in range(1000))

@@ -1,4 +1,4 @@
-"""Ports: pseudo-terminals and TCP, opened, used, lost; and the error when one cannot be opened."""
+"""Ports: pseudo-terminals and TCP, opened, used, kept open, lost; and why one cannot be opened."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import sys
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 import serial
@@ -21,7 +22,9 @@ import uvloop
 
 from bus.errors import WireError
 from bus.line import device_server as tcp
+from bus.line.line_loop import LineLoop
 from bus.line.open_port import open_port
+from bus.line.opener import Opener
 from bus.line.port import OpenPort, PartlySent, PortUnavailable, users_of, why_not
 from bus.messages import Message
 from bus.settings import Dialect
@@ -30,6 +33,7 @@ from bus.simulator.plant import demo_line
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.serve import LineServer
 from bus.wire.commands import ReadStatusRequest, encode_request
+from tests.bus.played_clock import PlayedClock
 
 PATIENCE_S = 20.0
 POLL = encode_request(ReadStatusRequest(1), Dialect())
@@ -296,3 +300,46 @@ sys.stdin.read()
             pytest.skip("nothing can be mounted here")
         assert opened == name
         assert int(pid) not in dict(users)
+
+
+class WellPort:
+    """One that is well until it is closed."""
+
+    is_closed = False
+
+    def check(self) -> list[str]:
+        """It is there."""
+        return []
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+async def test_a_port_that_is_lost_in_the_turn_in_which_the_worker_ends_does_not_keep_it() -> None:
+    port, opened = WellPort(), asyncio.Event()
+    lost: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
+
+    async def run(_port: Any) -> Message:
+        opened.set()
+        return await lost
+
+    line = SimpleNamespace(
+        bus=SimpleNamespace(port="/dev/ttyUSB0"),
+        baud=9600,
+        clock=PlayedClock(),
+        link=SimpleNamespace(has_responses=False),
+        run=run,
+    )
+
+    async def open_it(*_: Any) -> Any:
+        return port
+
+    task = asyncio.create_task(Opener(cast(LineLoop, line), open_it).run())
+    await opened.wait()
+    await asyncio.sleep(0)
+    lost.set_result(Message("adapter_gone"))
+    task.cancel()
+    done, _ = await asyncio.wait({task}, timeout=20)
+    assert done == {task}
+    assert task.cancelled()
+    assert port.is_closed

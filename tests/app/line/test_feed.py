@@ -1,4 +1,4 @@
-"""A worker on the real WebSocket: order of messages, losses, duplicates, refusals, and what it leaves."""
+"""Workers on the real WebSocket: order of messages, losses, refusals, and who has a bus."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from pathlib import Path
 import msgspec
 import pytest
 import websockets
+from starlette.types import Message as AsgiMessage
+from starlette.websockets import WebSocket, WebSocketState
 
 from app.line.feed import bus_feed
-from app.line.feed.bus_feed import Ending
-from app.line.feed.socket import GOING_AWAY
+from app.line.feed import socket as sockets
+from app.line.feed.bus_feed import Credential, Ending, Holder
+from app.line.feed.socket import GOING_AWAY, WorkerSocket
 from app.line.pipeline import OTHER_RELEASE
 from app.people.audit.queries import Filter
 from bus.contract import (
@@ -370,3 +373,75 @@ def _commanded(stage: Stage) -> int | None:
 
 def _fields(message: object) -> dict[str, object]:
     return {name: getattr(message, name) for name in message.__struct_fields__}  # type: ignore[attr-defined]
+
+
+A = Credential("a", "dry-end", "192.0.2.1")
+B = Credential("b", "dry-end", "192.0.2.2")
+OWN = Credential("worker", "dry-end", "127.0.0.1", own=True)
+
+
+@pytest.mark.parametrize("ending", Ending)
+def test_a_bus_is_reserved_for_as_long_as_its_ending_allows(ending: Ending) -> None:
+    holder = Holder("w1", A)
+    assert not holder.yields_to("w2", A, 1e9), "while it is connected, another is always refused"
+    holder.connection_ended(ending, 100.0)
+    for credential in (A, B):
+        assert not holder.yields_to("w2", credential, 99.9 + ending.value)
+        assert holder.yields_to("w2", credential, 100.0 + ending.value)
+
+
+def test_the_same_process_may_return_at_any_time_and_only_by_its_own_token() -> None:
+    holder = Holder("w1", A)
+    assert holder.yields_to("w1", A, 0.0)
+    assert not holder.yields_to("w1", B, 0.0), "a worker's id is no secret"
+
+
+@pytest.mark.parametrize(("port_seen", "yields"), [(False, True), (True, False)])
+def test_a_child_yields_to_a_worker_elsewhere_until_its_port_was_open(port_seen: bool, yields: bool) -> None:
+    holder = Holder("w1", OWN, port_seen)
+    assert holder.yields_to("w2", A, 0.0) is yields
+    assert not holder.yields_to("w2", OWN, 0.0)
+
+
+@pytest.mark.parametrize("port_seen", [False, True])
+def test_a_childs_successor_need_not_wait(port_seen: bool) -> None:
+    holder = Holder("w1", OWN, port_seen)
+    holder.connection_ended(Ending.CUT, 100.0)
+    assert holder.yields_to("w2", OWN, 100.0)
+    assert holder.yields_to("w2", A, 100.0) is not port_seen
+
+
+def test_a_worker_elsewhere_never_yields_to_a_child() -> None:
+    holder = Holder("w1", A)
+    assert not holder.yields_to("w2", OWN, 0.0)
+
+
+def unread() -> WebSocket:
+    """A WebSocket whose peer reads nothing: every send waits."""
+
+    async def receive() -> AsgiMessage:
+        return await asyncio.Future()
+
+    async def send(_: AsgiMessage) -> None:
+        await asyncio.Future()
+
+    made = WebSocket({"type": "websocket", "path": "/feed", "headers": []}, receive, send)
+    made.client_state = made.application_state = WebSocketState.CONNECTED
+    return made
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit is over at once."""
+    monkeypatch.setattr(sockets, "SEND_WITHIN_S", 0.0)
+
+
+async def test_a_send_without_a_reader_ends_as_a_lost_connection() -> None:
+    async with asyncio.timeout(60):
+        with pytest.raises(ConnectionError):
+            await WorkerSocket(unread()).send(ClockSync(app_time=1.0))
+
+
+async def test_neither_does_its_close_wait() -> None:
+    async with asyncio.timeout(60):
+        await WorkerSocket(unread()).close("enough")
