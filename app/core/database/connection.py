@@ -1,4 +1,4 @@
-"""Connections to a store: one that writes, and those that only read."""
+"""Connections to a store, one that writes and those that only read, and what queries have in common."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, TypeVar
 
+import msgspec
+
 from app.core.database.files import in_words, make_file, make_folder, refuse_link
+from bus.messages import Message
 
 T = TypeVar("T")
 StoreConnection = sqlite3.Connection
@@ -18,6 +21,8 @@ Synchronous = Literal["FULL", "NORMAL"]
 STEPS = 20_000
 """Steps of SQLite between two checks of the clock: a few milliseconds."""
 BUSY_S = 5.0
+UNREADABLE = Message("stored_text_unreadable")
+_DECODER = msgspec.json.Decoder(list[Message])
 
 
 def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.Connection:
@@ -127,6 +132,20 @@ def size_of(connection: sqlite3.Connection) -> int:
 
 
 def is_intact(connection: sqlite3.Connection, table: str = "") -> bool:
-    """Check the pages of one table, or of all. Raises DamagedStoreError if even that cannot be done."""
+    """Return whether the pages of one table, or of all, are sound. Raises DamagedStoreError if even that
+    cannot be checked."""
     check = f"PRAGMA quick_check({table})" if table else "PRAGMA quick_check"
     return [row[0] for row in connection.execute(check)] == ["ok"]
+
+
+def stored_messages(messages: Sequence[Message]) -> str:
+    """Return messages as the JSON of a column."""
+    return msgspec.json.encode(messages).decode()
+
+
+def messages_of(text: str) -> list[Message]:
+    """Return the messages of a column; a text that holds none, which nothing here writes, becomes one."""
+    try:
+        return _DECODER.decode(text)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError):
+        return [UNREADABLE]

@@ -183,10 +183,9 @@ class Reserve:
     """Disk space that is kept for commands, so that they are still recorded, and sent, on a full disk.
 
     A file takes the space while there is enough. Before each transaction of the main store it gives up what
-    the transaction may need; all other stores stop earlier, at `MIN_FREE_OF_OTHERS`.
-
-    The space of one data folder, used by the thread that writes the main store; `left` may be read by
-    any."""
+    the transaction may need; all other stores stop earlier, at `MIN_FREE_OF_OTHERS`. Only the thread that
+    writes the main store uses it; `left` may be read by any.
+    """
 
     def __init__(self, folder: Path, size: int = SIZE) -> None:
         make_folder(folder)

@@ -66,8 +66,7 @@ _SOCKET_SCHEMES = {"http": "ws", "https": "wss"}
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The client that a trusted proxy reports; ``scheme`` and ``host`` are empty if it does not report
-    them."""
+    """The client that a trusted proxy reports; ``scheme`` and ``host`` are empty if they are not reported."""
 
     address: str
     scheme: str = ""

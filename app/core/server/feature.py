@@ -1,5 +1,4 @@
-"""The way by which clients reach the server: in clear, or by TLS with a certificate that its files may
-replace."""
+"""The encryption of the server: none, or TLS by a certificate that is replaced when its files change."""
 
 from __future__ import annotations
 
@@ -7,7 +6,7 @@ from functools import partial
 
 import structlog
 
-from app.core.server.tls import Encryption, ServerEvents
+from app.core.server.tls import Encryption, ServerCertificate, ServerEvents
 from app.feature import Feature, Services
 from bus.messages import Message
 
@@ -17,8 +16,6 @@ _log = structlog.get_logger()
 def make(services: Services) -> None:
     server, certificate = services.settings.server, None
     if server.tls is not None:
-        from app.core.server.tls import ServerCertificate
-
         certificate = ServerCertificate(server.tls)
         services.lifespan.add(
             "certificate", partial(certificate.follow, partial(_record, services[ServerEvents]))

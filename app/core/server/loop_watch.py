@@ -64,7 +64,7 @@ class TcpSocket(Protocol):
     """What asyncio and uvloop give as ``get_extra_info("socket")``."""
 
     def getsockopt(self, level: int, option: int, size: int, /) -> bytes:
-        """Raises OSError where the system or the kind of socket knows no such option."""
+        """Return an option. Raises OSError if the system or the kind of socket does not know it."""
 
 
 def age_s(connection: TcpSocket | None) -> float | None:

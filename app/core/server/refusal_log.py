@@ -113,8 +113,8 @@ class RefusalLog:
 
 
 class ErrorLines(logging.Handler):
-    """Logs the errors that uvicorn and asyncio report, each once a minute: with its traceback where it is a
-    failure of ours, without where a client has caused it."""
+    """Logs the errors that uvicorn and asyncio report, each once a minute: a failure of ours with its
+    traceback, one that a client has caused without."""
 
     def __init__(self, now: MonotonicClock = monotonic_now) -> None:
         super().__init__(logging.ERROR)

@@ -153,12 +153,12 @@ class ServerCertificate:
 
     @property
     def fault(self) -> Message | None:
-        """Why the certificate in the files is not used, or is not valid."""
+        """Return why the certificate in the files is not used, or is not valid; None if neither is so."""
         file = self._settings.certificate
         return self._refusal or date_fault(self._contexts.certificate, file, self._clock())
 
     def context_for(self, client_hello: bytes) -> ssl.SSLContext:
-        """Return the context for a client by its first record."""
+        """Return the context for a client, by its first record."""
         is_worker = WORKER_ALPN.encode() in client_hello
         return self._contexts.workers if is_worker else self._contexts.browsers
 
@@ -222,7 +222,7 @@ class ServerEvents(Protocol):
 
 @dataclass(frozen=True)
 class Encryption:
-    """Whether connections are encrypted. ``certificate``: that of HTTPS, if it is configured; ``is_missing``:
+    """The encryption of connections. ``certificate``: that of HTTPS, if it is configured; ``is_missing``:
     other machines reach this one in clear."""
 
     certificate: ServerCertificate | None

@@ -10,9 +10,8 @@ from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 from app.core.database import StoreConnection
-from app.core.database.connection import upsert
+from app.core.database.connection import messages_of, stored_messages, upsert
 from app.core.database.database import Tables, writing
-from app.core.database.messages import messages_of, stored_messages
 from app.core.web.access import Person, account_shown
 from app.core.web.arrival import Deadline
 from app.engineering.sets.lookup import FormSource, side

@@ -13,8 +13,7 @@ from structlog.testing import capture_logs
 
 from app.core.database import Database
 from app.core.database import migration as copies
-from app.core.database.connection import examining
-from app.core.database.messages import UNREADABLE, messages_of, stored_messages
+from app.core.database.connection import UNREADABLE, examining, messages_of, stored_messages
 from app.core.database.migration import (
     MIGRATIONS,
     Presence,
