@@ -68,7 +68,7 @@ _TOKEN = " (token)"
 
 
 def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
-    """Raises CallerError for a word that is none of these."""
+    """Return the role with this name. Raises CallerError for any other word."""
     roles = list(among)
     if word not in roles:
         raise CallerError(Message.of("no_such_role", role=word[:80], known=", ".join(roles)))
@@ -86,7 +86,7 @@ class Caller:
     panel: bool = False
     home: str = "/"
     created_at: UnixTime = UnixTime(0.0)
-    """When the account was made, Unix time in seconds: a later one of the same name is another."""
+    """When the account was made, Unix time in seconds: it distinguishes a later account of the same name."""
     bus: str = ""
     """The one bus that a worker speaks for."""
     has_company_account: bool = False

@@ -251,7 +251,7 @@ def _complete(operation: dict[str, Any], *, is_write: bool) -> None:
             parameter.setdefault("description", PARTS["parameters"][name])
     for content in operation.get("requestBody", {}).get("content", {}).values():
         match content["schema"]:
-            # A body that is not required can be left out: generated clients fail where it may be null, too.
+            # Generated clients fail at a body that may be left out and may also be null.
             case {"anyOf": [schema, {"type": "null"}]}:
                 content["schema"] = schema
     if is_write:

@@ -71,7 +71,7 @@ def _without_comments(name: str, body: bytes) -> bytes:
 
 
 class Asset:
-    """One file as it is sent. It is kept once: as gzip, where that is smaller."""
+    """A file as it is sent, kept as gzip if that is smaller."""
 
     def __init__(self, body: bytes, media_type: str) -> None:
         self.media_type = media_type

@@ -185,7 +185,8 @@ ON_PHONE = 4
 
 @dataclass(frozen=True, slots=True)
 class PageLines:
-    """Which lines there are: ``has_several``, or a peer, so that there is a choice; ``has_own``, by a bus."""
+    """The lines of the site. ``has_several``: there is a choice, also by a peer; ``has_own``: this server has
+    a bus."""
 
     has_several: bool
     has_own: bool

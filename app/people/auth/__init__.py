@@ -1,1 +1,1 @@
-"""Who: users, roles, sessions, tokens. Everything is refused that is not allowed by name."""
+"""Users, roles, sessions and tokens. What is not allowed by name is refused."""

@@ -22,9 +22,9 @@ from bus.messages import Message, ParamValue, term
 
 @dataclass(eq=False, repr=False)
 class Accounts:
-    """Every change takes ``by``: who makes it, whose role is checked here. ``buses``: those of the
-    configuration, for the tokens of workers; ``site``: its name, which no password may contain. A change
-    raises Problem 403 for a person without its role."""
+    """The users and tokens of a site. Every change takes ``by``: who makes it, whose role is checked here,
+    and raises Problem 403 for a person without its role. ``buses``: those of the configuration, for the
+    tokens of workers; ``site``: its name, which no password may contain."""
 
     _database: Database
     _events: EventLog

@@ -1,4 +1,4 @@
-"""Who: accounts, sign-ins, and what each may do."""
+"""The feature of accounts, sign-ins, and what each account may do."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ CALLBACK = "/login/oidc/callback"
 ATTEMPT_COOKIE = "lineside_login"
 """What a browser keeps of a login by a company account that is under way."""
 REAUTHENTICATE_COOKIE = "lineside_reauthenticate"
-"""Of a browser in which someone has logged out: the next company account signs in at its provider again."""
+"""Marks a browser in which someone has logged out: its next company account signs in again there."""
 
 
 @router.get("/login", dependencies=[Depends(public)])
@@ -270,7 +270,7 @@ async def _sign_in(
 
 async def signed_in(request: Request, sign_in: SignIn, begun: SignedIn, next_page: str) -> Response:
     """Redirect to the page that was wanted, with the cookies of the session. The session that the browser had
-    before ends: nothing else could end it any more."""
+    before ends: nothing else could end it."""
     before = caller_of(request)
     if before is not None and before.via == "session":
         await sign_in.sign_out(request.cookies[session_name(request)], before.granted(LOG_OUT.role))

@@ -21,8 +21,8 @@ from bus.validation import composed
 
 MIN_PASSWORD, MAX_PASSWORD = 12, 256
 MAX_CODE_POINTS = 4 * MAX_PASSWORD
-"""Of a password whose accents are typed as separate characters (NFD).
-Argon2 works on all of it; bounds the work of one request."""
+"""Bound of a password whose accents are typed as separate characters (NFD). Argon2 works on all of it, so
+this bounds the work of one request."""
 MIN_PIECES = 7
 MIN_SIGNS = 5
 MIN_PIECES_OF_PIN = 4
@@ -58,7 +58,7 @@ _SHORTEST_WORD = min(map(len, _WORDS))
 _ROWS = ((0.0, "1234567890-="), (0.5, "qwertyuiop[]"), (0.75, "asdfghjkl;'"), (1.25, "zxcvbnm,./"))
 _KEYS = {sign: (x + shift, float(y)) for y, (shift, row) in enumerate(_ROWS) for x, sign in enumerate(row)}
 _SWAPPED = str.maketrans("yz", "zy")
-"""Swaps Y and Z, as a German keyboard does against an English one."""
+"""Swaps Y and Z, which a German keyboard has the other way round."""
 _PAD = {
     digit: (float(x), float(y)) for y, row in enumerate(("123", "456", "789")) for x, digit in enumerate(row)
 }
@@ -205,7 +205,7 @@ def _repeated(text: str, place: int) -> int:
 
 
 _hasher = PasswordHasher(time_cost=5, memory_cost=7 * 1024, parallelism=1)
-"""Of OWASP's equally strong choices the one with the least memory: a flood of sign-ins takes it twice."""
+"""OWASP's choice with the least memory among equally strong ones: a flood of sign-ins takes it twice."""
 
 
 async def hash_secret(secret: str) -> str:

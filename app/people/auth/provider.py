@@ -41,7 +41,7 @@ REFRESH_WITHIN_S, EXCHANGE_S = 10.0, 8.0
 SOCKET_S = 5.0
 MAX_CONNECTIONS = 6
 MAX_BYTES = 256 * 1024
-"""Of a response. The keys of Entra ID are 20 KB."""
+"""Bound of a response. The keys of Entra ID are 20 KB."""
 MAX_KEYS = 100
 REFRESH_S = 300.0
 FIRST_WAIT_S, MAX_WAIT_S = 2.0, 60.0
@@ -68,7 +68,7 @@ Claims = Mapping[str, Any]
 
 
 class ProviderError(LinesideError):
-    """Why the provider is of no use now, without what it wrote."""
+    """Why the provider is of no use now. The text holds nothing that it wrote."""
 
 
 class InvalidTokenError(Exception):
@@ -228,8 +228,8 @@ class Provider:
         )
 
     async def _redeem(self, metadata: Metadata, code: str, verifier: str, callback: str) -> str:
-        """Return the ID token for a code. Raises NotAdmittedError where there is none, as for a made-up code:
-        that is no fault of the provider, and must not close it to all others."""
+        """Return the ID token for a code. Raises NotAdmittedError for a code that gives none, as one that was
+        made up: that is no fault of the provider, and must not close it to all others."""
         credentials = (self.settings.client_id, read_secret_text(self.settings.client_secret_file))
         # RFC 6749, 2.3.1 has both encoded in the header, which Authlib leaves out.
         in_header = httpx2.BasicAuth(*map(quote_plus, credentials))
@@ -330,7 +330,7 @@ class _BoundedTransport(httpx2.AsyncHTTPTransport):
 
 @contextmanager
 def _reading(url: str) -> Iterator[None]:
-    """Raises ProviderError for a provider that cannot be reached, or whose response is none."""
+    """Raises ProviderError for a provider that cannot be reached, or whose response is malformed."""
     try:
         yield
     except httpx2.HTTPStatusError:

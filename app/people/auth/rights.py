@@ -30,7 +30,7 @@ from bus.messages import Message
 
 WATCH_EVERY_S = 0.5
 FRESH_S = 1.0
-"""What was read longer ago permits nothing before the store has been read again."""
+"""Rights that were read longer ago permit nothing until the store has been read again."""
 RECHECK_S = 20.0
 """How often an open connection looks up a right that ends without a change, as the idle time of a session."""
 
@@ -65,7 +65,7 @@ def why_withdrawn(person: Caller, standing: Standing | None) -> Message | None:
 
 @dataclass(eq=False, repr=False)
 class Rights:
-    """Holds the rights of every account. ``changes``: how often one of them has changed."""
+    """The rights of every account, in memory. ``changes``: how often one of them has changed."""
 
     _database: Database
     clock: Clock = unix_now
@@ -226,7 +226,8 @@ def _company_account(row: StoreRow) -> CompanyAccount | None:
 
 
 def withhold(restored: StoreConnection, present: Present | None, *, keep_tokens: bool = False) -> Withheld:
-    """Remove from the restored store the rights withdrawn since; ``present`` None: unknown which."""
+    """Remove from a restored store the rights withdrawn since its backup. ``present``: None if it is unknown
+    which."""
     restored.execute("DELETE FROM sessions")
     gone = [] if keep_tokens else _tokens_unknown(restored, present)
     restored.executemany("DELETE FROM tokens WHERE hash = ?", [(hash_,) for hash_, _ in gone])

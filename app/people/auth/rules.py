@@ -17,7 +17,7 @@ from bus.messages import Message, term
 
 MAX_NAME = 40
 _LETTERS = frozenset(string.ascii_letters + string.digits + "._@-" + "ßæœøþłÆŒØÞŁ")
-"""A name has these, each with or without accents: no letter of one script looks like one of another."""
+"""What a name consists of, with or without accents: letters of one script, as those of others look alike."""
 _SAME_SHAPE = str.maketrans("01i", "oll")
 """Look-alikes in a sans-serif font, in small letters: ``I``, ``l`` and 1."""
 

@@ -39,7 +39,7 @@ MAX_HASHED_AT_ONCE = 2
 """Each takes 20 ms of a core."""
 MAX_WAITING_OF_PLACE = 5
 MAX_WAITING = 200
-"""Two seconds' worth; half of them at most from places that never signed in."""
+"""Two seconds of hashing; at most half of it for places from which no one has signed in."""
 
 
 class WrongSecretError(Problem):
@@ -78,7 +78,7 @@ class SignIn:
     ) -> SignedIn:
         """Begin a session. ``device``: the cookie of a browser that has signed in before.
 
-        Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 with the time to wait
+        Raises WrongSecretError, after which `note_refusal` is to be called; Problem 429 with the time to wait
         after too many, 403 for a panel that has more rights than a panel may have.
         """
         user = await self.identify(name, secret, address, panel=panel, device=device)
@@ -93,7 +93,7 @@ class SignIn:
     ) -> User:
         """Return the user whose password or PIN it is: who signs in, or signs at the page of another.
 
-        Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 after too many.
+        Raises WrongSecretError, after which `note_refusal` is to be called; Problem 429 after too many.
         """
         if not name or not secret:
             # No user has an empty name or secret: it is not checked, costs nothing, and is no event.
@@ -104,13 +104,13 @@ class SignIn:
         return user
 
     async def has_company_account(self, name: str) -> bool:
-        """Whether there is such a user who has no password here."""
+        """Whether the user of this name signs in by a company account."""
         found = await self._database.read(lambda connection: store.user(connection, name))
         return found is not None and found[0].company_account is not None
 
     async def check_present(self, name: str, secret: str, address: str, device: str = "") -> None:
-        """Check the present password of who wants to change it, with the same limits as a sign-in. Raises
-        CallerError where it is wrong, Problem 429 after too many."""
+        """Check the present password before it is changed, with the limits of a sign-in. Raises CallerError
+        for a wrong one, Problem 429 after too many."""
         if await self._checked(name, secret, address, device, panel=False) is None:
             await count_refusal(self._events, "user", Message("event_password_change_refused"), name, address)
             raise CallerError(Message("present_password_wrong"))
@@ -234,7 +234,7 @@ async def count_refusal(
     events: EventLog, kind: EventKind, what: Message, who: str | Message, address: str, message: str = ""
 ) -> None:
     """Count a refusal in the events; of an IPv6 address the subnet, as a sender has as many of its addresses
-    as it likes. A refusal holds without its event, too: the disk may be full."""
+    as it likes. Without its event a refusal still holds: the disk may be full."""
     with suppress(StoreError):
         await events.repeated.count(kind, what, who=who, origin=source_of(address), message=message)
 
@@ -252,7 +252,7 @@ def _too_soon(seconds: int) -> Problem:
 
 
 _LETTERS = "ABCDEFGHJKMNPQRSTVWXYZ23456789"
-"""Without those that look alike."""
+"""Letters and digits of which no two look alike."""
 GROUPS, GROUP = 3, 4
 """59 bits: a guess every ten seconds finds none."""
 
@@ -270,7 +270,7 @@ class FirstAdmin:
     _throttle: Throttle = field(default_factory=Throttle)
 
     async def start(self) -> None:
-        """Make the code where there is no user yet."""
+        """Make the code if there is no user yet."""
         if await self._sign_in.has_no_users():
             self.code = new_code()
 
@@ -279,8 +279,9 @@ class FirstAdmin:
         return bool(self.code) and await self._sign_in.has_no_users()
 
     async def create(self, code: str, name: str, password: str, again: str, address: str) -> None:
-        """Create the admin; the code is spent then. Raises Problem 409 where there is a user, 429 after too
-        many wrong codes, 401 for a wrong one, and CallerError for a name or a password that cannot be."""
+        """Create the admin, after which the code is spent. Raises Problem 409 if there is a user, 429 after
+        too many wrong codes, 401 for a wrong one, and CallerError for a name or a password that is
+        refused."""
         if not await self.is_open():
             raise Problem(409, "not_in_state", Message("first_admin_exists"))
         self._check(code, address)
@@ -309,7 +310,7 @@ class FirstAdmin:
 
 
 class WrongCodeError(Problem):
-    """The refusal, 401, of a wrong code; the caller owes `FirstAdmin.note_refusal`."""
+    """The refusal, 401, of a wrong code; `FirstAdmin.note_refusal` is to be called after it."""
 
 
 def new_code() -> str:

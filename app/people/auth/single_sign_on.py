@@ -44,7 +44,7 @@ MAX_WAITING_OF_PLACE, MAX_WAITING = 5, 100
 ALL_S = 10.0
 """How long a browser that is back from the provider waits, for its turn and for the provider."""
 FAILURES, FAILURES_PER_S = 10, 0.2
-"""Of one address: at once, and in the long run. Only a browser that makes up codes fails so often."""
+"""Failures of one address, at once and per second. Only a browser that makes up codes fails so often."""
 MAX_CODE = 4096
 
 _log = structlog.get_logger()
@@ -86,7 +86,8 @@ class SingleSignOn:
         return None if self.provider is None else self.provider.fault
 
     async def start(self) -> None:
-        """Load what speaks OpenID Connect, in another thread. Raises LinesideError where it is missing."""
+        """Load the package that speaks OpenID Connect, in another thread. Raises LinesideError if it is
+        missing."""
         if self.settings is not None:
             require_package()
             await asyncio.to_thread(import_module, "app.people.auth.provider")
@@ -122,8 +123,8 @@ class SingleSignOn:
         address: str,
         device: str,
     ) -> SignedIn:
-        """Begin the session of a browser that is back. ``response``: the parameters with which the provider
-        sent it. Raises NotAdmittedError, whose reason is logged and counted."""
+        """Begin the session of a browser that the provider sends back. ``response``: the parameters that it
+        brings. Raises NotAdmittedError, whose reason is logged and counted."""
         try:
             code = self._code(attempt, response)
             assert attempt is not None

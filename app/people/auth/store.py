@@ -17,7 +17,8 @@ MAX_PLACES = 50
 
 
 class CompanyAccount(NamedTuple):
-    """An account of a provider: who issues it, and what that gives to no other (OpenID Connect Core, 2)."""
+    """An account of a provider: its issuer, and the subject that the issuer gives to no other account (OpenID
+    Connect Core, 2)."""
 
     issuer: str
     subject: str
@@ -40,7 +41,7 @@ class User:
     secret_serial: int = 0
     """How many passwords or PINs the user has had before this one."""
     company_account: CompanyAccount | None = None
-    """By which alone the user signs in: there is no password."""
+    """The only way in which the user signs in, who then has no password."""
 
     @property
     def credential(self) -> str:

@@ -28,7 +28,8 @@ FIRST_WAIT_S, MAX_WAIT_S = 2.0, 300.0
 FORGOTTEN_AFTER_S = 900.0
 """Failures no longer count after so long without one; the longest wait is over by then."""
 OF_ADDRESS, OF_ADDRESS_WINDOW_S = 30, 300.0
-"""Failures of one address, but for browsers with their own count: more than one sit behind a proxy."""
+"""Failures of one address, which several people may share behind a proxy; browsers with their own count do
+not add to them."""
 OF_NAME = 10
 """Tries of one name from networks where no one ever signed in, all together, before they are slowed down."""
 OF_NAME_EVERY_S, OF_PANEL_EVERY_S = 10.0, 30.0
@@ -119,7 +120,7 @@ class Throttle:
         return max(waits)
 
     def begin(self, attempt: Attempt, now: Monotonic) -> None:
-        """Count an attempt before its result is known, lest many at once each be the last that is allowed."""
+        """Count an attempt before its result is known: otherwise each of many at once would be allowed."""
         if not attempt.known:
             self._names_of(attempt).kept(attempt.name).pour(1, now)
 
@@ -131,8 +132,8 @@ class Throttle:
             self._places.kept(attempt.place).pour(1, now)
 
     def succeeded(self, attempt: Attempt, now: Monotonic) -> None:
-        """Count a right secret: nothing counts against the name's own browser. What was tried from its
-        network still does: others share it, and would learn that there is such a user."""
+        """Count a right secret, which clears the failures of the name's own browser. Those of its network
+        stay: others share it, and would learn that there is such a user."""
         if attempt.own_browser:
             self._pairs.drop(attempt.pair)
         if not attempt.known:
