@@ -144,7 +144,7 @@ def test_pages_that_turn_without_end_do_not_flood_the_workers(
 ) -> None:
     hub, watch_calls = hub_of(client), list[Any]()
     watchers = {"dry-end": lambda *watched: watch_calls.append(("dry-end", *watched))}
-    monkeypatch.setattr(hub, "_watchers", watchers)
+    monkeypatch.setattr(hub, "watchers", watchers)
     monkeypatch.setattr(hub, "_monotonic", lambda: 100.0)
     browser = Browser("anna", "viewer", "en")
     for turn in range(1000):
