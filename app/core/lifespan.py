@@ -1,4 +1,8 @@
-"""The lifespan of the server: parts start in order and end in reverse, each even where another fails."""
+"""The lifespan of the server: parts start in order and end in reverse order, each even where another fails.
+
+Works run as tasks of their own, not in a TaskGroup: one that fails is started again and never ends the
+others.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,7 @@ from bus.messages import Message
 
 RESTART_AFTER_S = 1.0
 MAX_FINISH_S = 1.0
-"""How long the end waits for backlogs to be written, all of them together."""
+"""How long the end of the server waits for all backlogs to be written."""
 Step = Callable[[], Awaitable[object]]
 Running = Callable[[], Coroutine[Any, Any, None]]
 log = structlog.get_logger()
@@ -27,7 +31,7 @@ class StartError(LinesideError):
 
 
 class Lifespan:
-    """The parts of the server, each added where its service is made, after those that it needs."""
+    """The parts of the server, each added where its service is made, after the parts that it needs."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[str, Step | None, Step | None]] = []
@@ -44,10 +48,10 @@ class Lifespan:
         end: Step | None = None,
     ) -> None:
         """Add what a service does; its errors are logged with ``name``. ``works`` run from the last start to
-        the end and are restarted where they fail; ``once`` runs beside them and is not restarted.
+        the end and are restarted when they fail; ``once`` runs beside them and is not restarted.
 
         ``finish`` waits, while the works still run, until they have written their backlog. ``end`` is called
-        after the works, if the part has started; what was added earlier still runs then.
+        after the works, if the part has started; parts that were added earlier still run then.
         """
         self._parts.append((name, start, end))
         self._works += [partial(_restarted, name, work) for work in works]
@@ -71,7 +75,7 @@ class Lifespan:
             yield
 
     async def _finish(self) -> None:
-        """Wait for every backlog, together: one that cannot be written takes no time from the others."""
+        """Wait for every backlog, all together: one that cannot be written takes no time from the others."""
         await asyncio.gather(*(finish() for finish in self._finishing))
 
 
@@ -86,7 +90,7 @@ async def _start(name: str, start: Step) -> None:
 
 
 async def _ended(name: str, end: Step) -> None:
-    """Run a step of the end; a failure is logged, and the other steps follow."""
+    """Run a step of the end; log a failure, so that the other steps follow."""
     try:
         await end()
     except Exception as error:
@@ -105,14 +109,14 @@ async def _cancel(tasks: list[asyncio.Task[None]]) -> None:
 
 
 async def _restarted(name: str, work: Step) -> None:
-    """Run ``work``; a failure is logged, and it starts again."""
+    """Run ``work``; log a failure and start it again."""
     while True:
         await _run_once(name, work)
         await asyncio.sleep(RESTART_AFTER_S)
 
 
 async def _run_once(name: str, work: Step) -> None:
-    """Run ``work``; a failure is logged."""
+    """Run ``work``; log a failure."""
     try:
         await work()
     except Exception:

@@ -1,4 +1,4 @@
-"""The calls of the API as a list for people, from the OpenAPI document. Pure."""
+"""The calls of the API as a list for people, made from the OpenAPI document. Pure."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ class CallMember:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A call; ``responses``: by status, what they mean; ``sent``, ``received``: an example of its body and of
-    its response, empty where there is none. ``can_open``: a browser opens it as it stands."""
+    """A call of the API. ``responses``: what they mean, by status; ``sent``, ``received``: examples of its
+    body and its response, empty without one. ``can_open``: whether a browser can open it without a
+    parameter."""
 
     id: str
     tag: str
@@ -49,7 +50,7 @@ class Call:
 
 
 def calls_of(document: Mapping[str, Any]) -> list[tuple[str, list[Call]]]:
-    """Each tag with its calls, in alphabetical order of the tags and in the order of the document."""
+    """Return each tag with its calls, tags in alphabetical order, calls in that of the document."""
     calls = sorted(_calls(document), key=lambda call: call.tag)
     return [(tag, list(group)) for tag, group in groupby(calls, key=lambda call: call.tag)]
 
@@ -84,7 +85,8 @@ def _responses(operation: Mapping[str, Any]) -> Iterator[tuple[str, Markup]]:
 
 
 def _example(message: Mapping[str, Any]) -> str:
-    """Of a request or response, in the first of its media types: JSON in lines, or the text."""
+    """Return the example of a request or response in the first of its media types: JSON in lines, or the
+    text."""
     content: Mapping[str, Any] = next(iter(message.get("content", {}).values()), {})
     example = content.get("example", "")
     return example if isinstance(example, str) else json.dumps(example, ensure_ascii=False, indent=2)
@@ -104,7 +106,7 @@ def _member(name: str, schema: Mapping[str, Any], words: Mapping[str, Any], *, r
 
 
 def _kind(schema: Mapping[str, Any]) -> str:
-    """The type of a value in a few words: ``integer``, ``array of Alarm``, ``string or null``."""
+    """Return the type of a value in a few words: ``integer``, ``array of Alarm``, ``string or null``."""
     if "$ref" in schema:
         return _named(schema["$ref"])
     for word in ALTERNATIVES:
@@ -119,7 +121,7 @@ def _kind(schema: Mapping[str, Any]) -> str:
 
 
 def in_html(description: str) -> Markup:
-    """A description of the document for a page. Of CommonMark it has code between backquotes alone."""
+    """Return a description for a page. Of CommonMark the document uses only code between backquotes."""
     return Markup(_CODE.sub(r"<code>\2</code>", str(escape(description))))
 
 

@@ -8,18 +8,18 @@ from typing import Literal, NamedTuple
 from bus.settings import DrawBand
 
 DrawState = Literal["in_band", "out_of_band", "unknown", "none"]
-"""``unknown``: a speed is not of the present; ``none``: there is no draw, or nothing to judge."""
+"""``unknown``: a speed is not of the present; ``none``: there is no draw, or no band to judge it by."""
 DRAW_DECIMALS = 1
 MAX_TENTHS = 99_999
-"""Of a percent. A section beside one that crawls has a draw of millions."""
+"""The largest draw in tenths of a percent: a section beside one that crawls would have millions."""
 _TENTHS = 1000
-"""Tenths of a percent in one."""
+"""Tenths of a percent in the whole."""
 
 
 class SectionSpeed(NamedTuple):
-    """A speed as a unit reports it. ``raw`` None: it is not of the present; ``decimals``: of its display
-    (#3), None while not known; ``quantity``: the measure of its display, such as m/min; None for a ratio to
-    a master, which is no speed."""
+    """A speed as a unit reports it. ``raw`` None: it is not of the present; ``decimals``: those of its
+    display (#3), None while not known; ``quantity``: the measure of its display, such as m/min; None for a
+    ratio to a master, which is no speed."""
 
     raw: int | None
     decimals: int | None
@@ -27,7 +27,7 @@ class SectionSpeed(NamedTuple):
 
 
 class Draw(NamedTuple):
-    """``tenths``: of a percent, at most `MAX_TENTHS`; None where there is none or it is not known."""
+    """A draw. ``tenths``: of a percent, at most `MAX_TENTHS`; None if there is none or it is not known."""
 
     state: DrawState
     tenths: int | None = None
@@ -37,8 +37,9 @@ NO_DRAW, UNKNOWN_DRAW = Draw("none"), Draw("unknown")
 
 
 def draw_between(before: SectionSpeed, section: SectionSpeed, band: DrawBand, *, judged: bool = True) -> Draw:
-    """The draw of a section to the one before. None while either stands or their displays have different
-    quantities. ``judged`` False: a draw out of its band means nothing now, as while a section ramps."""
+    """Return the draw of a section to the one before: none while either stands or their displays have
+    different quantities. ``judged`` False: a draw out of its band means nothing now, for example while a
+    section ramps."""
     if before.quantity is None or before.quantity != section.quantity or 0 in (before.raw, section.raw):
         return NO_DRAW
     if before.raw is None or section.raw is None or before.decimals is None or section.decimals is None:
@@ -51,11 +52,12 @@ def draw_between(before: SectionSpeed, section: SectionSpeed, band: DrawBand, *,
 
 
 def percent_of(tenths: int) -> Decimal:
-    """A draw as a number of percent."""
+    """Return a draw as a number of percent."""
     return Decimal(tenths).scaleb(-DRAW_DECIMALS)
 
 
 def _tenths(before: int, section: int) -> int:
-    """Rounded once, so that the judged draw is the shown one, half away from zero."""
+    """Return tenths of a percent, rounded once, half away from zero, so that the judged draw is the shown
+    one."""
     size = (2 * _TENTHS * abs(section - before) + before) // (2 * before)
     return min(size, MAX_TENTHS) if section >= before else -size

@@ -71,23 +71,23 @@ class LineCollector(Collector):
         build = "The release that runs"
         yield InfoMetricFamily("lineside_build", build, value={"version": VERSION})
         yield from _readings(buses, unix_now())
-        yield from _of_units(buses)
-        yield from _of_buses(buses)
+        yield from _unit_counters(buses)
+        yield from _bus_gauges(buses)
         yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.pages)
         commands = CounterMetricFamily("lineside_commands", "Commands by outcome", labels=["outcome"])
         for outcome, count in measured.commands.items():
             commands.add_metric([outcome], count)
         yield commands
         yield _alarm_states(measured.alarms)
-        yield from _of_alarms(measured.alarms)
+        yield from _alarm_counts(measured.alarms)
         free = "Free space on the disk of the data folder"
         yield GaugeMetricFamily("lineside_disk_free_bytes", free, value=free_bytes(measured.data))
-        yield from _of_history(measured.history)
+        yield from _history_metrics(measured.history)
         if (newest := measured.newest_backup) is not None:
             words = "When the newest backup was begun; without any, since when there is to be one"
             yield GaugeMetricFamily("lineside_backup_timestamp_seconds", words, value=float(newest))
         if (publisher := measured.publisher) is not None:
-            yield from _of_publisher(publisher, unix_now())
+            yield from _publisher_metrics(publisher, unix_now())
         degraded = 1 if measured.anchor.altered or measured.anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
         yield GaugeMetricFamily("lineside_audit_degraded", words, value=degraded)
@@ -104,7 +104,7 @@ def _alarm_states(alarms: LineAlarms) -> Metric:
     return family
 
 
-def _of_alarms(alarms: LineAlarms) -> Iterator[Metric]:
+def _alarm_counts(alarms: LineAlarms) -> Iterator[Metric]:
     labels = ["bus", "priority"]
     places = list(product(("", *alarms.buses), PRIORITIES))
     annunciated = CounterMetricFamily(
@@ -122,7 +122,7 @@ def _of_alarms(alarms: LineAlarms) -> Iterator[Metric]:
         yield family
 
 
-def _of_history(status: HistoryStatus) -> Iterator[Metric]:
+def _history_metrics(status: HistoryStatus) -> Iterator[Metric]:
     stored = 0 if status.state in ("paused", "failed") else 1
     yield GaugeMetricFamily("lineside_history_stored", "0 while no reading is stored", value=stored)
     size = "What the history takes on the disk of the server"
@@ -132,7 +132,7 @@ def _of_history(status: HistoryStatus) -> Iterator[Metric]:
     yield CounterMetricFamily("lineside_history_lost", "Updates that could not be stored", value=status.lost)
 
 
-def _of_publisher(status: PublisherStatus, now: UnixTime) -> Iterator[Metric]:
+def _publisher_metrics(status: PublisherStatus, now: UnixTime) -> Iterator[Metric]:
     words = "For how long the plant's database has lacked something that is stored"
     yield GaugeMetricFamily("lineside_publisher_lag_seconds", words, value=status.lag_s(now))
     words = "0 while the plant's database takes nothing"
@@ -142,13 +142,16 @@ def _of_publisher(status: PublisherStatus, now: UnixTime) -> Iterator[Metric]:
 
 
 def _readings(buses: Iterable[tuple[str, BusLive]], now: UnixTime) -> Iterator[Metric]:
-    """A unit without a value of the present has no sample of it: a graph has a gap, not the last value."""
+    """Yield what units read. A value that is not of the present has no sample: a graph has a gap, not the
+    last value."""
     info = InfoMetricFamily("lineside_unit", "The name of a unit", labels=["bus", "unit"])
-    online = _of_unit("lineside_unit_online", "1 while the values of a unit are of the present")
-    actual = _of_unit("lineside_speed_actual", "Actual speed, as the display of the unit shows it")
-    commanded = _of_unit("lineside_speed_commanded", "Commanded speed, as the display of the unit shows it")
-    deviation = _of_unit("lineside_speed_deviation", "Actual less commanded speed, as the unit shows them")
-    draw = _of_unit("lineside_draw_percent", "Draw to the section before")
+    online = _unit_gauge("lineside_unit_online", "1 while the values of a unit are of the present")
+    actual = _unit_gauge("lineside_speed_actual", "Actual speed, as the display of the unit shows it")
+    commanded = _unit_gauge(
+        "lineside_speed_commanded", "Commanded speed, as the display of the unit shows it"
+    )
+    deviation = _unit_gauge("lineside_speed_deviation", "Actual less commanded speed, as the unit shows them")
+    draw = _unit_gauge("lineside_draw_percent", "Draw to the section before")
     words = "1 while an output is on, as the unit reports it"
     output = GaugeMetricFamily("lineside_output_on", words, labels=["bus", "unit", "output"])
     for name, bus in buses:
@@ -173,11 +176,11 @@ def _readings(buses: Iterable[tuple[str, BusLive]], now: UnixTime) -> Iterator[M
     yield from (info, online, actual, commanded, deviation, draw, output)
 
 
-def _of_unit(name: str, words: str) -> GaugeMetricFamily:
+def _unit_gauge(name: str, words: str) -> GaugeMetricFamily:
     return GaugeMetricFamily(name, words, labels=["bus", "unit"])
 
 
-def _of_units(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
+def _unit_counters(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     each = [(name, unit) for name, bus in buses if bus.figures for unit in bus.figures.units]
     for field, words in _COUNTED.items():
         family = CounterMetricFamily(f"lineside_{field}", words, labels=["bus", "unit"])
@@ -191,7 +194,7 @@ def _of_units(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     yield naks
 
 
-def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
+def _bus_gauges(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     is_open = GaugeMetricFamily("lineside_bus_open", "1 while the port of a bus is open", labels=["bus"])
     scan = GaugeMetricFamily("lineside_scan_hz", "Scans of all units a second", labels=["bus"])
     use = GaugeMetricFamily("lineside_wire_utilisation", "Share of the wire in use, 0 to 1", labels=["bus"])
@@ -206,7 +209,7 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
 
 
 def text(measured: Measured) -> bytes:
-    """All of it, as Prometheus reads it."""
+    """Return all metrics, as Prometheus reads them."""
     registry = CollectorRegistry()
     registry.register(LineCollector(measured))
     ProcessCollector(registry=registry)
