@@ -106,9 +106,15 @@ def entries_of(found: Sequence[NamedCause], translator: Translator, now: UnixTim
     ]
 
 
+def verdict_of(entries: Sequence[AbnormalItem]) -> AbnormalItem | None:
+    """Return the item that the verdict names: the worst. A condition of low priority is no verdict on a line,
+    which runs as well as without it; it stands beside."""
+    return entries[0] if entries and entries[0].level != "low" else None
+
+
 def strip_of(entries: list[AbnormalItem]) -> list[AbnormalItem]:
-    """Return the items beside the verdict, which names the worst."""
-    return entries[1:]
+    """Return the items beside the verdict."""
+    return entries[1:] if verdict_of(entries) else entries[:MAX_ENTRIES]
 
 
 def line_fields(
@@ -122,7 +128,7 @@ def line_fields(
     """Return the fields of the line. ``entries``: the items of what was ``found``. The verdict is the worst
     cause (``cause``) after the name of its unit (``name``)."""
     counts = state_counts(views.values())
-    worst = entries[0] if entries else None
+    worst = verdict_of(entries)
     name, cause = (
         (f"{translator.isolated(worst.name)} ·", worst.line)
         if worst
@@ -134,13 +140,13 @@ def line_fields(
         "name": name,
         "cause": cause,
         "at": worst.href if worst else "",
-        "counts": translator.t(Message.of("line_abnormal", n=len(found))) if worst else "",
+        "counts": translator.t(Message.of("line_abnormal", n=len(found))) if found else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
         "strip": [
             [entry.key, entry.level, entry.name, entry.text, entry.since] for entry in strip_of(entries)
         ],
         "abnormal": f"{len(found)}",
-        "named": _named(found, views, translator, now),
+        "named": _named(found, worst.key if worst else "", views, translator, now),
     } | _figures(buses, translator, now)
 
 
@@ -174,13 +180,15 @@ def holders(held_by: Mapping[str, str], translator: Translator) -> str:
     return ", ".join(one.replace(" ", NO_BREAK) for one in parts)
 
 
-def _named(found: Sequence[NamedCause], views: Views, translator: Translator, now: UnixTime) -> str:
-    """Return what pages without the strip name beside the verdict: each abnormal bus, each block."""
-    worst = found[0].key if found else ""
+def _named(
+    found: Sequence[NamedCause], worst: str, views: Views, translator: Translator, now: UnixTime
+) -> str:
+    """Return what pages without the strip name beside the verdict: each abnormal bus, each block. ``worst``:
+    the key of what the verdict names."""
     buses = [
         f"{translator.isolated(name)}: {cause_texts(cause, translator, now).line}"
-        for key, name, cause in found[1:]
-        if "/" not in key
+        for key, name, cause in found
+        if "/" not in key and key != worst
     ]
     blocks = [
         f"{translator.isolated(view.unit.settings.name)} {translator.t('blocked')}: {view.blocked}"

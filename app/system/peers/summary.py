@@ -57,8 +57,7 @@ class CauseSummary(msgspec.Struct, frozen=True):
     @classmethod
     def of(cls, cause: Cause) -> CauseSummary:
         params, onset = cause.params, cause.onset
-        # In what a unit departs from its golden set is text; its page has it.
-        why = Message("line_drifted") if cause.code == "drift" else params.get("why")
+        why = params.get("why")
         return cls(
             cause.code,
             None if onset is None else float(onset.at),
@@ -178,11 +177,11 @@ def view_of(bus: BusLive, number: int, blocked: Message | None, drifted: str, no
 
 def _worst(bus: BusLive, views: list[UnitView], now: UnixTime) -> tuple[str, Cause | None]:
     """Return what the verdict names: a cause of the bus, else that of the first unit of the highest
-    priority."""
+    priority. A condition of low priority is no verdict on a line."""
     of_bus = bus_cause(bus, now) or all_offline(bus, now)
     if of_bus is not None:
         return bus.settings.name, of_bus
-    found = [(view.unit.settings.name, view.cause) for view in views if view.cause and view.level]
+    found = [(view.unit.settings.name, view.cause) for view in views if view.cause and view.level not in ("", "low")]
     if not found:
         return "", None
     return min(found, key=lambda entry: LEVELS.index(entry[1].level))

@@ -239,6 +239,16 @@ def test_what_the_strip_has_no_room_for_is_counted_and_a_bus_is_named() -> None:
     assert fields["named"] == "wet: No unit has responded yet"
 
 
+def test_a_condition_of_low_priority_stands_beside_the_verdict() -> None:
+    now, english = UnixTime(1_000_000.0), translator("en")
+    found = [NamedCause("dry/1", "Nip", abnormal("drift", params={"why": "#3 differs"}))]
+    entries = entries_of(found, english, now)
+    fields = line_fields({}, {}, found, entries, english, now)
+    assert (fields["level"], fields["name"], fields["at"]) == ("", "", "")
+    assert [item[0] for item in fields["strip"]] == ["dry/1"]
+    assert (fields["abnormal"], fields["counts"]) == ("1", "1 abnormal")
+
+
 def figures(scan_s: float = 0.3) -> BusFigures:
     return BusFigures(at=100.0, scan_hz=3, scan_s=scan_s, wire_utilisation=0.9, scan_s_with_one_more=0.4)
 
