@@ -6,7 +6,7 @@ from collections.abc import Callable
 from math import atan, degrees
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.test_screen import PHONE, opened
@@ -32,6 +32,13 @@ def minutes_of_arc(pixels: float) -> float:
     return 60 * degrees(2 * atan(pixels * MM_PER_PX / 2 / DISTANCE_MM))
 
 
+def nothing_is_cut_off(page: Page, places: str) -> None:
+    """Wait until it is so: the page fits its words to the window after the window has its size."""
+    page.wait_for_function(
+        f"places => ({CUT_OFF})([...document.querySelectorAll(places)]).length === 0", arg=places
+    )
+
+
 def test_the_verdict_is_read_from_six_meters_and_nothing_is_cut_off(shared_page: OpensPages) -> None:
     page = opened(shared_page("viewer", viewport=HALL, locale=ENGLISH), "/wallboard")
     words = page.locator(".wall__words")
@@ -41,12 +48,12 @@ def test_the_verdict_is_read_from_six_meters_and_nothing_is_cut_off(shared_page:
     for size in (HALL, {"width": 1280, "height": 800}):
         page.set_viewport_size(size)
         assert page.evaluate("document.documentElement.scrollHeight - innerHeight") <= 0
-        assert page.locator(".wall__words, .web, .wall__fact dd").evaluate_all(CUT_OFF) == []
+        nothing_is_cut_off(page, ".wall__words, .web, .wall__fact dd")
     # Of a few sections, a roll has room for its draw above and its name below.
     page.locator(".section:nth-child(n + 4)").evaluate_all("all => all.forEach(each => each.remove())")
     for size in (HALL, {"width": 1280, "height": 800}):
         page.set_viewport_size(size)
-        assert page.locator(".web").evaluate_all(CUT_OFF) == []
+        nothing_is_cut_off(page, ".web")
     page.locator(".wall__cause").evaluate("(cause, text) => { cause.textContent = text; }", LONG)
     page.set_viewport_size(HALL)
     expect(words).not_to_have_attribute("data-fitted", "0")

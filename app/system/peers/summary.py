@@ -181,7 +181,8 @@ def _worst(bus: BusLive, views: list[UnitView], now: UnixTime) -> tuple[str, Cau
     of_bus = bus_cause(bus, now) or all_offline(bus, now)
     if of_bus is not None:
         return bus.settings.name, of_bus
-    found = [(view.unit.settings.name, view.cause) for view in views if view.cause and view.level not in ("", "low")]
+    shown = (view for view in views if view.level not in ("", "low"))
+    found = [(view.unit.settings.name, view.cause) for view in shown if view.cause]
     if not found:
         return "", None
     return min(found, key=lambda entry: LEVELS.index(entry[1].level))
