@@ -28,7 +28,7 @@ from app.line.commands.catalogue import (
     timeout_s_for,
 )
 from app.line.commands.control import controlled
-from app.line.commands.page_context import BusPage, Confirmed, OfBus, OfUnit, Page, ReviewedScale
+from app.line.commands.page_context import BusPage, Confirmed, Page, PageOfBus, PageOfUnit, ReviewedScale
 from app.line.commands.pages.line import followers_of, left_out_of, typed_setpoints
 from app.line.commands.pages.parameters import CONFIRMING_WORD, ParameterPath
 from app.line.commands.pages.speed import explain_setpoint
@@ -78,7 +78,7 @@ async def tray_strip(page: Page) -> Response:
 
 
 @router.get("/bus/{bus}/tray/review", dependencies=GATHERS)
-async def review_tray(page: OfBus) -> Response:
+async def review_tray(page: PageOfBus) -> Response:
     """Show every change as it is now, to be confirmed."""
     tray = OwnTray(page)
     try:
@@ -90,7 +90,7 @@ async def review_tray(page: OfBus) -> Response:
 
 
 @router.post("/bus/{bus}/tray/remove", dependencies=GATHERS)
-async def remove_from_tray(page: OfBus, place: Annotated[str, Form(max_length=40)] = "") -> Response:
+async def remove_from_tray(page: PageOfBus, place: Annotated[str, Form(max_length=40)] = "") -> Response:
     """Remove one change or, without a place, all changes of the bus."""
     tray = OwnTray(page)
     held, named = tray.changes, place_of(place)
@@ -135,7 +135,7 @@ def _longest_s(page: BusPage, changes: Values) -> float:
 @router.post("/bus/{bus}/tray/send", dependencies=[permitted_writer(SET_LINE)])
 async def send_tray(
     request: Request,
-    page: OfBus,
+    page: PageOfBus,
     confirmed: Confirmed,
     row: Annotated[list[str] | None, Form(max_length=512)] = None,
     typed: Annotated[str, Form(max_length=20)] = "",
@@ -271,7 +271,7 @@ def _setpoints(raw: Mapping[int, int]) -> Values:
 
 
 @router.post("/units/{bus}/{unit:int}/tray/setpoint", dependencies=[permitted(SET_SPEED)])
-async def add_setpoint(page: OfUnit, value: TypedText = "") -> Response:
+async def add_setpoint(page: PageOfUnit, value: TypedText = "") -> Response:
     """Add a setpoint, as typed."""
     try:
         return await _added(page, _setpoints({page.id: (await page.typed_setpoint(page.id, value))[0]}))
@@ -280,7 +280,7 @@ async def add_setpoint(page: OfUnit, value: TypedText = "") -> Response:
 
 
 @router.post("/units/{bus}/{unit:int}/tray/outputs/{number:int}", dependencies=[permitted(WRITE_OUTPUT)])
-async def add_output(page: OfUnit, number: OutputPath, on: Annotated[bool, Form()]) -> Response:
+async def add_output(page: PageOfUnit, number: OutputPath, on: Annotated[bool, Form()]) -> Response:
     """Add a state of an output."""
     try:
         return await _added(page, {ValuePlace("output", page.id, number): int(on)})
@@ -289,7 +289,7 @@ async def add_output(page: OfUnit, number: OutputPath, on: Annotated[bool, Form(
 
 
 @router.post("/units/{bus}/{unit:int}/tray/analog-output", dependencies=[permitted(WRITE_ANALOG_OUTPUT)])
-async def add_analog(page: OfUnit, value: TypedText = "") -> Response:
+async def add_analog(page: PageOfUnit, value: TypedText = "") -> Response:
     """Add a value of the analog output, as typed."""
     try:
         return await _added(page, {ValuePlace("analog", page.id): typed_analog(value)})
@@ -300,7 +300,7 @@ async def add_analog(page: OfUnit, value: TypedText = "") -> Response:
 @router.post("/units/{bus}/{unit:int}/tray/parameters/{number:int}")
 async def add_parameter(
     _: ParameterWriter,
-    page: OfUnit,
+    page: PageOfUnit,
     number: ParameterPath,
     raw: Annotated[int, Form(ge=0)],
     scale: ReviewedScale,
@@ -313,7 +313,7 @@ async def add_parameter(
 
 
 @router.post("/bus/{bus}/tray/setpoints", dependencies=[permitted(SET_LINE)])
-async def add_setpoints(request: Request, page: OfBus) -> Response:
+async def add_setpoints(request: Request, page: PageOfBus) -> Response:
     """Add every setpoint that was typed for a bus."""
     try:
         setpoints, scales = await typed_setpoints(page, await request.form())
@@ -339,7 +339,7 @@ async def add_recipe(page: Page, recipe: KnownRecipe) -> Response:
 
 
 @router.post("/batch/{bus}/tray")
-async def add_batch(request: Request, _: ParameterWriter, page: OfBus) -> Response:
+async def add_batch(request: Request, _: ParameterWriter, page: PageOfBus) -> Response:
     """Add every value of a batch edit that differs from that of its unit."""
     number, typed = await typed_batch(request)
     writable_or_404(number)

@@ -343,8 +343,8 @@ async def _confirmation_of(
 
 
 Page = Annotated[PageContext, Depends(_page_of_site)]
-OfBus = Annotated[BusPage, Depends(_page_of_bus)]
-OfUnit = Annotated[UnitPage, Depends(unit_page_of)]
+PageOfBus = Annotated[BusPage, Depends(_page_of_bus)]
+PageOfUnit = Annotated[UnitPage, Depends(unit_page_of)]
 Confirmed = Annotated[Confirmation, Depends(_confirmation_of)]
 
 

@@ -53,9 +53,9 @@ from bus.contract import Action, Command, Outcome, ReadParameters, Result, UnitO
 from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message, joined, listed, parameter_name
 
-ACTED = ("verified", "acknowledged", "unverified")
+_ACTED = ("verified", "acknowledged", "unverified")
 """Outcomes after which a unit has acted, or may have."""
-RANGE_PASSES = 2
+_RANGE_PASSES = 2
 """Which parameters bound a setpoint depends on the mode (#8), which may have to be read itself."""
 
 MAX_AT_ONCE = 2
@@ -166,7 +166,7 @@ class CommandService:
     async def read_ranges(self, person: Person, action: Action, deadline: Deadline) -> None:
         """Read what bounds the setpoints of ``action`` if it was never read, as :meth:`send` does. Raises
         Problem 503 or 504 if it cannot be read in time."""
-        for _ in range(RANGE_PASSES):
+        for _ in range(_RANGE_PASSES):
             missing = self._unread(action)
             if not missing:
                 return
@@ -340,7 +340,7 @@ class CommandService:
             await self._record.conclude(intent, request, result, self._live)
             return result
         finally:
-            if result is None or result.outcome not in ACTED:
+            if result is None or result.outcome not in _ACTED:
                 self._moves.take_back(steps, at)
 
     async def _transmit(self, request: CommandRequest) -> Result:

@@ -16,7 +16,7 @@ from app.core.web.templating import render
 from app.errors import Problem
 from app.line.commands.catalogue import CHANGE_BAUD, SCAN_BUS
 from app.line.commands.limits import MAX_READ_ONLY_MINUTES
-from app.line.commands.page_context import BusPage, OfBus, Page, UnitPage, new_id
+from app.line.commands.page_context import BusPage, Page, PageOfBus, UnitPage, new_id
 from app.line.commands.pages.line import review_change
 from app.line.commands.pages.parameters import review_value
 from app.line.commands.pages.speed import review_setpoint
@@ -55,7 +55,7 @@ async def first_bus(_: Viewer, page: Page) -> Response:
 
 
 @router.get("/bus/{bus}")
-async def bus_page(_: Viewer, page: OfBus) -> Response:
+async def bus_page(_: Viewer, page: PageOfBus) -> Response:
     """Show one bus."""
     return page.render(
         "bus/page.html",
@@ -74,7 +74,7 @@ async def bus_page(_: Viewer, page: OfBus) -> Response:
 @router.post("/bus/{bus}/read-only")
 async def set_read_only(
     person: Annotated[Person, SET_READ_ONLY.permitted],
-    page: OfBus,
+    page: PageOfBus,
     reason: Annotated[OneLine, Form(max_length=200)] = "",
     minutes: Annotated[int, Form(ge=1, le=MAX_READ_ONLY_MINUTES)] = DEFAULT_MINUTES,
 ) -> Response:
@@ -86,14 +86,14 @@ async def set_read_only(
 
 
 @router.post("/bus/{bus}/read-only/end")
-async def end_read_only(person: Annotated[Person, END_READ_ONLY.permitted], page: OfBus) -> Response:
+async def end_read_only(person: Annotated[Person, END_READ_ONLY.permitted], page: PageOfBus) -> Response:
     """Let commands through again; the event records the user."""
     await page.guards.end_read_only(person)
     return RedirectResponse(f"/bus/{page.name}#read-only", SEE_OTHER)
 
 
 @router.get("/bus/{bus}/units")
-async def unit_rows(_: Viewer, page: OfBus) -> Response:
+async def unit_rows(_: Viewer, page: PageOfBus) -> Response:
     """Show the counters of every unit, for the open page."""
     return page.render("bus/_units.html", **_units(page))
 
@@ -106,7 +106,7 @@ def _units(page: BusPage) -> dict[str, Any]:
 
 @router.post("/bus/{bus}/scan", dependencies=[permitted(SCAN_BUS)])
 async def scan(
-    page: OfBus,
+    page: PageOfBus,
     first: Annotated[int, Form(ge=1, le=255)] = 1,
     last: Annotated[int, Form(ge=1, le=255)] = 255,
 ) -> Response:
@@ -128,7 +128,7 @@ CHANGE_S = 30.0
 
 
 @router.get("/bus/{bus}/baud", dependencies=[permitted(CHANGE_BAUD)])
-async def review_baud(page: OfBus, baud: int) -> Response:
+async def review_baud(page: PageOfBus, baud: int) -> Response:
     """Review a new baud rate."""
     if baud not in BAUDS:
         raise Problem(422, "invalid", Message.of("baud_unknown", rates=", ".join(map(str, BAUDS))))
@@ -139,7 +139,7 @@ async def review_baud(page: OfBus, baud: int) -> Response:
 
 @router.post("/bus/{bus}/baud", dependencies=[permitted(CHANGE_BAUD)])
 async def change_baud(
-    page: OfBus,
+    page: PageOfBus,
     baud: Annotated[int, Form()],
     id: Annotated[str, Form(min_length=8, max_length=200)],
 ) -> Response:
@@ -164,7 +164,7 @@ async def head_control(request: Request, _: Viewer, bus: str = "") -> Response:
 
 
 @router.get("/bus/{bus}/control/{place}")
-async def control_now(_: Viewer, page: OfBus, place: ControlPlace) -> Response:
+async def control_now(_: Viewer, page: PageOfBus, place: ControlPlace) -> Response:
     """Show who holds control of one bus, in a place of the page."""
     return _shown(page, place)
 
@@ -172,7 +172,7 @@ async def control_now(_: Viewer, page: OfBus, place: ControlPlace) -> Response:
 @router.post("/bus/{bus}/control")
 async def control(
     person: Annotated[Person, TAKE_CONTROL.permitted],
-    page: OfBus,
+    page: PageOfBus,
     do: Annotated[ControlStep, Form()],
     place: Annotated[ControlPlace, Form()] = "head",
     of_bus: Annotated[str, Form(max_length=40)] = "",
@@ -223,7 +223,7 @@ def others(page: BusPage) -> list[str]:
 
 
 @router.get("/bus/{bus}/undo")
-async def newest_undo(person: Viewer, page: OfBus, unit: int | None = None) -> Response:
+async def newest_undo(person: Viewer, page: PageOfBus, unit: int | None = None) -> Response:
     """Offer the undo of the newest command to ``unit`` or, without one, to the bus; nothing if there is
     none."""
     units = page.bus.units.keys() if unit is None else {unit}
@@ -232,7 +232,7 @@ async def newest_undo(person: Viewer, page: OfBus, unit: int | None = None) -> R
 
 
 @router.get("/bus/{bus}/undo/{id}")
-async def review_undo(person: Viewer, page: OfBus, id: str) -> Response:
+async def review_undo(person: Viewer, page: PageOfBus, id: str) -> Response:
     """Review the undo of one command: an ordinary command back to what was there before."""
     offer = page.commands.undo.offer(person, id)
     try:

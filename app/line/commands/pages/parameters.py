@@ -12,7 +12,7 @@ from starlette.responses import Response
 from app.core.web.access import Viewer
 from app.errors import Problem
 from app.line.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
-from app.line.commands.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
+from app.line.commands.page_context import Confirmed, PageOfUnit, ReviewedScale, UnitPage
 from app.line.commands.review import OutcomeText, outcome_text, risks_of_writing
 from app.line.commands.rules import parameter_bounds
 from app.line.commands.service import permitted, permitted_writer
@@ -29,13 +29,13 @@ CONFIRMING_WORD = "WRITE"
 
 
 @router.get("")
-async def parameters(_: Viewer, page: OfUnit) -> Response:
+async def parameters(_: Viewer, page: PageOfUnit) -> Response:
     """Show all 40 as last read."""
     return page.render("unit/parameters.html", **_table(page))
 
 
 @router.post("/read", dependencies=[permitted(READ_PARAMETERS)])
-async def read_all(page: OfUnit) -> Response:
+async def read_all(page: PageOfUnit) -> Response:
     """Read all 40 from the unit now."""
     action = ReadParameters(unit=page.id, numbers=list(PARAMETERS))
     result = await page.commands.send(page.person, action, origin="page")
@@ -70,7 +70,7 @@ def _row(page: UnitPage, number: int) -> dict[str, Any]:
 
 @router.post("/{number:int}/review", dependencies=[permitted(WRITE_PARAMETER)])
 async def review_parameter(
-    page: OfUnit, number: ParameterPath, value: Annotated[str, Form(max_length=40)] = ""
+    page: PageOfUnit, number: ParameterPath, value: Annotated[str, Form(max_length=40)] = ""
 ) -> Response:
     """Review a typed value: old → new, range, danger."""
     try:
@@ -114,7 +114,7 @@ async def review_value(
 
 @router.post("/{number:int}", dependencies=[permitted_writer(WRITE_PARAMETER)])
 async def write_parameter(
-    page: OfUnit,
+    page: PageOfUnit,
     number: ParameterPath,
     raw: Annotated[int, Form(ge=0)],
     confirmed: Confirmed,

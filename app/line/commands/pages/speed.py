@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from app.errors import Problem
 from app.line.commands.catalogue import EXECUTE_SPEED, SET_SPEED
-from app.line.commands.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
+from app.line.commands.page_context import Confirmed, PageOfUnit, ReviewedScale, UnitPage
 from app.line.commands.review import draw_changes, nudges
 from app.line.commands.service import permitted, permitted_writer
 from app.line.conditions.condition import follower
@@ -23,14 +23,14 @@ from bus.messages import Message
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 
 SetpointField = Annotated[int, Form(ge=0)]
-Was = Annotated[str, Form(pattern=r"^\d{0,6}$")]
+SeenSetpoint = Annotated[str, Form(pattern=r"^\d{0,6}$")]
 """The setpoint that the person saw, raw; empty if it was not known."""
 ERROR_PLACE = "#setpoint-error"
 
 
 @router.post("/review", dependencies=[permitted(SET_SPEED)])
 async def review_speed(
-    page: OfUnit,
+    page: PageOfUnit,
     value: Annotated[str, Form(max_length=20)] = "",
     how: Annotated[Literal["now", "stage"], Form()] = "now",
 ) -> Response:
@@ -68,12 +68,12 @@ def explain_setpoint(page: UnitPage, error: CallerError | Problem) -> Response:
 
 @router.post("/speed", dependencies=[permitted_writer(SET_SPEED)])
 async def set_speed(
-    page: OfUnit,
+    page: PageOfUnit,
     raw: SetpointField,
     confirmed: Confirmed,
     scale: ReviewedScale,
     how: Annotated[Literal["now", "stage"], Form()],
-    was: Was = "",
+    was: SeenSetpoint = "",
 ) -> Response:
     """Send the reviewed setpoint, once, and show its result."""
     action = SetSpeed(unit=page.id, raw=raw, execute=how == "now")
@@ -104,7 +104,7 @@ def _refuse_moved(page: UnitPage, was: str) -> None:
 
 @router.post("/nudge", dependencies=[permitted_writer(SET_SPEED)])
 async def nudge(
-    page: OfUnit,
+    page: PageOfUnit,
     step: Annotated[int, Form(ge=-99999, le=99999)],
     id: Annotated[str, Form(max_length=64)],
     scale: ReviewedScale,
@@ -132,7 +132,7 @@ def _is_small(page: UnitPage, step: int) -> bool:
 
 
 @router.get("/execute", dependencies=[permitted(EXECUTE_SPEED)])
-async def review_execute(page: OfUnit) -> Response:
+async def review_execute(page: PageOfUnit) -> Response:
     """Review executing the staged speed."""
     staged = page.unit.staged
     try:
@@ -150,7 +150,7 @@ async def review_execute(page: OfUnit) -> Response:
 
 @router.post("/execute", dependencies=[permitted_writer(EXECUTE_SPEED)])
 async def execute(
-    page: OfUnit, confirmed: Confirmed, scale: ReviewedScale, raw: SetpointField, was: Was = ""
+    page: PageOfUnit, confirmed: Confirmed, scale: ReviewedScale, raw: SetpointField, was: SeenSetpoint = ""
 ) -> Response:
     """Send 83h to one unit if its staged and its commanded value are still the reviewed ones."""
     try:

@@ -15,7 +15,7 @@ from app.errors import Problem
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.commands.catalogue import WRITE_ANALOG_OUTPUT, WRITE_OUTPUT
 from app.line.commands.limits import HIGHEST_SETPOINT, Limits
-from app.line.commands.page_context import Confirmed, OfUnit, ReviewedScale, UnitPage
+from app.line.commands.page_context import Confirmed, PageOfUnit, ReviewedScale, UnitPage
 from app.line.commands.review import OutcomeText, nudges, outcome_text
 from app.line.commands.rules import setpoint_range
 from app.line.commands.safeguards import BLOCK, SET_LIMITS, UNBLOCK
@@ -36,7 +36,7 @@ SEE_OTHER = 303
 
 
 @router.get("")
-async def unit_page(_: Viewer, page: OfUnit) -> Response:
+async def unit_page(_: Viewer, page: PageOfUnit) -> Response:
     """Show one unit."""
     return page.render("unit/page.html", **_faceplate(page))
 
@@ -60,7 +60,7 @@ _LIMIT_NAMES = ("lowest", "highest", "largest_step", "per_minute")
 @router.post("/limits")
 async def set_limits(
     person: Annotated[Person, SET_LIMITS.permitted],
-    page: OfUnit,
+    page: PageOfUnit,
     lowest: TypedLimit = "",
     highest: TypedLimit = "",
     largest_step: TypedLimit = "",
@@ -98,7 +98,7 @@ def _raw(live: UnitLive, text: str) -> int | None:
 @router.post("/block")
 async def block(
     person: Annotated[Person, BLOCK.permitted],
-    page: OfUnit,
+    page: PageOfUnit,
     reason: Annotated[OneLine, Form(max_length=200)] = "",
 ) -> Response:
     """Refuse every write to this unit, with the reason shown on every page."""
@@ -109,14 +109,14 @@ async def block(
 
 
 @router.post("/unblock")
-async def unblock(person: Annotated[Person, UNBLOCK.permitted], page: OfUnit) -> Response:
+async def unblock(person: Annotated[Person, UNBLOCK.permitted], page: PageOfUnit) -> Response:
     """Lift the block of commands; the event records the user."""
     await page.guards.lift(person, page.id)
     return RedirectResponse(page.on_line.href, SEE_OTHER)
 
 
 @router.get("/faceplate")
-async def faceplate(_: Viewer, page: OfUnit) -> Response:
+async def faceplate(_: Viewer, page: PageOfUnit) -> Response:
     """Show state, cause, alarms with their responses, speed and its field, lamps."""
     alarms = service_of(page.request, LineAlarms).annunciated()
     return page.render(
@@ -150,7 +150,7 @@ OutputPath = Annotated[int, Path(ge=1, le=6)]
 
 
 @router.get("/outputs/{number:int}", dependencies=[permitted(WRITE_OUTPUT)])
-async def review_output(page: OfUnit, number: OutputPath) -> Response:
+async def review_output(page: PageOfUnit, number: OutputPath) -> Response:
     """Review the other state of an output."""
     reading = page.unit.reading
     try:
@@ -176,7 +176,7 @@ def review_switch(page: UnitPage, number: int, *, on: bool) -> Response:
 
 @router.post("/outputs/{number:int}", dependencies=[permitted_writer(WRITE_OUTPUT)])
 async def set_output(
-    page: OfUnit, number: OutputPath, on: Annotated[bool, Form()], confirmed: Confirmed
+    page: PageOfUnit, number: OutputPath, on: Annotated[bool, Form()], confirmed: Confirmed
 ) -> Response:
     """Send 87h, verified by the bit in ST2."""
     try:
@@ -191,7 +191,7 @@ async def set_output(
 
 
 @router.post("/analog-output/review", dependencies=[permitted(WRITE_ANALOG_OUTPUT)])
-async def review_analog(page: OfUnit, value: Annotated[str, Form(max_length=10)] = "") -> Response:
+async def review_analog(page: PageOfUnit, value: Annotated[str, Form(max_length=10)] = "") -> Response:
     """Review a typed value of the analog output."""
     try:
         return review_analog_value(page, typed_analog(value))
@@ -214,7 +214,7 @@ def review_analog_value(page: UnitPage, raw: int) -> Response:
 
 @router.post("/analog-output", dependencies=[permitted_writer(WRITE_ANALOG_OUTPUT)])
 async def set_analog(
-    page: OfUnit, raw: Annotated[int, Form(ge=0)], confirmed: Confirmed, scale: ReviewedScale
+    page: PageOfUnit, raw: Annotated[int, Form(ge=0)], confirmed: Confirmed, scale: ReviewedScale
 ) -> Response:
     """Send 88h. The best outcome is acknowledged: there is nothing to read back."""
     try:
