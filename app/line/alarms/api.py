@@ -211,7 +211,7 @@ async def get_alarms(
     unit: Annotated[int | None, Query(ge=1, le=255)] = None,
     group: AlarmGroup | None = None,
 ) -> AlarmsShown:
-    """All alarms that are not normal, or those in one state; ``normal`` is one of them."""
+    """List the alarms that are not normal, or those in one state, which may be ``normal``."""
     found = [
         alarm
         for alarm in (alarms.every() if state == "normal" else alarms.present())
@@ -231,7 +231,7 @@ async def get_alarm_journal(
     limit: Annotated[int, Query(ge=1, le=MAX_ENTRIES)] = 100,
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> AlarmJournal:
-    """Every transition, also of what was shelved, suppressed or out of service."""
+    """List every transition, also of alarms that were shelved, suppressed or out of service."""
     entries = await alarms.store.journal(limit + 1, before)
     following = entries[limit - 1].id if len(entries) > limit else None
     return {"transitions": [transition_json(entry) for entry in entries[:limit]], "next": following}
@@ -278,8 +278,8 @@ async def get_alarm_occurrences(
     span: SpanOf,
     unit: Annotated[list[str] | None, Query(max_length=MAX_UNITS)] = None,
 ) -> AlarmOccurrences:
-    """When alarms were annunciated and active in a span: those of each ``bus/unit`` named and of its bus, or
-    all. At most the newest 500. What was hidden all the time is in the journal alone."""
+    """List when alarms were annunciated and active in a span: those of each ``bus/unit`` named and of its
+    bus, or all. At most the newest 500. What was hidden all the time is in the journal alone."""
     keys = _keys(alarms, unit or [])
     found = await occurrences(alarms.store, keys, seconds(span.start), seconds(span.end))
     language = templates_of(request).language_of(request)
@@ -341,7 +341,7 @@ async def wanted_performance(
     since: Annotated[ZonedTime | None, Query(alias="from")] = None,
     until: Annotated[ZonedTime | None, Query(alias="to")] = None,
 ) -> AlarmPerformance:
-    """The figures of a span."""
+    """Measure the alarm system over the span of a request."""
     return await alarms.measure(*month_at_most(since, until))
 
 
@@ -350,13 +350,13 @@ WantedPerformance = Annotated[AlarmPerformance, Depends(wanted_performance)]
 
 @router.get("/performance")
 async def get_alarm_performance(_: Viewer, performance: WantedPerformance) -> AlarmPerformance:
-    """The figures of ISA-18.2, clause 16, each against its target."""
+    """Return the figures of ISA-18.2, clause 16, each against its target."""
     return performance
 
 
 @router.get("/performance.csv", response_class=Response, responses=CSV)
 async def get_alarm_performance_csv(_: Viewer, performance: WantedPerformance, form: WantedCsv) -> Response:
-    """The same figures, a row for each."""
+    """Return the same figures, a row for each."""
     start, end = (datetime.fromtimestamp(float(at), UTC) for at in (performance.start, performance.end))
     rows = (
         (
@@ -371,7 +371,7 @@ async def get_alarm_performance_csv(_: Viewer, performance: WantedPerformance, f
 
 @router.get("/{alarm_id}")
 async def get_alarm(_: Viewer, alarms: Alarms, alarm_id: str) -> AlarmDetail:
-    """One alarm with the record of its rationalization and its last transitions."""
+    """Return one alarm with the record of its rationalization and its last transitions."""
     alarm = alarms.find(alarm_id).alarm
     entries = await alarms.store.journal(100, alarm=alarm.definition.key)
     return {

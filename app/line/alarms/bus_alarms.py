@@ -139,9 +139,9 @@ class BusAlarms:
         now = self._clock()
         self._notice_step(now)
         if self._monotonic() >= self._ages_from:
-            self._see_links(now)
+            self._observe_links(now)
         for monitor in self._monitors.values():
-            monitor.see_drift(now)
+            monitor.observe_drift(now)
         self._observe(self._control_left, self._left_control() is not None, now)
         self._suppress_again(now)
 
@@ -161,19 +161,19 @@ class BusAlarms:
         for update in updates:
             match update:
                 case Reading() if update.unit in self._monitors:
-                    self._monitors[update.unit].see_reading(now)
+                    self._monitors[update.unit].observe_reading(now)
                 case UnitLink() if update.unit in self._monitors:
-                    self._see_link(update.unit, now, bus_is_readable=self._see_bus(now))
+                    self._observe_link(update.unit, now, bus_is_readable=self._observe_bus(now))
                 case ParameterValue() | Staged() if update.unit in self._monitors:
                     read.add(update.unit)
                 case BusLink():
-                    self._see_bus(now)
+                    self._observe_bus(now)
                 case BusFigures():
-                    self._see_figures(update, now)
+                    self._observe_figures(update, now)
         for unit in read:
-            self._monitors[unit].see_parameters(now)
+            self._monitors[unit].observe_parameters(now)
         if self._lost_alone:
-            self._see_links(now)
+            self._observe_links(now)
 
     def _observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
         """Observe a condition. A suppression begins before the alarm rises, so that it is never
@@ -182,28 +182,28 @@ class BusAlarms:
             self.list.suppress(alarm, True, now)
         self.list.observe(alarm, holds, now)
 
-    def _see_bus(self, now: UnixTime) -> bool:
+    def _observe_bus(self, now: UnixTime) -> bool:
         """Observe the conditions of the bus, and return whether it can be read."""
         facts = bus_facts(self._live, now)
         for row in BY_BUS:
             self._observe(self._alarm_of(row.code), row.holds(facts), now)
         return facts.is_readable
 
-    def _see_links(self, now: UnixTime) -> None:
-        is_readable = self._see_bus(now)
+    def _observe_links(self, now: UnixTime) -> None:
+        is_readable = self._observe_bus(now)
         for unit in self._monitors:
-            self._see_link(unit, now, bus_is_readable=is_readable)
+            self._observe_link(unit, now, bus_is_readable=is_readable)
 
-    def _see_link(self, unit: int, now: UnixTime, *, bus_is_readable: bool) -> None:
-        if self._monitors[unit].see_link(now, bus_is_readable=bus_is_readable):
+    def _observe_link(self, unit: int, now: UnixTime, *, bus_is_readable: bool) -> None:
+        if self._monitors[unit].observe_link(now, bus_is_readable=bus_is_readable):
             self._lost_alone.add(unit)
         else:
             self._lost_alone.discard(unit)
 
-    def _see_figures(self, figures: BusFigures, now: UnixTime) -> None:
+    def _observe_figures(self, figures: BusFigures, now: UnixTime) -> None:
         for unit in figures.units:
             if unit.unit in self._monitors:
-                self._monitors[unit.unit].see_figures(unit, now)
+                self._monitors[unit.unit].observe_figures(unit, now)
         self._unrequested.see(0, figures.unrequested, now)
         is_present = figures.has_second_master or self._unrequested.judged(SECOND_MASTER.holds)
         self._observe(self._second_master, is_present, now)
@@ -329,7 +329,7 @@ class _UnitMonitor:
         """Move the time of the last reading with the clock of this machine, which was set."""
         self._read_at += step_s
 
-    def see_reading(self, now: UnixTime) -> None:
+    def observe_reading(self, now: UnixTime) -> None:
         """Observe the last reading. One that is late, or repeats an earlier one, says nothing of the
         present."""
         bus, unit, reading = self._bus, self._unit, self._unit.reading
@@ -347,12 +347,12 @@ class _UnitMonitor:
             facts = unit_facts(bus, unit, reading)
             for alarm, condition in self._by_reading:
                 self._observe(alarm, condition(facts), now)
-            self._see_own(self._own_states, reading, None, now)
-        self._see_values(reading, now)
+            self._observe_own(self._own_states, reading, None, now)
+        self._observe_values(reading, now)
         if self._own_values:
-            self._see_own(self._own_values, reading, known_decimals(bus, unit), now)
+            self._observe_own(self._own_values, reading, known_decimals(bus, unit), now)
 
-    def _see_values(self, reading: Reading, now: UnixTime) -> None:
+    def _observe_values(self, reading: Reading, now: UnixTime) -> None:
         bus, unit = self._bus, self._unit
         found = [(alarm, holds(bus, unit, reading, passes)) for alarm, holds, passes in self._by_value]
         found.append((self._implausible, unit_conditions.VALUE_IMPLAUSIBLE.holds(bus, unit)))
@@ -360,14 +360,14 @@ class _UnitMonitor:
         for alarm, is_held in found:
             self._observe(alarm, is_held, now)
 
-    def _see_own(
+    def _observe_own(
         self, several: Sequence[ObservedOwn], reading: Reading, decimals: int | None, now: UnixTime
     ) -> None:
         bus, unit = self._bus, self._unit
         for alarm, own in several:
             self._observe(alarm, own.holds(bus, unit, reading, decimals, alarm.facts.active), now)
 
-    def see_link(self, now: UnixTime, *, bus_is_readable: bool) -> bool:
+    def observe_link(self, now: UnixTime, *, bus_is_readable: bool) -> bool:
         """Observe the link after time has passed, or its state has changed. Return whether the unit is lost
         and no other has responded since."""
         link = link_facts(self._bus, self._unit, now, bus_is_readable=bus_is_readable)
@@ -391,18 +391,18 @@ class _UnitMonitor:
             own.forget()
             self._observe(alarm, None, now)
 
-    def see_parameters(self, now: UnixTime) -> None:
+    def observe_parameters(self, now: UnixTime) -> None:
         """Observe what follows from parameters, or from a setpoint that was staged or executed."""
         for row in unit_conditions.BY_PARAMETER:
             self._observe(self._alarms[row.code], row.holds(self._bus, self._unit), now)
-        self.see_drift(now)
+        self.observe_drift(now)
 
-    def see_drift(self, now: UnixTime) -> None:
+    def observe_drift(self, now: UnixTime) -> None:
         """Observe drift: the golden set or the parameters that differ from it may have changed."""
         drifted = self._has_drift(self._unit.settings.id)
         self._observe(self._drift, unit_conditions.PARAMETER_DRIFT.holds(drifted), now)
 
-    def see_figures(self, figures: UnitFigures, now: UnixTime) -> None:
+    def observe_figures(self, figures: UnitFigures, now: UnixTime) -> None:
         """Observe the counters of the unit."""
         self._window.see(figures.polls, figures.timeouts + figures.checksum_errors, now)
         if self.is_known:

@@ -344,7 +344,7 @@ class OwnAlarmsShown(TypedDict):
 
 @router.get("/own")
 async def get_own_alarms(_: Engineer, own: OwnBook) -> OwnAlarmsShown:
-    """The alarms of the site, with their origin."""
+    """List the alarms of the site, with their origin."""
     return {
         "alarms": [_shown(*each) for each in own.every()],
         "left_aside": list(own.left_aside.values()),
@@ -391,7 +391,7 @@ async def remove_own_alarm(
 async def simulate_alarm(
     person: Engineer, simulator: SimulatorOf, history: HistoryOf, body: AlarmSimulationRequest
 ) -> AlarmSimulation:
-    """What an alarm of the site would have done over stored history. Nothing is changed."""
+    """Simulate what an alarm of the site would have done over stored history. Nothing is changed."""
     buses = list(history.buses.values())
     settings = proposed({"name": body.name, **body.written()}, buses)
     span = month_at_most(body.since, body.until)

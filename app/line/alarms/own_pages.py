@@ -83,7 +83,7 @@ async def own_alarms_page(
     history: HistoryOf,
     query: Annotated[WrittenAlarm, Query()],
 ) -> Response:
-    """The alarms of the site, the form, and what its alarm would have done."""
+    """Show the alarms of the site, the form, and what the alarm of the form would have done."""
     written = _written(query)
     if not written["place"]:
         return _page(request, written)
@@ -102,7 +102,7 @@ async def own_alarms_page(
 
 @router.get("/alarms/own/values")
 async def values_of_unit(request: Request, _: Engineer, query: Annotated[WrittenAlarm, Query()]) -> Response:
-    """The choice of values, by the labels of the unit that was chosen."""
+    """Draw the choice of values, by the labels of the unit that was chosen."""
     written = _written(query)
     return render(
         request, "alarms/_own_values.html", written=written, values=_values(request, written["place"])

@@ -133,7 +133,7 @@ async def journal_page(
     day: TypedFilter = "",
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> Response:
-    """The transitions that a person chose, newest first; ``day``: of the site."""
+    """Show the transitions that a person chose, newest first; ``day``: by the clock of the site."""
     zone = templates_of(request).site.zone
     bus, _slash, unit = place.partition("/")
     chosen = {"search": search.strip(), "place": place, "priority": priority, "state": state, "day": day}
@@ -203,7 +203,7 @@ async def alarms_page(
     chosen: ChosenFilters,
     left_out: Annotated[int, Query(ge=0, le=MAX_ROWS)] = 0,
 ) -> Response:
-    """The present alarms, filtered; the list draws itself again when one changes."""
+    """Show the present alarms, filtered. The list draws itself again when one changes."""
     screen = service_of(request, Hub).screen(templates_of(request).language_of(request).tag)
     return render(
         request,
@@ -242,7 +242,7 @@ def _list(
 async def performance_page(
     request: Request, _: Viewer, alarms: Alarms, days: Literal["1", "7", "31"] = "7"
 ) -> Response:
-    """The figures of the alarm system over the last days."""
+    """Show the figures of the alarm system over the last days."""
     end, span_s = unix_now(), int(days) * DAY_S
     found = await alarms.measure(end - span_s, end)
     formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
@@ -263,7 +263,7 @@ async def performance_page(
 
 @router.get("/alarms/{alarm_id}")
 async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -> Response:
-    """One alarm: its state, its record, its transitions, and what a person can do."""
+    """Show one alarm: its state, its record, its transitions, and what a person can do."""
     try:
         alarm = alarms.find(alarm_id).alarm
     except Problem as problem:

@@ -170,7 +170,7 @@ class Replay:
         self._read_at = UnixTime((row.start + MINUTE) / SECOND - _BEFORE)
         return True
 
-    def see_run(self, run: Run, at_rest: AtRest) -> None:
+    def judge_run(self, run: Run, at_rest: AtRest) -> None:
         """Judge a run of equal readings: the first and the last, and for a rate of change the one after the
         shortest time for a rate."""
         begins, ends = max(run.at, self._start), min(run.until, self._end)
@@ -412,7 +412,7 @@ class StoredHour:
             if minute in rows and replay.passes(rows[minute]):
                 continue
             for run in self._runs_of(source).get(minute, ()):
-                replay.see_run(run, self._is_at_rest)
+                replay.judge_run(run, self._is_at_rest)
 
     def _source(self, unit: int) -> StoredUnit | None:
         span = (self._start, self._end)

@@ -98,7 +98,7 @@ class NotificationTest(TypedDict):
 
 @router.get("")
 async def get_notification(_: Engineer, notification: Notifying) -> NotificationShown:
-    """Every address with its last result, who is on duty, and maintenance."""
+    """List every address with its last result, who is on duty, and maintenance."""
     return {
         "endpoints": await notification.endpoints(),
         "groups": notification.groups(),
@@ -114,7 +114,7 @@ async def get_notification_deliveries(
     limit: Annotated[int, Query(ge=1, le=MAX_DELIVERIES)] = 100,
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> NotificationDeliveries:
-    """What was sent, or is to be."""
+    """List what was sent, or will be."""
     found = await notification.outbox.deliveries(limit + 1, before)
     following = found[limit - 1].id if len(found) > limit else None
     return {"deliveries": [_delivery(each) for each in found[:limit]], "next": following}
