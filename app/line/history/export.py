@@ -422,8 +422,8 @@ def step_of(start: int, end: int) -> int:
 
 
 class Together:
-    """Brings rows of single readings onto common times, piece by piece: each value holds from its reading
-    until the next one, or until the hole after it."""
+    """The conversion of single readings to rows at common times, piece by piece: each value holds from its
+    reading until the next one, or until the hole after it."""
 
     def __init__(self, width: int, step: int) -> None:
         self._step = step

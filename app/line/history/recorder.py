@@ -76,7 +76,7 @@ Delivery = tuple[str, Sequence[Update]]
 
 
 @dataclass(slots=True)
-class Taken:
+class Accepted:
     """The readings and losses of one transaction, which go into the tail once they are on disk."""
 
     rows: list[tuple[int, PlainRun]] = field(default_factory=list)
@@ -85,7 +85,7 @@ class Taken:
 
 
 class Intake:
-    """Writes links and parameters, of which it keeps changes only; knows the keys of units and the links."""
+    """The intake of deliveries, which writes changes of links and parameters, and knows the keys of units."""
 
     def __init__(self) -> None:
         self.forget()
@@ -95,20 +95,20 @@ class Intake:
         self._keys: dict[str, dict[int, int]] = {}
         self._links: dict[int, tuple[int, str]] = {}
 
-    def take(self, connection: tables.StoreConnection, deliveries: Iterable[Delivery]) -> Taken:
+    def accept(self, connection: tables.StoreConnection, deliveries: Iterable[Delivery]) -> Accepted:
         """Write the links and parameters of deliveries; return their readings and losses."""
-        taken = Taken()
+        accepted = Accepted()
         for bus, updates in deliveries:
             keys = self._keys.setdefault(bus, {})
             for update in updates:
                 if type(update) is Reading:
                     key = keys.get(update.unit) or self.key(connection, bus, update.unit)
-                    taken.rows.append((key, plain_run(update)))
+                    accepted.rows.append((key, plain_run(update)))
                 elif isinstance(update, UnitLink | BusLink):
-                    self._write_link(connection, bus, update, taken)
+                    self._write_link(connection, bus, update, accepted)
                 elif isinstance(update, ParameterValue):
                     self._write_parameter(connection, bus, update)
-        return taken
+        return accepted
 
     def key(self, connection: tables.StoreConnection, bus: str, number: int) -> int:
         """Return the key of a unit, or of a bus as number 0."""
@@ -118,7 +118,7 @@ class Intake:
         return keys[number]
 
     def _write_link(
-        self, connection: tables.StoreConnection, bus: str, update: UnitLink | BusLink, taken: Taken
+        self, connection: tables.StoreConnection, bus: str, update: UnitLink | BusLink, accepted: Accepted
     ) -> None:
         key = self.key(connection, bus, update.unit if isinstance(update, UnitLink) else BUS)
         at = micros(update.at)
@@ -130,7 +130,7 @@ class Intake:
         tables.write_link(connection, key, at, update.link, in_english(update.cause))
         if update.link in tables.LOST_STATES:
             units = tables.units_of(connection, bus) if isinstance(update, BusLink) else [key]
-            taken.lost += [(unit, at) for unit in units]
+            accepted.lost += [(unit, at) for unit in units]
 
     def _write_parameter(self, connection: tables.StoreConnection, bus: str, update: ParameterValue) -> None:
         if update.number not in DECIDING or update.raw is None:
@@ -152,7 +152,7 @@ _LOOK_EVERY = 64
 
 
 class Recorder:
-    """Writes deliveries into the journal and the tail, and completed minutes and hours into blocks."""
+    """The writer of deliveries into the journal and the tail, and of complete minutes into blocks."""
 
     def __init__(self, database: Database, tail: Tail, on_damage: FoundDamage) -> None:
         self._database = database
@@ -180,19 +180,19 @@ class Recorder:
     def commit(self, deliveries: Sequence[Delivery]) -> None:
         """Write deliveries to the disk, then into the tail. Raises StoreError if nothing was stored."""
 
-        def write(connection: tables.StoreConnection) -> Taken:
-            taken = self._intake.take(connection, deliveries)
-            if taken.rows:
-                tables.write_journal(connection, taken.rows)
-            return taken
+        def write(connection: tables.StoreConnection) -> Accepted:
+            accepted = self._intake.accept(connection, deliveries)
+            if accepted.rows:
+                tables.write_journal(connection, accepted.rows)
+            return accepted
 
         try:
-            taken = self._database.write_now(write)
+            accepted = self._database.write_now(write)
         except BaseException:
             self._intake.forget()
             raise
-        self._tail.mark_lost(taken.lost)
-        self._tail.add(taken.rows)
+        self._tail.mark_lost(accepted.lost)
+        self._tail.add(accepted.rows)
 
     def fold(self, now: int, deadline: Monotonic) -> None:
         """Fold minutes that are over at ``now`` (µs) until ``deadline`` (monotonic seconds)."""

@@ -35,9 +35,10 @@ FaultSubscriber = Callable[[EventKind, Message, UnixTime], None]
 
 
 class History:
-    """Stores readings in a folder and runs queries on them. Opening never fails: :attr:`status` shows when a
-    store cannot be used. Subscribers are called on the event loop that called :meth:`start`.
-    ``shift_starts``: minutes after midnight in ``time_zone``, for the spans that the trends page offers."""
+    """The history of a site, which stores readings in a folder and runs queries on them. Opening never fails:
+    :attr:`status` shows when a store cannot be used. Subscribers are called on the event loop that called
+    :meth:`start`. ``shift_starts``: minutes after midnight in ``time_zone``, for the spans that the trends
+    page offers."""
 
     def __init__(
         self,
@@ -58,7 +59,7 @@ class History:
         self._fault_subscribers.append(subscriber)
 
     def _publish_fault(self, kind: EventKind, what: Message) -> None:
-        """Called on the writer's thread."""
+        """Tell the subscribers on the event loop of a fault that the writer's thread has met."""
         for subscriber in self._fault_subscribers:
             self._loop.call_soon_threadsafe(subscriber, kind, what, unix_now())
 

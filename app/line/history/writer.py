@@ -73,7 +73,7 @@ MAX_PAGES = 2000
 
 
 class Upkeep:
-    """Packs hours and gives up old readings, for a short time between two commits."""
+    """The upkeep between two commits: it packs hours and gives up old readings, for a short time each."""
 
     def __init__(
         self,

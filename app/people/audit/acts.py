@@ -27,7 +27,7 @@ READS = frozenset({"GET", "HEAD"})
 
 @dataclass(eq=False)
 class ActLimit:
-    """Counts the acts of each account. Commands do not count: the wire bounds them."""
+    """The budget of acts of each account. Commands do not count: the wire bounds them."""
 
     _performed: defaultdict[str, Bucket] = field(
         default_factory=lambda: defaultdict(lambda: Bucket(ACTS_PER_S, MAX_ACTS)), init=False

@@ -204,8 +204,8 @@ class AnchorStatus:
 
 
 class Anchoring:
-    """Writes the newest entry of ``events`` into the file ``path`` once it is in the store: the log may be
-    ahead of the anchor, never behind. It never raises for a fault of the medium.
+    """The writer of the anchor: it names the newest entry of ``events`` in the file ``path`` once it is
+    stored: the log may be ahead of the anchor, never behind. It never raises for a fault of the medium.
 
     Without ``is_configured`` the file is the one beside the key: that it cannot be written is only an event,
     and with a new key it begins again."""

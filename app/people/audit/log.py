@@ -266,10 +266,10 @@ _RepeatedEvent = tuple[EventKind, _Text, _Text, _Text, _Text, UnixTime]
 
 
 class RepeatedEvents:
-    """Records the first event of a kind, person, place and message at once, then one a minute with the number
-    of repetitions. Places are kept apart for each person, so that a flood hides nobody who is under attack;
-    there is a bounded number of ``who``. ``record``: `EventLog.record`; ``clock``: Unix time in seconds;
-    ``now`` measures the minutes."""
+    """A recorder of the first event of a kind, person, place and message at once, then of one a minute with
+    the number of repetitions. Places are kept apart for each person, so that a flood hides nobody who is
+    under attack; there is a bounded number of ``who``. ``record``: `EventLog.record`; ``clock``: Unix time in
+    seconds; ``now`` measures the minutes."""
 
     def __init__(
         self, record: Callable[..., Awaitable[object]], clock: Clock, now: MonotonicClock = monotonic_now

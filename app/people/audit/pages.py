@@ -138,7 +138,7 @@ LAST = 100
 
 
 class EventFinder:
-    """Finds events for the search of all pages, also by the names of the units that they are about."""
+    """The finder of events for the search of all pages, also by the names of units."""
 
     def __init__(self, events: EventLog, buses: Iterable[BusSettings]) -> None:
         self._events = events

@@ -278,7 +278,7 @@ def _begun(
 
 
 class LogProof:
-    """Verifies the log of a running server, in a thread that does not delay the server's end."""
+    """The proof of the log of a running server, in a thread that does not delay the server's end."""
 
     def __init__(self, database: Database, keys: Keys) -> None:
         self._database = database

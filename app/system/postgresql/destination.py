@@ -89,7 +89,7 @@ class SchemaError(StoreError):
 
 
 def require_package() -> None:
-    """Raises PublishError where psycopg is not installed."""
+    """Raise PublishError if psycopg is not installed."""
     try:
         import psycopg  # noqa: F401
     except ImportError:
@@ -150,8 +150,8 @@ class Destination:
             for table, rows in batch.rows.items():
                 if rows:
                     self._copy(connection, table, list(rows.values()))
-            said = f"UPDATE {self._settings.quoted_schema}.site SET published_at = to_timestamp(%s)"
-            connection.execute(f"{said} WHERE name = %s".encode(), (float(published_at), self._site))
+            query = f"UPDATE {self._settings.quoted_schema}.site SET published_at = to_timestamp(%s)"
+            connection.execute(f"{query} WHERE name = %s".encode(), (float(published_at), self._site))
 
     def keep_up(self, now: UnixTime) -> None:
         """Make the partitions of the next month, and remove what is older than ``keep_months``, by the

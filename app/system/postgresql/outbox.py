@@ -168,7 +168,7 @@ class PublishedUnit:
 
 
 class HistoryRows:
-    """Makes rows of the history of a site. ``step``: the distance of the rows in µs, 0 for every reading;
+    """The rows of the history of a site. ``step``: the distance of the rows in µs, 0 for every reading;
     ``damaged``: blocks that could not be read, until the caller empties the list."""
 
     def __init__(self, buses: Iterable[BusSettings], step: int) -> None:

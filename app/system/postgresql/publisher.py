@@ -90,7 +90,7 @@ class PublisherStatus:
 
 
 class Publisher:
-    """Publishes what the stores of a site hold; after a failure it waits and goes on where it was."""
+    """The publisher of a site; after a failure it waits and goes on where it was."""
 
     def __init__(
         self,
