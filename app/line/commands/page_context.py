@@ -36,7 +36,7 @@ from app.line.commands.service import CommandService
 from app.line.commands.undo import UndoOffer
 from app.line.commands.values import Scales, parse_scale, setpoint_message
 from app.line.live.bus_live import BusLive, LiveState, UnitLive
-from app.line.live.fields import FlatFields, Translator
+from app.line.live.fields import Fields, Translator
 from app.line.live.hub import Hub
 from app.line.live.pages import UnitOnLine, unit_on_line
 from app.line.live.requests import unit_of_bus_or_404
@@ -90,7 +90,7 @@ class PageContext:
         """Return this request for each bus."""
         return [self.of_bus(name) for name in self.live.buses]
 
-    def fields(self) -> FlatFields:
+    def fields(self) -> Fields:
         """Return all texts of the screen as they are now."""
         return service_of(self.request, Hub).screen(self.translator.language.tag).flat()
 

@@ -74,23 +74,6 @@ Groups = dict[str, Fields]
 K = TypeVar("K")
 
 
-class FlatFields:
-    """The fields of groups by ``group.field``, as templates read them. A dictionary of them would be a
-    megabyte for each page that opens a long line."""
-
-    def __init__(self, groups: Groups) -> None:
-        self._groups = groups
-
-    def __getitem__(self, key: str) -> Any:
-        group, _, name = key.rpartition(".")
-        return self._groups[group][name]
-
-    def get(self, key: str, default: Any = None) -> Any:
-        """Return a field, or ``default`` if there is none."""
-        group, _, name = key.rpartition(".")
-        return self._groups.get(group, {}).get(name, default)
-
-
 def put_fields(shown: dict[K, Fields], group: K, fields: Fields) -> dict[K, Fields]:
     """Put ``fields`` into ``group`` of what is shown; return those that differ, and no group if none does."""
     before = shown.setdefault(group, {})

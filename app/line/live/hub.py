@@ -10,9 +10,9 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 
 import structlog
 
@@ -80,8 +80,6 @@ class Flow:
         self._sent_at = self.clock()
 
 
-MAX_VIEWS = 64
-"""Sets of units that are kept for pages that show the same."""
 ShownUnits = frozenset[tuple[str, int]]
 """Units, each as bus and address."""
 
@@ -94,11 +92,9 @@ class Watched:
         self._by_key = {unit_key(bus, unit): (bus, unit) for bus, of_bus in units.items() for unit in of_bus}
         self._units: dict[str, Counter[int]] = {bus: Counter() for bus in units}
         self._traces: Counter[str] = Counter()
-        self.known = lru_cache(MAX_VIEWS)(self._known)
-        """Returns the units of these keys that exist, as one set for all pages that show the same: for a long
-        line a set is fifty kilobytes."""
 
-    def _known(self, keys: tuple[str, ...]) -> ShownUnits:
+    def known(self, keys: Iterable[str]) -> ShownUnits:
+        """Return the units of these keys that exist."""
         return frozenset(self._by_key[key] for key in keys if key in self._by_key)
 
     def turn(self, before: ShownUnits, after: ShownUnits, trace_before: str, trace_after: str) -> None:
@@ -296,7 +292,7 @@ class Hub:
         """Send everything to a page that opened or missed a number."""
         self._broadcasts[browser.language].send_snapshot(browser)
 
-    def follow(self, browser: Browser, keys: tuple[str, ...], trace: str, *, lines: bool = False) -> None:
+    def follow(self, browser: Browser, keys: Iterable[str], trace: str, *, lines: bool = False) -> None:
         """Note the units that a page shows, by their keys, the bus whose trace it follows, and whether it
         shows all lines."""
         if lines and not browser.lines and self._lines is not None:

@@ -27,7 +27,6 @@ from app.line.live.diagnosis import (
 )
 from app.line.live.fields import (
     Fields,
-    FlatFields,
     Groups,
     Translator,
     bus_fields,
@@ -267,9 +266,11 @@ class Screen:
         """Set fields of a group; return those that changed."""
         return put_fields(self.shown, group, fields)
 
-    def flat(self) -> FlatFields:
+    def flat(self) -> Fields:
         """Return everything shown, by ``group.field``, for the first paint of a page."""
-        return FlatFields(self.shown)
+        return {
+            f"{group}.{name}": value for group, fields in self.shown.items() for name, value in fields.items()
+        }
 
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: UnixTime) -> Fields:
         number = unit.settings.id

@@ -133,5 +133,5 @@ def _follow(hub: Hub, browser: Browser, text: str) -> bool:
     """Apply a message of a page; return whether it requests a snapshot too. Raises msgspec.DecodeError."""
     message = _decoder.decode(text)
     may_trace = Role(browser.role).includes(Role.ENGINEER)
-    hub.follow(browser, tuple(message.units), message.trace if may_trace else "", lines=message.lines)
+    hub.follow(browser, message.units, message.trace if may_trace else "", lines=message.lines)
     return message.want == "snapshot"
