@@ -94,8 +94,8 @@ class Exchange:
         self._before = pending or PendingResponses(request.unit, dialect)
         self.frame = b""
         """The response as it was on the wire."""
-        self._pending = self._before.sent(request)
-        self._unresolved: bytes | None = None
+        self.pending = self._before.sent(request)
+        """The late responses that the unit may still send once this exchange is over."""
 
     def receive(self, data: bytes, at: Monotonic) -> list[ExchangeEvent]:
         """Take bytes that came in at ``at``, in pieces of any size, and return the events."""
@@ -113,17 +113,10 @@ class Exchange:
             self.first_byte_at = at
         return events
 
-    @property
-    def pending(self) -> PendingResponses:
-        """Return the late responses that the unit may still send once this exchange is over."""
-        if self._unresolved is not None:
-            self._pending, self._unresolved = self._pending.received(self._unresolved), None
-        return self._pending
-
     def response_began(self, ended: Monotonic, byte_s: float) -> Monotonic:
         """Return when the response began that was complete at ``ended``; a byte takes ``byte_s`` seconds.
 
-        A first byte that was left to gather came earlier than it was read.
+        A first byte that an adapter held back came earlier than it was read.
         """
         begins = ended - len(self.frame) * byte_s
         return begins if self.first_byte_at is None else min(begins, self.first_byte_at - byte_s)
@@ -141,8 +134,7 @@ class Exchange:
         # A duplicate response is not evidence of a second request.
         if not self.awaiting and frame.wire == self.frame:
             return Duplicate(frame)
-        # Resolved on demand: the next request is more urgent.
-        self._pending, self._unresolved = self.pending, frame.body
+        self.pending = self.pending.received(frame.body)
         return self._judge(frame) if self.awaiting else Late(frame)
 
     def _judge(self, frame: ReceivedFrame) -> ExchangeEvent:
