@@ -11,16 +11,16 @@ from tests.e2e.site import LINESIDE, free_port, unit_tables
 CONFIG = "lineside.toml"
 
 
-def served_line(folder: Path, port: str, units: int) -> list[str]:
-    """Write lineside.toml for a port; the command to run."""
-    return served_lines(folder, [port], units)
+def served_line(folder: Path, port: str, units: int, more: str = "") -> list[str]:
+    """Write lineside.toml for a port, with ``more`` tables; return the command to run."""
+    return served_lines(folder, [port], units, more)
 
 
-def served_lines(folder: Path, ports: Sequence[str], units: int) -> list[str]:
-    """The same for several, each with so many units."""
+def served_lines(folder: Path, ports: Sequence[str], units: int, more: str = "") -> list[str]:
+    """Write lineside.toml for several ports, each with so many units; return the command to run."""
     config = folder / CONFIG
     buses = "".join(_bus(place, port) + unit_tables(units) for place, port in enumerate(ports))
-    config.write_text(f"[server]\nport = {free_port()}\n{buses}", encoding="utf-8")
+    config.write_text(f"[server]\nport = {free_port()}\n{more}{buses}", encoding="utf-8")
     return [str(LINESIDE), "serve", "--config", str(config)]
 
 

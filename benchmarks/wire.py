@@ -27,6 +27,7 @@ from bus.simulator.ports import PtyPort
 from bus.simulator.serve import LineServer
 from tests.e2e.limits import START_S
 from tests.e2e.site import end, eventually
+from tests.postgresql import fresh_database
 
 UNITS = 8
 BAUD = 9600
@@ -38,6 +39,7 @@ READ_PARAMETER = 0x85
 READS_OF_A_SETTLED_HOST = 10
 """In ``SETTLING_S``: a worker that knows all parameters looks now and then whether one was changed."""
 MEASURED_S = 20.0
+WITH_A_BACKUP_S = 65.0
 DEAD = 3
 
 ONLOOKERS = 20
@@ -81,11 +83,13 @@ def run() -> None:
 
 def _show_rates() -> None:
     rows: list[list[object]] = [["the wire itself", f"{WIRE_ITSELF:.1f}", "1.000", "0", "0", "", ""]]
-    for name, (host, company) in {
-        **{name: (host, _alone) for name, host in HOSTS.items()},
-        f"the same, {ONLOOKERS} browsers and the trace": (_lineside, _onlookers),
+    for name, (host, company, seconds) in {
+        **{name: (host, _alone, MEASURED_S) for name, host in HOSTS.items()},
+        f"the same, {ONLOOKERS} browsers and the trace": (_lineside, _onlookers, MEASURED_S),
+        f"the same alone, for {WITH_A_BACKUP_S:g} s": (_lineside, _alone, WITH_A_BACKUP_S),
+        "the same, publishing, with a backup each minute": (_copying, _alone, WITH_A_BACKUP_S),
     }.items():
-        seen, cpu, memory = _measure(host, _line_for(host), company)
+        seen, cpu, memory = _measure(host, _line_for(host), company, seconds)
         gaps = [microseconds(seen.gap_median), microseconds(seen.gap_p99)]
         part = f"{seen.octets * BITS_PER_BYTE / BAUD:.3f}"
         rows.append([name, f"{seen.rate:.1f}", part, *gaps, f"{cpu:.1%}", f"{memory:.0f} MiB"])
@@ -111,7 +115,9 @@ def _show_dead_unit() -> None:
     show(f"One of {UNITS} units is off: what the others keep of their rate", header, rows)
 
 
-def _measure(host: Host, line: Any, company: Company = _alone) -> tuple[Seen, float, float]:
+def _measure(
+    host: Host, line: Any, company: Company = _alone, lasting_s: float = MEASURED_S
+) -> tuple[Seen, float, float]:
     """What the line saw of a host, its share of a core, and its memory in MiB."""
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -122,7 +128,7 @@ def _measure(host: Host, line: Any, company: Company = _alone) -> tuple[Seen, fl
         _settle(server)
         members = family(process.pid)
         begun, used, number = time.monotonic(), cpu_seconds(*members), _last_number(server)
-        time.sleep(MEASURED_S)
+        time.sleep(lasting_s)
         seconds = time.monotonic() - begun
         cpu = (cpu_seconds(*members) - used) / seconds
         return look(_record(server, number), seconds), cpu, memory_mib(*members)
@@ -162,6 +168,15 @@ def _peer(module: str) -> Host:
 
 def _lineside(port: str, folder: Path) -> list[str]:
     return served_line(folder, port, UNITS)
+
+
+def _copying(port: str, folder: Path) -> list[str]:
+    """Lineside that publishes every reading to PostgreSQL, and backs itself up each minute."""
+    with fresh_database() as url:
+        more = (
+            f'[postgresql]\nurl = "{url}"\nreadings = "all"\n[backup]\nfolder = "backups"\nevery = "1 min"\n'
+        )
+        return served_line(folder, port, UNITS, more)
 
 
 def _line_for(host: Host) -> Any:
