@@ -180,7 +180,6 @@ def test_no_file_is_written_over_that_came_meanwhile(site: Path, monkeypatch: py
         ('folder = "none"', "none is not there; mount its disk", True),
         ('folder = "lineside.toml"', "is not there", True),
         ('folder = "copies"\nkey_file = "mail.password"', "has fewer than 32 characters", True),
-        ('folder = "/proc/self"', "the disk of /proc/self has 0 MB free", True),
         ('folder = "copies"\nevery = "10 min"', "backups: every 10 min in ", False),
         ('folder = "foreign"', "foreign has the backups of another site (Plant 2)", True),
         ('folder = "half"', "lineside-site.json is damaged", True),
@@ -196,6 +195,16 @@ def test_the_check_names_what_keeps_a_backup_from_being_written(
     (site / "lineside.toml").write_text(f"{CONFIGURATION}[backup]\n{written}\n")
     found = [*backup_findings(load(site / "lineside.toml"))]
     assert [finding.is_fault for finding in found if text in str(finding.message)] == [is_fault]
+
+
+def test_the_check_names_a_disk_that_is_too_small(site: Path) -> None:
+    disk = site / "disk"
+    disk.mkdir()
+    (site / "lineside.toml").write_text(f'{CONFIGURATION}[backup]\nfolder = "disk"\n')
+    with mounted("-t", "tmpfs", "-o", "size=64k", "tmpfs", at=disk):
+        [found] = backup_findings(load(site / "lineside.toml"))
+    assert found.is_fault
+    assert "disk has 0 MB free" in str(found.message)
 
 
 def test_a_disk_that_is_too_small_is_named_before_anything_is_written(site: Path) -> None:
