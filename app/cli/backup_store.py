@@ -263,7 +263,7 @@ def put_back(
         if fresh in proved:
             try:
                 present = data / STORE_FILE
-                withheld = make_ready(fresh, present, message, key_files, keep_tokens=keep_tokens)
+                withheld = _make_ready(fresh, present, message, key_files, keep_tokens=keep_tokens)
             except (sqlite3.Error, ValueError) as error:
                 raise _unsound(backup.path, STORE_FILE, str(error)) from error
             if backup.manifest.all_events and event_archive:
@@ -331,7 +331,7 @@ def _put(fresh: Path, place: Path) -> None:
     fresh.replace(place)
 
 
-def make_ready(
+def _make_ready(
     fresh: Path, present: Path, backup: Message, key_files: Sequence[Path], *, keep_tokens: bool = False
 ) -> Withheld:
     """Prepare ``fresh``, the main store of a backup, to take the place of ``present``. ``key_files``: where

@@ -50,7 +50,7 @@ CHECK_S = 15.0
 def check(config: Path, live: bool, as_json: bool) -> None:
     """Check the configuration and this machine; faults are listed by file and line. Exit 0 or 1."""
     settings = load(config)
-    found = [*found_of(settings, config.absolute(), live=live)]
+    found = [*_found_of(settings, config.absolute(), live=live)]
     if as_json:
         shown = [{"fault": each.is_fault, **message_shown(each.message)} for each in found]
         click.echo(json.dumps({"config": str(config), "site": settings.site.name, "findings": shown}))
@@ -65,7 +65,7 @@ def check(config: Path, live: bool, as_json: bool) -> None:
         raise click.exceptions.Exit(1)
 
 
-def found_of(settings: Settings, config: Path, *, live: bool) -> Iterator[Finding]:
+def _found_of(settings: Settings, config: Path, *, live: bool) -> Iterator[Finding]:
     """Check with the rights of the service, also if root calls: what the service may not read is a fault."""
     users = check_live.port_users(settings) if live else {}  # root sees the programs of every user
     become_owner_of(settings.server.data)

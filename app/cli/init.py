@@ -48,16 +48,16 @@ def init(config: Path) -> None:
     units, and the first admin. The installed service is stopped for the scan and starts with what was
     written.
     """
-    present = present_text(config)
+    present = _present_text(config)
     text = without_bus(config) if present is None else present
     prompts = is_interactive()
-    with service_stopped(config) if prompts else nullcontext():
+    with _service_stopped(config) if prompts else nullcontext():
         example = example_bus(config, likely_port())
-        text = prompted_text(config, text) if prompts else with_bus(text, example)
+        text = _prompted_text(config, text) if prompts else with_bus(text, example)
         with acting_as_owner_of(config.resolve().parent):
             write(config, present, text)
             if prompts:
-                prompt_for_admin(config)
+                _prompt_for_admin(config)
     report(Message.of("configuration_written", file=str(config)))
 
 
@@ -66,7 +66,7 @@ def is_interactive() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
-def present_text(config: Path) -> str | None:
+def _present_text(config: Path) -> str | None:
     """Return the text of a file that has no bus yet, or None if there is no file. Raises LinesideError for
     any other file, which is kept."""
     try:
@@ -101,7 +101,7 @@ def _exists(config: Path) -> LinesideError:
 
 
 @contextmanager
-def service_stopped(config: Path) -> Iterator[None]:
+def _service_stopped(config: Path) -> Iterator[None]:
     """Stop the installed service of this configuration, which may have the port open, and start it again in
     any case. Raises LinesideError unless root calls."""
     is_installed = UNIT_FILE.exists() or PACKAGED_UNIT.exists()
@@ -118,7 +118,7 @@ def service_stopped(config: Path) -> Iterator[None]:
         report(Message.of("init_service_started", unit=UNIT_FILE.stem))
 
 
-def prompted_text(config: Path, text: str) -> str:
+def _prompted_text(config: Path, text: str) -> str:
     """Return the configuration with what a person types and a scan finds. Raises ConfigurationError for what
     cannot be, such as too long a name."""
     site = click.prompt("Name of the machine", default="My line")
@@ -157,7 +157,7 @@ def _scanned(port: str) -> str:
     return bus_table(port, units_of(scans), allowed_ms(scans))
 
 
-def prompt_for_admin(config: Path) -> None:
+def _prompt_for_admin(config: Path) -> None:
     """Prompt for the first user, who can add the others; without a name the browser prompts for one."""
     from app.cli.accounts import prompted_password, store_user
     from app.core.web.access import Role

@@ -72,10 +72,10 @@ def unit_of(command: Path, config: Path, user: str, settings: Settings | None) -
     if settings is None:
         return ServiceUnit(command, config, user)
     has_ports = not settings.bus or any(bus.has_local_port for bus in settings.bus)
-    return ServiceUnit(command, config, user, folders_written(settings, config), has_ports)
+    return ServiceUnit(command, config, user, _folders_written(settings, config), has_ports)
 
 
-def folders_written(settings: Settings, config: Path) -> tuple[Path, ...]:
+def _folders_written(settings: Settings, config: Path) -> tuple[Path, ...]:
     """Return the folders, beside its own, in which a service of this configuration writes: backups, the
     archive of events, the anchor of the audit log and its key, and the data if they are elsewhere."""
     key, anchor = settings.audit.key_file, settings.audit.anchor
@@ -114,13 +114,13 @@ def carry_out(
     for command in commands:
         if unit_file is not None and command[:2] == ["systemctl", "daemon-reload"]:
             write_configuration(unit)
-            keep_edited(unit_file, unit.text)
+            _keep_edited(unit_file, unit.text)
             unit_file.write_text(unit.text, encoding="utf-8")
             unit_file.chmod(0o644)
         run(command)
 
 
-def keep_edited(unit_file: Path, text: str) -> None:
+def _keep_edited(unit_file: Path, text: str) -> None:
     """Keep a unit file with another text, which a person may have edited, under another name."""
     if unit_file.exists() and unit_file.read_bytes() != text.encode():
         kept = unit_file.with_name(f"{unit_file.name}.before")

@@ -160,7 +160,7 @@ def load(path: Path) -> ParameterSet:
         ) from error
 
 
-def rows_for(parameter_set: ParameterSet, unit: int, path: Path) -> UnitRows:
+def _rows_for(parameter_set: ParameterSet, unit: int, path: Path) -> UnitRows:
     """Return the rows meant for a unit: its own, or those of the only unit in the file (a spare, a
     sister)."""
     own = parameter_set.unit(unit)
@@ -177,7 +177,7 @@ def _with_live(
 ) -> Pair:
     if len(files) != 1 or not url or not bus or unit is None:
         raise CallerError(Message("diff_sides_missing"))
-    wanted = rows_for(load(files[0]), unit, files[0])
+    wanted = _rows_for(load(files[0]), unit, files[0])
     with dashboard(url, bearer_token(*token)) as there:
         return wanted, there.read_unit(bus, unit)
 
@@ -269,7 +269,7 @@ def restore(
 
 def _plan(there: Dashboard, bus: str, unit: int, file: Path, chosen: Mapping[str, Sequence[int]]) -> Any:
     held = load(file)
-    rows = rows_for(held, unit, file)
+    rows = _rows_for(held, unit, file)
     there.check_unit(bus, unit)
     document = write_document(
         ParameterSet(held.bus, held.taken_at, held.who, "from a file", (rows,)), with_secrets=True

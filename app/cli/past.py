@@ -166,7 +166,7 @@ def past_of(line: DemoLine, now: UnixTime) -> Past:
     return Past(now, tuple(line.plant.units), tuple(unit.name for unit in line.settings), tuple(incidents))
 
 
-def setpoint_of(unit: Unit, share: float) -> int:
+def _setpoint_of(unit: Unit, share: float) -> int:
     """Return the setpoint of a unit while the line runs at this part of it; the ratio of a follower stays."""
     return unit.setpoint if unit.follows else round(unit.memory[numbers.SPEED_SETPOINT] * share)
 
@@ -229,7 +229,7 @@ def _is_online(stretch: Stretch) -> bool:
 def _runs(unit: Unit, stretches: list[Stretch], noise: random.Random) -> Iterator[PlainRun]:
     """Return one run a minute, and another when something changes."""
     for stretch in filter(_is_online, stretches):
-        commanded = setpoint_of(unit, stretch.share)
+        commanded = _setpoint_of(unit, stretch.share)
         at, ends = micros(stretch.begins), micros(stretch.ends)
         while at < ends:
             until = min(at - at % MINUTE + MINUTE, ends)
@@ -319,7 +319,7 @@ class _Records:
     async def _recipe(self, name: str, share: float, *, loaded: bool) -> None:
         known = [each for each in await self._recipes.newest(self._bus) if each.name == name]
         setpoints = tuple(
-            RecipeSetpoint(address, setpoint_of(unit, share), "ratio" if unit.follows else "speed")
+            RecipeSetpoint(address, _setpoint_of(unit, share), "ratio" if unit.follows else "speed")
             for address, unit in enumerate(self._past.units, start=1)
         )
         if known:

@@ -91,7 +91,7 @@ NEW = "--new"
 def serve(config: Path, new: bool) -> None:
     """Serve the dashboard and every bus, until Ctrl-C or SIGTERM."""
     manager = ServiceManager()
-    with configuration_refused(manager):
+    with _configuration_refused(manager):
         settings = load(config)
     for notice in settings.former_notices:
         report(notice, err=True)
@@ -113,7 +113,7 @@ def serve(config: Path, new: bool) -> None:
 
 
 @contextmanager
-def configuration_refused(manager: ServiceManager) -> Iterator[None]:
+def _configuration_refused(manager: ServiceManager) -> Iterator[None]:
     """End a service whose configuration is wrong with an exit code after which systemd does not start it
     again."""
     try:

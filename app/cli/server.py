@@ -61,7 +61,7 @@ class Server(uvicorn.server.Server):
         """``serving``: called with the code for the first admin, empty if there is a user; ``since``: when
         the first client can have connected; ``feed``: the port of its own workers, beside HTTPS."""
         self._watch = LoopWatch(since)
-        connections = Connections(settings.server.trusted_proxies, raise_file_limit())
+        connections = Connections(settings.server.trusted_proxies, _raise_file_limit())
         app: ASGIApp = create_app(settings, demo=demo, worker_tokens=worker_tokens)
         self.services: Services = app.state.services  # type: ignore[attr-defined]
         self.worker_responds: Callable[[str], bool] = self.services[Workers].responds
@@ -163,7 +163,7 @@ class OnlyFeed:
             await TLS_REQUIRED(scope, receive, send)
 
 
-def raise_file_limit() -> int:
+def _raise_file_limit() -> int:
     """Raise the limit of open files as far as the system allows and is of use; return how many may be
     sockets."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

@@ -25,7 +25,7 @@ from bus.simulator.unit import Traits
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def dialect_option(name: str, words: str) -> Callable[[F], F]:
+def _dialect_option(name: str, words: str) -> Callable[[F], F]:
     """Make an option for what the manual leaves open; its values are those of lineside.toml."""
     field = Dialect.model_fields[name]
     values = click.Choice(get_args(field.annotation))
@@ -44,10 +44,10 @@ def dialect_option(name: str, words: str) -> Callable[[F], F]:
     default=0.0,
     help="Milliseconds until a unit starts its response.",
 )
-@dialect_option("checksum_10h", "How a checksum of 10h is sent and accepted.")
-@dialect_option("parameter_reply_bytes", "Bytes of a response to 85h; 0 uses the width of the type.")
-@dialect_option("parameter_numbers", "Parameter numbers on the wire.")
-@dialect_option("estop_healthy", "The e-stop bit while no emergency stop is active.")
+@_dialect_option("checksum_10h", "How a checksum of 10h is sent and accepted.")
+@_dialect_option("parameter_reply_bytes", "Bytes of a response to 85h; 0 uses the width of the type.")
+@_dialect_option("parameter_numbers", "Parameter numbers on the wire.")
+@_dialect_option("estop_healthy", "The e-stop bit while no emergency stop is active.")
 @click.option(
     "--last-parameter",
     type=click.IntRange(1, 40),

@@ -73,7 +73,7 @@ def status(config: Path, token: str, token_file: Path | None, as_json: bool) -> 
     buses, degraded = _state(url, bearer, own) if serves and bearer and fault is None else (None, None)
     if fault is not None:
         degraded = [{"code": fault.code, "since": None, "message": str(fault)}]
-    facts = list(site_facts(settings, unix_now()))
+    facts = list(_site_facts(settings, unix_now()))
     if as_json:
         shown = {"serving": serves, "url": url, "store": str(settings.server.store), "buses": buses}
         shown |= {"degraded": degraded} | {name: fact for each in facts for name, fact in each.shown.items()}
@@ -99,7 +99,7 @@ class Facts(NamedTuple):
     lines: list[Message]
 
 
-def site_facts(settings: Settings, now: UnixTime) -> Iterator[Facts]:
+def _site_facts(settings: Settings, now: UnixTime) -> Iterator[Facts]:
     """Read the files of a site, and each of its peers once."""
     buses = [
         {"name": bus.name, "port": bus.port, "baud": bus.baud, "units": len(bus.unit)} for bus in settings.bus
@@ -108,7 +108,7 @@ def site_facts(settings: Settings, now: UnixTime) -> Iterator[Facts]:
     yield disk_facts(settings, now)
     yield certificate_facts(settings)
     yield backup_facts(settings, now)
-    yield publisher_facts(settings, now)
+    yield _publisher_facts(settings, now)
     yield _peer_facts(settings)
 
 
@@ -192,7 +192,7 @@ def backup_facts(settings: Settings, now: UnixTime) -> Facts:
     return Facts({"backup": shown}, [line])
 
 
-def publisher_facts(settings: Settings, now: UnixTime) -> Facts:
+def _publisher_facts(settings: Settings, now: UnixTime) -> Facts:
     """Read up to when the plant's database has everything, as far as the store knows."""
     if settings.postgresql is None:
         return Facts({"publisher": None}, [])

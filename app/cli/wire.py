@@ -39,7 +39,7 @@ _STANDARD_INPUT = "-"
 @json_option
 def decode(hex_bytes: tuple[str, ...], file: Path | None, as_json: bool) -> None:
     """Decode frames. Exit 0, 1 when no frame is valid, 2 when the bytes are not hex."""
-    found = decode_text(_given_text(hex_bytes, file))
+    found = _decode_text(_given_text(hex_bytes, file))
     frames = [item for item in found if isinstance(item, Described)]
     if as_json:
         click.echo(json.dumps([frame.as_json() for frame in frames]))
@@ -51,7 +51,7 @@ def decode(hex_bytes: tuple[str, ...], file: Path | None, as_json: bool) -> None
         raise click.exceptions.Exit(1)
 
 
-def decode_text(text: str) -> list[Described | DescribedNoise]:
+def _decode_text(text: str) -> list[Described | DescribedNoise]:
     """Decode a trace or a run of hex. Raises CallerError for other text."""
     lines = [line for line in text.splitlines() if line.strip()]
     if any(is_trace_line(line) for line in lines):
@@ -257,7 +257,7 @@ def _document(port: str, scans: Sequence[BaudScan], turnaround_ms: float) -> dic
         "units": [_unit_json(one) for one in found],
         **_remarks(_remarks_on(scans, turnaround_ms)),
         "settings": {**settings_seen(found), "turnaround_ms": allowed_ms(scans)},
-        "bus": bus_found(port, found, allowed_ms(scans)),
+        "bus": _bus_found(port, found, allowed_ms(scans)),
     }
 
 
@@ -306,7 +306,7 @@ def _remarks(remarks: Sequence[Message]) -> dict[str, Any]:
     }
 
 
-def bus_found(port: str, found: Sequence[Found], turnaround_ms: float) -> dict[str, Any]:
+def _bus_found(port: str, found: Sequence[Found], turnaround_ms: float) -> dict[str, Any]:
     """Return the ``[[bus]]`` of a scan, with its drives in the order of addresses. A bus has one baud rate:
     that of most units. ``turnaround_ms``: what was needed."""
     drives = [one for one in found if one.kind == "digimax"]
@@ -320,7 +320,7 @@ def bus_found(port: str, found: Sequence[Found], turnaround_ms: float) -> dict[s
 
 def bus_table(port: str, found: Sequence[Found], turnaround_ms: float) -> str:
     """Return the bus as TOML, with a comment for each device that is not part of it."""
-    bus = bus_found(port, found, turnaround_ms)
+    bus = _bus_found(port, found, turnaround_ms)
     tables = [("[[bus]]", bus), *(("\n[[bus.unit]]", unit) for unit in bus["unit"])]
     lines = [
         line

@@ -58,7 +58,7 @@ def migrations_in(folder: Path) -> list[Migration]:
     return [Migration(int(name[1]), name[2], path.read_text("utf-8")) for path, name in found if name]
 
 
-def missing_in(applied: dict[int, str], folder: Path, store: str) -> list[Migration]:
+def _missing_in(applied: dict[int, str], folder: Path, store: str) -> list[Migration]:
     """Return the steps of a folder that a store has not taken. Raises StoreError for a store of a newer
     version."""
     known = migrations_in(folder)
@@ -83,8 +83,8 @@ def alone(path: Path) -> Iterator[None]:
 def bring_up_to_date(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
     """Apply missing steps, each completely or not at all, and return them. ``connection`` is in
     autocommit. Raises StoreError for a store of a newer version and for a step that fails."""
-    applied = applied_steps(connection)
-    missing = missing_in(applied, folder, str(path))
+    applied = _applied_steps(connection)
+    missing = _missing_in(applied, folder, str(path))
     if missing and applied:
         _copy(connection, path, missing[0])
     for migration in missing:
@@ -97,7 +97,7 @@ def is_store(connection: sqlite3.Connection) -> bool:
     return has_table(connection, "migrations")
 
 
-def applied_steps(connection: sqlite3.Connection) -> dict[int, str]:
+def _applied_steps(connection: sqlite3.Connection) -> dict[int, str]:
     """Return number and name of the steps that a store has taken."""
     if not is_store(connection):
         return {}
@@ -106,7 +106,7 @@ def applied_steps(connection: sqlite3.Connection) -> dict[int, str]:
 
 def refuse_newer(connection: sqlite3.Connection, path: Path) -> list[Migration]:
     """Return the steps that a main store has not taken. Raises StoreError for a store of a newer version."""
-    return missing_in(applied_steps(connection), MIGRATIONS, str(path))
+    return _missing_in(_applied_steps(connection), MIGRATIONS, str(path))
 
 
 def require_version(connection: sqlite3.Connection, path: Path) -> None:

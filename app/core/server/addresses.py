@@ -26,7 +26,7 @@ SUBNET_BITS = 64
 MAX_REMEMBERED = 1024
 
 
-def parse_address(text: str) -> Address | None:
+def _parse_address(text: str) -> Address | None:
     """Parse an address; an IPv4 address also as a dual-stack socket writes it, ``::ffff:10.0.0.5``."""
     try:
         address = ip_address(text)
@@ -37,14 +37,14 @@ def parse_address(text: str) -> Address | None:
 
 def canonical(text: str) -> str:
     """Return an address in its usual form; any other text unchanged."""
-    return str(parse_address(text) or text)
+    return str(_parse_address(text) or text)
 
 
 @lru_cache(maxsize=MAX_REMEMBERED)
 def source_of(text: str) -> str:
     """Return the key by which a client is counted: an IPv4 address, the /64 of an IPv6 address, or any other
     text unchanged."""
-    address = parse_address(text)
+    address = _parse_address(text)
     if isinstance(address, IPv6Address):
         return str(ip_network((int(address) >> SUBNET_BITS << SUBNET_BITS, SUBNET_BITS)))
     return str(address or text)
@@ -52,7 +52,7 @@ def source_of(text: str) -> str:
 
 def is_within(text: str, networks: Collection[Network]) -> bool:
     """Return whether the address belongs to one of the networks."""
-    address = parse_address(text)
+    address = _parse_address(text)
     return address is not None and any(address in network for network in networks)
 
 
@@ -94,7 +94,7 @@ def origin_of(peer: str, headers: Headers, trusted: Collection[Network]) -> Orig
 def _client(peer: str, forwarded_for: str, trusted: Collection[Network]) -> str:
     client = peer
     for hop in reversed(forwarded_for.rsplit(",", MAX_HOPS)[-MAX_HOPS:]):
-        address = parse_address(_without_port(hop.strip()))
+        address = _parse_address(_without_port(hop.strip()))
         if address is None:
             break
         client = str(address)
