@@ -41,6 +41,8 @@ from app.system.postgresql.outbox import read_identity
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message, joined
 
+ASIDE = ".before-restore"
+
 
 @click.command
 @click.argument(
@@ -68,9 +70,6 @@ def backup_store(file: Path, config: Path, as_json: bool) -> None:
         report(Message.of("backup_leaves_out", files=[*done.left_out]))
     if done.damaged:
         report(Message.of("backup_contents_lost", n=len(done.damaged)))
-
-
-ASIDE = ".before-restore"
 
 
 @click.command

@@ -14,7 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from app.cli.findings import Finding, bus_refusal, fault, is_visible, may_make_files_in, user
+from app.cli.findings import Finding, bus_refusal, fault, info, is_visible, may_make_files_in, user
 from app.cli.serve import ListenError, PortInUse, listen, url_of
 from app.cli.status import GB, is_serving, verification
 from app.core.database.connection import examining
@@ -41,7 +41,7 @@ def live_findings(settings: Settings, users: PortUsers) -> Iterator[Finding]:
     ports."""
     serves = _serves(settings.server)
     has_lock = is_locked(settings.server.data / LOCK_FILE)
-    yield Finding(Message.of("live_user", user=user()))
+    yield info("live_user", user=user())
     yield from _address(settings.server, has_lock=has_lock, serves=serves)
     yield from _folders(settings)
     yield from _store(settings)
@@ -74,7 +74,7 @@ def _address(server: ServerSettings, *, has_lock: bool | None, serves: bool) -> 
     if serves and has_lock is False:
         yield fault("live_address_of_other", url=_url(server), folder=str(server.data))
     elif serves:
-        yield Finding(Message.of("live_address_own", url=_url(server)))
+        yield info("live_address_own", url=_url(server))
     elif server.port:
         try:
             listen(server.host, server.port, Message("choose_port")).close()
@@ -82,9 +82,9 @@ def _address(server: ServerSettings, *, has_lock: bool | None, serves: bool) -> 
             stalled = fault("live_address_stalled", **place, folder=str(server.data))
             yield stalled if has_lock else fault("check_server_refused", reason=error.message)
         except ListenError:
-            return  # `lineside check` has the reason already
+            return  # found by `lineside check`
         else:
-            yield Finding(Message("live_address_free", place))
+            yield info("live_address_free", **place)
 
 
 def _folders(settings: Settings) -> Iterator[Finding]:
@@ -98,7 +98,7 @@ def _folders(settings: Settings) -> Iterator[Finding]:
     ):
         if folder is not None and is_visible(folder) and may_make_files_in(folder):
             free = number(f"{free_bytes(folder) / GB:.1f}")
-            yield Finding(Message.of("live_folder", folder=str(folder), user=user(), free=free))
+            yield info("live_folder", folder=str(folder), user=user(), free=free)
     for path in inner:
         if not os.access(path, os.R_OK | os.W_OK):
             yield fault("live_file_not_writable", user=user(), path=str(path), folder=str(data))
@@ -119,8 +119,8 @@ def _store(settings: Settings) -> Iterator[Finding]:
         with examining(store) as connection:
             steps = refuse_newer(connection, store)
     except StoreError:
-        return  # `lineside check` has the reason already
-    yield Finding(Message.of("live_store_earlier" if steps else "live_store", path=str(store), n=len(steps)))
+        return  # found by `lineside check`
+    yield info("live_store_earlier" if steps else "live_store", path=str(store), n=len(steps))
 
 
 def port_users(settings: Settings) -> PortUsers:
@@ -139,7 +139,7 @@ def _device(bus: BusSettings, users: PortUsers) -> Finding:
     using = users[bus.name]
     own = [pid for pid, _ in using if is_worker_of(bus.name, pid)]
     if own and len(own) == len(using):
-        return Finding(Message.of("live_port_own", bus=bus.name, port=bus.port, pid=own[0]))
+        return info("live_port_own", bus=bus.name, port=bus.port, pid=own[0])
     if using:
         return fault("check_port_refused", bus=bus.name, reason=used_by(bus.port, using))
     return _opened(bus, "live_port_opens")
@@ -148,9 +148,9 @@ def _device(bus: BusSettings, users: PortUsers) -> Finding:
 def _server(bus: BusSettings, *, runs: bool) -> Finding:
     place = {"bus": bus.name, "port": bus.port}
     if runs:
-        return Finding(Message.of("live_port_of_server", **place))
+        return info("live_port_of_server", **place)
     if is_connected_to(bus.port):
-        return Finding(Message.of("live_port_connected", **place))
+        return info("live_port_connected", **place)
     return _opened(bus, "live_port_connects")
 
 
@@ -161,10 +161,10 @@ def _opened(bus: BusSettings, code: str) -> Finding:
     reason = port_fault(bus.port)
     if bus.has_local_port and not Path(bus.port).exists():
         # As `lineside check` says: it is waited for. Here with the ports that there are instead.
-        return Finding(Message.of("check_port_refused", bus=bus.name, reason=reason or ""))
+        return info("check_port_refused", bus=bus.name, reason=reason or "")
     if reason is not None:
         return fault("check_port_refused", bus=bus.name, reason=reason)
-    return Finding(Message.of(code, bus=bus.name, port=bus.port))
+    return info(code, bus=bus.name, port=bus.port)
 
 
 def is_worker_of(bus: str, pid: int) -> bool:

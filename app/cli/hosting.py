@@ -46,6 +46,17 @@ SWITCH_S = 0.001
 loop, each time that the loop has polled its sockets."""
 DATA_IN_USE = "data_in_use"
 _ENDINGS = (signal.SIGTERM, signal.SIGINT)
+log = structlog.get_logger()
+MAX_PAUSE_S = 5.0
+MAX_UNWATCHED_S = 2 * MAX_PAUSE_S
+GRACE_S = 2.3
+"""A worker finishes or withdraws the change in flight and leaves within 2 s of SIGTERM."""
+LOOK_S = 1.0
+MAX_MISSED = 10
+"""Looks without a response. They begin 5 s after the last message, when the feed gives a worker up, and
+opening a port takes far less."""
+MAX_MISSED_AT_START = 120
+"""Before the first response: on a small machine many workers import their code at the same time."""
 
 
 class HostingError(LinesideError):
@@ -181,14 +192,6 @@ def _stop_requested() -> asyncio.Task[Any]:
     return asyncio.create_task(ending.wait())
 
 
-log = structlog.get_logger()
-
-MAX_PAUSE_S = 5.0
-MAX_UNWATCHED_S = 2 * MAX_PAUSE_S
-GRACE_S = 2.3
-"""A worker finishes or withdraws the change in flight and leaves within 2 s of SIGTERM."""
-
-
 class WorkerProcesses:
     """The bus workers as child processes, each connected by the same WebSocket as a worker far away.
     ``tokens``: by bus, the token with which its worker opens the feed."""
@@ -288,12 +291,6 @@ async def end(process: Process, grace_s: float) -> None:
 
 
 # watchdog
-LOOK_S = 1.0
-MAX_MISSED = 10
-"""Looks without a response. They begin 5 s after the last message, when the feed gives a worker up, and
-opening a port takes far less."""
-MAX_MISSED_AT_START = 120
-"""Before the first response: on a small machine many workers import their code at the same time."""
 
 
 @dataclass(slots=True)

@@ -28,6 +28,7 @@ from bus.messages import Message
 BACKLOG = 512
 """Browsers of a plant reconnect at once after a restart."""
 NEXT_PORTS = 10
+NEW = "--new"
 
 
 class ListenError(LinesideError):
@@ -80,9 +81,6 @@ def url_of(host: str, port: int, scheme: str = "http") -> str:
     elif host == "::":
         host = "::1"
     return f"{scheme}://[{host}]:{port}" if ":" in host else f"{scheme}://{host}:{port}"
-
-
-NEW = "--new"
 
 
 @click.command

@@ -31,6 +31,13 @@ from bus.wire.framing import FrameDecoder
 _SEPARATORS = re.compile(r"[\s,;:\[\]]+|0[xX]|\\x")
 _HEX = re.compile(r"(?:[0-9a-fA-F]{2})+")
 _STANDARD_INPUT = "-"
+FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
+"""9600 is the default of a unit, and the quickest to try."""
+INTERRUPTED = 130
+"""As a shell reports a program that SIGINT ended."""
+BUS_NAME = "line-1"
+_SOCKET = "socket://"
+_KINDS = {"digimax": "found_digimax", "garbled": "found_kind_garbled", "foreign": "found_kind_foreign"}
 
 
 @click.command
@@ -92,15 +99,6 @@ def _given_text(hex_bytes: tuple[str, ...], file: Path | None) -> str:
     if hex_bytes == (_STANDARD_INPUT,):
         return sys.stdin.read()
     return " ".join(hex_bytes)
-
-
-FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
-"""9600 is the default of a unit, and the quickest to try."""
-INTERRUPTED = 130
-"""As a shell reports a program that SIGINT ended."""
-BUS_NAME = "line-1"
-_SOCKET = "socket://"
-_KINDS = {"digimax": "found_digimax", "garbled": "found_kind_garbled", "foreign": "found_kind_foreign"}
 
 
 @click.command

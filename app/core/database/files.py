@@ -29,6 +29,20 @@ _MEANINGS: dict[int, Message] = {
     sqlite3.SQLITE_PERM: Message("store_access_refused"),
 }
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+FOLDER_MODE, FILE_MODE = 0o700, 0o600
+OTHERS = 0o077
+"""Every right of the group and of others."""
+WRITABLE_BY_OTHERS = 0o022
+CODE = "compiled"
+"""The folder of compiled templates, which are executed: it is emptied if others could have written to it."""
+log = structlog.get_logger()
+FILE = "reserve"
+SIZE = 64_000_000
+"""A day with a command each 4 s: one with its result takes 2.6 kB."""
+MIN_FREE = 2_000_000
+"""Free bytes before a transaction: its rows, the store's write-ahead log and the checkpoint of both."""
+MIN_FREE_OF_OTHERS = 100_000_000
+"""Free bytes below which only the main store is written: neither readings nor pictures."""
 
 
 @contextmanager
@@ -55,16 +69,6 @@ def in_words(path: Path) -> Iterator[None]:
     except OSError as error:
         failed = Message.of("store_folder_failed", path=str(path), error=system_error(error))
         raise StoreError(failed) from error
-
-
-FOLDER_MODE, FILE_MODE = 0o700, 0o600
-OTHERS = 0o077
-"""Every right of the group and of others."""
-WRITABLE_BY_OTHERS = 0o022
-CODE = "compiled"
-"""The folder of compiled templates, which are executed: it is emptied if others could have written to it."""
-
-log = structlog.get_logger()
 
 
 def make_folder(path: Path) -> None:
@@ -163,15 +167,6 @@ def _everything_in(folder: Path) -> Iterator[Path]:
 
 def _others_can_write(folder: Path) -> bool:
     return any(path.lstat().st_mode & WRITABLE_BY_OTHERS for path in (folder, *_everything_in(folder)))
-
-
-FILE = "reserve"
-SIZE = 64_000_000
-"""A day with a command each 4 s: one with its result takes 2.6 kB."""
-MIN_FREE = 2_000_000
-"""Free bytes before a transaction: its rows, the store's write-ahead log and the checkpoint of both."""
-MIN_FREE_OF_OTHERS = 100_000_000
-"""Free bytes below which only the main store is written: neither readings nor pictures."""
 
 
 def free_bytes(folder: Path) -> int:

@@ -24,6 +24,12 @@ Network = IPv4Network | IPv6Network
 SUBNET_BITS = 64
 """Prefix of an IPv6 subnet, which one subscriber or one machine has at least (RFC 6177, 2)."""
 MAX_REMEMBERED = 1024
+MAX_HOPS = 20
+MAX_UNDER_WAY = 200
+"""Requests of one address behind a proxy; all browsers of a plant may have one."""
+_PORT = re.compile(r"(?:\[(?P<v6>[^\]]*)\]|(?P<v4>[^:]*))(?::\d{1,5})?")
+_HOST = re.compile(r"[A-Za-z0-9._-]{1,253}(?::\d{1,5})?|\[[0-9A-Fa-f:.]{2,45}\](?::\d{1,5})?")
+_SOCKET_SCHEMES = {"http": "ws", "https": "wss"}
 
 
 def _parse_address(text: str) -> Address | None:
@@ -54,14 +60,6 @@ def is_within(text: str, networks: Collection[Network]) -> bool:
     """Return whether the address belongs to one of the networks."""
     address = _parse_address(text)
     return address is not None and any(address in network for network in networks)
-
-
-MAX_HOPS = 20
-MAX_UNDER_WAY = 200
-"""Requests of one address behind a proxy; all browsers of a plant may have one."""
-_PORT = re.compile(r"(?:\[(?P<v6>[^\]]*)\]|(?P<v4>[^:]*))(?::\d{1,5})?")
-_HOST = re.compile(r"[A-Za-z0-9._-]{1,253}(?::\d{1,5})?|\[[0-9A-Fa-f:.]{2,45}\](?::\d{1,5})?")
-_SOCKET_SCHEMES = {"http": "ws", "https": "wss"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,22 @@ from bus.instants import Monotonic, MonotonicClock, monotonic_now
 WINDOW_S = 60.0
 MAX_KEYS = 100
 Item = TypeVar("Item")
+_log = structlog.get_logger()
+OTHERS = "others"
+"""Name of all that are counted together."""
+REFUSED = frozenset({400, 401, 403, 408, 413, 414, 415, 417, 421, 429, 431})
+"""Statuses that a client gets for what it may not do or cannot mean; one that mistypes gets others."""
+MAX_SHOWN = 100
+"""Characters of what a client sent."""
+_OF_CLIENTS = frozenset(
+    {
+        "ASGI callable returned without completing handshake.",
+        "Invalid UTF-8 sequence received from client.",
+        "opening handshake failed",
+        "parser failed",
+    }
+)
+"""What uvicorn and websockets log of a refused handshake or frame, which is noted here by its address."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,25 +87,6 @@ class Repeats(Generic[Item]):
                 found.append(Repetition(window.item, window.count, key is None))
                 self._windows[key] = _Window(window.item, now)
         return found
-
-
-_log = structlog.get_logger()
-OTHERS = "others"
-"""Name of all that are counted together."""
-
-REFUSED = frozenset({400, 401, 403, 408, 413, 414, 415, 417, 421, 429, 431})
-"""Statuses that a client gets for what it may not do or cannot mean; one that mistypes gets others."""
-MAX_SHOWN = 100
-"""Characters of what a client sent."""
-_OF_CLIENTS = frozenset(
-    {
-        "ASGI callable returned without completing handshake.",
-        "Invalid UTF-8 sequence received from client.",
-        "opening handshake failed",
-        "parser failed",
-    }
-)
-"""What uvicorn and websockets log of a refused handshake or frame, which is noted here by its address."""
 
 
 class RefusalLog:

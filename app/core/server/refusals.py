@@ -26,6 +26,7 @@ HEADERS = {
 }
 _STARTS = frozenset({"http.response.start", "websocket.http.response.start"})
 """The second is of a response that refuses a WebSocket handshake."""
+MEDIA_TYPE = "application/problem+json"
 
 
 class SecurityHeaders:
@@ -43,9 +44,6 @@ class SecurityHeaders:
             await send(message)
 
         await self._app(scope, receive, with_headers)
-
-
-MEDIA_TYPE = "application/problem+json"
 
 
 @dataclass(frozen=True, slots=True)

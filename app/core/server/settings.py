@@ -17,6 +17,8 @@ from bus.errors import LinesideError
 from bus.messages import Message
 from bus.settings import StrictModel
 
+MAX_BYTES = 4096
+
 
 def check_web_url(written: str) -> str:
     """Return a URL of the web. Raises ValueError, without the URL, for another, and for one with a
@@ -61,9 +63,6 @@ class TlsSettings(StrictModel):
     @property
     def files(self) -> tuple[Path, ...]:
         return (self.certificate, self.key, *([self.client_ca] if self.client_ca else []))
-
-
-MAX_BYTES = 4096
 
 
 class SecretFileError(LinesideError):

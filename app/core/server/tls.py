@@ -32,6 +32,10 @@ READ_BYTES = 2**16
 
 ChooseContext = Callable[[bytes], ssl.SSLContext]
 """The context for the first record of a client."""
+LOOK_EVERY_S = 2.0
+"""Changed files are read once two looks find them the same: two files are never written at once."""
+OnReload = Callable[[Message, Message | None], Awaitable[None]]
+"""Called with what happened and, where the files were refused, the reason."""
 
 
 class NoTlsError(Exception):
@@ -121,12 +125,6 @@ class TlsSession:
         if size > HEADER_BYTES + MAX_HELLO_BYTES:
             raise ssl.SSLError(ssl.SSL_ERROR_SSL, "record too long")
         return len(self._hello) >= max(size, HEADER_BYTES)
-
-
-LOOK_EVERY_S = 2.0
-"""Changed files are read once two looks find them the same: two files are never written at once."""
-OnReload = Callable[[Message, Message | None], Awaitable[None]]
-"""Called with what happened and, where the files were refused, the reason."""
 
 
 @dataclass(frozen=True, slots=True)
