@@ -91,7 +91,7 @@ class ConstraintError(LinesideError):
 
 
 def system_error(error: Exception) -> Message:
-    """The operating system's text for a failure."""
+    """Return the operating system's text for a failure."""
     return Message.of("system_error", error=getattr(error, "strerror", None) or str(error))
 
 
@@ -111,20 +111,21 @@ class Problem(LinesideError):
         self.headers: dict[str, str] = {}
 
     def with_headers(self, **headers: str) -> Problem:
-        """The same refusal with response headers; an underscore in a name becomes a hyphen."""
+        """Return the same refusal with response headers; an underscore in a name becomes a hyphen."""
         self.headers.update({name.replace("_", "-"): value for name, value in headers.items()})
         return self
 
 
 def or_404(found: T | None, code: ProblemCode, message: Message) -> T:
-    """What a request names. Raises Problem 404 where it is not there."""
+    """Return what a request names. Raises Problem 404 where it is not there."""
     if found is None:
         raise Problem(404, code, message)
     return found
 
 
 def network_cause(error: BaseException) -> str:
-    """The text of the operating system or of TLS below an error of a library, whose own may hold the URL."""
+    """Return the text of the operating system or of TLS below an error of a library, whose own may hold the
+    URL."""
     for found in _causes(error):
         if isinstance(found, ssl.SSLCertVerificationError):
             return found.verify_message
@@ -134,7 +135,7 @@ def network_cause(error: BaseException) -> str:
 
 
 def is_refused_certificate(error: BaseException) -> bool:
-    """Whether the certificate of the other end was refused."""
+    """Return whether the certificate of the other end was refused."""
     return any(isinstance(found, ssl.SSLCertVerificationError) for found in _causes(error))
 
 

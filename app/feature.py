@@ -30,7 +30,7 @@ class Services(Registry):
         self.lifespan = Lifespan()
 
     def local_time(self) -> datetime:
-        """The present time in the zone of the site."""
+        """Return the present time in the zone of the site."""
         return datetime.now(ZoneInfo(self.settings.site.zone))
 
 

@@ -82,12 +82,12 @@ def create_app(
     demo: bool = False,
     worker_tokens: Mapping[str, str] | None = None,
 ) -> FastAPI:
-    """The complete app over ``settings``. ``demo``: requests from this machine are signed in.
+    """Return the complete app over ``settings``. ``demo``: requests from this machine are signed in.
     ``worker_tokens``: by bus, the token with which the server's own worker opens /feed. Its services run
     within its lifespan, or within that of ``app.state.services`` where the server does not call it.
 
-    Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role and for
-    two services of one type.
+    Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role and for two
+    services of one type.
     """
     services = Services(settings, demo=demo, worker_tokens=worker_tokens or {})
     app = FastAPI(

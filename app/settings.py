@@ -89,7 +89,7 @@ class Site(StrictModel):
 
 
 def _network(written: object) -> IPv4Network | IPv6Network:
-    """An address or a network as TOML writes it."""
+    """Return an address or a network as TOML writes it."""
     try:
         network = ip_network(written) if isinstance(written, str) else None
     except ValueError:
@@ -102,7 +102,7 @@ def _network(written: object) -> IPv4Network | IPv6Network:
 
 
 def host_name(written: str) -> str:
-    """A name or an address of a host, in small letters. Raises ValueError."""
+    """Return a name or an address of a host, in small letters. Raises ValueError."""
     bare = written.strip("[]").lower()
     if not _HOST_NAME.fullmatch(bare):
         try:
@@ -231,7 +231,7 @@ def load(path: Path) -> Settings:
 
 
 def parse(text: str, path: Path) -> Settings:
-    """The text of a file, or one that it may become. Raises ConfigurationError."""
+    """Return the text of a file, or one that it may become. Raises ConfigurationError."""
     written = configuration.parse(text, path, Settings)
     settings = written.in_folder(path.resolve().parent)
     server, key_file = settings.server, settings.audit.key_file

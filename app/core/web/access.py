@@ -55,7 +55,7 @@ class Role(StrEnum):
     WORKER = "worker"
 
     def includes(self, other: Role | str) -> bool:
-        """Whether this role may do what ``other`` may (templates name it by its word)."""
+        """Return whether this role may do what ``other`` may (templates name it by its word)."""
         other = Role(other)
         if Role.WORKER in (self, other):
             return self is other
@@ -227,7 +227,7 @@ _PORT = re.compile(r":(\d{1,5})$")
 
 
 def is_encrypted(connection: HTTPConnection) -> bool:
-    """Whether the browser reached this server, or the trusted proxy before it, by TLS."""
+    """Return whether the browser reached this server, or the trusted proxy before it, by TLS."""
     return connection.url.scheme in ("https", "wss")
 
 

@@ -367,6 +367,6 @@ def _example_of(schema: Schema, schemas: Schema, name: str = "") -> Any:
 
 
 def _is_of(value: Any, kind: Any) -> bool:
-    """Whether a value is of a type of JSON Schema."""
+    """Return whether a value is of a type of JSON Schema."""
     kinds = {"string": str, "integer": int, "array": list}
     return isinstance(value, kinds.get(kind, ()))

@@ -44,7 +44,7 @@ MAX_FAULTS = 20
 
 
 def wants_json(connection: HTTPConnection) -> bool:
-    """Whether a program sent it: the API, and clients that accept no HTML elsewhere."""
+    """Return whether a program sent it: the API, and clients that accept no HTML elsewhere."""
     path = connection.scope["path"]
     if path.startswith("/api/") or path in ("/metrics", "/healthz"):
         return True
@@ -53,7 +53,7 @@ def wants_json(connection: HTTPConnection) -> bool:
 
 
 def is_fragment(connection: HTTPConnection) -> bool:
-    """Whether htmx sent it, to swap the response into an open page."""
+    """Return whether htmx sent it, to swap the response into an open page."""
     return connection.headers.get("hx-request") == "true"
 
 
@@ -155,7 +155,8 @@ def _methods(request: HTTPConnection) -> list[str]:
 
 
 def is_below_a_path(connection: HTTPConnection) -> bool:
-    """Whether the path is none of ours, but is one without its first part: a proxy serves us below a path."""
+    """Return whether the path is none of ours, but is one without its first part: a proxy serves us below a
+    path."""
     scope, routes = connection.scope, connection.scope["app"].routes
     tail = scope["path"][1:].partition("/")
     candidates = ({**scope, "path": f"/{tail[2]}"}, scope)

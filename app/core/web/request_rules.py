@@ -40,7 +40,7 @@ def _authority(scheme: str, netloc: str) -> tuple[str | None, int | None]:
 
 
 def same_origin(origin: str, host: str) -> bool:
-    """Whether an ``Origin`` header names the requested host; ``null`` never does."""
+    """Return whether an ``Origin`` header names the requested host; ``null`` never does."""
     try:
         parts = urlsplit(origin)
         host_authority = _authority(parts.scheme, host)
@@ -69,7 +69,7 @@ def _foreign_message(headers: Headers) -> Message:
 
 
 def _is_foreign(scope: Scope) -> bool:
-    """Whether a foreign page makes a browser send this to change something or to listen."""
+    """Return whether a foreign page makes a browser send this to change something or to listen."""
     if scope["type"] == "http" and scope["method"] in SAFE_METHODS:
         return False
     headers = Headers(scope=scope)
@@ -142,8 +142,8 @@ def host_name(text: str) -> str:
 
 
 def _is_local(scope: Scope, host: str) -> bool:
-    """Whether a request comes from this machine, under its address, as those of the bus workers of ``serve``
-    do."""
+    """Return whether a request comes from this machine, under its address, as those of the bus workers of
+    ``serve`` do."""
     client = (scope.get("client") or ("", 0))[0]
     server = canonical((scope.get("server") or ("", 0))[0])
     return client in (*LOOPBACK, server) and host in (*LOOPBACK, server)

@@ -135,7 +135,8 @@ class Templates:
         self._roles |= roles
 
     def may(self, person: Caller | None, name: str) -> bool:
-        """Whether ``person`` may send a command or perform an act; each interface refuses the others."""
+        """Return whether ``person`` may send a command or perform an act; each interface refuses the
+        others."""
         return person is not None and person.role.includes(self._roles[name])
 
     def language_of(self, connection: HTTPConnection) -> Language:

@@ -205,7 +205,7 @@ def _check_range(number: int, raw: int | None, unit: int, source: str | Message)
 
 
 def _quoted(text: str) -> str:
-    """A TOML basic string: JSON's escapes are a part of TOML's; DEL must be escaped as well."""
+    """Return a TOML basic string: JSON's escapes are a part of TOML's; DEL must be escaped as well."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 

@@ -202,7 +202,7 @@ class AlarmList:
             self._recorded = self.observed
 
     def _is_observed_longer(self) -> bool:
-        """Whether the store has to learn until when the alarms were observed."""
+        """Return whether the store has to learn until when the alarms were observed."""
         if self.observed is None or self._recorded is None:
             return self.observed is not None
         is_new_span = self.observed.start != self._recorded.start

@@ -378,7 +378,7 @@ class AlarmPerformance:
         return self.observed_s >= WINDOW_S
 
     def covers(self, span_s: float) -> bool:
-        """Whether all of a span of this length was observed, but for a restart."""
+        """Return whether all of a span of this length was observed, but for a restart."""
         return span_s - self.observed_s < WINDOW_S
 
 

@@ -142,7 +142,7 @@ class BuiltInAlarmSettings(StrictModel):
         return self.model_dump(exclude={"code", "bus", "unit"}, exclude_none=True)
 
     def covers(self, code: str, bus: str | None, unit: int | None) -> bool:
-        """Whether the entry is about this alarm at this place."""
+        """Return whether the entry is about this alarm at this place."""
         return self.code == code and self.bus in (None, bus) and self.unit in (None, unit)
 
 

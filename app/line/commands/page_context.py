@@ -207,7 +207,8 @@ class BusPage(PageContext):
         )
 
     async def has_sent(self, id: str) -> bool:
-        """Whether the form was sent before: its command is then not judged again, its result is shown."""
+        """Return whether the form was sent before: its command is then not judged again, its result is
+        shown."""
         return (await self._look_up(id)).is_used
 
     async def _look_up(self, id: str) -> CommandKey:

@@ -130,7 +130,7 @@ def risks_of(
 
 
 def _is_above_display(unit: UnitLive, raw: int) -> bool:
-    """Whether a speed is above #2, which only an engineer's limit allows."""
+    """Return whether a speed is above #2, which only an engineer's limit allows."""
     return kind_of(unit) == "speed" and raw > (unit.parameter_raw(MAX_DISPLAY) or HIGHEST_SETPOINT)
 
 
@@ -337,8 +337,8 @@ def outcome_text(result: Result | UnitOutcome, shown: Callable[[int], str | Mess
 
 
 def _explains(result: Result | UnitOutcome) -> bool:
-    """Whether the message of a result replaces its usual text: where no unit has rejected it, and where it
-    says that one unit's part of a change was reverted or is still staged."""
+    """Return whether the message of a result replaces its usual text: where no unit has rejected it, and
+    where it says that one unit's part of a change was reverted or is still staged."""
     if result.outcome == "refused":
         return result.unit_error is None
     in_part = isinstance(result, UnitOutcome) and result.read_back is None

@@ -96,7 +96,7 @@ class SetpointRange:
     basis: Basis
 
     def allows(self, raw: int) -> bool:
-        """Whether a setpoint is inside. Speed 0 always is."""
+        """Return whether a setpoint is inside. Speed 0 always is."""
         return self.lowest <= raw <= self.highest or (raw == 0 and self.kind == "speed")
 
     def nearest(self, raw: int) -> int:
@@ -298,14 +298,14 @@ class Moves:
 
 
 def slows_all(setpoints: Mapping[int, int], bus: BusLive) -> bool:
-    """Whether each of these units becomes slower or stops, as it was last read. A setpoint never changes the
-    direction."""
+    """Return whether each of these units becomes slower or stops, as it was last read. A setpoint never
+    changes the direction."""
     return all(_slows(bus.units[unit], raw, bus) for unit, raw in setpoints.items())
 
 
 def _slows(unit: UnitLive, raw: int, bus: BusLive) -> bool:
-    """A follower never counts: a lower ratio slows one section against the others, and the web between them
-    goes slack or tears. Its master makes it slower."""
+    """Return whether a unit becomes slower. A follower never counts: a lower ratio slows one section against
+    the others, and the web between them goes slack or tears. Its master makes it slower."""
     if follower(unit):
         return False
     if raw == 0:

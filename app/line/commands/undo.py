@@ -101,7 +101,8 @@ def action_for(values: Values) -> Action:
 
 
 def is_undo(action: Action, before: Values) -> bool:
-    """Whether a command sets these values again. A change of several units may leave some of them out."""
+    """Return whether a command sets these values again. A change of several units may leave some of them
+    out."""
     if not isinstance(action, SetLine):
         return action == action_for(before)
     back = {ValuePlace("setpoint", unit): raw for unit, raw in action.setpoints.items()}

@@ -157,7 +157,7 @@ def wording_scales(action: Action, bus: BusLive) -> Scales:
 
 
 def differs(scale: UnitScale, unit: UnitLive) -> bool:
-    """Whether a unit was last read to have another scale."""
+    """Return whether a unit was last read to have another scale."""
     known = unit.parameters
     return any(number in known and known[number].raw != raw for number, raw in scale.items())
 

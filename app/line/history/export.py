@@ -146,12 +146,12 @@ GROUP_ROWS = 20_000
 
 
 def has_parquet() -> bool:
-    """Whether pyarrow, an extra, is installed."""
+    """Return whether pyarrow, an extra, is installed."""
     return importlib.util.find_spec("pyarrow") is not None
 
 
 async def _parquet_is_usable() -> bool:
-    """Whether pyarrow can be imported, too, with everything that it needs."""
+    """Return whether pyarrow can be imported, too, with everything that it needs."""
     return has_parquet() and await asyncio.to_thread(_can_import)
 
 

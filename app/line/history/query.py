@@ -158,7 +158,7 @@ def _fits(points: Points, marks: Marks, most: int) -> bool:
 
 
 def has_raw(connection: tables.StoreConnection, unit: int, start: int) -> bool:
-    """Whether all readings of a unit from ``start`` on are still stored."""
+    """Return whether all readings of a unit from ``start`` on are still stored."""
     given_up = tables.raw_from(connection)
     return start >= given_up or not tables.rolled_up(connection, unit, start, given_up)
 

@@ -61,7 +61,7 @@ def intact(block: BlockKey, unpack: Callable[[], T]) -> T:
 
 
 def sound(blob: bytes) -> bool:
-    """Whether a block still has its checksum."""
+    """Return whether a block still has its checksum."""
     try:
         zlib.decompress(blob)
     except zlib.error:
@@ -249,7 +249,7 @@ def newest_reading(connection: StoreConnection, unit: int) -> int | None:
 
 
 def rolled_up(connection: StoreConnection, unit: int, start: int, end: int) -> bool:
-    """Whether a unit has a minute of a packed hour within a span."""
+    """Return whether a unit has a minute of a packed hour within a span."""
     query = "SELECT 1 FROM minutes WHERE unit = ? AND start > ? AND start < ? LIMIT 1"
     return connection.execute(query, (unit, start - HOUR, end)).fetchone() is not None
 

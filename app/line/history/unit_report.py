@@ -138,6 +138,6 @@ def _at_speed(counted: Iterable[RunStretch], scales: Scaling) -> list[SpeedStret
 
 
 def was_follower(steps: Iterable[ParameterStep], end: int) -> bool:
-    """Whether a unit followed a master just before a time, µs."""
+    """Return whether a unit followed a master just before a time, µs."""
     modes = [step for step in sorted(steps) if step.number == FOLLOWER_MODE and step.at < end]
     return bool(modes and modes[-1].raw)

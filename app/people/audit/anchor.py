@@ -153,7 +153,7 @@ def newest_anchor(path: Path, ring: KeyRing) -> Head:
 
 
 def is_of_lost_key(path: Path, ring: KeyRing) -> bool:
-    """Whether the newest line of a file was written with a key that is not in the ring. Raises
+    """Return whether the newest line of a file was written with a key that is not in the ring. Raises
     AnchorError."""
     newest = next(_newest_lines(path), None)
     return newest is not None and ring.rank(newest.key) is None

@@ -85,12 +85,12 @@ class KeyRing:
         return _seal(self.keys[-1], purpose, parts)
 
     def confirms(self, seal: str, key_id: str, purpose: Purpose, *parts: str) -> bool:
-        """Whether ``seal`` was made of these parts with the key of this id, in constant time."""
+        """Return whether ``seal`` was made of these parts with the key of this id, in constant time."""
         rank = self.rank(key_id)
         return rank is not None and _equal(seal, _seal(self.keys[rank], purpose, parts))
 
     def confirms_by_any(self, seal: str, purpose: Purpose, *parts: str) -> bool:
-        """Whether ``seal`` was made of these parts with any of the keys, in constant time."""
+        """Return whether ``seal`` was made of these parts with any of the keys, in constant time."""
         return any(_equal(seal, _seal(key, purpose, parts)) for key in self.keys)
 
     def with_key(self, key: bytes) -> KeyRing:
@@ -147,8 +147,8 @@ def sealed_entry(previous: str, entry: Mapping[str, Any], ring: KeyRing) -> dict
 
 
 def is_sound_alone(entry: Mapping[str, Any], ring: KeyRing) -> bool:
-    """Whether an entry is as it was written, whatever was before it; one that is older than the first key
-    must only fit its hash."""
+    """Return whether an entry is as it was written, whatever was before it; one that is older than the first
+    key must only fit its hash."""
     digest = entry_hash(entry.get("previous") or "", entry)
     if entry.get("hash") != digest:
         return False
@@ -167,7 +167,7 @@ def _head_parts(number: int, digest: str, chain: str) -> tuple[str, ...]:
 
 
 def confirms_head(head: Head, ring: KeyRing) -> bool:
-    """Whether ``head`` was noted with a key of the ring."""
+    """Return whether ``head`` was noted with a key of the ring."""
     return ring.confirms(head.seal, head.key, "head", *_head_parts(head.id, head.hash, head.chain))
 
 
@@ -181,7 +181,7 @@ def remark_on(head: Head, ring: KeyRing) -> Message | None:
 
 
 def notes_altered_end(entry: Mapping[str, Any]) -> bool:
-    """Whether the entry is the remark :data:`END_ALTERED`."""
+    """Return whether the entry is the remark :data:`END_ALTERED`."""
     if entry["kind"] != "audit":
         return False
     what = (messages_of(entry.get("messages")) or {}).get("what")

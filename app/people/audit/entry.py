@@ -73,7 +73,7 @@ def new_entry(*, kind: str, time: UnixTime, frames: Iterable[Frame] = (), **give
 
 
 def is_moment(time: UnixTime) -> bool:
-    """Whether a Unix time in seconds can be shown as a date; 0 means an unknown time."""
+    """Return whether a Unix time in seconds can be shown as a date; 0 means an unknown time."""
     return math.isfinite(time) and 0 < float(time) < MAX_TIME
 
 

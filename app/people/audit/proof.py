@@ -186,7 +186,7 @@ class Cut:
         return replace(self, key=ring.newest, seal=ring.seal("cut", *self._sealed_parts))
 
     def is_sealed(self, ring: KeyRing) -> bool:
-        """Whether it was written with a key of the ring."""
+        """Return whether it was written with a key of the ring."""
         return ring.confirms(self.seal, self.key, "cut", *self._sealed_parts)
 
     @property

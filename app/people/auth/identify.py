@@ -151,8 +151,8 @@ class Identify:
             raise Problem(503, "store", error.message) from None
 
     async def _is_still(self, connection: HTTPConnection, caller: Caller) -> bool:
-        """Whether the caller of an open connection may have it still; a store that fails ends nothing that
-        runs."""
+        """Return whether the caller of an open connection may have it still; a store that fails ends nothing
+        that runs."""
         try:
             return await self._caller(connection, is_use=caller.panel) == caller
         except Problem:
@@ -290,8 +290,8 @@ def _login_url(next_page: str, *, refused: bool) -> str:
 
 
 def _is_loopback(connection: HTTPConnection) -> bool:
-    """Whether a request comes from this machine and under its own name: a foreign name for 127.0.0.1 is an
-    attack."""
+    """Return whether a request comes from this machine and under its own name: a foreign name for 127.0.0.1
+    is an attack."""
     return address_of(connection) in LOOPBACK and connection.url.hostname in LOOPBACK
 
 

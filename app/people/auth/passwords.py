@@ -98,7 +98,7 @@ def check_pin(pin: str) -> None:
 
 
 def is_easy_password(password: str) -> bool:
-    """Whether it is among the first to be tried."""
+    """Return whether it is among the first to be tried."""
     text = _without_separator(_bare(password))
     block = _block_of(text)
     return (
@@ -111,7 +111,7 @@ def is_easy_password(password: str) -> bool:
 
 
 def is_easy_pin(pin: str) -> bool:
-    """Whether it is among the first to be tried."""
+    """Return whether it is among the first to be tried."""
     return (
         len(set(pin)) <= 2
         or len(_block_of(pin)) < len(pin)
@@ -121,7 +121,7 @@ def is_easy_pin(pin: str) -> bool:
 
 
 def _contains(password: str, name: str) -> bool:
-    """Whether the letters and digits of a name are in those of a password, next to one another."""
+    """Return whether the letters and digits of a name are in those of a password, next to one another."""
     wanted = _plain(name)
     return len(wanted) >= MIN_NAME and wanted in _plain(password)
 
@@ -214,8 +214,8 @@ async def hash_secret(secret: str) -> str:
 
 
 async def verify_secret(stored: str, secret: str) -> bool:
-    """Whether ``stored`` is a hash of the secret in any of its Unicode forms: older hashes are of the form in
-    which the secret was typed."""
+    """Return whether ``stored`` is a hash of the secret in any of its Unicode forms: older hashes are of the
+    form in which the secret was typed."""
     forms = dict.fromkeys((composed(secret), secret, unicodedata.normalize("NFD", secret)))
     return await asyncio.to_thread(lambda: any(_is_hash_of(stored, form) for form in forms))
 
@@ -228,5 +228,6 @@ def _is_hash_of(stored: str, secret: str) -> bool:
 
 
 def is_outdated(stored: str) -> bool:
-    """Whether a hash has other parameters than a new one. Raises InvalidHashError for an invalid hash."""
+    """Return whether a hash has other parameters than a new one. Raises InvalidHashError for an invalid
+    hash."""
     return _hasher.check_needs_rehash(stored)

@@ -187,7 +187,7 @@ class Provider:
         return str(url)
 
     def is_issuer(self, issuer: str | None) -> bool:
-        """Whether the way back names this provider (RFC 9207, 2.4)."""
+        """Return whether the way back names this provider (RFC 9207, 2.4)."""
         if issuer is None:
             return self._metadata is None or not self._metadata.authorization_response_iss_parameter_supported
         return issuer == self.settings.issuer

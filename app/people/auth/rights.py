@@ -164,8 +164,8 @@ class Rights:
 
 
 def _is_less(before: Standing, now: Standing | None) -> bool:
-    """Whether an account lost something. A user who has chosen another password keeps a session, and with it
-    everything."""
+    """Return whether an account lost something. A user who has chosen another password keeps a session, and
+    with it everything."""
     if now is None or not now.role.includes(before.role):
         return True
     return not now.signed_in and (before.signed_in or now.credential != before.credential)

@@ -106,7 +106,7 @@ def check_home(home: str) -> None:
 
 
 def is_own_path(path: str) -> bool:
-    """Whether a redirect to this stays here: browsers take ``//`` and ``/\\`` for another host."""
+    r"""Return whether a redirect to this stays here: browsers take ``//`` and ``/\`` for another host."""
     return path.startswith("/") and not path.startswith(("//", "/\\")) and path.isprintable()
 
 

@@ -104,7 +104,7 @@ class SignIn:
         return user
 
     async def has_company_account(self, name: str) -> bool:
-        """Whether the user of this name signs in by a company account."""
+        """Return whether the user of this name signs in by a company account."""
         found = await self._database.read(lambda connection: store.user(connection, name))
         return found is not None and found[0].company_account is not None
 
@@ -124,7 +124,7 @@ class SignIn:
         await self._events.record(**performed)
 
     async def has_no_users(self) -> bool:
-        """Whether no one can sign in without a provider of company accounts."""
+        """Return whether no one can sign in without a provider of company accounts."""
         if not self._has_users:
             self._has_users = await self._database.read(store.has_own_users)
         return not self._has_users
@@ -214,7 +214,8 @@ class SignIn:
         return SignedIn(session, device, user)
 
     def _is_weak(self, user: User, secret: str) -> bool:
-        """Whether today's rules refuse the secret. It works until it is changed, and the admin sees that."""
+        """Return whether today's rules refuse the secret. It works until it is changed, and the admin sees
+        that."""
         try:
             check_secret(secret, user=user.name, panel=user.panel, site=self.site)
         except CallerError:
@@ -275,7 +276,7 @@ class FirstAdmin:
             self.code = new_code()
 
     async def is_open(self) -> bool:
-        """Whether the first admin can be created now."""
+        """Return whether the first admin can be created now."""
         return bool(self.code) and await self._sign_in.has_no_users()
 
     async def create(self, code: str, name: str, password: str, again: str, address: str) -> None:

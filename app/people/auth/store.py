@@ -206,7 +206,7 @@ def remove_user(connection: StoreConnection, name: str) -> bool:
 
 
 def has_own_users(connection: StoreConnection) -> bool:
-    """Whether anyone can sign in without a provider."""
+    """Return whether anyone can sign in without a provider."""
     return connection.execute("SELECT 1 FROM users WHERE issuer IS NULL LIMIT 1").fetchone() is not None
 
 
@@ -233,7 +233,7 @@ def begin_session(
 
 
 def are_places(connection: StoreConnection, name: str, browser: str, network: str) -> tuple[bool, bool]:
-    """Whether this user has signed in in the browser, and whether anyone has from the network."""
+    """Return whether this user has signed in in the browser, and whether anyone has from the network."""
     query = (
         "SELECT EXISTS (SELECT 1 FROM known_places WHERE name = ? AND place = ?), "
         "EXISTS (SELECT 1 FROM known_places WHERE place = ?)"

@@ -32,8 +32,8 @@ _PICTURE = re.compile(r'(?<=<img src=")sha256:([0-9a-f]{64})(?=")')
 
 
 def readable(part: Any) -> Any:
-    """A sheet of the API, or a part of one, as templates show it: moments for its instants, and messages,
-    which each reader has in their language, for its texts."""
+    """Return a sheet of the API, or a part of one, as templates show it: moments for its instants, and
+    messages, which each reader has in their language, for its texts."""
     match part:
         case {"code": _, "params": _}:
             return msgspec.convert(part, Message)
@@ -53,7 +53,7 @@ def _moment(text: str | None) -> UnixTime | None:
 
 
 def _texts_of(transition: Mapping[str, Any]) -> dict[str, str | Message]:
-    """The name of an alarm, of a built-in one as a message; and its state."""
+    """Return the name of an alarm, of a built-in one as a message; and its state."""
     alarm, code = transition["alarm"].rpartition(".")[0], transition["code"]
     title = Message(f"alarm_{code}") if alarm.endswith(f".{code}") else transition["name"]
     return {"title": title, "state": Message(f"alarm_state_{transition.get('at_end', transition['after'])}")}
@@ -71,12 +71,12 @@ class SheetDocuments:
         self._pictures = pictures
 
     def page(self, sheet: bytes) -> bytes:
-        """The page of a sheet, without its signatures: what is signed beside the data."""
+        """Return the page of a sheet, without its signatures: what is signed beside the data."""
         shown = readable(msgspec.json.decode(sheet))
         return self._rendered("handover/_frozen.html", sheet=shown, place_of=self._alarms.place).encode()
 
     async def document(self, found: SheetOfShift) -> str:
-        """The page with its signatures and pictures as a file."""
+        """Return the page with its signatures and pictures as a file."""
         page = (found.signed.page if found.signed else self.page(found.sheet)).decode()
         named = dict.fromkeys(_PICTURE.findall(page))
         pictures = await self._pictures.all_of(named)
@@ -97,7 +97,7 @@ class SheetDocuments:
 
 
 def _inline(digest: str, pictures: Mapping[str, PlainPicture]) -> str:
-    """A picture as an address that holds it; one that is lost keeps its name."""
+    """Return a picture as an address that holds it; one that is lost keeps its name."""
     found = pictures.get(digest)
     if found is None:
         return f"sha256:{digest}"

@@ -42,7 +42,7 @@ class Quota:
         )
 
     def is_recent(self, shift: Shift) -> bool:
-        """Whether a shift can still be written to."""
+        """Return whether a shift can still be written to."""
         return shift.end >= self._clock() - MAX_AGE_DAYS * DAY_S
 
     def check(self, shift: Shift) -> None:
@@ -61,7 +61,7 @@ class Quota:
             raise problem.with_headers(Retry_After=str(ceil(bucket.wait_s(now, parts))))
 
     def rate_limit(self, sender: str) -> RateLimit:
-        """What this sender may still store."""
+        """Return what this sender may still store."""
         return RateLimit.of_bucket(self._taken[sender], self._monotonic())
 
 
@@ -111,13 +111,13 @@ _INSERT = f"INSERT INTO shift_note ({', '.join(_COLUMNS)}) VALUES ({_MARKS}) RET
 
 
 def notes_of(connection: StoreConnection, shift: Shift) -> list[Note]:
-    """The notes of a shift in the order of what they are about."""
+    """Return the notes of a shift in the order of what they are about."""
     rows = connection.execute(f"{_SELECT} WHERE at >= ? AND at < ? ORDER BY at, id", (shift.start, shift.end))
     return [Note(*row) for row in rows]
 
 
 def notes_between(connection: StoreConnection, start: UnixTime, end: UnixTime) -> list[Note]:
-    """The newest notes about a time of a span, in order, without those that were corrected."""
+    """Return the newest notes about a time of a span, in order, without those that were corrected."""
     corrected = "SELECT corrects FROM shift_note WHERE corrects IS NOT NULL"
     query = (
         f"{_SELECT} WHERE at >= ? AND at < ? AND id NOT IN ({corrected}) ORDER BY at DESC, id DESC LIMIT ?"
@@ -126,13 +126,13 @@ def notes_between(connection: StoreConnection, start: UnixTime, end: UnixTime) -
 
 
 def counts_of(connection: StoreConnection, shifts: list[Shift]) -> list[int]:
-    """How many notes each shift has."""
+    """Return how many notes each shift has."""
     query = "SELECT count(*) FROM shift_note WHERE at >= ? AND at < ?"
     return [connection.execute(query, (shift.start, shift.end)).fetchone()[0] for shift in shifts]
 
 
 def find_repeated(connection: StoreConnection, note: Note) -> Note | None:
-    """The note that this request made before. Raises Problem 422 where its key was for another one."""
+    """Return the note that this request made before. Raises Problem 422 where its key was for another one."""
     row = connection.execute(f"{_SELECT} WHERE sender = ? AND key = ?", (note.sender, note.key)).fetchone()
     if row is None:
         return None
@@ -174,7 +174,7 @@ def check(connection: StoreConnection, note: Note, shift: Shift) -> None:
 
 
 def occurrence(connection: StoreConnection, alarm_id: str) -> JournalEntry:
-    """The last transition of an occurrence of an alarm. Raises Problem 404."""
+    """Return the last transition of an occurrence of an alarm. Raises Problem 404."""
     alarm, _, number = alarm_id.rpartition(".")
     query = f"SELECT {_ENTRY} FROM alarm_journal WHERE alarm = ? AND occurrence = ? ORDER BY id DESC LIMIT 1"
     is_number = number.isascii() and number.isdigit() and len(number) < 19
@@ -185,7 +185,7 @@ def occurrence(connection: StoreConnection, alarm_id: str) -> JournalEntry:
 
 
 def find(connection: StoreConnection, number: int, shift: Shift) -> Note:
-    """A note of a shift. Raises Problem 404."""
+    """Return a note of a shift. Raises Problem 404."""
     row = connection.execute(f"{_SELECT} WHERE id = ?", (number,)).fetchone()
     if row is None or not shift.holds(row["at"]):
         raise Problem(404, "unknown_note", Message.of("shift_note_unknown", note=number))

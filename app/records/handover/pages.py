@@ -190,14 +190,14 @@ async def sign(
 
 
 def _place(written: str) -> tuple[str | None, int | None]:
-    """A bus, or a unit as ``dry-end/4``."""
+    """Return a bus, or a unit as ``dry-end/4``."""
     bus, _, unit = written.partition("/")
     address = int(unit) if unit.isascii() and unit.isdecimal() and len(unit) < 4 else None
     return bus or None, address
 
 
 def places_of(alarms: LineAlarms) -> list[tuple[str, Any]]:
-    """Each bus and each of its units."""
+    """Return each bus and each of its units."""
     places: list[tuple[str, Any]] = []
     for name, bus in alarms.buses.items():
         places.append((name, name))

@@ -26,7 +26,7 @@ MB = 1_000_000
 
 
 def judged(contents: Sequence[bytes]) -> dict[str, PlainPicture]:
-    """The pictures by the SHA-256 of what is kept of them. Raises Problem 422, CallerError."""
+    """Return the pictures by the SHA-256 of what is kept of them. Raises Problem 422, CallerError."""
     if len(contents) > MAX_OF_NOTE:
         raise Problem(422, "invalid", Message.of("pictures_too_many", n=MAX_OF_NOTE))
     if any(len(content) > MAX_PICTURE_BYTES for content in contents):
@@ -70,7 +70,8 @@ class PictureStore:
         return PlainPicture(*row)
 
     async def all_of(self, digests: Iterable[str]) -> dict[str, PlainPicture]:
-        """The pictures of these digests that can be read. Damage costs only the pictures that it is in."""
+        """Return the pictures of these digests that can be read. Damage costs only the pictures that it is
+        in."""
         found = {}
         for digest in digests:
             try:

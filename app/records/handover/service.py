@@ -107,7 +107,7 @@ class Handover:
         self._clock = clock
 
     async def shift_of(self, start: datetime) -> Shift:
-        """The shift that starts then. Raises Problem 404."""
+        """Return the shift that starts then. Raises Problem 404."""
         at, now = UnixTime(start.timestamp()), self._clock()
         if not UnixTime(0.0) < at <= now:
             raise Problem(404, "unknown_shift", Message("shift_not_begun"))
@@ -121,15 +121,15 @@ class Handover:
         return shift
 
     def present(self) -> Shift:
-        """The shift that is under way."""
+        """Return the shift that is under way."""
         return self.shift_at(self._clock())
 
     def shift_at(self, at: UnixTime) -> Shift:
-        """The shift that a moment is in."""
+        """Return the shift that a moment is in."""
         return shift_at(at, self._starts, self.zone)
 
     async def summaries(self, before: datetime | None, limit: int) -> list[ShiftSummary]:
-        """The shifts that begin before a moment, newest first; None: from the present one on.
+        """Return the shifts that begin before a moment, newest first; None: from the present one on.
 
         Raises Problem 422 for a year before any shift.
         """
@@ -141,7 +141,7 @@ class Handover:
         return await self._database.read(lambda connection: _summaries(connection, shifts, latest))
 
     async def sheet(self, shift: Shift) -> SheetOfShift:
-        """The sheet of a shift, as it was signed or as it would be now; read at one instant."""
+        """Return the sheet of a shift, as it was signed or as it would be now; read at one instant."""
         now = self._clock()
 
         def read(connection: StoreConnection) -> SheetOfShift:
@@ -160,7 +160,7 @@ class Handover:
         return SheetOfShift(shift, signed.sheet, signed, later, missing)
 
     async def signed(self, shift: Shift) -> tuple[SignedSheet | None, list[MissingSignature]]:
-        """The signed sheet of a shift, and the signatures of the audit log that the store has lost."""
+        """Return the signed sheet of a shift, and the signatures of the audit log that the store has lost."""
         return await self._database.read(lambda connection: self._signed(connection, shift))
 
     def _signed(
@@ -170,8 +170,8 @@ class Handover:
         return signed_sheet(connection, shift.start), missing
 
     async def notes_between(self, start: UnixTime, end: UnixTime, units: Sequence[str]) -> list[Note]:
-        """The newest notes about a time of a span, in order: of the site, and of each ``bus/unit`` and its
-        bus; without any, all."""
+        """Return the newest notes about a time of a span, in order: of the site, and of each ``bus/unit`` and
+        its bus; without any, all."""
         buses = {unit.rpartition("/")[0] for unit in units}
 
         def concerns(note: Note) -> bool:
@@ -230,7 +230,7 @@ class Handover:
         return replace(note, id=stored[0])
 
     async def _time_of(self, shift: Shift, new: NewNote) -> UnixTime:
-        """The moment that a note is about. A correction is about that of the note that it corrects."""
+        """Return the moment that a note is about. A correction is about that of the note that it corrects."""
         now, number = self._clock(), new.corrects
         if number is not None:
             return (await self._database.read(lambda store: notes.find(store, number, shift))).at
@@ -256,7 +256,7 @@ class Handover:
             raise unknown_unit(bus, unit)
 
     async def occurrence(self, alarm_id: str) -> JournalEntry:
-        """The last transition of an occurrence that a note can be about. Raises Problem 404."""
+        """Return the last transition of an occurrence that a note can be about. Raises Problem 404."""
         return await self._database.read(lambda store: notes.occurrence(store, alarm_id))
 
     def local(self, at: UnixTime) -> str:
@@ -264,8 +264,8 @@ class Handover:
 
 
 def _summaries(connection: StoreConnection, shifts: list[Shift], latest: UnixTime) -> list[ShiftSummary]:
-    """The computed shifts, and the signed ones until ``latest`` that had other times by their configuration:
-    one may have begun within the newest of the computed."""
+    """Return the computed shifts, and the signed ones until ``latest`` that had other times by their
+    configuration: one may have begun within the newest of the computed."""
     signed = signed_between(connection, shifts[-1].start, latest)
     starts = {shift.start: shift for shift in (*shifts, *signed)}
     listed = sorted(starts.values(), key=lambda shift: -float(shift.start))

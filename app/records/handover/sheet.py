@@ -80,7 +80,7 @@ class ShiftEvents:
         self._counted = self._count()
 
     def of(self, kinds: Sequence[str]) -> ShiftEventsShown:
-        """The events of some kinds. A change of several units is one event."""
+        """Return the events of some kinds. A change of several units is one event."""
         found = [event for kind in kinds for event in self._newest(kind)]
         found.sort(key=lambda event: event["id"])
         outcomes: Counter[str] = Counter()
@@ -117,7 +117,7 @@ class ShiftEvents:
 
 
 def event_json(event: Event) -> EventShown:
-    """An event as the API has it, without the frames, which are in the events."""
+    """Return an event as the API has it, without the frames, which are in the events."""
     return cast(EventShown, shown({**event, "frames": "[]"}))
 
 
@@ -144,12 +144,12 @@ def alarm_json(alarm: AlarmThen) -> ShiftAlarm:
 
 
 def alarms_at(connection: StoreConnection, at: UnixTime) -> list[AlarmThen]:
-    """The last transition before a moment of each alarm that was not normal then."""
+    """Return the last transition before a moment of each alarm that was not normal then."""
     return [AlarmThen(*row) for row in connection.execute(_LAST_TRANSITIONS, (at,))]
 
 
 def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> list[Event]:
-    """The last event of a kind before a moment, for each unit or bus."""
+    """Return the last event of a kind before a moment, for each unit or bus."""
     numbers = [number for (number,) in connection.execute(_LAST_OF_EACH, (kind, before))]
     found = (queries.one(connection, number) for number in numbers)
     return [event for event in found if event is not None]
@@ -166,7 +166,7 @@ def first_gap(connection: StoreConnection, shift: Shift) -> tuple[UnixTime, Unix
 
 
 def first_event_at(connection: StoreConnection) -> UnixTime | None:
-    """When the log begins."""
+    """Return when the log begins."""
     row = connection.execute("SELECT time FROM events ORDER BY id LIMIT 1").fetchone()
     return None if row is None else UnixTime(row["time"])
 
@@ -268,8 +268,8 @@ def write_sheet(
     now: UnixTime,
     scope: Scope = EVERYTHING,
 ) -> dict[str, Any]:
-    """The sheet of a shift as the store is at one instant; in a transaction. ``scope``: of a line or a unit
-    only, with the notes about the site."""
+    """Return the sheet of a shift as the store is at one instant; in a transaction. ``scope``: of a line or a
+    unit only, with the notes about the site."""
     until = min(shift.end, now)
     seen = Shift(shift.start, until)
     alarms = [each for each in alarms_at(connection, until) if scope.holds(each.bus, each.unit)]
@@ -317,7 +317,7 @@ def _omissions(
 
 
 def signed_json(signed: SignedSheet | None) -> ShiftSignatures | None:
-    """The signatures as the API has them."""
+    """Return the signatures as the API has them."""
     if signed is None:
         return None
     return {

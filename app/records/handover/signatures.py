@@ -72,7 +72,7 @@ class SignedSheet:
 
 
 def signed_sheet(connection: StoreConnection, start: UnixTime) -> SignedSheet | None:
-    """The signed sheet of the shift that starts then."""
+    """Return the signed sheet of the shift that starts then."""
     row = connection.execute("SELECT ends, sheet, page FROM shift_sheet WHERE start = ?", (start,)).fetchone()
     if row is None:
         return None
@@ -88,8 +88,8 @@ def signatures_of(connection: StoreConnection, start: UnixTime) -> dict[SignedPa
 
 
 def missing_signatures(connection: StoreConnection, start: str | None = None) -> list[MissingSignature]:
-    """The signatures that the audit log names and the store has lost, oldest first; ``start``: of one shift.
-    Of a store of any version."""
+    """Return the signatures that the audit log names and the store has lost, oldest first; ``start``: of one
+    shift. Of a store of any version."""
     if not has_column(connection, "events", "messages"):
         return []
     stored = has_column(connection, "shift_signature", "event")
@@ -101,7 +101,8 @@ def missing_signatures(connection: StoreConnection, start: str | None = None) ->
 
 
 def signed_between(connection: StoreConnection, start: UnixTime, end: UnixTime) -> list[Shift]:
-    """The shifts with a signed sheet, newest first. They keep their times when the configuration changes."""
+    """Return the shifts with a signed sheet, newest first. They keep their times when the configuration
+    changes."""
     query = "SELECT start, ends FROM shift_sheet WHERE start >= ? AND start <= ? ORDER BY start DESC"
     return [Shift(*row) for row in connection.execute(query, (start, end))]
 
@@ -134,7 +135,7 @@ def check_turn(
 
 
 def _is_named(connection: StoreConnection, signed: SignedSheet, signature: ShiftSignature) -> bool:
-    """Whether the event of a signature names this sheet."""
+    """Return whether the event of a signature names this sheet."""
     event = queries.one(connection, signature.event)
     what = None if event is None else event["messages"].get("what")
     digests = {"digest": signed.digest, "page_digest": signed.page_digest}

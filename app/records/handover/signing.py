@@ -120,7 +120,7 @@ class Signing:
         )
 
     async def _signer(self, person: Person, address: str, request: ShiftSignRequest) -> Person:
-        """The user of the name and password, where they are given; else that of the session."""
+        """Return the user of the name and password, where they are given; else that of the session."""
         if not request.name and not request.password:
             if person.via != "session" or person.panel:
                 raise Problem(403, "forbidden", Message("shift_sign_needs_person"))

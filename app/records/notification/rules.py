@@ -51,7 +51,7 @@ class DutyPeriod:
     to: tuple[str, ...]
 
     def covers(self, minute: int) -> bool:
-        """Whether the period includes a minute of the week."""
+        """Return whether the period includes a minute of the week."""
         return any(
             (minute - day * MINUTES_OF_DAY - self.starts) % MINUTES_OF_WEEK < self.minutes
             for day in self.days
@@ -108,7 +108,7 @@ class QuietSpan:
     bus: str | None = None
 
     def covers(self, bus: str | None, at: UnixTime) -> bool:
-        """Whether an alarm of ``bus`` (None: of the site) is not notified at ``at``."""
+        """Return whether an alarm of ``bus`` (None: of the site) is not notified at ``at``."""
         return self.bus in (None, bus) and self.starts <= at < self.ends
 
 
@@ -169,7 +169,7 @@ class NotificationRule:
     roster: DutyRoster
 
     def concerns(self, episode: Episode) -> bool:
-        """Whether an alarm of this priority and place is notified."""
+        """Return whether an alarm of this priority and place is notified."""
         is_there = not self.buses or (episode.bus is not None and episode.bus in self.buses)
         return is_there and episode.priority in self.priorities
 
@@ -232,7 +232,8 @@ def opened_by(entry: JournalEntry) -> Episode | None:
 
 
 def _is_ended_by(entry: JournalEntry) -> bool:
-    """Whether a transition ends the episode of its alarm. A latched alarm waits for its acknowledgement."""
+    """Return whether a transition ends the episode of its alarm. A latched alarm waits for its
+    acknowledgement."""
     if entry.trigger == "clear":
         return entry.after != "latched_unack"
     return entry.after not in UNACKNOWLEDGED
@@ -337,7 +338,8 @@ def next_turn(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) ->
 
 
 def _is_flooded(load: EndpointLoad, flood: int, now: UnixTime) -> bool:
-    """Whether further items are collected: many messages in ten minutes, or an address that is failing."""
+    """Return whether further items are collected: many messages in ten minutes, or an address that is
+    failing."""
     recent = [at for at in load.sent if 0 <= now - at < FLOOD_WINDOW_S]
     return load.collects and (len(recent) >= flood or bool(load.retries))
 

@@ -205,7 +205,8 @@ class FolderBackup(Backup):
 
 
 def is_sound(content: Path) -> bool:
-    """Whether a content is what its name is the SHA-256 of. A FIFO or a link in its place is not read."""
+    """Return whether a content is what its name is the SHA-256 of. A FIFO or a link in its place is not
+    read."""
     with suppress(OSError, BackupError), open_plain(content) as file:
         return hashlib.file_digest(file, "sha256").hexdigest() == content.name
     return False

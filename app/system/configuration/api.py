@@ -49,7 +49,7 @@ from bus.validation import OneLine
 
 
 def act_on(place: TablePlace) -> Act:
-    """What a person must be permitted to do."""
+    """Return what a person must be permitted to do."""
     return CHANGE_MAIL if place.form.kind in ("notify", "smtp") else CHANGE
 
 

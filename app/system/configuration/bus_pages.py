@@ -149,13 +149,13 @@ def _unit(index: int, present: list[int], address: int) -> tuple[str | int, ...]
 
 
 def _inner(fault: Message) -> Message:
-    """A fault of the file without the number of its line."""
+    """Return a fault of the file without the number of its line."""
     inner = fault.params.get("fault")
     return inner if isinstance(inner, Message) else fault
 
 
 def _values(texts: Mapping[str, str], scan: PortScan) -> dict[str, TomlValue]:
-    """What was typed, with the settings that a scan of this port has shown."""
+    """Return what was typed, with the settings that a scan of this port has shown."""
     found = scan.found if scan.found is not None and scan.port == texts["port"] else {}
     settings = {key: value for key, value in found.items() if key != "unit"}
     baud = int(texts["baud"]) if texts["baud"].isdecimal() else texts["baud"]
@@ -172,7 +172,7 @@ def _refuse_beyond(present: PresentFile, index: int) -> None:
 
 
 def _texts_of(present: PresentFile, scan: PortScan, index: int) -> dict[str, str]:
-    """What the file has; of a new bus the next name, and what the scan has found."""
+    """Return what the file has; of a new bus the next name, and what the scan has found."""
     buses = buses_of(present)
     names = {bus.get("name") for bus in buses}
     new = {"name": next(f"line-{n}" for n in range(1, len(names) + 2) if f"line-{n}" not in names)}

@@ -45,7 +45,7 @@ class WrittenOtherwiseError(CallerError):
 
 
 def content_of(text: str) -> Any:
-    """What a text holds; None where it is no TOML."""
+    """Return what a text holds; None where it is no TOML."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError):
@@ -53,7 +53,7 @@ def content_of(text: str) -> Any:
 
 
 def at(data: Any, path: KeyPath) -> Any:
-    """What a path leads to; None where it is not there."""
+    """Return what a path leads to; None where it is not there."""
     for step in path:
         try:
             data = data[step]
@@ -177,7 +177,8 @@ def _with_value(text: str, table: KeyPath, key: tuple[str, ...], value: TomlValu
 
 
 def _with_element(text: str, table: KeyPath, values: Mapping[str, TomlValue | None]) -> str:
-    """A new element of an array goes behind the last one, else behind what it is in, else to the end."""
+    """Put a new element of an array behind the last one, else behind what it is in, else to the
+    end."""
     lines, end = lines_of(text), None
     if table[-1]:
         end = _block(lines, text, (*table[:-1], int(table[-1]) - 1))[1]
@@ -191,8 +192,8 @@ def _with_element(text: str, table: KeyPath, values: Mapping[str, TomlValue | No
 
 
 def _block(lines: list[str], text: str, table: KeyPath) -> tuple[int, int]:
-    """The lines (from 0, the last excluded) of a table with all in it, the comment directly above its header,
-    and the one directly below its last key where nothing else follows directly."""
+    """Return the lines (from 0, the last excluded) of a table with all in it, the comment directly above its
+    header, and the one directly below its last key where nothing else follows directly."""
     within = [each for each in statements(text) if each.paths[0][: len(table)] == table]
     if not within or not within[0].is_header:
         raise WrittenOtherwiseError
@@ -222,8 +223,8 @@ def _newline(lines: list[str]) -> str:
 
 
 def _replaced(statement: str, value: TomlValue) -> str:
-    """A statement with another value: its key and the comment behind it stay. The text before that comment
-    is a statement itself, which no text before another number sign is."""
+    """Return a statement with another value: its key and the comment behind it stay. The text before that
+    comment is a statement itself, which no text before another number sign is."""
     content, newline = tomllib.loads(statement), statement[len(statement.rstrip("\r\n")) :]
     for place in (index for index, sign in enumerate(statement) if sign == "#"):
         try:
@@ -253,7 +254,7 @@ def _dotted(path: Any) -> str:
 
 
 def _written(value: TomlValue) -> str:
-    """A value as TOML has it: JSON's texts are TOML's too, but for one control character."""
+    """Return a value as TOML has it: JSON's texts are TOML's too, but for one control character."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, list):
@@ -280,7 +281,7 @@ class DifferenceLine:
 
 
 def masked(text: str) -> str:
-    """The text as people see it: of each key that may hold a secret only whether it changes, also in a
+    """Return the text as people see it: of each key that may hold a secret only whether it changes, also in a
     comment. The file of a secret is no secret."""
     lines, open_statement = [], ""
     for line in _bare_lines(text):
@@ -294,7 +295,7 @@ def masked(text: str) -> str:
 
 
 def difference(before: str, now: str) -> list[DifferenceLine]:
-    """The lines that differ, each with those around it; of secrets, that they differ."""
+    """Return the lines that differ, each with those around it; of secrets, that they differ."""
     return list(_lines(_bare_lines(masked(before)), _bare_lines(masked(now))))
 
 
@@ -365,17 +366,17 @@ class VersionStore:
         self._folder = data / FOLDER
 
     def newest(self) -> StoredVersion | None:
-        """The last one; None where there is none."""
+        """Return the last one; None where there is none."""
         numbers = self._numbers()
         return self.one(numbers[0]) if numbers else None
 
     def every(self) -> list[StoredVersion]:
-        """Those that are kept, newest first; without one that cannot be read."""
+        """Return those that are kept, newest first; without one that cannot be read."""
         found = (self.one(number) for number in self._numbers())
         return [each for each in found if each is not None]
 
     def one(self, number: int) -> StoredVersion | None:
-        """A version; None where it is not kept, or cannot be read."""
+        """Return a version; None where it is not kept, or cannot be read."""
         try:
             return msgspec.json.decode(self._file(number).read_bytes(), type=StoredVersion)
         except (OSError, msgspec.MsgspecError):
@@ -387,7 +388,7 @@ class VersionStore:
         return [self._file(number) for number in reversed(self._numbers())]
 
     def next_number(self) -> int:
-        """The number of the next version."""
+        """Return the number of the next version."""
         return max(self._numbers(), default=0) + 1
 
     def add(self, stored: StoredVersion) -> None:

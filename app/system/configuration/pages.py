@@ -261,7 +261,7 @@ def _form(
 
 
 async def _superseded(request: Request, file: ConfigurationFile, name: str, form: FormData) -> Response:
-    """What was typed, over the file as it is now: what was not changed here is as in the file."""
+    """Return what was typed, over the file as it is now: what was not changed here is as in the file."""
     present, began = await file.present(), await file.version_of(_text_in(form, "digest"))
     before = content_of(began.text) if began else present.data
     place = place_or_404(name, before)
@@ -281,7 +281,7 @@ async def _superseded(request: Request, file: ConfigurationFile, name: str, form
 def _faults_by_field(
     place: TablePlace, review: ConfigurationReview
 ) -> tuple[dict[str, Message], tuple[Message, ...]]:
-    """The faults that are of a key of the form, and the others with their line."""
+    """Return the faults that are of a key of the form, and the others with their line."""
     lines = {each.first: each.paths for each in statements(review.text) if not each.is_header}
     errors, others = {}, []
     for fault in review.faults:
@@ -296,8 +296,8 @@ def _faults_by_field(
 
 
 def _typed(request: Request, place: TablePlace, form: FormData) -> dict[str, str]:
-    """What was typed, by key. A field of several choices has each that was chosen; a number may have the
-    decimal comma of the reader."""
+    """Return what was typed, by key. A field of several choices has each that was chosen; a number may have
+    the decimal comma of the reader."""
     templates = templates_of(request)
     formats: Formats = templates.formats(templates.language_of(request).tag)
     texts = {}

@@ -110,8 +110,8 @@ class ConfigurationFile:
             return "root"
 
     async def present(self) -> PresentFile:
-        """The file as it is; one that was changed by hand becomes a version. Raises Problem 404, and 409 for
-        one that cannot be read."""
+        """Return the file as it is; one that was changed by hand becomes a version. Raises Problem 404, and
+        409 for one that cannot be read."""
         async with self._one_at_a_time:
             return await self._present()
 
@@ -126,21 +126,22 @@ class ConfigurationFile:
         return [each.version for each in await asyncio.to_thread(self._store.every)]
 
     def waiting(self, present: PresentFile) -> list[DifferenceLine]:
-        """The lines of the file that take effect at the next start."""
+        """Return the lines of the file that take effect at the next start."""
         return [] if present.is_running else difference(self._settings._text, present.text)
 
     async def version(self, number: int) -> StoredVersion:
-        """One of them. Raises Problem 404."""
+        """Return one of them. Raises Problem 404."""
         found = await asyncio.to_thread(self._store.one, number)
         return or_404(found, "not_found", Message.of("configuration_no_version", n=number))
 
     async def version_of(self, digest: str) -> StoredVersion | None:
-        """The newest one with a text of this digest; None where none is kept."""
+        """Return the newest one with a text of this digest; None where none is kept."""
         every = await asyncio.to_thread(self._store.every)
         return next((each for each in every if each.version.digest == digest), None)
 
     async def review(self, edit: Edit, digest: str) -> ConfigurationReview:
-        """What a change would make of the file. Raises Problem 409 where that is another one by now."""
+        """Return what a change would make of the file. Raises Problem 409 where that is another one by
+        now."""
         present = await self.present()
         self.refuse_superseded(present, digest)
         return await asyncio.to_thread(self._reviewed, present, edit)
@@ -275,7 +276,7 @@ def replace_file(path: Path, before: str, text: str) -> None:
 
 
 def _in_short(lines: list[DifferenceLine]) -> str:
-    """The lines that differ, for the audit log."""
+    """Return the lines that differ, for the audit log."""
     signs = {"gone": "-", "new": "+"}
     return "; ".join(f"{signs[each.kind]} {each.text.strip()}" for each in lines if each.kind in signs)[
         :MAX_EVENT

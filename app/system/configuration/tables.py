@@ -132,7 +132,7 @@ them."""
 
 
 def place_of(name: str, data: Any) -> TablePlace | None:
-    """The table of an address, or one that may be added there; None for any other."""
+    """Return the table of an address, or one that may be added there; None for any other."""
     steps = (parse_integer(step, 4) if step.isdecimal() else step for step in name.split("."))
     path = tuple(step for step in steps if step is not None)
     pattern = tuple(0 if isinstance(step, int) else step for step in path)
@@ -148,13 +148,13 @@ def place_of(name: str, data: Any) -> TablePlace | None:
 
 
 def place_or_404(name: str, data: Any) -> TablePlace:
-    """The table of an address, or one that may be added there. Raises Problem 404."""
+    """Return the table of an address, or one that may be added there. Raises Problem 404."""
     message = Message.of("configuration_no_table", name=name[:80])
     return or_404(place_of(name, data), "not_found", message)
 
 
 def places_of(data: Any) -> Iterator[TablePlace]:
-    """Every table of the file that is changed here, by kind and in the order of the file."""
+    """Yield every table of the file that is changed here, by kind and in the order of the file."""
     for form in FORMS:
         for path in _paths(data, form.path):
             yield TablePlace(form, path)
@@ -172,7 +172,7 @@ def _paths(data: Any, pattern: KeyPath, before: KeyPath = ()) -> Iterator[KeyPat
 
 
 def title_of(place: TablePlace, data: Any) -> str:
-    """What distinguishes a table for people; empty for one that is not there."""
+    """Return what distinguishes a table for people; empty for one that is not there."""
     table = at(data, place.path)
     above = at(data, (*place.path[:-2], "name")) if len(place.path) > 3 else None
     texts = (above, *(at(table, (key,)) for key in place.form.title))
@@ -180,14 +180,14 @@ def title_of(place: TablePlace, data: Any) -> str:
 
 
 def end_of(form: TableForm, data: Any, above: KeyPath = ()) -> TablePlace:
-    """Where the next table of an array is added; ``above``: inside of which element."""
+    """Return where the next table of an array is added; ``above``: inside of which element."""
     path = (*above, *form.path[len(above) : -1])
     array = at(data, path)
     return TablePlace(form, (*path, len(array) if isinstance(array, list) else 0))
 
 
 def same_table(place: TablePlace, before: Any, now: Any) -> TablePlace | None:
-    """Where the table is after the file was changed by others; None where it cannot be found."""
+    """Return where the table is after the file was changed by others; None where it cannot be found."""
     table, index = at(before, place.path), place.path[-1]
     if not isinstance(index, int):
         return place
@@ -204,12 +204,12 @@ def same_table(place: TablePlace, before: Any, now: Any) -> TablePlace | None:
 
 
 def texts_of(place: TablePlace, data: Any) -> dict[str, str]:
-    """The keys of a table as a form has them, empty where one is not set."""
+    """Return the keys of a table as a form has them, empty where one is not set."""
     return {field.key: text_of(at(data, (*place.path, *field.key.split(".")))) for field in place.form.fields}
 
 
 def changes_of(place: TablePlace, data: Any, texts: Mapping[str, str]) -> dict[str, TomlValue | None]:
-    """What a form changes: each key whose text is another than that of the file, with its value."""
+    """Return what a form changes: each key whose text is another than that of the file, with its value."""
     present = texts_of(place, data)
     return {
         field.key: _value(field, texts[field.key].strip())
@@ -219,7 +219,7 @@ def changes_of(place: TablePlace, data: Any, texts: Mapping[str, str]) -> dict[s
 
 
 def text_of(value: Any) -> str:
-    """A value as a form has it; empty for none."""
+    """Return a value as a form has it; empty for none."""
     if isinstance(value, bool):
         return "true" if value else ""
     if isinstance(value, list):
@@ -228,7 +228,8 @@ def text_of(value: Any) -> str:
 
 
 def _value(field: SettingField, text: str) -> TomlValue | None:
-    """The value of a typed text; where it is none of its kind the text itself, which is then refused."""
+    """Return the value of a typed text; where it is none of its kind the text itself, which is then
+    refused."""
     if not text:
         return None
     match field.kind:

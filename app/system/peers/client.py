@@ -279,7 +279,7 @@ def _summary(line: LineOfSite) -> LineSummary:
 
 
 def _has_words(cause: LineCauseShown) -> bool:
-    """Whether this version can put the cause of another into words."""
+    """Return whether this version can put the cause of another into words."""
     is_motion = cause["motion"] in STATE_WORDS or cause["motion"] == TURNING
     return is_motion and cause["code"] != "ramping" and tile_text(cause["code"]) is not None
 

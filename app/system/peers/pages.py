@@ -36,8 +36,8 @@ three rows; in more."""
 async def get_sites(
     _: Viewer, tiles: LineTilesService, templates: TemplatesService, own: Own = False, site: str | None = None
 ) -> LinesOfSites:
-    """Every line of this server and its peers, the worst first. ``site``: only those of the site of this
-    name."""
+    """Every line of this server and its peers, the worst first. ``site``: only those of the site of
+    this name."""
     english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
     report = board_json(tiles.board, english, unix_now(), own=own)
     if site is not None:

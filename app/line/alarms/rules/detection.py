@@ -23,8 +23,8 @@ class LimitRule:
     deadband: int = 0
 
     def holds(self, value: int, active: bool) -> bool:
-        """Whether a value is beyond a limit. An active condition ends only when the value is back by more
-        than the deadband."""
+        """Return whether a value is beyond a limit. An active condition ends only when the value is back by
+        more than the deadband."""
         deadband = self.deadband if active else 0
         if self.above is not None and value > self.above - deadband:
             return True
@@ -126,11 +126,11 @@ class Suppressors:
     """The units whose emergency stop is active."""
 
     def suppress(self, group: SuppressionGroup | None, unit: int | None) -> bool:
-        """Whether an alarm of this group and unit is suppressed."""
+        """Return whether an alarm of this group and unit is suppressed."""
         return group in self.groups or (group == "speed" and (self.at_rest or unit in self.estops))
 
 
 def is_at_rest(commanded: Iterable[int | None]) -> bool:
-    """Whether zero is commanded to every unit; a unit that was never read is no proof of rest."""
+    """Return whether zero is commanded to every unit; a unit that was never read is no proof of rest."""
     speeds = list(commanded)
     return bool(speeds) and all(speed == 0 for speed in speeds)

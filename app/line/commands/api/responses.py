@@ -145,7 +145,7 @@ def result_json(bus: BusLive, result: Result, unit: int | None = None) -> dict[s
 
 
 def frame_json(frame: Frame) -> FrameShown:
-    """One frame as it passed the port."""
+    """Return one frame as it passed the port."""
     return {
         "at": iso(frame.at),
         "direction": frame.direction,

@@ -26,7 +26,7 @@ def trace_line(frame: Frame) -> str:
 
 
 def is_trace_line(line: str) -> bool:
-    """Whether ``line`` is meant to be a line of a trace, right or wrong."""
+    """Return whether ``line`` is meant to be a line of a trace, right or wrong."""
     return line.count("\t") == 3 and line.split("\t")[1] in _DIRECTIONS
 
 

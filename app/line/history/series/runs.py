@@ -68,7 +68,7 @@ def runs_of(plain: Iterable[PlainRun]) -> list[Run]:
 
 
 def follows(run: PlainRun, last: PlainRun) -> bool:
-    """Whether ``run`` repeats ``last`` later in the same minute."""
+    """Return whether ``run`` repeats ``last`` later in the same minute."""
     return run[3:] == last[3:] and run[0] >= last[1] and run[1] // MINUTE == last[0] // MINUTE
 
 

@@ -28,14 +28,14 @@ class Shift:
 
 
 def shift_at(at: UnixTime, starts: Sequence[int], zone: ZoneInfo) -> Shift:
-    """The shift that a moment is in. ``starts``: minutes after local midnight, at least one."""
+    """Return the shift that a moment is in. ``starts``: minutes after local midnight, at least one."""
     edges = _edges(_day(at, zone), starts, zone)
     later = next(index for index, edge in enumerate(edges) if edge > at)
     return Shift(edges[later - 1], edges[later])
 
 
 def shifts_until(at: UnixTime, starts: Sequence[int], zone: ZoneInfo) -> Iterator[Shift]:
-    """The shift that a moment is in, and those before it, newest first."""
+    """Yield the shift that a moment is in, and those before it, newest first."""
     shift = shift_at(at, starts, zone)
     while True:
         yield shift
@@ -43,7 +43,8 @@ def shifts_until(at: UnixTime, starts: Sequence[int], zone: ZoneInfo) -> Iterato
 
 
 def instant_of(minute: int, shift: Shift, zone: ZoneInfo) -> UnixTime | None:
-    """The first moment of a shift at which the clock shows this minute of the day; None: it never does."""
+    """Return the first moment of a shift at which the clock shows this minute of the day; None: it never
+    does."""
     first = datetime.combine(_day(shift.start, zone), datetime.min.time())
     for days in range(3):
         for fold in (0, 1):
@@ -55,13 +56,13 @@ def instant_of(minute: int, shift: Shift, zone: ZoneInfo) -> UnixTime | None:
 
 
 def site_time(at: UnixTime, zone: ZoneInfo) -> str:
-    """A moment by the clock of the site, for messages."""
+    """Return a moment by the clock of the site, for messages."""
     return datetime.fromtimestamp(float(at), zone).strftime("%Y-%m-%d %H:%M")
 
 
 def _edges(day: date, starts: Sequence[int], zone: ZoneInfo) -> list[UnixTime]:
-    """Every start from the day before to the day after next, in order. One that the clocks skip is where
-    they go on."""
+    """Return every start from the day before to the day after next, in order. One that the clocks skip is
+    where they go on."""
     midnights = (datetime.combine(day + days * DAY, datetime.min.time()) for days in (-2, -1, 0, 1, 2))
     return sorted(
         {
@@ -89,11 +90,12 @@ class Scope(NamedTuple):
     unit: int | None = None
 
     def holds(self, bus: str | None, unit: int | None) -> bool:
-        """Whether what is about a place is about this."""
+        """Return whether what is about a place is about this."""
         return self.bus in (None, bus) and self.unit in (None, unit)
 
     def concerns(self, bus: str | None, unit: int | None) -> bool:
-        """Whether people of this have to know what is about a place: also of its line, and of the site."""
+        """Return whether people of this have to know what is about a place: also of its line, and of the
+        site."""
         return (
             bus is None
             or self.bus is None
