@@ -41,6 +41,7 @@ PANEL = {"width": 1280, "height": 800}
 def opened(page: Page, path: str) -> Page:
     page.goto(path)
     expect(page.locator("body[data-link=live]")).to_be_attached()
+    page.evaluate("async () => { await document.fonts.ready }")  # until then letters are those of the panel
     return page
 
 
