@@ -10,8 +10,8 @@ import click
 
 from app.cli.options import PATH, config_option, json_option
 from app.cli.process import report
-from app.cli.serve import check_store
 from app.cli.site import has_store, reading_site, record, site_log
+from app.cli.starting import check_store
 from app.core.database.connection import examining
 from app.core.database.files import in_words
 from app.core.web.shape import message_shown

@@ -15,7 +15,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from app.cli.findings import Finding, bus_refusal, fault, info, is_visible, may_make_files_in, user
-from app.cli.serve import ListenError, PortInUse, listen, url_of
+from app.cli.starting import ListenError, PortInUse, listen, url_of
 from app.cli.status import GB, is_serving, verification
 from app.core.database.connection import examining
 from app.core.database.files import free_bytes

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from app.cli.options import ADDRESS, TCP_PORT
-from app.cli.serve import listen, listen_from
+from app.cli.starting import listen, listen_from
 from app.core.server.service_manager import ServiceManager
 from app.errors import StoreError
 from app.settings import load

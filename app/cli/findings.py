@@ -21,7 +21,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from app.cli.installed_files import UNIT_FILE
-from app.cli.serve import ListenError, PortInUse, listen
+from app.cli.starting import ListenError, PortInUse, listen
 from app.core.database.connection import examining
 from app.core.database.files import free_bytes
 from app.core.database.migration import (

@@ -27,7 +27,7 @@ from pydantic.warnings import UnsupportedFieldAttributeWarning
 
 from app.cli import loading
 from app.cli.process import become_owner_of, report
-from app.cli.serve import listen, url_of
+from app.cli.starting import listen, url_of
 from app.core.database import Database
 from app.core.database.files import make_folder
 from app.core.messages.languages import catalogs, locale_of

@@ -18,7 +18,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.config import Config
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from app.cli.serve import BACKLOG
+from app.cli.starting import BACKLOG
 from app.core.server.connections import Connections
 from app.core.server.gate import RECEIVE_BUFFER_BYTES, Gate, Gates, Stages
 from app.core.server.loop_watch import LoopWatch

@@ -10,7 +10,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 from app.cli.process import become_owner_of
-from app.cli.serve import check_store
+from app.cli.starting import check_store
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import examining
 from app.core.database.files import in_words, make_private

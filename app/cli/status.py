@@ -20,7 +20,7 @@ from app.cli.dashboard import dashboard
 from app.cli.findings import backup_folder_fault, certificate_files, existing_part, size_of
 from app.cli.options import bearer_token, config_option, json_option, token_file_option, token_option
 from app.cli.process import report
-from app.cli.serve import url_of
+from app.cli.starting import url_of
 from app.core.database.connection import examining, has_table
 from app.core.database.files import free_bytes
 from app.core.server.settings import TlsSettings

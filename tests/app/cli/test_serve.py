@@ -26,7 +26,7 @@ from websockets.sync.client import ClientConnection, connect
 from app.cli import hosting
 from app.cli.demo import CHOOSE
 from app.cli.hosting import MAX_MISSED, MAX_MISSED_AT_START, HostingError, Watchdog, only_one
-from app.cli.serve import NEXT_PORTS, ListenError, listen, listen_from
+from app.cli.starting import NEXT_PORTS, ListenError, listen, listen_from
 from app.core.database import Database
 from app.core.server.service_manager import ServiceManager
 from app.settings import load

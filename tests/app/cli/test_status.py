@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.cli import cli, status
-from app.cli.serve import url_of
+from app.cli.starting import url_of
 from app.cli.status import backup_facts, certificate_facts, disk_facts
 from app.core.database import Database
 from app.core.database.connection import open_unchanged
