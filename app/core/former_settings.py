@@ -35,7 +35,8 @@ def former_keys(data: Mapping[str, Any]) -> list[KeyPath]:
 
 
 def former_notices(text: str, file: str, folder: Path) -> list[Message]:
-    """What an earlier version used of a configuration and of its data folder, and what sets nothing now."""
+    """Return what an earlier version used of a configuration and of its data folder, and what sets nothing
+    now."""
     lines = LineNumbers(text)
     notices = [
         Message.of("ignored_key", file=file, line=lines.of(path), key=_name(path))
@@ -54,8 +55,8 @@ def _name(path: KeyPath) -> str:
 
 
 def without_former_keys(data: object) -> object:
-    """The configuration without the keys that are ignored. Raises PydanticCustomError where its data is in a
-    database: a server that began beside it would look like one that has lost everything."""
+    """Return the configuration without the keys that are ignored. Raises PydanticCustomError where its data
+    is in a database: a server that began beside it would look like one that has lost everything."""
     if not isinstance(data, dict):
         return data
     if isinstance(store := data.get("store"), dict) and store.get("url"):

@@ -23,8 +23,8 @@ _NOT_IANA = frozenset({"", "localtime", "posixrules", "Factory"})
 
 @cache
 def machine_zone() -> str:
-    """The IANA name of the zone that the machine is set to (TZ, /etc/localtime, /etc/timezone); UTC where it
-    has none that is in the list, such as a TZ of POSIX rules. Read once: a server keeps its zone."""
+    """Return the IANA name of the zone that the machine is set to (TZ, /etc/localtime, /etc/timezone); UTC
+    where it has none that is in the list, such as a TZ of POSIX rules. Read once: a server keeps its zone."""
     try:
         name = getattr(get_localzone(), "key", None)
         if name is None:
@@ -38,7 +38,7 @@ def machine_zone() -> str:
 
 
 def is_zone(name: str) -> bool:
-    """Whether a name is in the IANA list, as far as this machine has it."""
+    """Return whether a name is in the IANA list, as far as this machine has it."""
     try:
         return name not in _NOT_IANA and ZoneInfo(name).key == name
     except (LookupError, ValueError, OSError):
@@ -46,7 +46,7 @@ def is_zone(name: str) -> bool:
 
 
 def day_begins(text: str, zone: str, later: timedelta = timedelta(0)) -> UnixTime | None:
-    """The instant at which a day (2026-11-21) begins at the site; None for an invalid day."""
+    """Return the instant at which a day (2026-11-21) begins at the site; None for an invalid day."""
     try:
         day = datetime.fromisoformat(text).date() + later
         return UnixTime(datetime.combine(day, time(), ZoneInfo(zone)).timestamp())

@@ -190,7 +190,7 @@ def render(chapter: Chapter, text: str, folder: str, anchors: Sequence[str] = ()
 
 
 def slug(title: str) -> str:
-    """The anchor of a heading, as the pages of the repository have it."""
+    """Return the anchor of a heading, as the pages of the repository have it."""
     return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
 
 
@@ -201,7 +201,7 @@ def _all(tokens: Sequence[Any]) -> Iterator[Any]:
 
 
 def _sections(chapter: Chapter, tokens: Sequence[Any], anchors: Iterator[str]) -> Iterator[HelpSection]:
-    """Every heading gets its anchor, and is a section with all text up to the next."""
+    """Yield each section: a heading, which gets its anchor, with all text up to the next."""
     title, anchor, texts = "", "", list[str]()
     for before, token in zip((None, *tokens), tokens, strict=False):
         if token.type != "inline":
