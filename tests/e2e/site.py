@@ -202,14 +202,15 @@ class Site:
             for alarm in client.get("/alarms").json()["alarms"]:
                 client.post(f"/alarms/{alarm['id']}/acknowledge")
 
-    def end_alarms(self) -> None:
-        """Wait until no condition of an alarm holds, and leave none to acknowledge."""
+    def end_alarms(self, of: str = "") -> None:
+        """Wait until no alarm whose id begins with ``of`` is active, and leave none to acknowledge."""
         with self.api() as client:
             active: set[str] = set()
 
             def are_over() -> bool:
                 active.clear()
-                active.update(each["id"] for each in client.get("/alarms").json()["alarms"] if each["active"])
+                found = client.get("/alarms").json()["alarms"]
+                active.update(each["id"] for each in found if each["active"] and each["id"].startswith(of))
                 return not active
 
             try:

@@ -51,7 +51,7 @@ CUT = """() => [...document.querySelectorAll(".table--events td, .parts :is(td, 
 NAMES = (
     "Glättwerkzylinder-Oberwalzenantrieb-Nordseite-Trockenpartie",
     "Donaudampfschifffahrtsgesellschaftskapitänsmützenfabrikbande",
-    "وحدة سحب الورق الرئيسية في نهاية خط التجفيف الشمالي",
+    "وحدة سحب الورق الرئيسية في نهاية خط التجفيف الشمالي بجانب آلة اللف",
 )
 RENAME = "(name, text) => { name.textContent = text; }"
 IS_CUT = "name => getComputedStyle(name).overflow === 'hidden' && name.scrollWidth > name.clientWidth"
