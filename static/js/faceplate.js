@@ -21,12 +21,22 @@ function opened() {
   const unit = link.closest("[data-unit]")?.dataset.unit ?? "";
   plate.setAttribute("data-unit", unit);
   plate.hidden = false;
+  place(link);
   show(unit);
   document.dispatchEvent(new CustomEvent("lineside:changed"));
   plate.scrollTop = 0;
   plate.querySelector("h2 a")?.focus({ preventScroll: true });
   (link.closest("[data-unit]") ?? link).scrollIntoView({ block: "nearest" });
   ending = listen("alarms_present", redrawAlarms);
+}
+
+/** Over the columns that are far from the unit: those at the end, or where that covers it those at the beginning.
+ * @param {HTMLAnchorElement} link */
+function place(link) {
+  plate.removeAttribute("data-before");
+  const { left, right } = (link.closest(".web__place") ?? link).getBoundingClientRect();
+  const { left: from, width } = plate.getBoundingClientRect();
+  plate.toggleAttribute("data-before", right > from && left > width);
 }
 
 /** @param {Fields} fields */

@@ -82,6 +82,36 @@ def test_a_unit_that_does_not_respond_is_shown_as_such_and_comes_back(
     eventually(lambda: site.unit(4)["link"] == "online", "unit 4 online")
 
 
+BOXES = """selector => [...document.querySelectorAll(selector)].map(each => {
+  const { x, y, width, height } = each.getBoundingClientRect();
+  return [each.className, ...[x, y + scrollY, width, height].map(Math.round)].join(" ");
+})"""
+KEEP_THEIR_PLACES = ".tile, .tile__actual, .tile__actual .value__number, .totals > [data-is], .views"
+
+
+@pytest.mark.parametrize(
+    ("size", "locale"), [(OFFICE, ENGLISH), ({"width": 360, "height": 740}, GERMAN)], ids=["panel", "phone"]
+)
+def test_no_tile_moves_when_an_emergency_stop_comes_or_a_unit_is_opened(
+    site: Site, browser_page: OpensPages, size: Any, locale: str
+) -> None:
+    site.end_alarms()
+    page = browser_page("operator", viewport=size, locale=locale)
+    page.goto("/?view=tiles")
+    expect(page.locator("body")).to_have_attribute("data-link", "live")
+    before = page.evaluate(BOXES, KEEP_THEIR_PLACES)
+    try:
+        site.line.remote.do("input", unit=2, input="estop", on=True)
+        expect(page.locator('.tile[data-unit="line/2"]')).to_have_attribute("data-is", "urgent")
+        expect(page.locator(".top__alarm-link")).not_to_have_attribute("data-is", "")
+        assert page.evaluate(BOXES, KEEP_THEIR_PLACES) == before
+        page.locator('[data-unit="line/4"] [data-faceplate]').click()
+        expect(page.locator("#faceplate-name")).to_be_visible()
+        assert page.evaluate(BOXES, KEEP_THEIR_PLACES) == before
+    finally:
+        site.line.remote.do("input", unit=2, input="estop", on=False)
+
+
 @pytest.mark.parametrize(
     ("opened", "locale"),
     in_turn(
