@@ -249,7 +249,18 @@ def prove(
 ) -> AuditVerification:
     """Verify the log up to the entry that is the last one now, and that it has the hashes of ``anchors``, by
     entry. With ``known`` only what follows that entry, if the log has it. It reads chunk by chunk, so that
-    the store's checkpoint does not wait for a long log."""
+    the store's checkpoint does not wait for a long log; where entries were archived meanwhile, it begins
+    again from the new cut."""
+    while True:
+        cuts = cuts_of(connection)
+        verdict = _followed(connection, ring, anchors, known)
+        if verdict.fault is None or cuts_of(connection) == cuts:
+            return verdict
+
+
+def _followed(
+    connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str], known: Head | None
+) -> AuditVerification:
     heads, last = extent(connection)
     walk, number = _begun(connection, ring, anchors, known)
     query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"

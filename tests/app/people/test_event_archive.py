@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import gzip
 import json
 import os
@@ -14,10 +15,12 @@ from zoneinfo import ZoneInfo
 import pytest
 
 from app.core.database import Database, StoreConnection
+from app.core.database.connection import open_for_reading
 from app.core.database.migration import MIGRATIONS
 from app.errors import ConstraintError
 from app.line.history.status import growth_of_events
 from app.people.audit import archive as module
+from app.people.audit import proof
 from app.people.audit.anchor import Anchoring, read_anchor_file
 from app.people.audit.archive import (
     ArchiveProof,
@@ -147,6 +150,30 @@ async def test_the_log_is_proven_across_the_cut(log: Log) -> None:
     await log.archive.archive_due()
     assert (await log.verify()).broken is None
     assert await log.prove() == ArchiveProof(18)
+
+
+async def test_a_month_that_is_archived_during_a_verification_is_no_alteration(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await log.five_months()
+    loop, chunks = asyncio.get_running_loop(), 0
+
+    def archive_during_the_third_chunk(statement: str) -> None:
+        nonlocal chunks
+        chunks += statement.startswith("SELECT * FROM events WHERE id >=")
+        if chunks == 3:
+            chunks += 1
+            asyncio.run_coroutine_threadsafe(log.archive.archive_due(), loop).result()
+
+    def opened(path: Path) -> StoreConnection:
+        connection = open_for_reading(path)
+        connection.set_trace_callback(archive_during_the_third_chunk)
+        return connection
+
+    monkeypatch.setattr(proof, "CHUNK", 2)
+    monkeypatch.setattr(proof, "open_for_reading", opened)
+    verdict = await log.verify()
+    assert (verdict.fault, verdict.archived) == (None, 12)
 
 
 async def test_without_its_files_the_store_is_proven_from_the_cut(log: Log, tmp_path: Path) -> None:
