@@ -70,8 +70,8 @@ _Withdrawal = Callable[[], Coroutine[Any, Any, None]]
 class Identify:
     """Finds the `Caller` of every request and handshake, or refuses it, and records what was refused.
 
-    Only public paths are open without a caller. A token or a cookie that is not valid is refused even where
-    the demo needs none. A WebSocket or a response in pieces ends with the rights of its caller.
+    Only public paths are open without a caller. A token that is not valid is refused even where the demo
+    needs none. A WebSocket or a response in pieces ends with the rights of its caller.
     """
 
     def __init__(
