@@ -140,6 +140,7 @@ class Arbiter:
         self._pending_of = pending_of
         self._exchange_s = exchange_s
         self._routine: tuple[Task, SendAttempts] | None = None
+        self._foreseen: tuple[Task, SendAttempts] | None = None
         self._routine_at = Monotonic(0.0)
         self._read_last = False
         self._not_before = Monotonic(0.0)
@@ -163,6 +164,29 @@ class Arbiter:
                 self._routine = _routine(poll)
             return self._routine_request(now)
         return self._command_request(now) or self._routine_request(now)
+
+    def foresee(self, under_way: NextRequest, now: Monotonic) -> NextRequest | None:
+        """What follows ``under_way`` if its response is an ordinary one; None where that decides it.
+
+        An ordinary response to a poll changes nothing about whose request is next. Only a command does, and
+        then what was foreseen has its turn after it.
+        """
+        if len(self.commands) or now < self._reserved_until or not self._is_poll(under_way):
+            return None
+        if self._foreseen is None:
+            task = self.schedule.next(now)
+            self._foreseen = _routine(task) if task is not None else None
+        if self._foreseen is None or self._foreseen[0].unit == under_way.request.unit:
+            return None
+        task, attempts = self._foreseen
+        request = attempts.next_request(now, self._pending_of(task.unit).moved_on())
+        return NextRequest(request) if request is not None and request == attempts.send.request else None
+
+    def follow(self, now: Monotonic) -> None:
+        """Note that the foreseen request has left at ``now``, and that the turn before it is settled."""
+        assert self._foreseen is not None
+        self._routine, self._foreseen = self._foreseen, None
+        self._pace(self._routine[1].send.request, now)
 
     def settle(self, turn: NextRequest, exchange: ExchangeResult) -> bool:
         """Take the result of ``turn``; return whether it is tried again, because nothing responded."""
@@ -207,10 +231,22 @@ class Arbiter:
 
     # --- the schedule --------------------------------------------------------------------------
 
+    def _is_poll(self, turn: NextRequest) -> bool:
+        if turn.run is not None or self._routine is None:
+            return False
+        task, attempts = self._routine
+        return (
+            task.kind is TaskKind.POLL
+            and turn.request == attempts.send.request
+            and task.unit in self.schedule.poll_order
+        )
+
     def _routine_request(self, now: Monotonic) -> NextRequest | None:
         if now < max(self._not_before, self._reserved_until):
             return None
         slow_waits = self.commands.slow_waits
+        if self._routine is None:
+            self._routine, self._foreseen = self._foreseen, None
         while self._routine is None:
             task = self.schedule.next(now, slow_waits=slow_waits)
             if task is None:

@@ -72,6 +72,9 @@ class TcpPort:
             raise WireError(Message.of("port_full", port=self._name))
         self._transport.write(data)
 
+    def listen(self, *, now: bool) -> None:
+        """A packet is no single byte: it is received when it comes."""
+
     def drop_output(self) -> None:
         """Do nothing, because the kernel's buffer cannot be emptied; a server that takes nothing is lost by
         its timeout."""

@@ -1,13 +1,16 @@
 """One exchange at a time over an open port: its deadlines, and what else comes in.
 
 The window of a response (``bus.line.timing``) begins when the request's last byte has left the wire, which is
-computed, not waited for. On a port that is as slow as its baud rate, a frame that is complete before the
-response can be is a leftover of an earlier exchange (``PortPace``).
+computed, not waited for.
+
+On a port that is as slow as its baud rate (``PortPace``), a frame that is complete before the response can be
+is a leftover of an earlier exchange. On such a port nothing can be done before the response can be complete,
+so until shortly before that moment bytes are left to gather. What has gathered by then is still seen to be
+early.
 """
 
 from __future__ import annotations
 
-import asyncio
 import math
 
 import msgspec
@@ -15,6 +18,7 @@ import msgspec
 from bus.contract import Direction
 from bus.errors import WireError
 from bus.instants import Monotonic
+from bus.line.completion import Completion
 from bus.line.diagnosis import SecondMaster
 from bus.line.port import OpenPort, PartlySent
 from bus.line.roster import Roster, WireCounts
@@ -23,7 +27,7 @@ from bus.line.timing import MARGIN_S, QUIET_BYTES, LineClock, PortPace, Window
 from bus.line.trace import Trace, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
-from bus.wire.commands import Request, longest_reply_bytes
+from bus.wire.commands import Request, least_reply_bytes, longest_reply_bytes
 from bus.wire.exchange import Duplicate, Echo, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
 from bus.wire.fence import PendingByUnit, PendingResponses
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
@@ -38,8 +42,9 @@ class CurrentExchange(msgspec.Struct):
     """When the request's last byte has left."""
     last_moment: Monotonic
     """No response can come later, whenever this process receives it."""
-    ending: asyncio.Future[ExchangeResult]
-    """How it ended, once it has."""
+    ended: Monotonic = Monotonic(0.0)
+    is_ordinary: bool = False
+    """Whether the response came alone, at a time at which it is expected."""
     garbled: bool = False
     unexpected: bool = False
     unrequested: bool = False
@@ -52,17 +57,17 @@ class CurrentExchange(msgspec.Struct):
         """Whether anything came in beside the response."""
         return self.garbled or self.unexpected or self.late > 0
 
-    def result(self, clock: LineClock, ended: Monotonic) -> ExchangeResult:
-        """Return how the exchange ended at ``ended``."""
+    def result(self, clock: LineClock) -> ExchangeResult:
+        """Return how the exchange ended."""
         exchange = self.exchange
-        responded_at = clock.epoch(min(ended, self.last_moment)) if exchange.reply is not None else None
+        responded_at = clock.epoch(min(self.ended, self.last_moment)) if exchange.reply is not None else None
         # Bytes that never became a frame are noise too: two units at one address may sound like that.
         garbled = self.garbled or (exchange.reply is None and exchange.first_byte_at is not None)
         return ExchangeResult(
             exchange.request,
             exchange.reply,
             self.began,
-            ended,
+            self.ended,
             clock.epoch(self.ends_sending),
             responded_at,
             b"" if exchange.secret else exchange.frame,
@@ -74,12 +79,17 @@ class CurrentExchange(msgspec.Struct):
 
 StrayFrame = Echo | Foreign | Duplicate | Late | Unexpected
 
+LISTEN_FRACTION = 0.93
+"""For this part of the least time bytes are left to gather, because each few that are received alone cost as
+much as a response; less than ``port_pace.EARLY``."""
 SECRET_LINGERS_S = 5.0
 """For so long after an exchange with a secret (#21) what is no response may be a piece of it, or a copy."""
+AHEAD_S = 0.002
+"""This long before a response can be complete they are received: a loop's timers count milliseconds."""
 
 
 class Link:
-    """``send`` a request and await how its exchange ended, then the next."""
+    """``prepare`` an exchange, ``send`` it, await how it ended and ``account`` for that."""
 
     def __init__(
         self,
@@ -101,9 +111,11 @@ class Link:
         self._port: OpenPort | None = None
         self._window = Window(clock, self._timed_out)
         self._current: CurrentExchange | None = None
+        self._ending: Completion[CurrentExchange] = Completion()
         self._last: Exchange | None = None
         """The exchange before, for what comes in while none is under way."""
         self._last_response = b""
+        self._unaccounted: CurrentExchange | None = None
         self._pace = PortPace()
         self._secret_until = Monotonic(-math.inf)
         self.loss: Message | None = None
@@ -133,14 +145,20 @@ class Link:
         if self._port is None:
             return
         self._port, self.loss = None, cause
-        self._window.close()
+        self._window.attach(None, self._byte_s)
         current, self._current = self._current, None
         if current is not None:
-            self._end(current, self._clock.now())
+            current.ended = self._clock.now()
+            self._ending.set(current)
 
     @property
     def open(self) -> bool:
         return self._port is not None
+
+    @property
+    def is_paced(self) -> bool:
+        """Whether the port is known to be as slow as its baud rate."""
+        return self._pace.paced is True
 
     def pending(self, unit: int) -> PendingResponses:
         """Return the responses of ``unit`` that may still come late or twice.
@@ -152,7 +170,7 @@ class Link:
 
     def _go_at(self, baud: int) -> None:
         self._byte_s = wire_seconds(1, baud)
-        self._window.attach(self._byte_s)
+        self._window.attach(self._port, self._byte_s)
         self._forget()
 
     def _forget(self) -> None:
@@ -163,15 +181,24 @@ class Link:
 
     # --- one exchange --------------------------------------------------------------------------
 
-    def send(self, request: Request, dialect: Dialect | None = None) -> asyncio.Future[ExchangeResult] | None:
-        """Begin an exchange, in ``dialect`` where it is not the bus's own, and return how it will have ended.
-        Return None where nothing was sent, as the port is lost.
+    def prepare(self, request: Request, dialect: Dialect | None = None) -> Exchange:
+        """An exchange to ``send``, in ``dialect`` where it is not the bus's own.
 
-        A port that is lost later, or that took only a part, ends the exchange without a response. Raises
-        CallerError for a request that no frame can carry.
+        While another one is under way, with another unit, it is the one after that. Raises CallerError for a
+        request that no frame can carry.
+        """
+        pending = self.pending(request.unit)
+        if self._current is not None:
+            assert self._current.exchange.request.unit != request.unit
+            pending = pending.moved_on()
+        return self._exchange(request, dialect, pending)
+
+    def send(self, exchange: Exchange) -> Completion[CurrentExchange] | None:
+        """Begin ``exchange``; how it ended is awaited. None where nothing was sent, as the port is lost.
+
+        A port that is lost later, or that took only a part, ends the exchange without a response.
         """
         assert self._current is None
-        exchange = self._exchange(request, dialect, self.pending(request.unit))
         if self._port is None:
             return None
         began, loss = self._clock.now(), None
@@ -182,22 +209,41 @@ class Link:
         except WireError as error:
             self.lose(error.message)
             return None
-        current = self._begin(exchange, began)
+        self.account()
+        self._begin(exchange, began)
+        ending = self._ending = Completion()
         if loss is not None:
             self.lose(loss)
-        return current.ending
+        return ending
 
-    def _count(self, current: CurrentExchange, now: Monotonic) -> None:
-        exchange = current.exchange
+    def account(self) -> None:
+        """Count and keep the exchange that has ended, unless that is done.
+
+        Its last byte calls for the next request, so what can wait until that has left waits for it.
+        """
+        if self._unaccounted is None:
+            return
+        ended, self._unaccounted = self._unaccounted, None
+        self._window.close()
+        if ended.is_ordinary:
+            self._pace.believes(ended.ended - ended.began, self._least_s(ended.exchange))
+            self._note(ended.ended, "in", ended.exchange.frame, ended.exchange)
+        ended.overdue, self._overdue = tuple(self._overdue), []
+        self.has_responses = self.has_responses or ended.exchange.reply is not None
+        self._pending.after(ended.exchange.pending)
+        self._count(ended)
+
+    def _count(self, ended: CurrentExchange) -> None:
+        exchange = ended.exchange
         if exchange.reply is not None:
-            self.has_responses = True
-            self._last_response = exchange.frame
             self.second_master.responded(exchange.request.unit)
-            if current.unrequested:
-                self.second_master.note(now)
+            if ended.unrequested:
+                self.second_master.note(ended.ended)
         self.counts.busy_s += self._least_s(exchange)
+        if exchange.reply is not None:
+            self._last_response = exchange.frame
         if exchange.request.unit != 0:
-            response_s = exchange.response_began(now, self._byte_s) - current.ends_sending
+            response_s = exchange.response_began(ended.ended, self._byte_s) - ended.ends_sending
             self._roster[exchange.request.unit].statistics.count(exchange.request, exchange.reply, response_s)
 
     def data_received(self, data: bytes) -> None:
@@ -209,11 +255,21 @@ class Link:
             self._note_stray(now, data, None, valid=False)
             return
         events = exchange.receive(data, now)
+        if current is not None and self._is_ordinary(current, events, now):
+            self._end(current, now)
+            return
         self._window.received(now, inside_frame=self._decoder.pending > 0)
         for event in events:
             self._take(event, exchange, now)
         if current is not None and current.exchange.reply is not None:
-            self._conclude(current, now)
+            self._end(current, now)
+
+    def _is_ordinary(self, current: CurrentExchange, events: list[ExchangeEvent], now: Monotonic) -> bool:
+        """Whether ``events`` are the response, when it is expected, and nothing else has come."""
+        if len(events) != 1 or type(events[0]) is not Responded or current.has_noise or self._overdue:
+            return False
+        current.is_ordinary = self._pace.on_time(now - current.began, self._least_s(current.exchange))
+        return current.is_ordinary
 
     def _least_s(self, exchange: Exchange) -> float:
         """Return what the request and its response take on the wire."""
@@ -222,32 +278,23 @@ class Link:
     def _exchange(self, request: Request, dialect: Dialect | None, pending: PendingResponses) -> Exchange:
         return Exchange(request, dialect or self._dialect, decoder=self._decoder, pending=pending)
 
-    def _begin(self, exchange: Exchange, began: Monotonic) -> CurrentExchange:
+    def _begin(self, exchange: Exchange, began: Monotonic) -> None:
         """Begin to await the response to ``exchange``, which was handed to the port at ``began``."""
         has_response = exchange.request.unit != 0
         ends_sending = began + len(exchange.sent) * self._byte_s
         window_ends = ends_sending + (self._turnaround_s + MARGIN_S if has_response else 0.0)
         longest_s = longest_reply_bytes(exchange.request, exchange.dialect) * self._byte_s
         last_moment = window_ends + (longest_s + MARGIN_S if has_response else 0.0)
-        ending: asyncio.Future[ExchangeResult] = asyncio.get_running_loop().create_future()
-        self._current = current = CurrentExchange(exchange, began, ends_sending, last_moment, ending)
+        self._current = CurrentExchange(exchange, began, ends_sending, last_moment)
         self.second_master.requested(exchange.request.unit, began)
-        self._window.open(window_ends, last_moment)
+        self._window.open(window_ends, last_moment, self._listen_at(exchange, began, window_ends))
         self._note(began, "out", exchange.sent, exchange)
-        return current
-
-    def _conclude(self, current: CurrentExchange, now: Monotonic) -> None:
-        """Count the exchange under way, which is over, and end it."""
-        self._current, self._last = None, current.exchange
-        self._window.close()
-        current.overdue, self._overdue = tuple(self._overdue), []
-        self._pending.after(current.exchange.pending)
-        self._count(current, now)
-        self._end(current, now)
 
     def _end(self, current: CurrentExchange, now: Monotonic) -> None:
-        if not current.ending.done():
-            current.ending.set_result(current.result(self._clock, now))
+        """End the exchange under way. This is the last step here, as the next exchange begins meanwhile."""
+        self._current, self._last, self._unaccounted = None, current.exchange, current
+        current.ended = now
+        self._ending.set(current)
 
     # --- what came in --------------------------------------------------------------------------
 
@@ -327,6 +374,15 @@ class Link:
 
     # --- waiting -------------------------------------------------------------------------------
 
+    def _listen_at(self, exchange: Exchange, began: Monotonic, window_ends: Monotonic) -> Monotonic | None:
+        """Shortly before the response can be complete, on a port that is as slow as its baud rate."""
+        if not self.is_paced or exchange.request.unit == 0:
+            return None
+        least_bytes = len(exchange.sent) + least_reply_bytes(exchange.request, exchange.dialect)
+        least_s = least_bytes * self._byte_s
+        gathering_s = min(LISTEN_FRACTION * least_s, least_s - AHEAD_S)
+        return min(began + gathering_s, window_ends - MARGIN_S / 2)
+
     def _timed_out(self, now: Monotonic) -> None:
         current = self._current
         if current is None:
@@ -335,7 +391,7 @@ class Link:
         if current.exchange.awaiting and self._port is not None:
             self._port.drop_output()
         current.exchange.give_up()
-        self._conclude(current, now)
+        self._end(current, now)
 
     def _note(self, now: Monotonic, way: Direction, data: bytes, exchange: Exchange) -> None:
         """Keep what is known to belong to ``exchange``."""

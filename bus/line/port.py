@@ -186,6 +186,9 @@ class OpenPort(Protocol):
     def write(self, data: bytes) -> None:
         """Hand over one request at once. Raises PartlySent where some of it was taken, else WireError."""
 
+    def listen(self, *, now: bool) -> None:
+        """Give what comes in at once, or let it gather until this is called again."""
+
     def drop_output(self) -> None:
         """Forget what has not left yet."""
 

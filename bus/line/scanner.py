@@ -83,7 +83,7 @@ class ScanPort:
 
     def attach(self, port: OpenPort) -> None:
         self._port = port
-        self._window.attach(self._byte_s)
+        self._window.attach(port, self._byte_s)
 
     async def listen(self, seconds: float) -> int:
         """Return how many bytes arrive although nothing is requested. Raises WireError when the port is

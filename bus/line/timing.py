@@ -2,8 +2,9 @@
 
 The clock is injected, so that tests run on a virtual one. The window of a response ends when the unit's
 turnaround is over and nothing is coming in any more, or at the latest when the longest response would be
-through, so endless bytes cannot hold it open. A process that was kept from running reads the port before it
-reports a timeout, because the response may be waiting.
+through, so endless bytes cannot hold it open. Before the response can be complete bytes may be left to
+gather: one wake-up instead of one for every few bytes. A process that was kept from running reads the port
+before it reports a timeout, because the response may be waiting.
 """
 
 from __future__ import annotations
@@ -12,9 +13,12 @@ import asyncio
 import math
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from bus.instants import Monotonic, UnixTime, monotonic_now
+
+if TYPE_CHECKING:
+    from bus.line.port import OpenPort
 
 SLEW_S = 0.001
 """How far the wall clock's drift is followed in one ``settle``; a step of more than a second at once."""
@@ -90,23 +94,27 @@ class Window:
     def __init__(self, clock: LineClock, over: Callable[[Monotonic], None]) -> None:
         self._clock = clock
         self._over = over
+        self._port: OpenPort | None = None
         self._alarm: Timer | None = None
         self._alarm_at = Monotonic(0.0)
         self._ends: Monotonic | None = None
         self._last_moment = Monotonic(0.0)
+        self._listen_at: Monotonic | None = None
         self._looked = False
         self._quiet_s = MIN_QUIET_S
         self._quiet_at = Monotonic(0.0)
 
-    def attach(self, byte_s: float) -> None:
-        """Close the window, on a port on which a byte takes ``byte_s`` from now on."""
-        self._ends = None
+    def attach(self, port: OpenPort | None, byte_s: float) -> None:
+        """Another port, or none; ``byte_s``: what a byte takes on it."""
+        self._port = port
+        self._ends = self._listen_at = None
         self._quiet_s = max(QUIET_BYTES * byte_s, MIN_QUIET_S)
 
-    def open(self, ends: Monotonic, last_moment: Monotonic) -> None:
-        """Begin the window of an exchange."""
+    def open(self, ends: Monotonic, last_moment: Monotonic, listen_at: Monotonic | None = None) -> None:
+        """An exchange began. Until ``listen_at`` bytes may gather."""
         self._ends, self._last_moment, self._looked = ends, last_moment, False
-        self._ring_at(ends)
+        self._listen_from(listen_at)
+        self._ring_at(ends if listen_at is None else listen_at)
 
     def received(self, now: Monotonic, *, inside_frame: bool) -> None:
         """Note that bytes came in; ``inside_frame``: they end in the middle of what may be a frame."""
@@ -121,6 +129,12 @@ class Window:
     def close(self) -> None:
         """End the window. Its alarm is let come in vain, because most are set again before."""
         self._ends = None
+        self._listen_from(None)
+
+    def _listen_from(self, when: Monotonic | None) -> None:
+        if self._port is not None and (when is None) != (self._listen_at is None):
+            self._port.listen(now=when is None)
+        self._listen_at = when
 
     def _ring_at(self, when: Monotonic) -> None:
         if self._alarm is not None:
@@ -134,6 +148,13 @@ class Window:
         if self._ends is None:
             return
         now = self._clock.now()
+        if self._listen_at is not None:
+            if now < self._listen_at - TIMER_SLACK_S:
+                self._ring_at(self._listen_at)
+            else:
+                self._listen_from(None)
+                self._ring_at(max(self._ends, now + RECHECK_S))
+            return
         ends = max(self._ends, min(self._quiet_at, self._last_moment))
         if now < ends - TIMER_SLACK_S:
             self._ends = ends
@@ -160,6 +181,10 @@ class PortPace:
     def __init__(self) -> None:
         self.paced: bool | None = None
         self._against = 0
+
+    def on_time(self, took_s: float, least_s: float) -> bool:
+        """Whether a response on a port that is known to be slow is taken whatever came before."""
+        return self.paced is True and took_s >= least_s * EARLY
 
     def believes(self, took_s: float, least_s: float) -> bool:
         """Return whether a response that took ``took_s`` may be taken; ``least_s``: what it takes on the

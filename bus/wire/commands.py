@@ -192,6 +192,13 @@ def usual_reply_bytes(request: Request, dialect: Dialect) -> int:
     return _reply_bytes(request, dialect, bytes_per_byte=1)
 
 
+def least_reply_bytes(request: Request, dialect: Dialect) -> int:
+    """Return the bytes on the wire of the shortest acknowledgement; 0 for a broadcast."""
+    if request.unit == 0:
+        return 0
+    return _FRAME_OVERHEAD + 2 + min(acknowledged_lengths(request, dialect))
+
+
 def longest_reply_bytes(request: Request, dialect: Dialect) -> int:
     """Return the bytes on the wire of the longest response, every byte of it 10h; 0 for a broadcast."""
     doubled_checksum = 1 if request.unit and dialect.checksum_10h == "twice" else 0

@@ -180,15 +180,15 @@ def unrequested(cases: list[Case], record: WireRecord) -> list[str]:
 
 def _puts_back(entry: WireEvent, present: dict[int, int]) -> bool:
     raw = int.from_bytes(entry.data[2:], "big")
-    return entry.data[1] == STAGE and present.get(entry.unit, raw) == raw
+    return entry.data[1] == STAGE and present.get(entry.data[0], raw) == raw
 
 
 def _follow(entry: WireEvent, present: dict[int, int]) -> None:
     """Update the speed that a unit has, as far as the record shows it."""
     if entry.data[1] == SET:
-        present[entry.unit] = int.from_bytes(entry.data[2:], "big")
+        present[entry.data[0]] = int.from_bytes(entry.data[2:], "big")
     elif entry.data[1] == EXECUTE:
-        present.pop(entry.unit, None)
+        present.pop(entry.data[0] or entry.unit, None)
 
 
 def too_late(cases: list[Case], written: Iterable[tuple[float, bytes]], slack_s: float = 0.0) -> list[str]:

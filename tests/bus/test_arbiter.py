@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from bus.line.arbiter import Arbiter, NextRequest
 from bus.line.commands.procedure import CommandContext, CommandRun, Priority, Procedure, ProcedureResult
 from bus.line.poll_schedule import PollSchedule
@@ -75,6 +77,72 @@ def test_every_unit_keeps_its_own_turn() -> None:
         line.settle(turn, _response(turn.request))
     counts = [polled.count(unit) for unit in range(1, 5)]
     assert max(counts) - min(counts) <= 4
+
+
+def _foreseen(line: Line, times: int) -> Iterator[NextRequest]:
+    turn = line.poll()
+    for _ in range(times):
+        following = line.turns.foresee(turn, line.time)
+        line.settle(turn, _response(turn.request))
+        if following is None:
+            turn = line.poll()
+            continue
+        line.time += POLL_S
+        line.turns.follow(line.time)
+        yield following
+        turn = following if isinstance(following.request, ReadStatusRequest) else line.poll()
+
+
+def test_what_was_foreseen_has_its_turn_and_every_unit_keeps_its_own() -> None:
+    line = Line(4)
+    followed = list(_foreseen(line, 200))
+    assert len(followed) > 150
+    polled = [turn.request.unit for turn in followed if isinstance(turn.request, ReadStatusRequest)]
+    counts = [polled.count(unit) for unit in range(1, 5)]
+    assert max(counts) - min(counts) <= 4
+
+
+def test_a_command_goes_first_and_what_was_foreseen_after_it() -> None:
+    line = Line(3)
+    turn = line.poll()
+    following = line.turns.foresee(turn, line.time)
+    assert following is not None
+    run = _write(turn.request.unit)
+    line.turns.commands.add(run)
+    line.settle(turn, _response(turn.request))
+    write = line.next()
+    assert write == (SetAndExecuteSpeedRequest(turn.request.unit, 500), run)
+    assert line.turns.foresee(write, line.time) is None
+    line.settle(write, Ack(turn.request.unit))
+    line.turns.commands.take_finished()
+    assert line.next() == following
+
+
+def test_a_poll_without_a_response_is_tried_again_before_what_was_foreseen() -> None:
+    line = Line(3)
+    turn = line.poll()
+    following = line.turns.foresee(turn, line.time)
+    assert following is not None
+    assert line.settle(turn, None), "it is tried again"
+    assert line.next() == turn
+    line.settle(turn, _response(turn.request))
+    assert line.next() == following
+
+
+def test_nothing_is_foreseen_while_a_write_is_announced() -> None:
+    line = Line(3)
+    turn = line.poll()
+    line.turns.reserve(line.time)
+    assert line.turns.foresee(turn, line.time) is None
+
+
+def test_of_a_line_with_one_unit_nothing_is_foreseen() -> None:
+    """What the unit sends twice must not be taken for the next response, so the response is settled first."""
+    line = Line(1)
+    for _ in range(20):
+        turn = line.poll()
+        assert line.turns.foresee(turn, line.time) is None
+        line.settle(turn, _response(turn.request))
 
 
 def test_a_command_goes_before_the_next_poll() -> None:

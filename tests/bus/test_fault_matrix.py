@@ -267,7 +267,7 @@ def test_a_typed_value_while_its_scale_changes_among_each_fault(kind: FaultKind 
     rates = {} if kind is None else {kind: JAM if seldom else TOGETHER}
     random.seed(7)
     outcomes = run(lambda line: type_setpoints(line, rates, seed=7), UNITS, seed=7)
-    assert outcomes["verified"] >= 3, outcomes
+    assert outcomes["verified"] > 3, outcomes
     assert outcomes["refused"] + outcomes["unverified"] > 3, outcomes
 
 

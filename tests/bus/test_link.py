@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,7 +9,8 @@ from msgspec.structs import replace
 
 from bus.contract import MAX_FRAME, MAX_MEANINGS
 from bus.errors import WireError
-from bus.line.link import SECRET_LINGERS_S, Link
+from bus.line.completion import Completion
+from bus.line.link import SECRET_LINGERS_S, CurrentExchange, Link
 from bus.line.port import PartlySent
 from bus.line.roster import Roster
 from bus.line.send import ExchangeResult
@@ -48,7 +47,9 @@ class Wires(PlayedClock):
         super().__init__()
         self.written: list[bytes] = []
         self.dropped = 0
-        self.endings: list[asyncio.Future[ExchangeResult]] = []
+        self.listens = True
+        self.gathered = b""
+        self.exchanges: list[Completion[CurrentExchange]] = []
         self.roster = Roster([1, 2], 0.0)
         self.trace = Trace()
         self.link = Link(PLAIN, 9600, TURNAROUND_S, self, self.roster, self.trace)
@@ -56,18 +57,25 @@ class Wires(PlayedClock):
 
     def send(self, request: Request) -> None:
         """Begin an exchange."""
-        ending = self.link.send(request)
+        ending = self.link.send(self.link.prepare(request))
         assert ending is not None
-        self.endings.append(ending)
+        self.exchanges.append(ending)
 
     @property
     def results(self) -> list[ExchangeResult]:
         """Of those that have ended."""
-        return [ending.result() for ending in self.endings if ending.done()]
+        return [exchange.result.result(self) for exchange in self.exchanges if exchange.is_set]
 
     # the port
     def write(self, data: bytes) -> None:
         self.written.append(data)
+
+    def listen(self, *, now: bool) -> None:
+        self.listens = now
+        if now:
+            gathered, self.gathered = self.gathered, b""
+            if gathered:
+                self.link.data_received(gathered)
 
     def drop_output(self) -> None:
         self.dropped += 1
@@ -85,12 +93,17 @@ class Wires(PlayedClock):
     # time
     def pass_time(self, seconds: float) -> None:
         self.pass_to(self.time + seconds)
+        self.link.account()
 
     def receive(self, data: bytes) -> None:
         """Byte by byte, each in its time."""
         for value in data:
             self.pass_time(BYTE_S)
-            self.link.data_received(bytes((value,)))
+            if self.listens:
+                self.link.data_received(bytes((value,)))
+            else:
+                self.gathered += bytes((value,))
+        self.link.account()
 
     def respond(self, reply: Reply = STATUS, after_s: float = 0.005) -> None:
         """As a unit would: after the request has left."""
@@ -233,7 +246,7 @@ async def test_a_lost_port_gives_back_what_was_under_way(wires: Wires) -> None:
     assert not wires.link.open
     assert wires.link.loss == GONE
     sent = len(wires.written)
-    assert wires.link.send(ReadStatusRequest(1)) is None
+    assert wires.link.send(wires.link.prepare(ReadStatusRequest(1))) is None
     assert len(wires.written) == sent
 
 
@@ -368,13 +381,27 @@ async def test_a_broadcast_is_left_to_leave() -> None:
     assert line.dropped == 1
 
 
-async def test_a_leftover_is_too_early() -> None:
+async def test_bytes_gather_until_a_response_can_be_complete() -> None:
+    line = Wires()
+    line.send(ReadStatusRequest(1))
+    assert line.listens, "how fast the port is shows at its first response"
+    line.respond(after_s=0.0)
+    line.send(ReadStatusRequest(2))
+    assert not line.listens
+    line.respond(replace(STATUS, unit=2), after_s=0.0)
+    result = line.results[-1]
+    assert result.reply == replace(STATUS, unit=2)
+    assert result.ended == pytest.approx(100.0 + 2 * 25 * BYTE_S)
+    assert line.roster[2].statistics.times.largest == pytest.approx(0.0, abs=0.0002)
+
+
+async def test_a_leftover_that_gathered_is_still_too_early() -> None:
     line = Wires()
     for _ in range(2):
         line.send(ReadStatusRequest(1))
         line.respond()
     line.send(ReadStatusRequest(2))
-    line.link.data_received(encode_reply(replace(STATUS, unit=2, actual=77), PLAIN))
+    line.gathered = encode_reply(replace(STATUS, unit=2, actual=77), PLAIN)
     line.respond(replace(STATUS, unit=2, actual=78))
     assert line.results[-1].reply == replace(STATUS, unit=2, actual=78)
 
@@ -398,33 +425,58 @@ def _paced() -> Wires:
     return line
 
 
-async def test_what_comes_with_a_response_is_counted_and_does_not_change_it() -> None:
+async def test_a_response_that_comes_alone_and_in_time_is_ordinary() -> None:
+    line = _paced()
+    line.send(ReadStatusRequest(1))
+    line.respond()
+    assert line.exchanges[-1].result.is_ordinary
+
+
+async def test_what_follows_is_after_the_response_in_the_trace() -> None:
+    line = _paced()
+    line.send(ReadStatusRequest(1))
+    following = line.link.prepare(ReadStatusRequest(2))
+    line.pass_time(25 * BYTE_S)
+    line.link.data_received(encode_reply(STATUS, PLAIN))
+    line.link.send(following)
+    ways = [passed.direction for passed in line.trace.since(0.0)]
+    assert ways == ["out", "in", "out", "in", "out"]
+    line.respond(replace(STATUS, unit=2))
+    assert following.reply == replace(STATUS, unit=2)
+
+
+async def test_a_response_with_which_more_came_is_not_ordinary() -> None:
     line = _paced()
     line.send(ReadStatusRequest(1))
     line.pass_time(25 * BYTE_S)
     line.link.data_received(encode_reply(STATUS, PLAIN) + encode_reply(replace(STATUS, unit=7), PLAIN))
-    assert line.results[-1].reply == STATUS
-    assert line.results[-1].noise.unexpected
+    ended = line.exchanges[-1].result
+    assert ended.exchange.reply == STATUS
+    assert not ended.is_ordinary
+    line.link.account()
     assert line.roster[1].statistics.counts.foreign == 1
 
 
-async def test_a_response_after_noise_is_taken_and_the_noise_reported() -> None:
+async def test_a_response_after_noise_is_not_ordinary() -> None:
     line = _paced()
     line.send(ReadStatusRequest(1))
     line.pass_time(20 * BYTE_S)
     line.link.data_received(b"\x10\x02\x07\x06\x10\x03\x00")
     line.pass_time(18 * BYTE_S)
     line.link.data_received(encode_reply(STATUS, PLAIN))
-    assert line.results[-1].reply == STATUS
-    assert line.results[-1].noise.garbled
+    ended = line.exchanges[-1].result
+    assert ended.exchange.reply == STATUS
+    assert not ended.is_ordinary
 
 
-async def test_a_leftover_alone_ends_in_a_timeout() -> None:
+async def test_neither_a_leftover_nor_a_timeout_is_ordinary() -> None:
     line = _paced()
     line.send(ReadStatusRequest(1))
-    line.link.data_received(encode_reply(STATUS, PLAIN))
+    line.gathered = encode_reply(STATUS, PLAIN)
     line.pass_time(1.0)
-    assert line.results[-1].reply is None
+    ended = line.exchanges[-1].result
+    assert ended.exchange.reply is None
+    assert not ended.is_ordinary
 
 
 async def test_a_port_that_takes_nothing_is_lost() -> None:
@@ -434,7 +486,7 @@ async def test_a_port_that_takes_nothing_is_lost() -> None:
         raise WireError(GONE)
 
     line.write = broken  # type: ignore[method-assign]
-    assert line.link.send(ReadStatusRequest(1)) is None
+    assert line.link.send(line.link.prepare(ReadStatusRequest(1))) is None
     assert line.link.loss == GONE
 
 

@@ -150,16 +150,24 @@ async def test_closing_never_waits_for_undelivered_bytes() -> None:
 
 
 @on_both_loops
-async def test_a_lost_port_is_noticed_once() -> None:
+async def test_bytes_without_a_reader_gather_and_a_lost_port_is_noticed() -> None:
     master, slave = pty.openpty()
     receiver = Receiver()
     port = await open_port(os.ttyname(slave), 9600, receiver)
-    os.write(master, b"abc")
+    port.listen(now=False)
+    for byte in (b"a", b"b", b"c"):
+        os.write(master, byte)
+        await asyncio.sleep(0.01)
+    assert not receiver.data
+    port.listen(now=True)
     await receiver.until(3)
+    assert receiver.data == b"abc"
+    port.listen(now=False)
     os.close(slave)
     os.close(master)
     await receiver.until(3, lost=True)
     assert receiver.data == b"abc"
+    port.listen(now=True)
     port.close()
 
 

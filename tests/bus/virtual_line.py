@@ -104,6 +104,8 @@ class VirtualPort:
         self._alarm: asyncio.TimerHandle | None = None
         self.gone = False
         self.baud = baud
+        self._listens = True
+        self._gathered = b""
         self.written: list[tuple[float, bytes]] = []
 
     def write(self, data: bytes) -> None:
@@ -112,6 +114,11 @@ class VirtualPort:
         self.written.append((self._loop.time(), data))
         self._line.receive(self._loop.time(), data, self.baud)
         self._advance_later()
+
+    def listen(self, *, now: bool) -> None:
+        self._listens = now
+        if now and self._gathered:
+            self._loop.call_soon(self._hand_over)
 
     def drop_output(self) -> None:
         """Nothing is ever held back here."""
@@ -135,11 +142,15 @@ class VirtualPort:
     def _advance(self) -> None:
         if self.gone:
             return
-        data = self._line.advance(self._loop.time())
-        if data:
-            self._receiver.data_received(data)
+        self._gathered += self._line.advance(self._loop.time())
+        self._hand_over()
         if not self.gone:
             self._advance_later()
+
+    def _hand_over(self) -> None:
+        if self._listens and self._gathered and not self.gone:
+            data, self._gathered = self._gathered, b""
+            self._receiver.data_received(data)
 
     def _advance_later(self) -> None:
         if self._alarm is not None:
