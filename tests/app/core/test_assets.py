@@ -221,3 +221,12 @@ def test_a_broken_file_and_a_folder_that_cannot_be_written_do_no_harm(tmp_path: 
     assert rendered("one", tmp_path) == "one"
     (tmp_path / "file").write_text("")
     assert rendered("one", tmp_path / "file") == "one"
+
+
+def test_every_icon_that_a_template_names_is_drawn() -> None:
+    sprite = (static_dir() / "icons" / "sprite.svg").read_text(encoding="utf-8")
+    templates = "".join(path.read_text(encoding="utf-8") for path in templates_dir().rglob("*.html"))
+    calls = re.findall(r"\bicon(\([^)]*)\)", templates)
+    named = {name for call in calls for name in re.findall(r'(?:^\(|else )"([a-z-]+)"', call)}
+    assert {"zero", "high"} <= named
+    assert [name for name in sorted(named) if f'<symbol id="{name}"' not in sprite] == []
