@@ -108,6 +108,11 @@ def test_no_tile_moves_when_an_emergency_stop_comes_or_a_unit_is_opened(
         page.locator('[data-unit="line/4"] [data-faceplate]').click()
         expect(page.locator("#faceplate-name")).to_be_visible()
         assert page.evaluate(BOXES, KEEP_THEIR_PLACES) == before
+        page.locator(".faceplate__state .status__text").evaluate(
+            "each => each.textContent = 'cause '.repeat(40)"
+        )
+        rows = page.locator(".faceplate__state").evaluate("each => [each.scrollHeight, each.clientHeight]")
+        assert rows[0] == rows[1], "a long cause lies over what follows"
     finally:
         site.line.remote.do("input", unit=2, input="estop", on=False)
 
