@@ -520,7 +520,7 @@ def test_a_screen_reader_gets_the_verdict_and_no_figures(
         spoken = page.evaluate("window.announced")
     finally:
         site.line.remote.do("input", unit=3, input="estop", on=False)
-        site.end_alarms("line.3.")
+        site.end_alarms("line.3.estop_active")
     assert not any(re.search(r"\d\.\d|ramping", text) for text in spoken), spoken
 
 
