@@ -289,7 +289,7 @@ def test_a_manifest_that_cannot_be_read_is_no_backup_and_keeps_all_contents(
         done = run("restore-store", *words, "--config", plant.config)
         assert (done.exit_code, "there is no backup" in done.stderr) == (1, True), done.output
     done = run("restore-store", "--from", plant.backups, "--at", "monday", "--config", plant.config)
-    assert (done.exit_code, "'monday' is no time" in done.stderr) == (1, True)
+    assert (done.exit_code, "'monday' is no time" in done.stderr) == (2, True)
     for both in ((), (half, "--from", plant.backups)):
         assert run("restore-store", *both, "--config", plant.config).exit_code == 2
 
