@@ -66,7 +66,7 @@ class Holder:
         self.free_at = now + ending.value
 
     def is_same(self, worker: str, credential: Credential) -> bool:
-        """Return whether this is the very process, come back."""
+        """Return whether a worker that connects is the same process as before."""
         return self.worker == worker and self.credential.token == credential.token
 
     def yields_to(self, worker: str, credential: Credential, now: Monotonic) -> bool:

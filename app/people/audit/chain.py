@@ -24,7 +24,7 @@ from app.people.audit.entry import messages_of
 from bus.messages import Message
 
 KEY_BYTES = 32
-"""The length of the hash: RFC 2104, 3 discourages shorter keys, and longer ones add nothing."""
+"""Bytes of a key, as many as a hash has: fewer are discouraged (RFC 2104, 3), and more add nothing."""
 BEGINNING = "0" * 64
 """The hash before the first entry of a log."""
 FIELDS = (

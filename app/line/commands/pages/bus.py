@@ -159,7 +159,7 @@ ControlPlace = Literal["head", "offer", "bus"]
 
 @router.get("/control")
 async def head_control(request: Request, _: Viewer, bus: str = "") -> Response:
-    """Show who holds control, in the head of an open page. ``bus``: the page's; empty if it has none."""
+    """Show who holds control, in the head of an open page. ``bus``: the name of its bus, or empty."""
     return render(request, TEMPLATES["head"], of_bus=bus, fault="")
 
 
