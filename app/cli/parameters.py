@@ -138,11 +138,19 @@ def diff(
     as_json: bool,
 ) -> None:
     """Show the rows that differ. Exit 0 when equal, 1 when different, 2 on wrong use."""
-    live = len(files) != 2
-    pairs = [_with_live(files, url, (token, token_file), bus, unit)] if live else _two_files(files)
+    if len(files) == 2:
+        pairs, lone = _two_files(files)
+    else:
+        pairs, lone = [_with_live(files, url, (token, token_file), bus, unit)], []
     found = [(right.unit, row) for left, right in pairs for row in differences(left, right, tolerance)]
-    click.echo(json.dumps([_difference_shown(*each) for each in found]) if as_json else _table(found))
-    if found:
+    if as_json:
+        click.echo(json.dumps([_difference_shown(*each) for each in found]))
+    elif found or not lone:
+        click.echo(_table(found))
+    if lone:
+        units = ", ".join(map(str, lone))
+        report(Message.of("files_differ_in_units", n=len(lone), units=units), err=True)
+    if found or lone:
         raise click.exceptions.Exit(1)
 
 
@@ -182,15 +190,15 @@ def _with_live(
         return wanted, there.read_unit(bus, unit)
 
 
-def _two_files(files: Sequence[Path]) -> list[Pair]:
+def _two_files(files: Sequence[Path]) -> tuple[list[Pair], list[int]]:
+    """Return the units of both files, and the numbers of those that only one has. Two files of one unit each
+    are compared whatever their numbers: one may be a spare."""
     left, right = load(files[0]), load(files[1])
     if len(left.units) == len(right.units) == 1:
-        return [(left.units[0], right.units[0])]
+        return [(left.units[0], right.units[0])], []
     lone = {rows.unit for rows in left.units} ^ {rows.unit for rows in right.units}
-    if lone:
-        numbers = ", ".join(str(unit) for unit in sorted(lone))
-        raise CallerError(Message.of("files_differ_in_units", units=numbers))
-    return [(rows, other) for rows in left.units if (other := right.unit(rows.unit)) is not None]
+    pairs = [(rows, other) for rows in left.units if (other := right.unit(rows.unit)) is not None]
+    return pairs, sorted(lone)
 
 
 def _difference_shown(unit: int, row: ParameterDifference) -> dict[str, Any]:

@@ -110,11 +110,9 @@ class Pipeline:
 
     def _believed(self, update: Update) -> Update | None:
         """Return what history keeps of an update; None for nothing. A link state from before `since` has its
-        place there already; a parameter scales readings only from then on. A value that the manual rules out,
-        and a reading with one, is not kept."""
+        place there already; a parameter scales readings only from then on, and not where the manual rules its
+        value out."""
         match update:
-            case Reading():
-                return None if update.implausible else update
             case UnitLink() | BusLink():
                 return update if update.at >= self.since else None
             case ParameterValue() if plausible_parameter(update.number, update.raw) != update.raw:

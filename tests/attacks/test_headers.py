@@ -28,6 +28,7 @@ async def _engineer(house: House) -> httpx.AsyncClient:
     ("name", "values"),
     [
         ("Host", ("a", "b")),
+        ("Origin", ("http://app", "http://evil.example")),
         ("Authorization", ("Bearer x", "Bearer y")),
         ("Content-Type", ("application/json", "text/plain")),
         ("Idempotency-Key", ("one", "two")),

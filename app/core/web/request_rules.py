@@ -91,7 +91,10 @@ async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -
 
 FOR_PEOPLE = ("below_a_path", "foreign_origin", "too_large")
 """Codes of what a person meets behind a proxy; other refusals show nothing of the site."""
-ONCE = ("host", "authorization", "content-type", "content-encoding", "transfer-encoding", "idempotency-key")
+ONCE = (
+    *("host", "origin", "authorization", "idempotency-key"),
+    *("content-type", "content-encoding", "transfer-encoding"),
+)
 """Headers that may be there once: of two, a proxy may have believed one and we the other (RFC 9110, 5.3)."""
 
 

@@ -69,6 +69,9 @@ def set_aside(database: Database, block: BlockKey, on_damage: FoundDamage) -> No
         on_damage(Message.of("event_history_block_lost", what=what, unit=unit, since=since))
 
 
+MARK_EVERY = SECOND
+"""The time between two marks of implausible readings of a unit, µs: one that turns around 0 may have several
+a second."""
 BUS = 0
 """The unit number under which a bus itself has a key."""
 Delivery = tuple[str, Sequence[Update]]
@@ -94,6 +97,7 @@ class Intake:
         """Forget the keys and links: after a rollback they may not be on disk."""
         self._keys: dict[str, dict[int, int]] = {}
         self._links: dict[int, tuple[int, str]] = {}
+        self._implausible: dict[int, int] = {}
 
     def accept(self, connection: tables.StoreConnection, deliveries: Iterable[Delivery]) -> Accepted:
         """Write the links and parameters of deliveries; return their readings and losses."""
@@ -103,7 +107,10 @@ class Intake:
             for update in updates:
                 if type(update) is Reading:
                     key = keys.get(update.unit) or self.key(connection, bus, update.unit)
-                    accepted.rows.append((key, plain_run(update)))
+                    if update.implausible:
+                        self._mark_implausible(connection, key, micros(update.at), accepted)
+                    else:
+                        accepted.rows.append((key, plain_run(update)))
                 elif isinstance(update, UnitLink | BusLink):
                     self._write_link(connection, bus, update, accepted)
                 elif isinstance(update, ParameterValue):
@@ -131,6 +138,16 @@ class Intake:
         if update.link in tables.LOST_STATES:
             units = tables.units_of(connection, bus) if isinstance(update, BusLink) else [key]
             accepted.lost += [(unit, at) for unit in units]
+
+    def _mark_implausible(
+        self, connection: tables.StoreConnection, key: int, at: int, accepted: Accepted
+    ) -> None:
+        """Mark a reading with a speed that the manual rules out, at most once in `MARK_EVERY`: without a mark
+        a trend would join the readings on either side of it."""
+        if abs(at - self._implausible.get(key, -MARK_EVERY)) >= MARK_EVERY:
+            self._implausible[key] = at
+            tables.write_link(connection, key, at, tables.IMPLAUSIBLE, "")
+            accepted.lost.append((key, at))
 
     def _write_parameter(self, connection: tables.StoreConnection, bus: str, update: ParameterValue) -> None:
         if update.number not in DECIDING or update.raw is None:

@@ -73,7 +73,9 @@ RollupTier = Literal["minutes", "hours"]
 ROW_SPAN: dict[RollupTier, int] = {"minutes": HOUR, "hours": DAY}
 """The span of one row of a tier, µs."""
 STEP: dict[RollupTier, int] = {"minutes": MINUTE, "hours": HOUR}
-LOST_STATES = ("stale", "offline", "unknown", "closed")
+IMPLAUSIBLE = "implausible"
+"""State of a unit that responds, but with a speed that the manual rules out."""
+LOST_STATES = ("stale", "offline", "unknown", "closed", IMPLAUSIBLE)
 _JOURNAL_LEVEL = 1
 INSERT_RAW = "INSERT INTO raw (unit, start, span, points, data, id) VALUES (?, ?, ?, ?, ?, ?)"
 _RESERVE_IDS = """

@@ -310,3 +310,18 @@ def test_two_files_that_differ(tmp_path: Path, file: Path, changes: dict[str, st
     other.write_text(text)
     done = CliRunner().invoke(cli, ["diff", str(file), str(other)])
     assert (done.exit_code, done.stdout.splitlines()[0]) == (1, head)
+
+
+@pytest.mark.parametrize(("raw", "differing"), [(50, []), (51, [(1, 6)])])
+def test_a_unit_in_one_file_only_is_a_difference(
+    tmp_path: Path, file: Path, raw: int, differing: list[tuple[int, int]]
+) -> None:
+    other = tmp_path / "both.toml"
+    other.write_text(
+        FILE.replace("raw = 50", f"raw = {raw}") + FILE[FILE.index("[[unit]]") :].replace("id = 1", "id = 2")
+    )
+    for order in ([file, other], [other, file]):
+        done = CliRunner().invoke(cli, ["diff", "--json", *map(str, order)])
+        assert [(row["unit"], row["number"]) for row in json.loads(done.stdout)] == differing
+        assert (done.exit_code, done.stderr) == (1, "unit 2 is in one of the files only\n")
+        assert "equal" not in CliRunner().invoke(cli, ["diff", *map(str, order)]).stdout

