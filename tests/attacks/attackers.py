@@ -1,5 +1,5 @@
-"""Attacks on a server, each in a separate process: ``python -m tests.attacks.attackers NAME URL SECONDS
-TOKENS`` (TOKENS: JSON, by role).
+"""Attacks on a server by HTTP or HTTPS, each in a separate process: ``python -m tests.attacks.attackers NAME
+URL SECONDS CORE TOKENS`` (CORE: that of the attacker; TOKENS: JSON, by role).
 """
 
 from __future__ import annotations
@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import ssl
 import struct
 import sys
 import time
@@ -29,12 +30,13 @@ CHUNKED = "Transfer-Encoding: chunked\r\n"
 
 @dataclass
 class Target:
-    """A server, and what the attacker has stolen. ``end``: on the monotonic clock."""
+    """A server, and what the attacker has stolen. ``end``: on the monotonic clock; ``tls``: of HTTPS."""
 
     host: str
     port: int
     tokens: dict[str, str]
     end: float
+    tls: ssl.SSLContext | None = None
 
     @property
     def goes_on(self) -> bool:
@@ -46,7 +48,7 @@ class Target:
         return f"{line} HTTP/1.1\r\nHost: {self.host}:{self.port}\r\n{token}{more}".encode()
 
     async def open(self, begun: bytes = b"") -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        reader, writer = await asyncio.open_connection(self.host, self.port)
+        reader, writer = await asyncio.open_connection(self.host, self.port, ssl=self.tls)
         writer.write(begun)
         return reader, writer
 
@@ -105,7 +107,8 @@ class Begun:
 
     def on(self, target: Target) -> bytes:
         """The bytes for this server."""
-        origin = f"Origin: http://{target.host}:{target.port}\r\n" if self.is_page else ""
+        scheme = "https" if target.tls else "http"
+        origin = f"Origin: {scheme}://{target.host}:{target.port}\r\n" if self.is_page else ""
         return (target.head(self.line, self.role, origin + self.more) + self.end + self.body) * self.times
 
 
@@ -144,6 +147,12 @@ def held(begun: Begun | None, more: bytes = b"", every_s: float = 1.0) -> Attack
             writer.transport.abort()
 
     return hold
+
+
+def mixed(*attacks: Attack) -> Attack:
+    """Each in turn, so that all go on at the same time."""
+    turns = cycle(attacks)
+    return lambda target: next(turns)(target)
 
 
 def sipped(*begun: Begun, every_s: float = 0.5) -> Attack:
@@ -240,6 +249,7 @@ MEGABYTE = json.dumps({"document": "".join(f"k{n} = 1\n" for n in range(110_000)
 DOTS = json.dumps({"document": "a." * 500_000 + "a = 1"}).encode()
 PUNYCODE = b'--b\r\nContent-Disposition: form-data; name="name"\r\n\r\n' + b"9" * 60_000 + b"\r\n--b--\r\n"
 QUOTED = 'Cookie: lineside_session="' + "\\\\" * 14_000 + f'"\r\n{CLOSE}'
+HEAD = Begun("GET /login", end=b"")
 FORM = Begun("POST /login", more="Content-Length: 50000\r\n")
 CHUNKS = Begun("POST /login", more=CHUNKED)
 STREAMS = tuple(get("/api/v1/stream", role, "") for role in ("viewer", "operator", "admin"))
@@ -253,8 +263,9 @@ EVENTS = "/api/v1/events?limit=1000"
 ATTACKS: dict[str, tuple[int, Attack]] = {
     "nothing": (0, held(None)),
     "connections without a request": (600, held(None)),
-    "heads without an end": (600, held(Begun("GET /login", end=b""), b"X-A: b\r\n")),
+    "heads without an end": (600, held(HEAD, b"X-A: b\r\n")),
     "bodies without an end": (600, held(FORM, b"x")),
+    "heads and bodies without an end": (600, mixed(held(HEAD, b"X-A: b\r\n"), held(FORM, b"x"))),
     "chunks without an end": (200, held(CHUNKS, b"1\r\nx\r\n", 0.05)),
     "unread responses": (200, held(get("/api/v1/events.csv", "viewer", ""))),
     "requests by the thousand at once": (8, sent(Begun("GET /login", times=3000))),
@@ -318,11 +329,12 @@ ATTACKS: dict[str, tuple[int, Attack]] = {
 """By name: on how many connections at a time, and what is done on each, again and again."""
 
 
-async def main(name: str, url: str, seconds: float, tokens: dict[str, str]) -> None:
-    """Attack for so long, with one core."""
-    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+async def main(name: str, url: str, seconds: float, core: int, tokens: dict[str, str]) -> None:
+    """Attack for so long, on one core."""
+    os.sched_setaffinity(0, {core})
     parts = urlsplit(url)
-    target = Target(parts.hostname or "", parts.port or 80, tokens, time.monotonic() + seconds)
+    tls = ssl._create_unverified_context() if parts.scheme == "https" else None
+    target = Target(parts.hostname or "", parts.port or 80, tokens, time.monotonic() + seconds, tls)
     count, one = ATTACKS[name]
     with suppress(TimeoutError):
         await asyncio.wait_for(many(target, count, one), seconds + 1)
@@ -330,4 +342,4 @@ async def main(name: str, url: str, seconds: float, tokens: dict[str, str]) -> N
 
 
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1], sys.argv[2], float(sys.argv[3]), json.loads(sys.argv[4])))
+    asyncio.run(main(sys.argv[1], sys.argv[2], float(sys.argv[3]), int(sys.argv[4]), json.loads(sys.argv[5])))

@@ -1,11 +1,13 @@
-"""What others notice of an attack: ``python -m tests.attacks.measure [NAME…]`` prints a table.
+"""What others notice of an attack: ``python -m tests.attacks.measure [--tls] [NAME…]`` prints a table.
 
 For each attack: the longest of a hundred waits (p99) of another client's ``/healthz`` and of an operator's
-command, what the server's memory grew by, and whether the bus worker kept its link.
+command, what the server's memory grew by, at most and a minute later, how many commands were written to a
+unit late, and whether the bus worker kept its link. The attacker has a core of its own.
 """
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import json
 import math
@@ -17,7 +19,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.client import HTTPConnection, HTTPException
+from datetime import datetime
+from http.client import HTTPConnection, HTTPException, HTTPSConnection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -27,6 +30,7 @@ import httpx
 from app.core.database import Database
 from app.people.audit.log import EventLog
 from tests.attacks.attackers import ATTACKS
+from tests.certificates import certificates
 from tests.e2e.site import Site, site
 
 SLOWEST_S = 0.25
@@ -34,9 +38,14 @@ SLOWEST_COMMAND_S = 0.5
 MAX_GROWTH_MIB = 20.0
 PROBE_EVERY_S = 0.05
 SETTLE_S = 2.0
+LATER_S = 60.0
+LATE_S = 2.0
+"""What a command may wait until it is sent (`timeout_s` of the API)."""
 WARM_S = 1.0
 EVENTS, CHUNK = 300_000, 5000
 ROOT = Path(__file__).resolve().parents[2]
+CORE = max(os.sched_getaffinity(0))
+"""That of the attacker."""
 
 
 @dataclass
@@ -45,6 +54,8 @@ class Waits:
 
     taken: list[float] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
+    late: int = 0
+    """How many were sent to a unit later than they may be."""
 
     @property
     def served(self) -> int:
@@ -65,6 +76,8 @@ class Measured:
     health: Waits
     command: Waits
     growth_mib: float
+    lasting_mib: float
+    """What was left of it once the server had had time to settle."""
     links_lost: int
     after: float
     """How long ``/healthz`` took once the attacker had stopped, seconds."""
@@ -75,8 +88,9 @@ class Measured:
         found = [f"healthz: {fault}" for fault in self.health.failed[:3]]
         found += [f"command: {fault}" for fault in self.command.failed[:3]]
         found += ["the worker's link was lost"] * bool(self.links_lost)
-        if self.growth_mib > MAX_GROWTH_MIB:
-            found.append(f"memory grew by {self.growth_mib:.0f} MiB")
+        found += [f"{self.command.late} commands were sent late"] * bool(self.command.late)
+        if self.lasting_mib > MAX_GROWTH_MIB:
+            found.append(f"memory grew by {self.lasting_mib:.0f} MiB")
         return found
 
     @property
@@ -90,12 +104,14 @@ class Measured:
         """One line of the table."""
         times = "".join(f"{1000 * wait:9.0f}" for wait in (self.health.p99, self.command.p99, self.after))
         kept = "lost" if self.links_lost else "kept"
-        return f"{self.attack:<40}{times}{self.growth_mib:10.1f}  {kept:<6}{'; '.join(self.faults)}"
+        counts = f"{len(self.command.taken):6}{self.command.late:6}"
+        memory = f"{self.growth_mib:8.1f}{self.lasting_mib:8.1f}"
+        return f"{self.attack:<40}{times}{counts}{memory}  {kept:<6}{'; '.join(self.faults)}"
 
 
 HEADING = (
-    f"{'attack':<40}{'healthz':>9}{'command':>9}{'after':>9}{'memory':>10}  link\n"
-    f"{'':<40}{'p99 ms':>9}{'p99 ms':>9}{'ms':>9}{'+MiB':>10}"
+    f"{'attack':<40}{'healthz':>9}{'command':>9}{'after':>9}{'commands':>12}{'memory, +MiB':>16}  link\n"
+    f"{'':<40}{'p99 ms':>9}{'p99 ms':>9}{'ms':>9}{'all':>6}{'late':>6}{'most':>8}{'later':>8}"
 )
 
 
@@ -106,7 +122,7 @@ def measure(
     assert target.server is not None
     health, command = Waits(), Waits()
     with target.api("operator") as client:
-        calls = ((health_request(target), health), (commands(client), command))
+        calls = ((health_request(target), health), (commands(client, command), command))
         # The first requests of each kind load modules, templates and pages of the store, which is no growth.
         for call, _ in calls:
             probe(call, Waits(), after_s(warm_s))
@@ -128,7 +144,8 @@ def measure(
     health_request(target)()
     after = time.monotonic() - begun
     time.sleep(settle_s)
-    return Measured(attack, health, command, max(most) - before, links_lost(target) - lost, after)
+    lasting = memory_mib(target.server.pid) - before
+    return Measured(attack, health, command, max(most) - before, lasting, links_lost(target) - lost, after)
 
 
 def add_worker_token(target: Site) -> None:
@@ -148,7 +165,7 @@ def attacking(target: Site, attack: str, seconds: float) -> Iterator[Callable[[]
     """Run an attacker in a separate process; yield a function that returns whether it has ended."""
     command = [sys.executable, "-m", "tests.attacks.attackers", attack, target.url, str(seconds)]
     process = subprocess.Popen(
-        [*command, json.dumps(target.tokens)], cwd=ROOT, stderr=subprocess.PIPE, text=True
+        [*command, str(CORE), json.dumps(target.tokens)], cwd=ROOT, stderr=subprocess.PIPE, text=True
     )
     try:
         yield lambda: process.poll() is not None
@@ -176,7 +193,10 @@ def health_request(target: Site) -> Callable[[], None]:
 
     def call() -> None:
         # A light client: httpx would load all certificates first.
-        connection = HTTPConnection(target.url.rpartition("/")[2], timeout=30)
+        address, tls = target.url.rpartition("/")[2], target.certificate
+        connection = (
+            HTTPSConnection(address, timeout=30, context=tls) if tls else HTTPConnection(address, timeout=30)
+        )
         try:
             connection.request("GET", "/healthz")
             response = connection.getresponse().read()
@@ -187,14 +207,18 @@ def health_request(target: Site) -> Callable[[], None]:
     return call
 
 
-def commands(client: httpx.Client) -> Callable[[], None]:
-    """An operator who switches an output, each time to the other state."""
+def commands(client: httpx.Client, waits: Waits) -> Callable[[], None]:
+    """An operator who switches an output, each time to the other state; counts those that are sent late."""
     states = [True, False]
 
     def call() -> None:
         states.reverse()
+        begun = time.time()
         response = client.put("/buses/line/units/1/outputs/1", json={"on": states[0]})
-        assert response.json().get("outcome") == "verified", response.text[:200]
+        result = response.json()
+        sent_at = result.get("sent_at")
+        waits.late += bool(sent_at) and datetime.fromisoformat(sent_at).timestamp() > begun + LATE_S
+        assert result.get("outcome") == "verified", response.text[:200]
 
     return call
 
@@ -232,19 +256,28 @@ def fill_the_log(target: Site, events: int) -> None:
     target.wait_for_units()
 
 
-def main(names: list[str], seconds: float = 20.0) -> int:
+def main(names: list[str], *, tls: bool = False, seconds: float = 20.0) -> int:
     """Print the table; 1 where a figure is not kept."""
     print(HEADING, flush=True)
     faulty = 0
-    with TemporaryDirectory() as folder, site(Path(folder), 4) as target:
-        add_worker_token(target)
-        fill_the_log(target, EVENTS)
-        for name in names or ATTACKS:
-            measured = measure(target, name, seconds)
-            faulty += bool(measured.faults) or not measured.is_quick
-            print(measured.row, flush=True)
+    cores = os.sched_getaffinity(0)
+    # All that is started from here on leaves the attacker its core.
+    os.sched_setaffinity(0, cores - {CORE} or cores)
+    with TemporaryDirectory() as folder, TemporaryDirectory() as keys:
+        made = certificates(Path(keys)) if tls else None
+        with site(Path(folder), 4, certificate=made) as target:
+            add_worker_token(target)
+            fill_the_log(target, EVENTS)
+            for name in names or ATTACKS:
+                measured = measure(target, name, seconds, settle_s=LATER_S)
+                faulty += bool(measured.faults) or not measured.is_quick
+                print(measured.row, flush=True)
     return int(faulty > 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("names", nargs="*", metavar="NAME", help="Attacks; by default all.")
+    arguments.add_argument("--tls", action="store_true", help="By HTTPS.")
+    chosen = arguments.parse_args()
+    sys.exit(main(chosen.names, tls=chosen.tls))

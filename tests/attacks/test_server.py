@@ -14,6 +14,7 @@ from tests.attacks.attackers import ATTACKS
 from tests.attacks.measure import (
     EVENTS,
     HEADING,
+    MAX_GROWTH_MIB,
     Measured,
     add_worker_token,
     attacking,
@@ -84,6 +85,7 @@ def test_no_client_waits_long_meanwhile(old_target: Site, table: list[Measured],
         measured = measure(old_target, attack, LONG_S)
         table.append(measured)
         assert measured.faults == []
+        assert measured.growth_mib <= MAX_GROWTH_MIB
         if measured.is_quick:
             return
     pytest.fail(measured.row)
