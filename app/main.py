@@ -46,6 +46,7 @@ from app.system.configuration import feature as configuration
 from app.system.metrics import feature as metrics
 from app.system.peers import feature as peers
 from app.system.postgresql import feature as postgresql
+from app.system.state import feature as state
 from app.version import VERSION
 
 FEATURES = (
@@ -73,6 +74,7 @@ FEATURES = (
     peers.FEATURE,
     postgresql.FEATURE,
     metrics.FEATURE,
+    state.FEATURE,
 )
 
 

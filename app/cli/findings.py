@@ -15,7 +15,6 @@ import stat
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -25,7 +24,6 @@ from app.cli.starting import ListenError, PortInUse, listen
 from app.core.database.connection import examining
 from app.core.database.files import free_bytes
 from app.core.database.migration import (
-    COMPANIONS,
     is_store,
     presence_of,
     refusal_to_start,
@@ -41,6 +39,7 @@ from app.people.audit.keys import KeyFileError, find_key_file, owners_of, read_k
 from app.settings import STORE_FILE, Settings
 from app.system.backup.files import read_key
 from app.system.backup.folder import refuse_other_site, space_needed
+from app.system.state.disk import size_of
 from bus.instants import monotonic_now, unix_now
 from bus.line.port import why_not
 from bus.messages import Message, ParamValue, number
@@ -412,15 +411,6 @@ def _store_refused(error: StoreError | OSError) -> Finding:
     if isinstance(error, StoreError):
         return fault("check_store_refused", reason=error.message)
     return fault("check_store_refused", reason=Message.of("system_error", error=str(error)))
-
-
-def size_of(store: Path) -> int:
-    """Return the bytes of a store with what SQLite has beside it."""
-    total = 0
-    for suffix in ("", *COMPANIONS):
-        with suppress(OSError):
-            total += store.with_name(store.name + suffix).stat().st_size
-    return total
 
 
 def backup(settings: Settings) -> Iterator[Finding]:

@@ -17,7 +17,7 @@ import click
 import httpx
 
 from app.cli.dashboard import dashboard
-from app.cli.findings import backup_folder_fault, certificate_files, existing_part, size_of
+from app.cli.findings import backup_folder_fault, certificate_files, existing_part
 from app.cli.options import bearer_token, config_option, json_option, token_file_option, token_option
 from app.cli.process import report
 from app.cli.starting import url_of
@@ -26,18 +26,16 @@ from app.core.database.files import free_bytes
 from app.core.server.settings import TlsSettings
 from app.core.web.shape import iso, maybe_shown
 from app.errors import StoreError
-from app.line.history.series.runs import micros
-from app.line.history.service import FILE as HISTORY
 from app.line.history.service import seconds
-from app.line.history.status import MAX_DAYS, days_left, growth_of_events, growth_of_history
+from app.line.history.status import MAX_DAYS
 from app.records.handover.rules.shifts import site_time
-from app.settings import STORE_FILE, Settings, load
+from app.settings import Settings, load
 from app.system.backup.folder import next_due
 from app.system.backup.service import newest_in
-from app.system.backup.stores import STORES
 from app.system.peers.client import fault_of
 from app.system.peers.settings import PeerSettings
 from app.system.postgresql.outbox import read_cursor
+from app.system.state.disk import forecast, store_sizes
 from app.version import VERSION
 from bus.errors import LinesideError
 from bus.instants import UnixTime, unix_now
@@ -115,9 +113,9 @@ def _site_facts(settings: Settings, now: UnixTime) -> Iterator[Facts]:
 def disk_facts(settings: Settings, now: UnixTime) -> Facts:
     """Read the sizes of the stores, and judge for how long the free space of their disk is enough."""
     data = settings.server.data
-    stores = {name: size for name in STORES if (size := size_of(data / name))}
+    stores = store_sizes(data)
     free = free_bytes(existing_part(data))
-    days = _forecast(settings, stores, free, now)
+    days = forecast(settings, stores, free, now)
     lines = [Message.of("dashboard_store", path=str(settings.server.store))]
     lines += [
         Message.of("status_store", name=name, size=number(f"{size / MB:.1f}"))
@@ -131,27 +129,6 @@ def disk_facts(settings: Settings, now: UnixTime) -> Facts:
         lines.append(Message.of(code, free=free_gb, n=int(days)))
     disk_days = None if days is None else round(days, 1)
     return Facts({"stores": stores, "disk_free": free, "disk_days": disk_days}, lines)
-
-
-def _forecast(settings: Settings, stores: dict[str, int], free: int, now: UnixTime) -> float | None:
-    """Return for how many days the free bytes are enough, at most `MAX_DAYS`; None if not known yet."""
-    data = settings.server.data
-    if not {HISTORY, STORE_FILE} <= stores.keys():
-        return None
-    try:
-        with examining(data / HISTORY) as connection:
-            history = growth_of_history(connection, micros(now))
-        with examining(data / STORE_FILE) as connection:
-            events = growth_of_events(
-                connection, stores[STORE_FILE], is_archived=settings.audit.archive is not None
-            )
-    except StoreError:
-        return None
-    if history is None:
-        return None
-    readings, rollups, stored_days = history
-    left = days_left(free, readings, stored_days, settings.history.raw_days, rollups + events)
-    return MAX_DAYS if left is None else left
 
 
 def certificate_facts(settings: Settings) -> Facts:

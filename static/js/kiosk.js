@@ -48,6 +48,9 @@ async function toggleFullScreen() {
 /** @param {string} className @param {Node[]} lines */
 function lay(className, ...lines) {
   uncover();
+  // A menu that is open lies over everything.
+  for (const menu of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll(":popover-open")))
+    menu.hidePopover();
   cover = document.createElement("div");
   cover.className = `cover ${className}`;
   cover.append(...lines);

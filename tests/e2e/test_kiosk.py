@@ -147,9 +147,11 @@ def test_a_panel_stays_awake_and_renews_the_lock_when_it_is_shown_again(panel: C
 def test_full_screen_is_entered_and_left(panel: Callable[..., Page]) -> None:
     page = panel("wall", "/")
     button = page.locator("[data-full-screen]")
+    page.locator("[popovertarget=user-menu]").tap()
     button.tap()
     eventually(lambda: page.evaluate("document.fullscreenElement !== null"), "the complete screen")
     rest(page)
+    page.locator("[popovertarget=user-menu]").tap()
     button.tap()
     eventually(lambda: page.evaluate("document.fullscreenElement === null"), "the window again")
 
@@ -224,6 +226,7 @@ def test_a_panel_with_an_active_condition_does_not_go_dark(site: Site, panel: Ca
 def test_cleaning_by_touch_sets_nothing(site: Site, panel: Callable[..., Page]) -> None:
     page = panel("first", HOME, clock=True)
     before = received_writes(site)
+    page.locator("[popovertarget=user-menu]").tap()
     page.locator("[data-clean]").tap()
     expect(page.locator(".cover--clean")).to_contain_text("30 s")
     for _ in range(3):

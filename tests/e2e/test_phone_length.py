@@ -38,6 +38,7 @@ PATHS = [
     "/configuration",
     "/configuration/tables/bus.0.unit.0",
     "/account",
+    "/system",
 ]
 
 

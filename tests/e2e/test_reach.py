@@ -23,6 +23,7 @@ PAGES = (
     "/sets",
     "/batch/line?number=6",
     "/configuration",
+    "/system",
     "/configuration/tables/bus.0.unit.0",
 )
 COVERED = """() => {

@@ -24,6 +24,7 @@ PAGES = [
     "/alarms/line.1.estop_active.0",
     "/?view=rows",
     "/help",
+    "/system",
     # The others are walked by ``make soak``.
     "/?view=matrix",
     "/alarms/journal",
@@ -54,7 +55,7 @@ def too_wide(page: Page) -> int:
 @pytest.mark.parametrize(
     ("path", "locale"),
     # Thousands of elements, of which axe judges each six times.
-    [*in_turn(PAGES, (ENGLISH, GERMAN), first=9), pytest.param("/docs", ENGLISH, marks=pytest.mark.soak)],
+    [*in_turn(PAGES, (ENGLISH, GERMAN), first=10), pytest.param("/docs", ENGLISH, marks=pytest.mark.soak)],
 )
 def test_a_page_is_accessible_and_fits_its_window(
     shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str

@@ -13,7 +13,7 @@ from app.core.find.finders import Finders, FixedPlace, Search
 from app.core.web.access import Viewer
 from app.core.web.routes import SEARCH
 from app.core.web.services import service_of
-from app.core.web.templating import PAGES, render, templates_of
+from app.core.web.templating import GROUPS, render, templates_of
 from app.feature import Feature, Services
 from bus.messages import Message
 from bus.validation import OneLine
@@ -50,7 +50,8 @@ async def find_page(
 
 def make(services: Services) -> None:
     finders = services.add(Finders())
-    finders.add_links("find_pages", [FixedPlace(page.label, page.href, page.act) for page in PAGES])
+    pages = [FixedPlace(page.label, page.href, page.act) for group in GROUPS for page in group.pages]
+    finders.add_links("find_pages", pages)
     finders.add_links("find_actions", ACTIONS)
 
 

@@ -155,6 +155,11 @@ class ServerCertificate:
         file = self._settings.certificate
         return self._refusal or date_fault(self._contexts.certificate, file, self._clock())
 
+    @property
+    def ends_on(self) -> str:
+        """The day on which the certificate in use ends."""
+        return self._contexts.certificate.ends_on
+
     def context_for(self, client_hello: bytes) -> ssl.SSLContext:
         """Return the context for a client, by its first record."""
         is_worker = WORKER_ALPN.encode() in client_hello

@@ -17,7 +17,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse
 
 from app.core.messages import Language, Languages
-from app.core.web.access import Caller, Role, caller_of
+from app.core.web.access import Caller, Role, caller_of, cookie_of
 from app.core.web.assets import Assets
 from app.core.web.formats import Formats
 from app.core.web.services import service_of
@@ -50,6 +50,7 @@ WEBSOCKET_LINES = (
 """What makes nginx pass WebSockets."""
 
 
+LANGUAGE_COOKIE = "lineside_language"
 PagePart = Callable[[Caller | None, Language], Any]
 """Gives what a reader is shown on every page, in the reader's language, from its first paint."""
 
@@ -57,9 +58,9 @@ PagePart = Callable[[Caller | None, Language], Any]
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``,
-    ``on_phone``, ``help_of``, and the filters ``parameter``, which names one by its number, and ``isolated``,
+    ``help_of``, and the filters ``parameter``, which names one by its number, and ``isolated``,
     for a name beside other text; in a page or fragment of a request also ``person``, ``request``, ``path``,
-    ``has_lines()``, ``rail_pages()``, the `parts` of features, and ``may()``, whether the person may send a
+    ``has_lines()``, ``page_groups()``, the `parts` of features, and ``may()``, whether the person may send a
     command or perform an act, by its name. ``kept_in``: where they stay compiled between two starts."""
 
     def __init__(
@@ -106,7 +107,6 @@ class Templates:
             "page_digest": self.page_digest,
             "demo": self._demo,
             "Role": Role,
-            "on_phone": ON_PHONE,
             "help_of": HELP,
             "websocket_lines": WEBSOCKET_LINES,
         }
@@ -141,7 +141,8 @@ class Templates:
 
     def language_of(self, connection: HTTPConnection) -> Language:
         person = caller_of(connection)
-        preferred = person.language if person else ""
+        # A browser without an account of its own, as in the demo, remembers the choice itself.
+        preferred = (person.language if person else "") or cookie_of(connection, LANGUAGE_COOKIE)
         accepted = connection.headers.get("accept-language", "")
         return self.languages.choose(preferred, accepted, self.site.language)
 
@@ -173,15 +174,11 @@ def render(
         path=request.url.path,
         now=time(),
         has_lines=lambda: service_of(request, PageLines).has_several,
-        rail_pages=lambda: _pages_for(service_of(request, PageLines), partial(templates.may, person)),
+        page_groups=lambda: _groups_for(service_of(request, PageLines), partial(templates.may, person)),
         **{name: partial(part, person, language) for name, part in templates.parts.items()},
         **context,
     )
     return HTMLResponse(html, status, {"Cache-Control": "no-store", **(headers or {})})
-
-
-ON_PHONE = 4
-"""Pages that a phone shows below; the others are one press away under *More*."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,8 +196,8 @@ class PageLines:
 
 
 class PageLink(NamedTuple):
-    """``key``: what a template sets as ``here``; ``drawing``: in the icons; ``act``: what a person must be
-    permitted to do."""
+    """``key``: what a template sets as ``here``; ``drawing``: in the icons, empty for a tab; ``act``: what a
+    person must be permitted to do."""
 
     key: str
     href: str
@@ -209,25 +206,57 @@ class PageLink(NamedTuple):
     act: str = ""
 
 
-OF_SERVER = frozenset(("lines", "alarms", "events", "configuration", "users"))
+class PageGroup(NamedTuple):
+    """Pages that stand together in the rail. ``drawing``: of the one item that the rail has for all of them,
+    where they are tabs; empty: each has its own."""
+
+    label: Message
+    pages: Sequence[PageLink]
+    drawing: str = ""
+
+
+OF_SERVER = frozenset(("lines", "alarms", "events", "system", "configuration", "users"))
 """The pages of a server that shows only the lines of its peers."""
 LINES = PageLink("lines", "/lines", "dense", Message("page_lines"))
 """Only where there are several."""
-PAGES = (
-    PageLink("line", "/", "line", Message("page_line")),
-    PageLink("alarms", "/alarms", "urgent", Message("page_alarms")),
-    PageLink("shifts", "/shifts", "clock", Message("page_shifts")),
-    PageLink("setpoints", "/setpoints", "setpoints", Message("page_setpoints")),
-    PageLink("trends", "/trends", "trends", Message("page_trends")),
-    PageLink("events", "/events", "events", Message("page_events")),
-    PageLink("recipes", "/recipes", "recipes", Message("page_recipes")),
-    PageLink("sets", "/sets", "sets", Message("page_sets")),
-    PageLink("bus", "/bus", "bus", Message("page_bus")),
-    PageLink(
-        "configuration", "/configuration", "edit", Message("page_configuration"), "change_configuration"
+GROUPS = (
+    PageGroup(
+        Message("page_group_line"),
+        (
+            PageLink("line", "/", "line", Message("page_line")),
+            PageLink("alarms", "/alarms", "urgent", Message("page_alarms")),
+            PageLink("setpoints", "/setpoints", "setpoints", Message("page_setpoints")),
+            PageLink("trends", "/trends", "trends", Message("page_trends")),
+        ),
     ),
-    PageLink("users", "/users", "users", Message("page_users"), "add_user"),
+    PageGroup(
+        Message("page_group_records"),
+        (
+            PageLink("shifts", "/shifts", "clock", Message("page_shifts")),
+            PageLink("events", "/events", "events", Message("page_events")),
+        ),
+    ),
+    PageGroup(
+        Message("page_group_engineering"),
+        (
+            PageLink("recipes", "/recipes", "recipes", Message("page_recipes")),
+            PageLink("sets", "/sets", "sets", Message("page_sets")),
+            PageLink("bus", "/bus", "bus", Message("page_bus")),
+        ),
+    ),
+    PageGroup(
+        Message("page_system"),
+        (
+            PageLink("system", "/system", "", Message("page_system")),
+            PageLink(
+                "configuration", "/configuration", "", Message("page_configuration"), "change_configuration"
+            ),
+            PageLink("users", "/users", "", Message("page_users"), "add_user"),
+        ),
+        "server",
+    ),
 )
+"""A phone shows the pages of the first group below; the others are one press away under *More*."""
 
 
 HELP = {
@@ -248,9 +277,18 @@ HELP = {
 """The chapter of the help that is about a page, by its ``key``; of all others the list of chapters."""
 
 
-def _pages_for(lines: PageLines, may: Callable[[str], bool]) -> list[PageLink]:
-    """Return the pages of a person; ``may``: whether the person is permitted an act."""
-    every: Sequence[PageLink] = (LINES, *PAGES) if lines.has_several else PAGES
-    if lines.is_overview:
-        every = [page for page in every if page.key in OF_SERVER]
-    return [page for page in every if not page.act or may(page.act)]
+def _groups_for(lines: PageLines, may: Callable[[str], bool]) -> list[PageGroup]:
+    """Return the groups of pages that a person has; ``may``: whether the person is permitted an act."""
+    first = GROUPS[0]
+    every = [first._replace(pages=(LINES, *first.pages)) if lines.has_several else first, *GROUPS[1:]]
+    shown = [
+        group._replace(
+            pages=[
+                page
+                for page in group.pages
+                if (not lines.is_overview or page.key in OF_SERVER) and (not page.act or may(page.act))
+            ]
+        )
+        for group in every
+    ]
+    return [group for group in shown if group.pages]

@@ -214,6 +214,8 @@ class Anchoring:
         self, events: EventLog, path: Path, clock: Clock = unix_now, *, is_configured: bool = True
     ) -> None:
         self.status = AnchorStatus()
+        self.compared_at: UnixTime | None = None
+        """When the file was last found to name the newest entry."""
         self._events = events
         self._path = path
         self._clock = clock
@@ -246,29 +248,31 @@ class Anchoring:
         :attr:`status`, and is retried."""
         async with self._one_at_a_time:
             try:
-                await self._export(within_s)
+                if await self._export(within_s):
+                    self.compared_at = self._clock()
             except AnchorError as error:
                 await self._failed(error.reason)
             except StoreError as error:
                 log.error("audit log not anchored", why=str(error))
 
-    async def _export(self, within_s: float) -> None:
+    async def _export(self, within_s: float) -> bool:
+        """Return whether the file names the newest entry."""
         if self.status.altered:
-            return
+            return False
         known, ring = self._anchored, self._events.keys.ring
         if known is None:
             known = await self._in_thread(lambda: self._present(ring), within_s)
         newest = newest_of((await self._events.proof.heads()).values())
         is_noted = (newest.id, newest.hash) == (known.id, known.hash)
         if is_noted and self._anchored is not None:
-            return
+            return True
         verdict = await self._events.proof.since(known)
         self._anchored = known
         if verdict.fault is not None:
             await self._found_altered(verdict.fault)
-            return
+            return False
         if is_noted:
-            return
+            return True
         line = anchor_line(newest, self._clock(), self._events.keys.ring)
         await self._in_thread(lambda: self._write(line), within_s)
         self._anchored = newest
@@ -276,6 +280,7 @@ class Anchoring:
             self._is_failing = False
             self.status = AnchorStatus(self.status.altered)
             await self._record(Message("event_anchor_written"))
+        return True
 
     def _present(self, ring: KeyRing) -> Head:
         if not self._is_configured and is_of_lost_key(self._path, ring):

@@ -35,7 +35,7 @@ from app.core.web.access import (
 from app.core.web.api import ApiRoute
 from app.core.web.problems import is_fragment
 from app.core.web.services import looked_up, service, service_of
-from app.core.web.templating import render, templates_of
+from app.core.web.templating import LANGUAGE_COOKIE, render, templates_of
 from app.errors import Problem
 from app.people.auth import rules
 from app.people.auth.accounts import (
@@ -217,13 +217,18 @@ async def account_page(request: Request, _: Viewer, done: str = "") -> HTMLRespo
 
 @router.post("/account/language")
 async def choose_language(
-    request: Request, person: Viewer, accounts: AccountsService, language: FormText = ""
+    request: Request, person: Viewer, accounts: AccountsService, language: FormText = "", back: FormText = ""
 ) -> Response:
-    """Store the language that the user chose; empty: that of the browser."""
+    """Store the language that the user chose, empty: that of the browser, and return to the page ``back``.
+    In a demo the browser keeps it."""
     if language and language not in templates_of(request).languages:
         raise CallerError(Message.of("no_such_language", language=language[:40]))
-    await accounts.set_language(person, language)
-    return RedirectResponse("/account?done=language", 303)
+    response = RedirectResponse(_own_path(back) if back else "/account?done=language", 303)
+    if person.via == "demo":
+        set_cookie(request, response, LANGUAGE_COOKIE, language, DEVICE_KNOWN_S)
+    else:
+        await accounts.set_language(person, language)
+    return response
 
 
 @router.post("/account/password")

@@ -58,14 +58,15 @@ class Backups:
         self._noted_on = ""
         """The day of the last event of a backup that was written."""
         self._since = _last_change(config) or clock()
-        self._written: UnixTime | None = None
+        self.written: UnixTime | None = None
+        """When the newest backup was begun."""
         self._failed: UnixTime | None = None
 
     @property
     def newest(self) -> UnixTime | None:
         """When the newest backup was begun; while there is none, when the configuration that requests it was
         last changed. None: there are to be none."""
-        return (self._written or self._since) if self._settings.folder is not None else None
+        return (self.written or self._since) if self._settings.folder is not None else None
 
     @property
     def missing(self) -> Message | bool:
@@ -76,12 +77,12 @@ class Backups:
 
     def next_due(self, now: UnixTime) -> UnixTime:
         """Return when the next backup is due; not after ``now`` where it is to begin."""
-        return next_due(now, self._written, self._failed, self._settings, self._zone)
+        return next_due(now, self.written, self._failed, self._settings, self._zone)
 
     async def follow(self) -> None:
         """Write a backup whenever one is due, without end: at once where there is none, or one is missing;
         later where one failed."""
-        self._written = await asyncio.to_thread(newest_in, self._folder, self._clock(), self._zone)
+        self.written = await asyncio.to_thread(newest_in, self._folder, self._clock(), self._zone)
         while True:
             await asyncio.sleep(LOOK_S)
             now = self._clock()
@@ -103,7 +104,7 @@ class Backups:
             return
         day = datetime.fromtimestamp(float(begun), self._zone).date().isoformat()
         is_news = self.failing is not None or self._noted_on != day
-        self._written, self._failed, self.failing, self._noted_on = begun, None, None, day
+        self.written, self._failed, self.failing, self._noted_on = begun, None, None, day
         if is_news:
             await self._record(Message.of("event_backup_written", file=name), about or "")
 

@@ -288,6 +288,19 @@ async def test_the_demo_signs_in_this_machine_only(
         assert wrong.status_code == 401
 
 
+async def test_the_browser_of_a_demo_keeps_the_language_and_returns_to_its_page(tmp_path: Path) -> None:
+    async with complete_app(tmp_path, demo=True) as house:
+        house.address = "127.0.0.1"
+        client = house.client(host="127.0.0.1:8000")
+        chosen = {"language": "de", "back": "/events?limit=5"}
+        answer = await client.post("/account/language", data=chosen)
+        assert (answer.status_code, answer.headers["location"]) == (303, "/events?limit=5")
+        assert '<html lang="de"' in (await client.get("/account")).text
+        for foreign in ("//evil.example", "https://evil.example/"):
+            answer = await client.post("/account/language", data=chosen | {"back": foreign})
+            assert answer.headers["location"] == "/"
+
+
 async def test_without_demo_this_machine_is_anonymous(house: House) -> None:
     house.address = "127.0.0.1"
     assert (await house.client(host="127.0.0.1").get("/api/v1/me")).status_code == 401

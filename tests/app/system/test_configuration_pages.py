@@ -246,7 +246,9 @@ async def test_choices_have_their_words(engineer: httpx.AsyncClient, file: Plant
     assert '<option value="deviation">Speed deviates</option>' in alarms
 
 
-async def test_the_rail_has_it_for_those_who_may(house: House, engineer: httpx.AsyncClient) -> None:
-    assert 'href="/configuration"' in (await engineer.get("/account")).text
+async def test_the_page_system_leads_there_for_those_who_may(
+    house: House, engineer: httpx.AsyncClient
+) -> None:
+    assert 'href="/configuration"' in (await engineer.get("/system")).text
     operator = await house.signed_in(Role.OPERATOR)
-    assert 'href="/configuration"' not in (await operator.get("/account")).text
+    assert 'href="/configuration"' not in (await operator.get("/system")).text
