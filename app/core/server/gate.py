@@ -124,7 +124,6 @@ class Gate(ClientConnection, asyncio.Protocol):
         self._held = deque[tuple[Monotonic, bytearray]]()
         self._held_bytes = 0
         self._sealed = deque[tuple[Monotonic, bytearray]]()
-        self._sealed_at = NEVER
         self._tls: TlsSession | None = None
         self._is_feeding = self._is_heavy = False
         self._awaits_turn = self._awaits_app = False
@@ -408,8 +407,6 @@ class Gate(ClientConnection, asyncio.Protocol):
         del chunk[:SLICE_BYTES]
         if not chunk:
             self._sealed.popleft()
-        # Data gets the time of the first byte of its record.
-        self._sealed_at = min(self._sealed_at, arrived_at) if self._tls.is_established else arrived_at
         try:
             data = self._tls.decrypt(sealed)
         except NoTlsError as error:
@@ -426,13 +423,9 @@ class Gate(ClientConnection, asyncio.Protocol):
             self._send(self._tls.take_outgoing())
             self._held_bytes += len(data) - len(sealed)
             if data:
-                self._held.append((self._sealed_at, bytearray(data)))
+                self._held.append((arrived_at, bytearray(data)))
             elif self._tls.is_over:
                 self._finish()
-            if not self._tls.is_within_record:
-                self._sealed_at = NEVER
-            elif data:
-                self._sealed_at = arrived_at
 
     # --- its end -----------------------------------------------------------------------------------
 

@@ -54,7 +54,6 @@ class TlsSession:
         self._choose_context = choose_context
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self._hello = b""
-        self._header, self._body_left = b"", 0
         self._tls: ssl.SSLObject | None = None
         self.is_established = self.is_over = False
         """``is_over``: the client has announced its end."""
@@ -68,7 +67,6 @@ class TlsSession:
             context, data = self._choose_context(self._hello), self._hello
             self._tls = context.wrap_bio(self._incoming, self._outgoing, server_side=True)
         self._incoming.write(data)
-        self._follow(data)
         parts = []
         with suppress(ssl.SSLWantReadError):
             if not self.is_established:
@@ -78,22 +76,6 @@ class TlsSession:
                 parts.append(part)
             self.is_over = True
         return b"".join(parts)
-
-    @property
-    def is_within_record(self) -> bool:
-        """Return whether the bytes received so far end within a record."""
-        return bool(self._header or self._body_left)
-
-    def _follow(self, data: bytes) -> None:
-        while data:
-            if not self._body_left:
-                missing = HEADER_BYTES - len(self._header)
-                self._header, data = self._header + data[:missing], data[missing:]
-                if len(self._header) < HEADER_BYTES:
-                    return
-                self._body_left, self._header = int.from_bytes(self._header[3:], "big"), b""
-            passed = min(self._body_left, len(data))
-            self._body_left, data = self._body_left - passed, data[passed:]
 
     def encrypt(self, data: bytes) -> bytes:
         """Encrypt data as records of at most 16 KiB."""

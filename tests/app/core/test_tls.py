@@ -139,37 +139,20 @@ async def test_every_byte_may_come_alone(site: TlsSite) -> None:
     assert (await client.text(b"hello")).startswith(b"HTTP/1.1 200")
 
 
-@pytest.mark.parametrize("parts", [1, len(GET)], ids=["one record", "records of a byte"])
-async def test_a_request_has_the_time_at_which_its_first_byte_arrived(site: TlsSite, parts: int) -> None:
+async def test_a_request_has_the_time_at_which_its_first_record_arrived(site: TlsSite) -> None:
     client = await by_hand(site)
     await until(lambda: site.served.made[0].is_encrypted)
-    request = client.records(*(GET[n::parts][:1] if parts > 1 else GET for n in range(parts)))
     received = site.served.received
-    client.writer.write(request[: HEADER_BYTES + 3])
+    client.writer.write(client.records(GET[:1]))
     await until(lambda: site.served.received > received)
     begun = monotonic_now()
     await asyncio.sleep(0.3)
-    client.writer.write(request[HEADER_BYTES + 3 :])
+    client.writer.write(client.records(GET[1:]))
     await client.text(b"hello")
     client.writer.write(client.records(GET))
     await client.text(b"hello")
     first, second = site.arrivals
     assert first <= float(begun) < second
-
-
-async def test_a_record_that_began_with_the_end_of_another_has_the_time_of_its_own_first_byte(
-    site: TlsSite,
-) -> None:
-    """Also where the network held up the rest: the command in it was made before that."""
-    client = await by_hand(site)
-    first, second = client.records(GET), client.records(GET)
-    client.writer.write(first + second[: HEADER_BYTES + 3])
-    await client.text(b"hello")
-    begun = monotonic_now()
-    await asyncio.sleep(0.3)
-    client.writer.write(second[HEADER_BYTES + 3 :])
-    await client.text(b"hello")
-    assert site.arrivals[1] <= float(begun)
 
 
 async def test_a_handshake_without_an_end_has_the_time_of_a_first_request(site: TlsSite) -> None:
