@@ -19,7 +19,7 @@ from app.line.commands import catalogue
 from app.line.commands.limits import NO_LIMITS
 from app.line.commands.record import CommandKey
 from app.line.commands.rules import RuleContext
-from app.line.commands.service import WriteSubscriber
+from app.line.commands.service import BeforeWrite
 from app.line.live.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
@@ -61,10 +61,10 @@ class PlayedCommands:
     hangs_after: int | None = None
     hanging: asyncio.Event = field(default_factory=asyncio.Event)
     written: list[tuple[int, int, int]] = field(default_factory=list)
-    write_subscribers: list[WriteSubscriber] = field(default_factory=list)
+    write_subscribers: list[BeforeWrite] = field(default_factory=list)
     sent: list[Action] = field(default_factory=list)
 
-    def on_write(self, subscriber: WriteSubscriber) -> None:
+    def on_write(self, subscriber: BeforeWrite) -> None:
         """As the real one; a test calls it itself."""
         self.write_subscribers.append(subscriber)
 

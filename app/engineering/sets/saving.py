@@ -271,7 +271,7 @@ class FirstWrites:
         self.background = Background()
         commands.on_write(self.before)
 
-    async def before(self, person: Person, units: Sequence[int], *, parameters: bool) -> None:
+    async def before(self, person: Person, units: Sequence[int], parameters: bool) -> None:
         """Save units that are about to be written to.
 
         A write of ``parameters`` waits for it (a few milliseconds of disk; raises StoreError). A setpoint or

@@ -6,10 +6,10 @@ There is no other path from a request to the wire.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from math import inf
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 from fastapi import Depends
 from msgspec.structs import replace
@@ -67,10 +67,8 @@ RECHECK_S = 0.25
 or of many units is not."""
 
 
-class WriteSubscriber(Protocol):
-    """Called before each write: by whom, to which units, and whether it writes parameters."""
-
-    async def __call__(self, person: Person, units: Sequence[int], *, parameters: bool) -> None: ...
+BeforeWrite = Callable[[Person, Sequence[int], bool], Awaitable[None]]
+"""Called before each write: by whom, to which units, and whether it writes parameters."""
 
 
 class CommandService:
@@ -94,14 +92,14 @@ class CommandService:
         self._moves = Moves()
         self._turns: FairQueue[tuple[str, bool]] = FairQueue(inf, MAX_AT_ONCE, MAX_WAITING)
         self._under_way: set[asyncio.Task[Result]] = set()
-        self._write_subscribers: list[WriteSubscriber] = []
+        self._write_subscribers: list[BeforeWrite] = []
         self.undo = Undoing(live, monotonic)
 
     @property
     def _bus(self) -> str:
         return self._live.settings.name
 
-    def on_write(self, subscriber: WriteSubscriber) -> None:
+    def on_write(self, subscriber: BeforeWrite) -> None:
         """Call and await ``subscriber`` before each write; if it raises, nothing is sent."""
         self._write_subscribers.append(subscriber)
 
@@ -330,7 +328,7 @@ class CommandService:
                 units, parameters = kind.units_written(request.action, self._live), kind.writes_parameters
                 async with self._rejection_recorded(request):
                     for subscriber in self._write_subscribers:
-                        await subscriber(request.person, units, parameters=parameters)
+                        await subscriber(request.person, units, parameters)
             intent = await self._record.intend(request, self._live)
             write = self.undo.begin(request)
             try:

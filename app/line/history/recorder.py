@@ -163,9 +163,6 @@ class Intake:
 
 GRACE = 2 * SECOND
 """The time after a minute, µs, in which its last readings are awaited."""
-MAX_IN_TAIL = 400_000
-"""Runs in memory at which even the current minute is folded."""
-_LOOK_EVERY = 64
 
 
 class Recorder:
@@ -178,7 +175,6 @@ class Recorder:
         self._intake = Intake()
         self._folding: deque[Minute] = deque()
         self._folded_minute = 0
-        self._commits = 0
 
     def replay(self) -> None:
         """Load the journal into the tail without its damaged rows, which are reported."""
@@ -213,9 +209,10 @@ class Recorder:
 
     def fold(self, now: int, deadline: Monotonic) -> None:
         """Fold minutes that are over at ``now`` (µs) until ``deadline`` (monotonic seconds)."""
-        if not self._folding and self._is_due(now):
-            self._folded_minute = now - now % MINUTE
-            self._folding.extend(self._tail.over(self._folded_minute))
+        minute = now - now % MINUTE
+        if not self._folding and minute != self._folded_minute and now >= minute + GRACE:
+            self._folded_minute = minute
+            self._folding.extend(self._tail.over(minute))
         while self._folding and monotonic_now() < deadline:
             self._fold_some(next_to_fold(self._folding, self._tail))
 
@@ -225,13 +222,6 @@ class Recorder:
         self._folding = deque(self._tail.over(current=-1))
         while self._folding and monotonic_now() < deadline:
             self._fold_some(next_to_fold(self._folding, self._tail))
-
-    def _is_due(self, now: int) -> bool:
-        minute = now - now % MINUTE
-        self._commits += 1
-        if self._commits % _LOOK_EVERY == 0 and len(self._tail) > MAX_IN_TAIL:
-            self._folding.extend(self._tail.over(current=-1))
-        return minute != self._folded_minute and now >= minute + GRACE
 
     def _fold_some(self, keys: Sequence[Minute]) -> None:
         done, is_last = set(keys), len(keys) == len(self._folding)

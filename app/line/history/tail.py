@@ -146,7 +146,3 @@ class Tail:
         with self._lock:
             minutes = sorted(key for key in self._minutes if key not in without)
             return [(key[0], run) for key in minutes for run in _plain(self._minutes[key])]
-
-    def __len__(self) -> int:
-        with self._lock:
-            return sum(map(len, self._minutes.values())) // WIDTH

@@ -137,7 +137,7 @@ async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
     """What a unit was is stored between the check and the sending, and a disk may be slow."""
     reasons: list[str] = []
 
-    async def keep(*_: object, **__: object) -> None:
+    async def keep(*_: object) -> None:
         reasons.append(await cause(stage))
 
     worker.play = responding("verified")
@@ -161,7 +161,7 @@ async def test_checking_alone_sends_and_writes_nothing(stage: Stage, worker: Pla
 async def test_reads_before_a_write_come_first(stage: Stage, worker: PlayedWorker) -> None:
     order: list[str] = []
 
-    async def keep(person: Person, units: Sequence[int], *, parameters: bool) -> None:
+    async def keep(person: Person, units: Sequence[int], parameters: bool) -> None:
         order.append(f"kept {person.name} {[*units]}{' for parameters' if parameters else ''}")
 
     async def play(command: Command) -> Sequence[Update]:

@@ -74,7 +74,7 @@ def test_folding_goes_on_past_it(shelf: Shelf, table: str, late: bool) -> None:
     spoil(shelf.database.path, table, place)
     shelf.keep(polls(NOON + 30.1, NOON + 90) if late else polls(NOON + 60, NOON + 90))
     shelf.fold()
-    assert len(shelf.tail) == 0
+    assert shelf.tail.everything() == []
     found = shelf.query("actual", NOON + 60, NOON + 90)
     assert len(found.series.at) == 150
     assert not found.damaged

@@ -26,7 +26,7 @@ def test_what_was_taken_in_is_there_after_the_end(tmp_path: Path) -> None:
     writer.take((BUS.name, [parameter(3, 0), *polls(NOON, NOON + 90)]))
     writer.close()
     shelf = Shelf(tmp_path / "history.db")
-    assert len(shelf.tail) == 0
+    assert shelf.tail.everything() == []
     assert len(shelf.query("actual", NOON, NOON + 90).series.at) == 450
     shelf.close()
 
@@ -74,7 +74,7 @@ def test_a_full_disk_pauses_history_for_the_sake_of_events(tmp_path: Path) -> No
     until(lambda: writer.status.state == "paused")
     writer.take((BUS.name, polls(NOON, NOON + 10)))
     until(lambda: writer.status.free_bytes > 0)
-    assert (writer.status.waiting, len(writer.tail)) == (50, 0)
+    assert (writer.status.waiting, writer.tail.everything()) == (50, [])
     writer.close()
 
 

@@ -255,7 +255,7 @@ async def test_a_day_away_leaves_everything_there_once(tmp_path: Path) -> None:
 async def _folded(house: House) -> None:
     """Wait until every minute that is over is in its block."""
     async with asyncio.timeout(MAX_CATCH_UP_S):
-        while await house.services[History].read(lambda _, tail: len(tail)):  # noqa: ASYNC110
+        while await house.services[History].read(lambda _, tail: tail.everything()):  # noqa: ASYNC110
             await asyncio.sleep(1)
 
 
