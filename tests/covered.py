@@ -20,25 +20,27 @@ PURE = (
     *("app/*/*/rules.py", "app/**/rules/*.py", "app/line/commands/catalogue.py", "app/line/conditions/*.py"),
 )
 TESTS = {
-    "bus/catalogue/parameters.py": "tests/bus/test_catalogue_parameters.py",
-    "bus/wire/commands.py": "tests/bus/test_commands.py",
-    "bus/wire/fence.py": "tests/bus/test_exchange_fence.py",
-    "app/records/notification/rules.py": "tests/app/records/test_notification_rules.py",
-    "app/line/alarms/rules/state_machine.py": "tests/app/line/test_alarm_state_machine.py",
-    "app/line/alarms/rules/detection.py": "tests/app/line/test_alarm_detection.py",
-    "app/line/alarms/rules/performance.py": "tests/app/line/test_alarm_journal.py",
-    "app/line/conditions/catalogue.py": "tests/app/line/test_condition_rows.py",
-    "app/line/conditions/condition.py": "tests/app/line/test_condition_rows.py",
-    "app/line/conditions/unit.py": "tests/app/line/test_condition_rows.py",
-    "app/line/conditions/draw.py": "tests/app/line/test_draw.py",
-    "app/records/handover/rules/pictures.py": "tests/app/records/test_shift_pictures.py",
-    "app/records/handover/rules/shifts.py": "tests/app/records/test_shifts.py",
-    "app/people/auth/rules.py": "tests/app/people/test_auth_rules.py",
-    "app/line/commands/catalogue.py": "tests/app/line/test_command_rules.py",
-    "app/line/commands/rules.py": "tests/app/line/test_command_rules.py",
-    "app/records/reports/rules.py": "tests/app/records/test_shifts.py",
-    "app/engineering/recipes/rules.py": "tests/app/engineering/test_recipes.py",
-    "app/engineering/swap/rules.py": "tests/app/engineering/test_swap.py",
+    "bus/catalogue/parameters.py": ("tests/bus/test_catalogue_parameters.py",),
+    "bus/wire/commands.py": ("tests/bus/test_commands.py",),
+    "bus/wire/fence.py": ("tests/bus/test_exchange_fence.py",),
+    "app/records/notification/rules.py": ("tests/app/records/test_notification_rules.py",),
+    "app/line/alarms/rules/state_machine.py": ("tests/app/line/test_alarm_state_machine.py",),
+    "app/line/alarms/rules/detection.py": ("tests/app/line/test_alarm_detection.py",),
+    "app/line/alarms/rules/performance.py": ("tests/app/line/test_alarm_journal.py",),
+    "app/line/conditions/catalogue.py": ("tests/app/line/test_condition_rows.py",),
+    "app/line/conditions/condition.py": (
+        "tests/app/line/test_condition_rows.py",
+        "tests/app/line/test_draw.py",
+    ),
+    "app/line/conditions/unit.py": ("tests/app/line/test_condition_rows.py",),
+    "app/records/handover/rules/pictures.py": ("tests/app/records/test_shift_pictures.py",),
+    "app/records/handover/rules/shifts.py": ("tests/app/records/test_shifts.py",),
+    "app/people/auth/rules.py": ("tests/app/people/test_auth_rules.py",),
+    "app/line/commands/catalogue.py": ("tests/app/line/test_command_rules.py",),
+    "app/line/commands/rules.py": ("tests/app/line/test_command_rules.py",),
+    "app/records/reports/rules.py": ("tests/app/records/test_shifts.py",),
+    "app/engineering/recipes/rules.py": ("tests/app/engineering/test_recipes.py",),
+    "app/engineering/swap/rules.py": ("tests/app/engineering/test_swap.py",),
 }
 """The tests of a module, where they are not in ``tests/bus/test_<module>.py``."""
 
@@ -49,20 +51,20 @@ def modules() -> list[str]:
     return sorted(str(path.relative_to(ROOT)) for path in found)
 
 
-def own_tests(module: str) -> str:
-    """The test file of a module."""
-    return TESTS.get(module, f"tests/bus/test_{Path(module).stem}.py")
+def own_tests(module: str) -> tuple[str, ...]:
+    """The test files of a module."""
+    return TESTS.get(module, (f"tests/bus/test_{Path(module).stem}.py",))
 
 
 def is_covered(module: str, folder: Path) -> bool:
     """Run the tests of a module and print what they do not reach of it."""
     coverage = [sys.executable, "-m", "coverage"]
     data = f"--data-file={folder / 'coverage'}"
-    pytest = ["-m", "pytest", "-q", "-p", "pytest_asyncio.plugin", own_tests(module)]
+    pytest = ["-m", "pytest", "-q", "-p", "pytest_asyncio.plugin", *own_tests(module)]
     report = ["report", data, "--show-missing", "--skip-covered", "--fail-under=100", "--precision=2"]
     # The other plugins take longer to load than these tests to run.
     environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    print(f"\n{module}: {own_tests(module)}", flush=True)
+    print(f"\n{module}: {' '.join(own_tests(module))}", flush=True)
     run = [*coverage, "run", "--branch", f"--include={module}", data, *pytest]
     if subprocess.run(run, cwd=ROOT, env=environment).returncode:
         return False
@@ -74,7 +76,7 @@ def main(chosen: Sequence[str]) -> int:
     with tempfile.TemporaryDirectory() as folder:
         short = [module for module in chosen or modules() if not is_covered(module, Path(folder))]
     for module in short:
-        print(f"not covered by {own_tests(module)}: {module}")
+        print(f"not covered by {' '.join(own_tests(module))}: {module}")
     return 1 if short else 0
 
 

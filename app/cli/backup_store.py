@@ -33,9 +33,8 @@ from app.people.audit.proof import heads_of
 from app.people.auth.rights import Present, Withheld, read_present, tokens_to_revoke, withhold
 from app.settings import STORE_FILE, Settings, load
 from app.system.backup.archive import Backup, open_archive, write_archive
-from app.system.backup.files import files_of, place_files
 from app.system.backup.folder import open_newest, write_to_folder
-from app.system.backup.stores import STORES, fault_of
+from app.system.backup.stores import STORES, fault_of, files_of, place_files
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.outbox import read_identity
 from bus.instants import UnixTime, unix_now

@@ -156,7 +156,7 @@ def _server(bus: BusSettings, *, runs: bool) -> Finding:
 
 def _opened(bus: BusSettings, code: str) -> Finding:
     # Not imported with the commands that open no port.
-    from bus.line.open_port import port_fault
+    from bus.line.opener import port_fault
 
     reason = port_fault(bus.port)
     if bus.has_local_port and not Path(bus.port).exists():

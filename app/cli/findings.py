@@ -37,8 +37,8 @@ from app.line.history.status import DiskReserve, space
 from app.people.audit.anchor import anchor_file
 from app.people.audit.keys import KeyFileError, find_key_file, owners_of, read_key_file
 from app.settings import STORE_FILE, Settings
-from app.system.backup.files import read_key
 from app.system.backup.folder import refuse_other_site, space_needed
+from app.system.backup.stores import read_key
 from app.system.state.disk import size_of
 from bus.instants import monotonic_now, unix_now
 from bus.line.port import why_not

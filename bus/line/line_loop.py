@@ -32,9 +32,8 @@ from bus.line.commands.procedure import (
     Retune,
     Unstage,
 )
-from bus.line.completion import Completion, run_at_once
 from bus.line.diagnosis import Figures
-from bus.line.link import CurrentExchange, Link
+from bus.line.link import Completion, CurrentExchange, Link, run_at_once
 from bus.line.poll_schedule import BaudSearch, PollSchedule
 from bus.line.port import OpenPort
 from bus.line.roster import Roster

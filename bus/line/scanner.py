@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from bus.errors import WireError
 from bus.instants import Monotonic
 from bus.line.examination import Checksum10h, Examination, Found, Passes, Probe, ProbeOutcome
-from bus.line.open_port import OpenPort, open_port
+from bus.line.opener import OpenPort, open_port
 from bus.line.send import LineNoise
 from bus.line.timing import MARGIN_S, LineClock, RealClock, Window
 from bus.messages import Message

@@ -35,8 +35,7 @@ from bus.contract.session import ClockOffset
 from bus.instants import UnixTime
 from bus.line.commands.catalogue import command_run_of
 from bus.line.line_loop import LineLoop
-from bus.line.open_port import open_port
-from bus.line.opener import Opener, OpenFunction
+from bus.line.opener import Opener, OpenFunction, open_port
 from bus.line.timing import LineClock, RealClock
 from bus.messages import Message, in_english
 from bus.settings import BusSettings

@@ -12,7 +12,7 @@ from app.core.database import Database
 from app.people.audit.keys import open_keys
 from app.people.audit.log import EventLog
 from app.people.audit.proof import heads_of
-from app.records.handover.pictures import MIGRATIONS
+from app.records.handover.notes import MIGRATIONS
 from app.settings import load
 from tests.app.history_line import BUS, opened, polls
 

@@ -10,7 +10,7 @@ import pytest
 from jsonschema_rs import Draft202012Validator
 
 from app.core.database import Database
-from app.core.help.reference import calls_of, in_html
+from app.core.help.feature import calls_of, in_html
 from app.core.web.api import add_examples, openapi_document
 from app.main import create_app
 from tests.app.complete_app import settings_in

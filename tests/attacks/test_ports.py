@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from bus.errors import WireError
-from bus.line.open_port import open_port
+from bus.line.opener import open_port
 from bus.line.port import EndedWhileOpening, OpenPort, PortUnavailable
 from bus.simulator.line import SimulatedLine
 from bus.simulator.plant import demo_line

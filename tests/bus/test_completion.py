@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from bus.line.completion import Completion, run_at_once
+from bus.line.link import Completion, run_at_once
 
 
 async def test_what_awaits_it_has_run_when_set_returns() -> None:

@@ -14,7 +14,7 @@ from bus.contract import BusLink, Reading, SetSpeed
 from bus.errors import WireError
 from bus.line import opener
 from bus.line.device_server import TCP_LOST_AFTER_MS
-from bus.line.open_port import open_port
+from bus.line.opener import open_port
 from bus.line.port import PortUnavailable
 from bus.messages import Message
 from bus.settings import BusSettings, Dialect, UnitSettings

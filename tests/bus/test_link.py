@@ -9,8 +9,7 @@ from msgspec.structs import replace
 
 from bus.contract import MAX_FRAME, MAX_MEANINGS
 from bus.errors import WireError
-from bus.line.completion import Completion
-from bus.line.link import SECRET_LINGERS_S, CurrentExchange, Link
+from bus.line.link import SECRET_LINGERS_S, Completion, CurrentExchange, Link
 from bus.line.port import PartlySent
 from bus.line.roster import Roster
 from bus.line.send import ExchangeResult

@@ -23,8 +23,7 @@ import uvloop
 from bus.errors import WireError
 from bus.line import device_server as tcp
 from bus.line.line_loop import LineLoop
-from bus.line.open_port import open_port
-from bus.line.opener import Opener
+from bus.line.opener import Opener, open_port
 from bus.line.port import OpenPort, PartlySent, PortUnavailable, users_of, why_not
 from bus.messages import Message
 from bus.settings import Dialect

@@ -23,7 +23,7 @@ from bus.contract import (
     Update,
 )
 from bus.errors import WireError
-from bus.line.open_port import OpenPort, Receiver
+from bus.line.opener import OpenPort, Receiver
 from bus.line.timing import Timer
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings

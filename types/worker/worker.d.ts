@@ -1,4 +1,4 @@
-// What static/js/sw.js has in a service worker, and what the server writes above it (app/core/web/pages.py).
+// What static/js/sw.js has in a service worker, and what the server writes above it (app/core/web/feature.py).
 
 declare const OFFLINE: string;
 declare const KEPT: string[];

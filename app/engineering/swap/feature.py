@@ -1,16 +1,168 @@
-"""Replacement of a unit."""
+"""The pages that lead a person through the replacement of a unit."""
 
 from __future__ import annotations
 
+from time import time
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request, Response
+from starlette.responses import RedirectResponse
+
 from app.core.database import Database
+from app.core.web.access import Person
+from app.core.web.services import service
+from app.core.web.templating import render
+from app.engineering.sets.api import ParameterSets
+from app.engineering.sets.lookup import (
+    FILE_FORM,
+    Chosen,
+    Restores,
+    Sets,
+    offers,
+    set_or_404,
+    unit_rows_or_404,
+)
+from app.engineering.sets.restore_api import RestoreOmission, rows_left_out
 from app.engineering.sets.restore_service import RestoreService
 from app.engineering.sets.saving import SetKeeper
-from app.engineering.swap import pages
-from app.engineering.swap.service import ACTS, SwapService, SwapStore
+from app.engineering.swap.rules import PROVEN, STEPS, Advice, advice, done_steps
+from app.engineering.swap.service import (
+    ACTS,
+    BEGIN,
+    CANCEL,
+    CONFIRM_SPARE,
+    RESTORE_SPARE,
+    SAVE_ENTERED,
+    Swap,
+    SwapService,
+    SwapStore,
+    step_text,
+)
+from app.errors import Problem
 from app.feature import Feature, Services
 from app.line.commands.service import CommandService
+from app.line.live.api.routes import Live
 from app.line.live.bus_live import LiveState
+from app.line.live.requests import unit_or_404
 from app.people.audit.log import EventLog
+from bus.messages import Message
+
+router = APIRouter(include_in_schema=False)
+
+Swaps = Annotated[SwapService, service(SwapService)]
+Beginner = Annotated[Person, BEGIN.permitted]
+
+
+@router.get("/swap/{bus}/{unit}")
+async def swap_page(
+    request: Request, _: Beginner, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
+) -> Response:
+    """Offer what the spare can equal or, once the swap is begun, show the steps."""
+    found = unit_or_404(live, bus, unit)
+    found_offers = offers(live, await sets.summaries(), bus, unit)
+    return render(
+        request, "swap/page.html", bus=bus, unit=found, offers=found_offers, swap=swaps.find(bus, unit)
+    )
+
+
+@router.post("/swap/{bus}/{unit}", **FILE_FORM)
+async def begin(person: Beginner, live: Live, swaps: Swaps, bus: str, unit: int, chosen: Chosen) -> Response:
+    """Begin the swap; units are only read."""
+    unit_or_404(live, bus, unit)
+    source = await swaps.source_of(person, bus, unit, chosen)
+    await swaps.begin(person, bus, unit, source)
+    return RedirectResponse(f"/swap/{bus}/{unit}", 303)
+
+
+async def swap_or_404(live: Live, swaps: Swaps, bus: str, unit: int) -> Swap:
+    unit_or_404(live, bus, unit)
+    return swaps.find_or_404(bus, unit)
+
+
+SwapOfUnit = Annotated[Swap, Depends(swap_or_404)]
+"""The swap of ``{bus}`` and ``{unit}`` in the path."""
+
+
+@router.get("/swap/{bus}/{unit}/look")
+async def look_again(request: Request, person: Beginner, swaps: Swaps, swap: SwapOfUnit) -> Response:
+    """Read the wire; show the state of the swap and the next step."""
+    now = PROVEN if swap.proven else await _advice(person, swaps, swap)
+    return render(
+        request,
+        "swap/_steps.html",
+        bus=swap.bus,
+        unit=swap.unit,
+        advice=now,
+        swap=swap,
+        setpoints=_setpoints_left(swap),
+        text=step_text(now, swap),
+        steps=STEPS,
+        done=done_steps(now.step),
+        at=time(),
+    )
+
+
+async def _advice(person: Person, swaps: SwapService, swap: Swap) -> Advice:
+    try:
+        state = await swaps.look(person, swap)
+    except Problem as problem:
+        return Advice("find", problem.message, at_keypad=False)
+    return Advice("find", Message("swap_reading"), at_keypad=False) if state is None else advice(state)
+
+
+@router.post("/swap/{bus}/{unit}/spare")
+async def confirm_spare(
+    person: Annotated[Person, CONFIRM_SPARE.permitted], swaps: Swaps, swap: SwapOfUnit
+) -> Response:
+    """Confirm that the unit at the section's address is the spare."""
+    await swaps.confirm_spare(person, swap)
+    return RedirectResponse(f"/swap/{swap.bus}/{swap.unit}", 303)
+
+
+@router.post("/swap/{bus}/{unit}/restore")
+async def restore_spare(
+    person: Annotated[Person, RESTORE_SPARE.permitted],
+    sets: Sets,
+    restores: Restores,
+    swaps: Swaps,
+    swap: SwapOfUnit,
+) -> Response:
+    """Plan the restore of the spare and go to its review."""
+    if swap.source is None:
+        raise Problem(409, "no_set", Message("swap_without_set"))
+    rows = unit_rows_or_404(await set_or_404(sets, swap.source.set), swap.source.unit)
+    restore = await restores.plan(person, swap.bus, swap.unit, rows, for_swap=True)
+    await swaps.begin_restore(person, swap, restore)
+    return RedirectResponse(f"/restores/{restore.id}", 303)
+
+
+@router.post("/swap/{bus}/{unit}/entered")
+async def save_entered(
+    person: Annotated[Person, SAVE_ENTERED.permitted],
+    keeper: ParameterSets,
+    swaps: Swaps,
+    swap: SwapOfUnit,
+) -> Response:
+    """Read the unit, which was entered from the sheet, and save it as a set."""
+    if swap.source is not None:
+        raise Problem(409, "not_in_state", Message("swap_with_set"))
+    kept = await keeper.read_and_save(person, [swap.unit], origin="from the sheet")
+    await swaps.save_entered(person, swap, kept)
+    return RedirectResponse(f"/sets/{kept.id}", 303)
+
+
+@router.post("/swap/{bus}/{unit}/give-up")
+async def cancel(person: Annotated[Person, CANCEL.permitted], swaps: Swaps, swap: SwapOfUnit) -> Response:
+    """Close the swap; whatever was done at the unit stays."""
+    await swaps.cancel(person, swap)
+    return RedirectResponse(f"/units/{swap.bus}/{swap.unit}", 303)
+
+
+def _setpoints_left(swap: Swap) -> list[RestoreOmission]:
+    """Return the setpoints of the old unit that were not selected for the spare."""
+    if swap.restore is None or not swap.proven:
+        return []
+    return [row for row in rows_left_out(swap.restore) if row.reason_code == "operating_value"]
 
 
 def make(services: Services) -> None:
@@ -20,4 +172,4 @@ def make(services: Services) -> None:
     services.lifespan.add("swaps", start=swaps.load)
 
 
-FEATURE = Feature(make, (pages.router,), ACTS)
+FEATURE = Feature(make, (router,), ACTS)

@@ -24,8 +24,7 @@ from app.line.alarms.simulation import Simulator
 from app.line.alarms.site_alarms import ExpiryWatch, SiteAlarms
 from app.line.conditions.catalogue import AUDIT_DEGRADED, DISK_LOW, EVENTS_NOT_ARCHIVED, HISTORY_DEGRADED
 from app.line.history.service import History
-from app.line.live.api.stream import LineStream
-from app.line.live.api.stream_document import AlarmType
+from app.line.live.api.stream import AlarmType, LineStream
 from app.line.live.bus_live import BusLive
 from app.line.live.fields import Fields, Translator
 from app.line.live.hub import Hub

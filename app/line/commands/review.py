@@ -21,7 +21,7 @@ from app.line.commands.values import (
     setpoint_message,
     setpoint_scale,
 )
-from app.line.conditions.draw import Draw, SectionSpeed, draw_between, percent_of
+from app.line.conditions.condition import Draw, SectionSpeed, draw_between, percent_of
 from app.line.live.bus_live import (
     BusLive,
     UnitLive,

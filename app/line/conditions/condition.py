@@ -1,4 +1,5 @@
-"""What one row states about an abnormal condition, its priority, and the facts that predicates judge. Pure.
+"""What one row states about an abnormal condition, its priority, and the facts that predicates judge, such as
+the draw: by how many percent a section of a line is faster than the section before it. Pure.
 
 A priority follows from the consequence and the time to respond (EEMUA 191, 4.4; ISA-18.2-2016, clause 9).
 """
@@ -10,12 +11,67 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Generic, Literal, NamedTuple, Protocol, TypeVar, get_args
 
-from app.line.conditions.draw import Draw
 from bus.catalogue.parameters import FOLLOWER_MODE
 from bus.catalogue.values import StatusBits, is_follower
 from bus.contract import BusFigures, ParameterValue, Reading
 from bus.messages import TEXTS, Message
-from bus.settings import BusSettings, UnitSettings
+from bus.settings import BusSettings, DrawBand, UnitSettings
+
+DrawState = Literal["in_band", "out_of_band", "unknown", "none"]
+"""``unknown``: a speed is not of the present; ``none``: there is no draw, or no band to judge it by."""
+DRAW_DECIMALS = 1
+MAX_TENTHS = 99_999
+"""The largest draw in tenths of a percent: a section beside one that crawls would have millions."""
+_TENTHS = 1000
+"""Tenths of a percent in the whole."""
+
+
+class SectionSpeed(NamedTuple):
+    """A speed as a unit reports it. ``raw`` None: it is not of the present; ``decimals``: those of its
+    display (#3), None while not known; ``quantity``: the measure of its display, such as m/min; None for a
+    ratio to a master, which is no speed."""
+
+    raw: int | None
+    decimals: int | None
+    quantity: str | None
+
+
+class Draw(NamedTuple):
+    """A draw. ``tenths``: of a percent, at most `MAX_TENTHS`; None if there is none or it is not known."""
+
+    state: DrawState
+    tenths: int | None = None
+
+
+NO_DRAW, UNKNOWN_DRAW = Draw("none"), Draw("unknown")
+
+
+def draw_between(before: SectionSpeed, section: SectionSpeed, band: DrawBand, *, judged: bool = True) -> Draw:
+    """Return the draw of a section to the one before: none while either stands or their displays have
+    different quantities. ``judged`` False: a draw out of its band means nothing now, for example while a
+    section ramps."""
+    if before.quantity is None or before.quantity != section.quantity or 0 in (before.raw, section.raw):
+        return NO_DRAW
+    if before.raw is None or section.raw is None or before.decimals is None or section.decimals is None:
+        return UNKNOWN_DRAW
+    tenths = _tenths(before.raw * 10**section.decimals, section.raw * 10**before.decimals)
+    if not (band and judged):
+        return Draw("none", tenths)
+    low, high = band
+    return Draw("in_band" if low <= percent_of(tenths) <= high else "out_of_band", tenths)
+
+
+def percent_of(tenths: int) -> Decimal:
+    """Return a draw as a number of percent."""
+    return Decimal(tenths).scaleb(-DRAW_DECIMALS)
+
+
+def _tenths(before: int, section: int) -> int:
+    """Return tenths of a percent, rounded once, half away from zero, so that the judged draw is the shown
+    one."""
+    size = (2 * _TENTHS * abs(section - before) + before) // (2 * before)
+    return min(size, MAX_TENTHS) if section >= before else -size
+
 
 AlarmPriority = Literal["urgent", "high", "medium", "low"]
 PRIORITIES: tuple[AlarmPriority, ...] = ("urgent", "high", "medium", "low")

@@ -15,9 +15,8 @@ from typing import NamedTuple
 
 import structlog
 
-from app.line.conditions.condition import BusValues, reads_ratio
+from app.line.conditions.condition import NO_DRAW, BusValues, Draw, SectionSpeed, draw_between, reads_ratio
 from app.line.conditions.condition import follower as follower
-from app.line.conditions.draw import NO_DRAW, Draw, SectionSpeed, draw_between
 from app.line.conditions.unit import DRAW_OUT_OF_BAND, SETTLED
 from app.line.live.unit_status import Motion, Onset, Onsets, bits_of, conditions_of
 from bus.catalogue.parameters import (

@@ -14,14 +14,13 @@ from app.feature import Feature, Services
 from app.line.history.service import History, status_words
 from app.line.history.status import store_notice
 from app.line.live import pages, socket
-from app.line.live.api import routes, stream_document
+from app.line.live.api import routes, stream
 from app.line.live.api.stream import LineStream
 from app.line.live.api.view import LineView
 from app.line.live.bus_live import BusLive, LiveState, UnitLive
-from app.line.live.change_recorder import ChangeRecorder, LineEvent
+from app.line.live.change_recorder import ChangeRecorder, LineEvent, OnsetLookup
 from app.line.live.fields import Translator, unit_key
 from app.line.live.hub import Hub
-from app.line.live.onset_lookup import OnsetLookup
 from app.line.live.sources import Notice, Sources
 from app.people.audit.anchor import Anchoring, anchor_notice
 from app.people.audit.log import EventLog
@@ -94,4 +93,4 @@ def _make_screens(services: Services, live: LiveState, sources: Sources) -> None
     lifespan.add("onsets", onsets.follow)
 
 
-FEATURE = Feature(make, (routes.router, stream_document.router, socket.router, pages.router))
+FEATURE = Feature(make, (routes.router, stream.router, socket.router, pages.router))

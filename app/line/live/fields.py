@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 from app.core.messages import Language
 from app.core.web.formats import MINUS, UNKNOWN, Formats
 from app.line.conditions.catalogue import tile_check, tile_text
-from app.line.conditions.draw import DRAW_DECIMALS, Draw
+from app.line.conditions.condition import DRAW_DECIMALS, Draw
 from app.line.live.bus_live import (
     BusLive,
     UnitLive,

@@ -21,10 +21,17 @@ from app.core.web.shape import Instant, StrictBody, ZonedTime, iso
 from app.errors import Problem
 from app.line.history.service import seconds
 from app.line.history.spans import SpanOf
-from app.records.handover.document import APART, SheetDocuments
-from app.records.handover.pictures import MAX_OF_NOTE
+from app.records.handover.notes import MAX_OF_NOTE
 from app.records.handover.rules.shifts import Shift
-from app.records.handover.service import Handover, NewNote, ShiftSummary
+from app.records.handover.service import (
+    APART,
+    Handover,
+    NewNote,
+    SheetDocuments,
+    ShiftSignRequest,
+    ShiftSummary,
+    Signing,
+)
 from app.records.handover.sheet import (
     ShiftNote,
     ShiftSheet,
@@ -35,7 +42,6 @@ from app.records.handover.sheet import (
     signed_json,
 )
 from app.records.handover.signatures import SIGN, WRITE_NOTE
-from app.records.handover.signing import ShiftSignRequest, Signing
 from bus.instants import UnixTime
 from bus.messages import Message
 from bus.validation import Lines, OneLine

@@ -13,11 +13,9 @@ from app.line.alarms.line_alarms import LineAlarms
 from app.people.audit.log import EventLog
 from app.people.auth.sign_in import SignIn
 from app.records.handover import api, pages
-from app.records.handover.document import SheetDocuments
-from app.records.handover.pictures import PictureStore
-from app.records.handover.service import Handover
+from app.records.handover.notes import PictureStore
+from app.records.handover.service import Handover, SheetDocuments, Signing
 from app.records.handover.signatures import ACTS
-from app.records.handover.signing import Signing
 
 
 def make(services: Services) -> None:

@@ -21,12 +21,10 @@ from app.core.web.templating import render
 from app.line.alarms.api import Alarms, transition_json
 from app.line.alarms.line_alarms import LineAlarms
 from app.records.handover.api import MAX_NOTE_LENGTH, ShiftOfPath, Shifts, Sign
-from app.records.handover.document import APART, readable
-from app.records.handover.pictures import MAX_OF_NOTE, PictureStore
-from app.records.handover.service import NewNote
+from app.records.handover.notes import MAX_OF_NOTE, PictureStore
+from app.records.handover.service import APART, NewNote, ShiftSignRequest, readable
 from app.records.handover.sheet import notes_json
 from app.records.handover.signatures import SIGN, WRITE_NOTE, SignedPart
-from app.records.handover.signing import ShiftSignRequest
 from bus.instants import UnixTime
 from bus.validation import Lines, OneLine
 

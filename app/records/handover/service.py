@@ -1,13 +1,18 @@
-"""The shifts of a site: their notes and sheets."""
+"""Shifts: the sheet of each, its rendering as one HTML file that needs no server, and its signing.
+
+The leaving person signs first, which freezes the sheet; then the coming one signs the same.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+import re
+from base64 import b64encode
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import islice
-from typing import Annotated
+from typing import Annotated, Any
 from zoneinfo import ZoneInfo
 
 import msgspec
@@ -16,22 +21,29 @@ from pydantic import Field
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import snapshot
 from app.core.web.access import Person
+from app.core.web.assets import Assets
 from app.core.web.request_rules import refuse_year
 from app.core.web.services import unknown_bus, unknown_unit
-from app.core.web.shape import InstantObject, iso
+from app.core.web.shape import InstantObject, StrictBody, iso
+from app.core.web.templating import Templates
 from app.errors import Problem
 from app.line.alarms.journal import JournalEntry
+from app.line.alarms.line_alarms import LineAlarms
 from app.people.audit.log import EventLog
-from app.records.handover import notes
-from app.records.handover.notes import Note, Quota, RepeatedNoteError
-from app.records.handover.pictures import PictureStore, judged
+from app.people.auth.sign_in import SignIn, WrongSecretError
+from app.records.handover import notes, signatures
+from app.records.handover.notes import Note, PictureStore, Quota, RepeatedNoteError, judged
+from app.records.handover.rules.pictures import PlainPicture
 from app.records.handover.rules.shifts import Shift, instant_of, shift_at, shifts_until, site_time
 from app.records.handover.sheet import write_sheet
 from app.records.handover.signatures import (
     CORRECT_NOTE,
+    SIGN,
+    SIGNATURES,
     WRITE_NOTE,
     MissingSignature,
     ShiftSignature,
+    SignedPart,
     SignedSheet,
     missing_signatures,
     signatures_of,
@@ -42,6 +54,7 @@ from app.records.notification.settings import minute_of_day
 from app.settings import Settings
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
+from bus.validation import OneLine, TypedText
 
 CLOCK_SKEW_S = 5.0
 """By which the clock of a client may be ahead."""
@@ -277,3 +290,205 @@ def _summary(connection: StoreConnection, shift: Shift, count: int) -> ShiftSumm
     signatures = signatures_of(connection, shift.start)
     leaving, coming = signatures.get("leaving"), signatures.get("coming")
     return ShiftSummary(shift.start, shift.end, count, leaving, coming)
+
+
+STYLE = "css/handover-document.css"
+APART = {
+    "Content-Security-Policy": (
+        "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; sandbox"
+    )
+}
+"""For files with what people have written: they are never a page of this site."""
+INSTANTS = frozenset({"start", "end", "until", "made_at", "time", "came", "written_at"})
+_PICTURE = re.compile(r'(?<=<img src=")sha256:([0-9a-f]{64})(?=")')
+"""How the page of a sheet names a picture. What people write cannot: it is escaped."""
+
+
+def readable(part: Any) -> Any:
+    """Return a sheet of the API, or a part of one, as templates show it: moments for its instants, and
+    messages, which each reader has in their language, for its texts."""
+    match part:
+        case {"code": _, "params": _}:
+            return msgspec.convert(part, Message)
+        case dict():
+            found = {
+                name: _moment(each) if name in INSTANTS else readable(each) for name, each in part.items()
+            }
+            return found | _texts_of(found) if "trigger" in found else found
+        case list():
+            return [readable(each) for each in part]
+        case _:
+            return part
+
+
+def _moment(text: str | None) -> UnixTime | None:
+    return None if text is None else UnixTime(datetime.fromisoformat(text).timestamp())
+
+
+def _texts_of(transition: Mapping[str, Any]) -> dict[str, str | Message]:
+    """Return the name of an alarm, of a built-in one as a message; and its state."""
+    alarm, code = transition["alarm"].rpartition(".")[0], transition["code"]
+    title = Message(f"alarm_{code}") if alarm.endswith(f".{code}") else transition["name"]
+    return {"title": title, "state": Message(f"alarm_state_{transition.get('at_end', transition['after'])}")}
+
+
+class SheetDocuments:
+    """Renders sheets apart from any request."""
+
+    def __init__(
+        self, templates: Templates, assets: Assets, alarms: LineAlarms, pictures: PictureStore
+    ) -> None:
+        self._templates = templates
+        self._assets = assets
+        self._alarms = alarms
+        self._pictures = pictures
+
+    def page(self, sheet: bytes) -> bytes:
+        """Return the page of a sheet, without its signatures: what is signed beside the data."""
+        shown = readable(msgspec.json.decode(sheet))
+        return self._rendered("handover/_frozen.html", sheet=shown, place_of=self._alarms.place).encode()
+
+    async def document(self, found: SheetOfShift) -> str:
+        """Return the page with its signatures and pictures as a file."""
+        page = (found.signed.page if found.signed else self.page(found.sheet)).decode()
+        named = dict.fromkeys(_PICTURE.findall(page))
+        pictures = await self._pictures.all_of(named)
+        style = self._assets.get(STYLE).body.decode()
+        page = _PICTURE.sub(lambda named: _inline(named[1], pictures), page)
+        return self._rendered(
+            "handover/document.html",
+            page=page,
+            style=style,
+            shift=found.shift,
+            signed=found.signed,
+            missing=found.missing,
+            lost=len(named) - len(pictures),
+        )
+
+    def _rendered(self, name: str, **context: object) -> str:
+        return self._templates.text(self._templates.site.language, name, **context)
+
+
+def _inline(digest: str, pictures: Mapping[str, PlainPicture]) -> str:
+    """Return a picture as an address that holds it; one that is lost keeps its name."""
+    found = pictures.get(digest)
+    if found is None:
+        return f"sha256:{digest}"
+    return f"data:{found.media_type};base64,{b64encode(found.content).decode()}"
+
+
+PageWriter = Callable[[bytes], bytes]
+"""Makes the page of a sheet, in the language of the site, from its JSON."""
+EARLIEST_S = 1800.0
+"""Before the end of a shift: people meet before it."""
+
+
+class ShiftSignRequest(StrictBody):
+    """Who signs what. Without a name it is the user of the session; a token names a user and the password."""
+
+    part: Annotated[
+        SignedPart | None, Field(description="leaving, then coming; null: the one that is missing.")
+    ] = None
+    digest: Annotated[
+        str | None, Field(max_length=64, description="Of the signed sheet that was read; checked.")
+    ] = None
+    name: Annotated[TypedText, Field(max_length=64)] = ""
+    password: Annotated[str, Field(max_length=1000)] = ""
+    reason: Annotated[
+        OneLine,
+        Field(max_length=200, description="Why it is signed earlier than half an hour before its end."),
+    ] = ""
+
+
+class Signing:
+    """The signatures of a site's shifts."""
+
+    def __init__(
+        self,
+        handover: Handover,
+        database: Database,
+        events: EventLog,
+        sign_in: SignIn,
+        page_of: PageWriter,
+        clock: Clock = unix_now,
+    ) -> None:
+        self._handover = handover
+        self._database = database
+        self._events = events
+        self._sign_in = sign_in
+        self._page_of = page_of
+        self._clock = clock
+
+    async def sign(self, person: Person, address: str, shift: Shift, request: ShiftSignRequest) -> None:
+        """Sign the sheet of a shift. Raises Problem 409 where it is signed already or the other part is due,
+        401 for a wrong password, 403 for one who may not sign, and as `Quota.check`."""
+        SIGN.check(person)
+        self._handover.quota.check(shift)
+        signer = await self._signer(person, address, request)
+        signed, missing = await self._handover.signed(shift)
+        if missing:
+            names = ", ".join(each.who for each in missing)
+            raise Problem(409, "not_in_state", Message.of("shift_signature_missing", names=names))
+        part = request.part or ("leaving" if signed is None else "coming")
+        there = {} if signed is None else signed.signatures
+        signatures.check_turn(there, part, signer.name, self._handover.zone)
+        if signed is None:
+            signed = await self._freeze(shift, request.reason.strip())
+        elif request.digest not in (None, signed.digest):
+            raise Problem(409, "superseded", Message("shift_sheet_differs"), digest=signed.digest)
+        elif signed.is_altered:
+            raise Problem(409, "not_in_state", Message("shift_sheet_altered"))
+        await self._store(signer, part, signed, request.reason.strip())
+
+    def early_until(self, shift: Shift) -> UnixTime | None:
+        """Until when only a reason lets a shift be handed over; None: its end is near."""
+        earliest = shift.end - EARLIEST_S
+        return earliest if self._clock() < earliest else None
+
+    async def _freeze(self, shift: Shift, reason: str) -> SignedSheet:
+        earliest = self.early_until(shift)
+        if earliest is not None and not reason:
+            times = {"end": self._handover.local(shift.end), "earliest": self._handover.local(earliest)}
+            raise Problem(409, "not_in_state", Message.of("shift_sign_too_early", **times))
+        sheet = (await self._handover.sheet(shift)).sheet
+        return SignedSheet(shift, sheet, self._page_of(sheet))
+
+    async def _store(self, signer: Person, part: SignedPart, signed: SignedSheet, reason: str) -> None:
+        start, now = signed.shift.start, self._clock()
+
+        def store(connection: StoreConnection) -> None:
+            there = signatures.signatures_of(connection, start)
+            signatures.check_turn(there, part, signer.name, self._handover.zone)
+            if not signed.signatures:
+                signatures.freeze(connection, signed)
+            signatures.add(connection, start, part, signer.name, now)
+
+        await self._events.record(
+            **SIGNATURES[part].by(
+                signer,
+                start=self._handover.local(start),
+                digest=signed.digest,
+                page_digest=signed.page_digest,
+            ),
+            at=now,
+            message=reason,
+            also=store,
+        )
+
+    async def _signer(self, person: Person, address: str, request: ShiftSignRequest) -> Person:
+        """Return the user of the name and password, where they are given; else that of the session."""
+        if not request.name and not request.password:
+            if person.via != "session" or person.panel:
+                raise Problem(403, "forbidden", Message("shift_sign_needs_person"))
+            return person
+        name = request.name.strip()
+        if await self._sign_in.has_company_account(name):
+            raise Problem(403, "forbidden", Message.of("shift_sign_in_own_session", name=name))
+        try:
+            user = await self._sign_in.identify(name, request.password, address)
+        except WrongSecretError:
+            await self._sign_in.note_refusal(name, address)
+            raise
+        signer = Person(user.name, user.role, person.via)
+        SIGN.check(signer)
+        return signer

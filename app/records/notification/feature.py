@@ -14,11 +14,10 @@ from app.people.audit.log import EventLog
 from app.records.notification import api, pages
 from app.records.notification.compose import AcknowledgeLinks, Composer
 from app.records.notification.dispatcher import Dispatcher
-from app.records.notification.notifier import AlarmNotifier
 from app.records.notification.outbox import NotificationOutbox, ReportAttachments
 from app.records.notification.plan import NotificationPlan
 from app.records.notification.senders import Senders
-from app.records.notification.service import ACTS, Maintenance, Notification
+from app.records.notification.service import ACTS, AlarmNotifier, Maintenance, Notification
 
 
 def make(services: Services) -> None:

@@ -16,11 +16,10 @@ from app.core.web.shape import json_response
 from app.line.history.service import seconds
 from app.line.history.spans import SpanOf
 from app.records.handover.api import HTML
-from app.records.handover.document import APART
 from app.records.handover.rules.shifts import Scope, Shift
-from app.records.reports.document import ReportDocuments, file_name, stops_text, units_text
+from app.records.handover.service import APART
 from app.records.reports.report import SpanReport
-from app.records.reports.service import Reports
+from app.records.reports.service import ReportDocuments, Reports, file_name, stops_text, units_text
 from bus.validation import OneLine
 
 router = APIRouter(prefix="/api/v1/report", tags=["reports"], route_class=ApiRoute)

@@ -12,8 +12,7 @@ from app.line.history.service import History
 from app.records.notification.outbox import ReportAttachments
 from app.records.notification.service import Notification
 from app.records.reports import api, pages
-from app.records.reports.document import ReportDocuments
-from app.records.reports.service import Reports, ReportSchedule
+from app.records.reports.service import ReportDocuments, Reports, ReportSchedule
 from bus.messages import Message
 
 

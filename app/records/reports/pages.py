@@ -19,9 +19,8 @@ from app.line.alarms.api import Alarms
 from app.records.handover.pages import places_of
 from app.records.handover.rules.shifts import EVERYTHING, Shift
 from app.records.reports.api import ReportsOf
-from app.records.reports.document import shown
 from app.records.reports.rules import SpanName
-from app.records.reports.service import Reports
+from app.records.reports.service import Reports, shown
 from bus.instants import UnixTime
 from bus.messages import Message, term
 from bus.validation import OneLine

@@ -30,8 +30,15 @@ from app.errors import StoreError
 from app.people.audit.archive import NAME as ARCHIVED
 from app.people.audit.archive import digest_of
 from app.settings import STORE_FILE
-from app.system.backup.files import ENCRYPTED, IN_CLEAR, MAX_BYTES, SiteFiles
-from app.system.backup.stores import STORES, archived_in, copy_store
+from app.system.backup.stores import (
+    ENCRYPTED,
+    IN_CLEAR,
+    MAX_BYTES,
+    STORES,
+    SiteFiles,
+    archived_in,
+    copy_store,
+)
 from app.version import VERSION
 from bus.errors import LinesideError
 from bus.instants import unix_now

@@ -49,7 +49,6 @@ from app.system.backup.archive import (
     locked,
     open_plain,
 )
-from app.system.backup.files import files_of
 from app.system.backup.settings import BackupSettings
 from app.system.backup.stores import (
     KINDS,
@@ -58,6 +57,7 @@ from app.system.backup.stores import (
     assemble,
     copy_store,
     export_frame,
+    files_of,
     parts_of,
     site_of,
 )

@@ -16,8 +16,7 @@ from app.core.database.files import free_bytes
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.rules.state_machine import PRESENT_STATES
-from app.line.conditions.condition import PRIORITIES
-from app.line.conditions.draw import percent_of
+from app.line.conditions.condition import PRIORITIES, percent_of
 from app.line.history.status import HistoryStatus
 from app.line.live.bus_live import BusLive, LiveState, draw_of, speed_decimals, unit_link_now
 from app.people.audit.anchor import AnchorStatus

@@ -1,23 +1,138 @@
-"""Makes the board of the lines of this server and its peers, and reads the peers."""
+"""The lines of this server and its peers: ``GET /sites``, the page of all lines, and the wallboard, which
+shows one at a time across a hall."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
+from typing import Annotated, Literal
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Query
+from starlette.requests import Request
+from starlette.responses import Response
 
 from app.core.messages import DEFAULT
-from app.core.web.templating import PageLines, Templates
+from app.core.web.access import Viewer
+from app.core.web.api import ApiRoute
+from app.core.web.services import service, service_of, unknown_bus
+from app.core.web.templating import PageLines, Templates, render, templates_of
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.live.bus_live import LiveState
 from app.line.live.fields import Translator
 from app.line.live.hub import Hub
+from app.line.live.pages import UnitOnLine, unit_on_line
 from app.line.live.sources import Sources
 from app.people.audit.log import EventLog
-from app.system.peers import pages
-from app.system.peers.board import LineBoard, LineTiles, Peer
-from app.system.peers.client import follow
+from app.system.peers.board import LineBoard, LineOnBoard, LineTiles, LineTilesService, Peer
+from app.system.peers.client import LinesOfSites, board_json, follow
 from app.system.peers.summary import LastEvents, OwnLines
 from bus.instants import unix_now
+
+api = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
+router = APIRouter(include_in_schema=False)
+TemplatesService = Annotated[Templates, service(Templates)]
+Own = Annotated[bool, Query(description="Only the lines of this server, without those of its peers.")]
+Size = Literal["large", "medium", "small", "tiny"]
+MAX_OF: dict[Size, int] = {"large": 12, "medium": 24, "small": 54, "tiny": 255}
+"""Up to how many sections of a line each is shown with its speed; with its name only; as a roll, in up to
+three rows; in more."""
+
+
+@api.get("/sites")
+async def get_sites(
+    _: Viewer, tiles: LineTilesService, templates: TemplatesService, own: Own = False, site: str | None = None
+) -> LinesOfSites:
+    """Every line of this server and its peers, the worst first. ``site``: only those of the site of
+    this name."""
+    english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
+    report = board_json(tiles.board, english, unix_now(), own=own)
+    if site is not None:
+        report["lines"] = [line for line in report["lines"] if line["site"] == site]
+    return report
+
+
+@router.get("/lines")
+async def lines_page(request: Request, _: Viewer, tiles: LineTilesService, site: str = "") -> Response:
+    """Every line, the worst first; ``site``: only of this one, where there is one of its name."""
+    lines = tiles.board.lines()
+    sites = sorted({line.site for line in lines})
+    chosen = site if site in sites else ""
+    return render(
+        request,
+        "lines/page.html",
+        lines=[line for line in lines if chosen in ("", line.site)],
+        tiles=tiles.fields_of(lines, _translator(request)),
+        sites=sites,
+        chosen=chosen,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LineOnWall:
+    """What of a line does not change while the page is open. ``peer``: who reports it, empty for this server;
+    ``units``: the sections of an own line in floor order."""
+
+    bus: str
+    peer: str
+    key: str
+    units: list[UnitOnLine]
+    measure: str
+
+    @property
+    def name(self) -> str:
+        return " · ".join(filter(None, (self.peer, self.bus)))
+
+    @property
+    def href(self) -> str:
+        """Return the address of the wallboard of this line alone."""
+        query = {"bus": self.bus} | ({"peer": self.peer} if self.peer else {})
+        return f"/wallboard?{urlencode(query)}"
+
+    @property
+    def size(self) -> Size:
+        """Return how much of each section has room."""
+        return next(size for size, most in MAX_OF.items() if len(self.units) <= most)
+
+
+@router.get("/wallboard")
+async def wallboard_page(
+    request: Request, _: Viewer, tiles: LineTilesService, bus: str = "", peer: str = ""
+) -> Response:
+    """Every line in turn, or only that of ``bus``, of this server or of ``peer``. Raises Problem 404."""
+    hub = service_of(request, Hub)
+    reported = tiles.board.lines()
+    order = [*hub.live.buses]
+    lines = [_on_wall(hub, line) for line in reported]
+    lines.sort(key=lambda line: (line.peer, line.bus not in order or order.index(line.bus), line.bus))
+    shown = [line for line in lines if (bus, peer) in (("", ""), (line.bus, line.peer))]
+    if not shown and (bus or peer):
+        raise unknown_bus(bus, [line.bus for line in lines if line.peer == peer])
+    language = templates_of(request).language_of(request)
+    return render(
+        request,
+        "wallboard/page.html",
+        lines=shown,
+        every=lines,
+        chosen=shown[0].key if bus or peer else "",
+        tiles=tiles.fields_of(reported, _translator(request)),
+        fields=hub.screen(language.tag).flat(),
+    )
+
+
+def _on_wall(hub: Hub, line: LineOnBoard) -> LineOnWall:
+    measure = "" if line.summary is None else line.summary.measure
+    if line.peer is not None:
+        return LineOnWall(line.bus, line.peer.settings.name, line.key, [], measure)
+    units = [unit_on_line(line.bus, unit) for unit in hub.live.buses[line.bus].units.values()]
+    return LineOnWall(line.bus, "", line.key, units, measure)
+
+
+def _translator(request: Request) -> Translator:
+    templates = templates_of(request)
+    language = templates.language_of(request).on_screen
+    return Translator(language, templates.formats(language.tag))
 
 
 def make(services: Services) -> None:
@@ -40,4 +155,4 @@ def make(services: Services) -> None:
     services.lifespan.add("peers", *(partial(follow, peer, board) for peer in peers))
 
 
-FEATURE = Feature(make, (pages.api, pages.router))
+FEATURE = Feature(make, (api, router))

@@ -29,7 +29,7 @@ from app.line.conditions import catalogue as of_server
 from app.people.audit.chain import KeyOrigin
 from app.people.audit.keys import make_key_file
 from app.settings import LOCK_FILE
-from bus.line.open_port import port_fault
+from bus.line.opener import port_fault
 from tests.certificates import certificates
 from tests.free_port import free_port
 
@@ -293,7 +293,7 @@ def test_the_program_that_has_a_port_is_named_and_it_is_not_opened(
     config: Path, terminal: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, path = terminal
-    monkeypatch.setattr("bus.line.open_port.port_fault", lambda _: pytest.fail("opened"))
+    monkeypatch.setattr("bus.line.opener.port_fault", lambda _: pytest.fail("opened"))
     with held(path) as pid:
         result = run(config, bus(path))
         assert result.exit_code == 1

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from app.core.help.feature import calls_of
 from app.core.help.handbook import BY_NAME, CHAPTERS, MAX_FOUND, Chapter, Handbook, render, slug
-from app.core.help.reference import calls_of
 from app.core.web.templating import HELP
 from docs import site
 from tests.test_architecture import ROOT

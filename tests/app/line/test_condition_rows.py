@@ -17,8 +17,16 @@ from app.line.conditions.catalogue import (
     tile_check,
     tile_text,
 )
-from app.line.conditions.condition import BusFacts, Condition, LinkFacts, Tuning, UnitFacts
-from app.line.conditions.draw import NO_DRAW, UNKNOWN_DRAW, Draw
+from app.line.conditions.condition import (
+    NO_DRAW,
+    UNKNOWN_DRAW,
+    BusFacts,
+    Condition,
+    Draw,
+    LinkFacts,
+    Tuning,
+    UnitFacts,
+)
 from app.line.conditions.unit import suspicion
 from app.line.feed.plausibility import believed_reading
 from app.line.live.bus_live import BusLive

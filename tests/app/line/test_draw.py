@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from app.core.web.formats import UNKNOWN
-from app.line.conditions.draw import MAX_TENTHS, NO_DRAW, UNKNOWN_DRAW, SectionSpeed, draw_between, percent_of
+from app.line.conditions.condition import (
+    MAX_TENTHS,
+    NO_DRAW,
+    UNKNOWN_DRAW,
+    SectionSpeed,
+    draw_between,
+    percent_of,
+)
 from app.line.live.bus_live import BusLive, LiveState, draw_of
 from bus.contract import ParameterValue, UnitLink
 from bus.settings import BusSettings, UnitLabels, UnitSettings

@@ -20,10 +20,9 @@ from app.core.database.migration import MIGRATIONS
 from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.people.audit.log import EventLog
-from app.records.handover.service import Handover
+from app.records.handover.service import Handover, ShiftSignRequest, Signing
 from app.records.handover.sheet import write_sheet
 from app.records.handover.signatures import missing_signatures
-from app.records.handover.signing import ShiftSignRequest, Signing
 from bus.instants import UnixTime
 from tests.app.complete_app import PASSWORD, House, complete_app
 from tests.app.played_line import BUS, played_line

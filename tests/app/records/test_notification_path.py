@@ -21,9 +21,8 @@ from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.own_alarms import OwnAlarmBook
 from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
-from app.records.notification.notifier import AlarmNotifier
 from app.records.notification.outbox import NotificationDelivery, NotificationOutbox, OutboxItem
-from app.records.notification.service import Notification
+from app.records.notification.service import AlarmNotifier, Notification
 from app.records.notification.settings import NotifySettings
 from bus.contract import Reading
 from bus.instants import UnixTime

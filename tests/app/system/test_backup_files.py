@@ -18,8 +18,8 @@ from app.cli.findings import backup as backup_findings
 from app.errors import StoreError
 from app.settings import load
 from app.system.backup.archive import WORKING
-from app.system.backup.files import ENCRYPTED, IN_CLEAR, SiteFile, decrypt, encrypt, files_of, place_files
 from app.system.backup.folder import SITE
+from app.system.backup.stores import ENCRYPTED, IN_CLEAR, SiteFile, decrypt, encrypt, files_of, place_files
 from tests.app.backups import write_backup
 from tests.e2e.site import add_people
 from tests.mounted import mounted

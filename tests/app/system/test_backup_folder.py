@@ -27,7 +27,7 @@ from app.errors import StoreError
 from app.line.history import tables
 from app.line.history.series.runs import MINUTE, micros
 from app.people.audit.log import EventLog
-from app.records.handover.pictures import MIGRATIONS as PICTURES
+from app.records.handover.notes import MIGRATIONS as PICTURES
 from app.settings import Settings, load
 from app.system.backup.archive import KEPT_EVENTS, WrittenBackup
 from app.system.backup.folder import CONTENTS, REMOVE_EVERY, SITE, name_of, open_newest, write_to_folder

@@ -8,7 +8,7 @@ from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
 
 from app.core.web.shape import Instant, MaybeInstant, MessageShown
-from app.line.conditions.draw import DrawState
+from app.line.conditions.condition import DrawState
 from bus.contract import BusLinkState, UnitLinkState
 
 Raw = Annotated[int | None, Field(description="Integer on the wire, 0 to 99999; null: not known.")]

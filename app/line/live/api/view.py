@@ -12,7 +12,7 @@ from typing import Any
 from msgspec.structs import asdict
 
 from app.core.web.shape import iso, maybe_shown, message_shown
-from app.line.conditions.draw import DRAW_DECIMALS
+from app.line.conditions.condition import DRAW_DECIMALS
 from app.line.conditions.unit import suspicion
 from app.line.live.bus_live import (
     BusLive,
