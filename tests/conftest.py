@@ -32,7 +32,7 @@ import app.core.web.routes
 import app.people.auth.passwords
 from app.core.database.files import Reserve
 from app.core.database.migration import MIGRATIONS, Migration, bring_up_to_date
-from app.core.web.assets import Assets
+from app.core.web.assets import Assets, static_dir
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=30)
 # In `make soak`: other examples in each run, and many.
@@ -182,11 +182,23 @@ def model_of(folder: Path) -> tuple[sqlite3.Connection, list[Migration]]:
 
 @pytest.fixture(scope="session", autouse=True)
 def assets_read_once() -> Iterator[None]:
-    """To read and hash every static file is a quarter of what it takes to make an app. Tests that make none
-    have not imported what makes it, which takes a second."""
+    """To read and hash every static file is a quarter of what it takes to make an app."""
+    read = Assets.__init__
+
+    @cache
+    def shared() -> dict[str, Any]:
+        assets = Assets.__new__(Assets)
+        read(assets, static_dir())
+        return vars(assets)
+
+    def init(self: Assets, folder: Path) -> None:
+        if folder == static_dir():
+            vars(self).update(shared())
+        else:
+            read(self, folder)
+
     with pytest.MonkeyPatch.context() as patch:
-        if feature := sys.modules.get("app.core.web.feature"):
-            patch.setattr(feature, "Assets", cache(Assets))
+        patch.setattr(Assets, "__init__", init)
         yield
 
 
