@@ -31,7 +31,7 @@ from bus.contract import AppMessage, Batch, Command, Result, SetSpeed, Update, e
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 from tests.app.complete_app import House, complete_app
-from tests.app.stage import hello, reading, snapshot
+from tests.app.fake_worker import hello, reading, snapshot
 from tests.bus.virtual_line import VirtualLine, run
 from tests.test_architecture import ROOT, text_of
 

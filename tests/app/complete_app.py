@@ -1,28 +1,63 @@
-"""The complete app in this process, with its stores in a folder, and users of each role."""
+"""The app in this process, complete or up to the commands, with its stores in a folder, its users and its
+workers.
+
+``complete_app`` has two units, which `tests.app.played_line` lets respond. ``commands_app`` has the features
+up to the commands, three units, a worker that the test plays (`tests.app.fake_worker`), and any people.
+"""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+import sqlite3
+import time
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 from fastapi import FastAPI
 
-from app.core.web.access import PEOPLE_ROLES, Role
-from app.feature import Services
-from app.main import create_app
+import app.main
+from app.core.database import Database
+from app.core.web.access import PEOPLE_ROLES, SESSION, Role
+from app.feature import Feature, Services
+from app.line.commands import feature as commands
+from app.line.commands.record import CommandRecord
+from app.line.commands.safeguards import Safeguards
+from app.line.commands.service import CommandService
+from app.line.feed.bus_feed import BusFeed
+from app.line.feed.channel import Channel
+from app.line.live.bus_live import BusLive
+from app.line.live.change_recorder import ChangeRecorder
+from app.line.pipeline import Pipeline
 from app.people.audit.log import EventLog
+from app.people.auth import rules, store
 from app.people.auth.accounts import Accounts
+from app.people.auth.rights import Rights
 from app.people.auth.settings import OidcSettings
+from app.people.auth.store import Token, User
 from app.records.handover.settings import ShiftSettings
 from app.records.notification.settings import NotifySettings
 from app.settings import ServerSettings, Settings, Site, load
+from bus.contract import Hello, Snapshot, Welcome
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.administrator import BY
+from tests.app.fake_worker import (
+    BUS,
+    PlayedWorker,
+    bus_settings,
+    hello,
+    snapshot,
+    until,
+)
+from tests.app.played_rights import PlayedRights
 
+UP_TO_COMMANDS = app.main.FEATURES[: app.main.FEATURES.index(commands.FEATURE) + 1]
+OWN_WORKER = "own"
+"""The name under which a worker is the child of the server."""
+OWN_TOKEN = "token-of-the-child"
 PASSWORD = "correct horse battery"
 HOST = "plant.example"
 
@@ -47,6 +82,11 @@ class House:
     services: Services
     clients: list[httpx.AsyncClient] = field(default_factory=list)
     address: str = "192.0.2.7"
+    rights: PlayedRights = field(default_factory=PlayedRights)
+    """What `commands_app` permits: everything that a test does not withdraw."""
+    _browsers: dict[str, httpx.AsyncClient] = field(default_factory=dict)
+    _tokens: list[str] = field(default_factory=list)
+    _workers: list[PlayedWorker] = field(default_factory=list)
 
     def client(self, **headers: str) -> httpx.AsyncClient:
         """Return a browser-like client; cookies are kept, redirects are not followed."""
@@ -83,6 +123,112 @@ class House:
 
         return (await self.services[EventLog].page(Filter(kind=kind), 100))[0]
 
+    @property
+    def log(self) -> EventLog:
+        return self.services[EventLog]
+
+    @property
+    def live(self) -> BusLive:
+        return self.services.buses[BUS][BusLive]
+
+    @property
+    def feed(self) -> BusFeed:
+        return self.services.buses[BUS][BusFeed]
+
+    @property
+    def pipeline(self) -> Pipeline:
+        return self.services.buses[BUS][Pipeline]
+
+    @property
+    def recorder(self) -> ChangeRecorder:
+        return self.services.buses[BUS][ChangeRecorder]
+
+    @property
+    def guards(self) -> Safeguards:
+        return self.services.buses[BUS][Safeguards]
+
+    @property
+    def commands(self) -> CommandService:
+        return self.services.buses[BUS][CommandService]
+
+    def commands_after_restart(self) -> CommandService:
+        """Return the commands of a server that remembers nothing but what is on disk."""
+        of_bus, record = self.services.buses[BUS], CommandRecord(self.log, self.services[Database], time.time)
+        return CommandService(self.live, of_bus[Channel], record, self.guards, self.services[Rights])
+
+    def http(self, role: str = "admin", name: str = "") -> httpx.AsyncClient:
+        """Return a browser of a person, named as the role unless ``name`` is given, who has the role from now
+        on. No event tells of them. Without a role: a stranger's browser."""
+        if role in ("", Role.WORKER):
+            return self.client(**self._bearer(role, role, BUS))
+        name, secret = name or role, rules.secret_hash
+        known = self._browsers.get(name)
+
+        def sign_in(connection: sqlite3.Connection) -> None:
+            if known is None:
+                now = time.time()
+                store.add_user(connection, User(name, Role(role), False, "", "", False, now, None), "")
+                store.begin_session(connection, secret(name), name, now, now + 3600, weak_secret=False)
+            store.set_role(connection, name, Role(role))
+
+        self._write(sign_in)
+        if known is None:
+            known = self._browsers[name] = self.client(Cookie=f"{SESSION}={name}")
+        return known
+
+    async def request(
+        self, method: str, path: str, body: Any = None, role: str = "admin", name: str = "", **more: Any
+    ) -> httpx.Response:
+        """Call the API on the bus."""
+        url = f"/api/v1/buses/{BUS}{path}"
+        return await self.http(role, name).request(method, url, json=body, **more)
+
+    async def connect(self, role: str = "worker", bus: str = BUS, name: str = "") -> PlayedWorker:
+        """Connect to /feed by the token ``name`` for ``bus``, and send nothing. Raises HandshakeRefused."""
+        worker = PlayedWorker(self.app, {"Host": HOST, **self._bearer(role, name or role, bus)})
+        self._workers.append(worker)
+        await worker.open()
+        return worker
+
+    async def worker(
+        self, first: Hello | None = None, state: Snapshot | None = None, name: str = ""
+    ) -> PlayedWorker:
+        """Connect a worker, and send hello and ``state``, or that of three units that respond."""
+        worker = await self.connect(name=name)
+        await worker.send(first or hello())
+        welcome = await worker.receive(Welcome)
+        assert isinstance(welcome, Welcome)
+        assert welcome.refused == ""
+        present = state or snapshot()
+        worker.seq = present.seq
+        await worker.send(present)
+        await until(lambda: self.live.worker_connected, "the snapshot taken in")
+        await until(lambda: self.services.buses[BUS][Channel].connected, "the way down open")
+        return worker
+
+    def _bearer(self, role: str, name: str, bus: str) -> dict[str, str]:
+        if not role:
+            return {}
+        secret = OWN_TOKEN if name == OWN_WORKER else f"{name} {bus} {role}"
+        if secret not in (OWN_TOKEN, *self._tokens):
+            token = Token(0, name, Role(role), "test", time.time(), None, bus)
+            self._write(lambda connection: store.add_token(connection, rules.secret_hash(secret), token))
+            self._tokens.append(secret)
+        return {"Authorization": f"Bearer {secret}"}
+
+    def _write(self, work: Callable[[sqlite3.Connection], None]) -> None:
+        """Change the store beside the app, as the command line does."""
+        with closing(sqlite3.connect(self.services[Database].path, timeout=60)) as connection, connection:
+            connection.execute("PRAGMA synchronous = OFF")
+            work(connection)
+
+    async def close(self) -> None:
+        """End the clients and the workers."""
+        for worker in self._workers:
+            await worker.end()
+        for client in self.clients:
+            await client.aclose()
+
 
 @asynccontextmanager
 async def complete_app(
@@ -94,20 +240,35 @@ async def complete_app(
     shift: ShiftSettings | None = None,
     oidc: OidcSettings | None = None,
     config: Path | None = None,
+    bus: BusSettings | None = None,
+    features: Sequence[Feature] = app.main.FEATURES,
     **site: Any,
 ) -> AsyncIterator[House]:
-    """From start to end, as the server would; ``config``: with this file."""
+    """Run the app from start to end, as the server would; ``config``: with this file."""
     settings = settings_in(folder, **site) if config is None else load(config)
     others: dict[str, Any] = {"server": server or settings.server, "notify": notify or settings.notify}
     others |= {"shift": shift or settings.shift, "oidc": oidc or settings.oidc}
-    app = create_app(settings.model_copy(update=others), demo=demo)
-    house = House(app, app.state.services)
+    others |= {"bus": settings.bus if bus is None else (bus,)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(app.main, "FEATURES", features)
+        tokens = {BUS: OWN_TOKEN}
+        made = app.main.create_app(settings.model_copy(update=others), demo=demo, worker_tokens=tokens)
+    house = House(made, made.state.services)
     async with house.services.lifespan.running():
         try:
             yield house
         finally:
-            for client in house.clients:
-                await client.aclose()
+            await house.close()
+
+
+@asynccontextmanager
+async def commands_app(folder: Path, *, control: bool = False) -> AsyncIterator[House]:
+    """Run the features up to the commands, with three units. Any person may do what their role allows,
+    also without an account, and a worker may be silent for as long as a test takes."""
+    async with complete_app(folder, bus=bus_settings(), features=UP_TO_COMMANDS, control=control) as house:
+        house.services[Rights].check = house.rights.check  # type: ignore[method-assign]
+        house.feed.timeout_ticks = 1000
+        yield house
 
 
 EVERY_ROLE = (*PEOPLE_ROLES, Role.WORKER)

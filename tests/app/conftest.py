@@ -1,4 +1,4 @@
-"""The stage that many tests use, and its worker, which does nothing until the test sets its play."""
+"""The app that a test uses, complete or up to the commands, and its worker."""
 
 from __future__ import annotations
 
@@ -9,18 +9,45 @@ from pathlib import Path
 import pytest
 
 from app.core.database import Database
-from tests.app.stage import PlayedWorker, Stage, staged
+from app.line.history.service import History
+from bus.contract import Reading, Update
+from tests.app.complete_app import House, commands_app, complete_app
+from tests.app.fake_worker import PlayedWorker
 
 
 @pytest.fixture
-async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
-    async with staged(tmp_path) as built:
-        yield built
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    """The complete app, with two units that have not responded yet."""
+    async with complete_app(tmp_path) as house:
+        yield house
 
 
 @pytest.fixture
-async def worker(stage: Stage) -> PlayedWorker:
-    return await stage.worker()
+async def site(tmp_path: Path) -> AsyncIterator[House]:
+    """The features up to the commands, with three units."""
+    async with commands_app(tmp_path) as house:
+        yield house
+
+
+@pytest.fixture
+async def worker(site: House) -> PlayedWorker:
+    """The worker of ``site``, which does nothing until the test sets its play."""
+    return await site.worker()
+
+
+class Kept(list[Update]):
+    """What the history of an app was given."""
+
+    @property
+    def readings(self) -> list[Reading]:
+        return [update for update in self if isinstance(update, Reading)]
+
+
+@pytest.fixture
+def kept(site: House, monkeypatch: pytest.MonkeyPatch) -> Kept:
+    kept = Kept()
+    monkeypatch.setattr(site.services[History], "append", lambda _bus, updates: kept.extend(updates))
+    return kept
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from app.system.postgresql.publisher import Publisher
 from bus.contract import ParameterValue, Reading, Update
 from bus.instants import unix_now
 from tests.app.complete_app import House, complete_app
-from tests.app.stage import until
+from tests.app.fake_worker import until
 
 UNITS = (1, 2)
 NUMBERS = ("commanded", "actual", "analog")

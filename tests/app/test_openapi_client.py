@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import sys
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -18,9 +18,9 @@ from app.core.database import Database
 from app.core.web.api import openapi_document, with_published_names
 from app.main import create_app
 from bus.contract import UnitOutcome
-from tests.app.complete_app import settings_in
+from tests.app.complete_app import House, settings_in
+from tests.app.fake_worker import PlayedWorker, responding
 from tests.app.served_app import served
-from tests.app.stage import PlayedWorker, Stage, responding
 
 PACKAGE = "lineside_client"
 NAMES = Path(__file__).parent / "openapi_names.txt"
@@ -54,10 +54,10 @@ def package(document: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) 
 
 
 class Generated:
-    """The generated client of a served app."""
+    """The generated client of an app, as a person with a role."""
 
-    def __init__(self, package: ModuleType, url: str, role: str) -> None:
-        self.client = package.Client(base_url=url, headers={"X-Role": role} if role else {})
+    def __init__(self, package: ModuleType, site: House, role: str) -> None:
+        self.client = package.Client(base_url="").set_async_httpx_client(site.http(role))
         self.models: Any = importlib.import_module(f"{PACKAGE}.models")
 
     async def call(self, module: str, *path: Any, **options: Any) -> Any:
@@ -74,10 +74,8 @@ class Generated:
 
 
 @pytest.fixture
-async def client(package: ModuleType, stage: Stage) -> AsyncIterator[Generated]:
-    generated = Generated(package, f"http://{stage.url}", "admin")
-    async with generated.client:
-        yield generated
+def client(package: ModuleType, site: House) -> Generated:
+    return Generated(package, site, "admin")
 
 
 @pytest.mark.usefixtures("worker")
@@ -176,10 +174,9 @@ async def test_a_body_that_may_be_left_out(client: Generated, worker: PlayedWork
 @pytest.mark.parametrize(
     ("role", "status", "code"), [("", 401, "unauthorized"), ("viewer", 403, "forbidden")]
 )
-async def test_who_may_not(package: ModuleType, stage: Stage, role: str, status: int, code: str) -> None:
-    generated = Generated(package, f"http://{stage.url}", role)
-    async with generated.client:
-        problem = await generated.set_speed(1)
+async def test_who_may_not(package: ModuleType, site: House, role: str, status: int, code: str) -> None:
+    generated = Generated(package, site, role)
+    problem = await generated.set_speed(1)
     assert (problem.status, problem.code) == (status, code)
 
 

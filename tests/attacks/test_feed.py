@@ -47,7 +47,7 @@ from bus.contract import (
 )
 from bus.messages import term
 from tests.app.complete_app import House, complete_app
-from tests.app.stage import hello, reading, snapshot
+from tests.app.fake_worker import hello, reading, snapshot
 from tests.attacks.hostile import COMMAND_ID, GARBAGE, batches, broken, encoded, of_type
 
 BUS = "dry-end"

@@ -19,9 +19,9 @@ from bus.contract import Reading
 from bus.instants import unix_now
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House, complete_app
+from tests.app.fake_worker import until
 from tests.app.played_commands import HEALTHY, REMOTE
 from tests.app.played_line import BUS, PlayedLine, played_line
-from tests.app.stage import until
 
 CONFIGURATION = f"""
 [server]

@@ -10,7 +10,8 @@ from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.line.commands.service import CommandService
 from bus.contract import Result, WriteParameter
-from tests.app.stage import Stage, responding, staged
+from tests.app.complete_app import House, commands_app
+from tests.app.fake_worker import responding
 
 ANNA = Person("anna", Role.ENGINEER, "token")
 
@@ -22,11 +23,11 @@ def password(raw: int) -> WriteParameter:
 @pytest.mark.parametrize("restarts", [False, True])
 async def test_another_password_with_the_same_key_is_not_verified(tmp_path: Path, restarts: bool) -> None:
     """The value of #21 was left out of what was compared after a restart: it was *verified*, unwritten."""
-    async with staged(tmp_path) as stage:
-        worker = await stage.worker()
+    async with commands_app(tmp_path) as site:
+        worker = await site.worker()
         worker.play = responding("verified", read_back=1234)
-        assert (await _send(stage.commands, 1234)).outcome == "verified"
-        commands = _restarted(stage) if restarts else stage.commands
+        assert (await _send(site.commands, 1234)).outcome == "verified"
+        commands = _restarted(site) if restarts else site.commands
         with pytest.raises(Problem) as refused:
             await _send(commands, 4321)
         assert (refused.value.status, refused.value.code) == (422, "invalid")
@@ -39,5 +40,5 @@ async def _send(commands: CommandService, raw: int) -> Result:
     return await commands.send(ANNA, password(raw), id="mine")
 
 
-def _restarted(stage: Stage) -> CommandService:
-    return stage.commands_after_restart()
+def _restarted(site: House) -> CommandService:
+    return site.commands_after_restart()

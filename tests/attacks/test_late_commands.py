@@ -17,10 +17,10 @@ from app.core.web.access import Role
 from app.core.web.arrival import SAFE_METHODS
 from app.engineering.recipes.book import RecipeBook
 from app.line.live.bus_live import LiveState
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House, commands_app, complete_app
+from tests.app.fake_worker import PlayedWorker, responding
 from tests.app.played_commands import ANNA
 from tests.app.played_commands import responding as responding_units
-from tests.app.stage import PlayedWorker, Stage, responding, staged
 
 WRITES = [
     ("POST", "/units/1/speed", {"raw": 5}),
@@ -42,24 +42,24 @@ def sent(seconds_ago: float, zone: timezone = UTC) -> dict[str, str]:
 
 
 @pytest.fixture
-async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
-    async with staged(tmp_path) as built:
+async def site(tmp_path: Path) -> AsyncIterator[House]:
+    async with commands_app(tmp_path) as built:
         yield built
 
 
 @pytest.fixture
-async def worker(stage: Stage) -> PlayedWorker:
+async def worker(site: House) -> PlayedWorker:
     """Every unit takes everything."""
-    played = await stage.worker()
+    played = await site.worker()
     played.play = responding("verified", read_back=1)
     return played
 
 
 @EACH_WRITE
 async def test_a_write_with_an_old_time_is_not_sent(
-    stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
+    site: House, worker: PlayedWorker, method: str, path: str, body: Any
 ) -> None:
-    response = await stage.request(method, path, body, headers=sent(LATE_S))
+    response = await site.request(method, path, body, headers=sent(LATE_S))
     assert (response.status_code, response.json()["code"], response.json()["outcome"]) == (
         503,
         "not_sent",
@@ -67,7 +67,7 @@ async def test_a_write_with_an_old_time_is_not_sent(
     )
     assert "too late" in response.json()["detail"]
     assert worker.commands == []
-    assert (await stage.request(method, path, body, headers=sent(0))).status_code == 200
+    assert (await site.request(method, path, body, headers=sent(0))).status_code == 200
     assert len(worker.commands) == 1
 
 
@@ -81,14 +81,14 @@ async def test_a_write_with_an_old_time_is_not_sent(
     ],
 )
 @pytest.mark.usefixtures("worker")
-async def test_its_own_time_decides(stage: Stage, path: str, body: Any, status: int) -> None:
-    assert (await stage.request("POST", path, body, headers=sent(LATE_S))).status_code == status
+async def test_its_own_time_decides(site: House, path: str, body: Any, status: int) -> None:
+    assert (await site.request("POST", path, body, headers=sent(LATE_S))).status_code == status
 
 
-async def test_the_time_that_is_left_counts_from_when_it_was_made(stage: Stage, worker: PlayedWorker) -> None:
+async def test_the_time_that_is_left_counts_from_when_it_was_made(site: House, worker: PlayedWorker) -> None:
     made = datetime.now(UTC) - timedelta(seconds=LATE_S)
     headers = {"Lineside-Sent-At": made.isoformat()}
-    await stage.request("POST", "/units/1/speed", {"raw": 5, "timeout_s": 20}, headers=headers)
+    await site.request("POST", "/units/1/speed", {"raw": 5, "timeout_s": 20}, headers=headers)
     assert worker.commands[0].deadline == pytest.approx(made.timestamp() + 20, abs=0.01)
 
 
@@ -106,11 +106,9 @@ async def test_the_time_that_is_left_counts_from_when_it_was_made(stage: Stage, 
         "2026-11-22T03:12:00Z, 2026-11-22T03:12:00Z",
     ],
 )
-async def test_a_time_without_zone_is_refused(stage: Stage, worker: PlayedWorker, value: str) -> None:
+async def test_a_time_without_zone_is_refused(site: House, worker: PlayedWorker, value: str) -> None:
     headers = {"Lineside-Sent-At": value.encode("latin-1")}
-    response = await stage.http().post(
-        "/api/v1/buses/dry-end/units/1/speed", json={"raw": 5}, headers=headers
-    )
+    response = await site.http().post("/api/v1/buses/dry-end/units/1/speed", json={"raw": 5}, headers=headers)
     assert (response.status_code, response.json()["code"]) == (422, "invalid")
     assert worker.commands == []
 
@@ -120,9 +118,9 @@ async def test_a_time_without_zone_is_refused(stage: Stage, worker: PlayedWorker
 )
 @pytest.mark.parametrize(("ahead_s", "status"), [(3, 200), (6, 422), (3600, 422)])
 async def test_a_clock_may_be_ahead_by_five_seconds(
-    stage: Stage, worker: PlayedWorker, zone: timezone, ahead_s: float, status: int
+    site: House, worker: PlayedWorker, zone: timezone, ahead_s: float, status: int
 ) -> None:
-    response = await stage.request("POST", "/units/1/speed", {"raw": 5}, headers=sent(-ahead_s, zone))
+    response = await site.request("POST", "/units/1/speed", {"raw": 5}, headers=sent(-ahead_s, zone))
     assert response.status_code == status
     assert len(worker.commands) == (status == 200)
     if status == 422:
@@ -130,48 +128,46 @@ async def test_a_clock_may_be_ahead_by_five_seconds(
 
 
 @pytest.mark.usefixtures("worker")
-async def test_two_times_are_none(stage: Stage) -> None:
+async def test_two_times_are_none(site: House) -> None:
     headers = [*sent(0).items(), *sent(0).items()]
-    response = await stage.http().post(
-        "/api/v1/buses/dry-end/units/1/speed", json={"raw": 5}, headers=headers
-    )
+    response = await site.http().post("/api/v1/buses/dry-end/units/1/speed", json={"raw": 5}, headers=headers)
     assert response.status_code == 422
 
 
 async def test_a_finished_command_gives_its_result_however_late_it_is_repeated(
-    stage: Stage, worker: PlayedWorker
+    site: House, worker: PlayedWorker
 ) -> None:
     key = {"Idempotency-Key": "mine"}
     body = {"raw": 5}
-    first = await stage.request("POST", "/units/1/speed", body, headers=key | sent(0))
-    again = await stage.request("POST", "/units/1/speed", body, headers=key | sent(60))
+    first = await site.request("POST", "/units/1/speed", body, headers=key | sent(0))
+    again = await site.request("POST", "/units/1/speed", body, headers=key | sent(60))
     assert (again.status_code, again.text) == (200, first.text)
     assert len(worker.commands) == 1
 
 
 @pytest.mark.usefixtures("worker")
-async def test_a_late_one_leaves_its_key_free(stage: Stage) -> None:
+async def test_a_late_one_leaves_its_key_free(site: House) -> None:
     key = {"Idempotency-Key": "mine"}
-    assert (await stage.request("POST", "/execute", headers=key | sent(60))).status_code == 503
-    assert (await stage.request("POST", "/execute", headers=key | sent(0))).status_code == 200
+    assert (await site.request("POST", "/execute", headers=key | sent(60))).status_code == 503
+    assert (await site.request("POST", "/execute", headers=key | sent(0))).status_code == 200
 
 
 @pytest.mark.usefixtures("worker")
-async def test_reading_is_never_late(stage: Stage) -> None:
+async def test_reading_is_never_late(site: House) -> None:
     for headers in (sent(60), {"Lineside-Sent-At": "whenever"}):
-        assert (await stage.request("GET", "/units/1", headers=headers)).status_code == 200
-        assert (await stage.request("GET", "/units/1/parameters", headers=headers)).status_code == 200
+        assert (await site.request("GET", "/units/1", headers=headers)).status_code == 200
+        assert (await site.request("GET", "/units/1/parameters", headers=headers)).status_code == 200
 
 
 @pytest.mark.usefixtures("worker")
-async def test_other_writes_are_late_too(stage: Stage) -> None:
+async def test_other_writes_are_late_too(site: House) -> None:
     for method, path, body in (
         ("POST", "/units/1/block", {"reason": "belt off"}),
         ("POST", "/control", None),
     ):
-        response = await stage.request(method, path, body, headers=sent(LATE_S))
+        response = await site.request(method, path, body, headers=sent(LATE_S))
         assert (response.status_code, response.json()["code"]) == (503, "not_sent")
-    assert (await stage.request("GET", "/units/1/block")).json()["blocked"] is False
+    assert (await site.request("GET", "/units/1/block")).json()["blocked"] is False
 
 
 @pytest.fixture

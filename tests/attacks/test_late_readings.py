@@ -22,7 +22,7 @@ from app.line.live.bus_live import LiveState
 from app.line.live.change_recorder import ChangeRecorder
 from bus.contract import MAX_UPDATES, Batch, Reading, Snapshot, UnitState, encode
 from tests.app.complete_app import House, complete_app
-from tests.app.stage import hello, reading, snapshot, unit_state, until
+from tests.app.fake_worker import hello, reading, snapshot, unit_state, until
 from tests.attacks.test_feed import HostileSocket
 
 BUS = "dry-end"

@@ -23,7 +23,7 @@ from app.people.auth.identify import NO_LONGER_SIGNED_IN, Identity
 from app.people.auth.rights import Rights
 from tests.administrator import BY
 from tests.app.complete_app import HOST, PASSWORD, House, complete_app
-from tests.app.stage import snapshot, until
+from tests.app.fake_worker import snapshot, until
 from tests.attacks.withdrawals import in_another_process
 
 NEVER_S = 1e6

@@ -16,8 +16,8 @@ from app.people.auth.accounts import Accounts
 from bus.catalogue.parameters import PARAMETERS
 from tests.administrator import BY
 from tests.app.complete_app import House
+from tests.app.fake_worker import until
 from tests.app.played_line import BUS, PlayedLine
-from tests.app.stage import until
 from tests.attacks.withdrawals import (
     ENGINEER,
     Withdraw,

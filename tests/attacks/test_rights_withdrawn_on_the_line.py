@@ -16,8 +16,8 @@ from app.line.commands.safeguards import Safeguards
 from app.people.audit.entry import Event
 from app.people.audit.log import EventLog
 from tests.app.complete_app import House, complete_app
+from tests.app.fake_worker import until
 from tests.app.played_line import BUS, PlayedLine, played_line
-from tests.app.stage import until
 from tests.attacks.withdrawals import (
     ENGINEER,
     Withdraw,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import re
 import subprocess
-from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,7 @@ from app.core.web.access import Role
 from app.core.web.assets import Assets, static_dir, templates_dir
 from app.core.web.templating import Compiled
 from app.errors import Problem
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House
 
 TSC = Path(__file__).resolve().parents[3] / "node_modules" / ".bin" / "tsc"
 
@@ -27,12 +26,6 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "js" / "a.js").write_text("export const a = 1;\n" * 50)
     (tmp_path / "logo.png").write_bytes(b"\x89PNG" + bytes(100))
     return tmp_path
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 def request(accept_encoding: str = "gzip, br") -> Request:

@@ -3,9 +3,7 @@ of Babel."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
 from datetime import date
-from pathlib import Path
 
 import httpx
 import pytest
@@ -15,13 +13,7 @@ from babel.dates import format_date
 from app.core.messages import Languages
 from app.core.messages.languages import locale_of
 from app.core.web.access import Role
-from tests.app.complete_app import House, complete_app
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
+from tests.app.complete_app import House
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import AsyncIterator
-from pathlib import Path
 
 import httpx
 import pytest
@@ -16,15 +14,9 @@ from app.errors import Problem, StoreError
 from app.people.audit.log import EventLog
 from app.people.auth.identify import Identity
 from bus.messages import Message
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 @pytest.fixture

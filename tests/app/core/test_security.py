@@ -13,13 +13,7 @@ from app.core.web.request_rules import MAX_BODY_BYTES, same_origin
 from app.main import create_app
 from app.people.auth.accounts import Accounts
 from tests.administrator import BY
-from tests.app.complete_app import HOST, House, complete_app, settings_in
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
+from tests.app.complete_app import HOST, House, settings_in
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from app.line.live.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
 from tests.app.complete_app import House, complete_app
+from tests.app.fake_worker import snapshot
 from tests.app.page_texts import PAGES, texts_without
-from tests.app.stage import snapshot
 from tests.catalogs import wanted, write
 
 AS_THEY_ARE = {

@@ -23,9 +23,9 @@ from bus.contract import Result, WriteParameter
 from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.complete_app import House
+from tests.app.fake_worker import until
 from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, factory, responding
 from tests.app.played_line import BUS, PlayedLine, played_line
-from tests.app.stage import until
 
 BEN = Person("ben", Role.ENGINEER, "session")
 WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}

@@ -15,9 +15,9 @@ from app.engineering.recipes.rules import Recipe
 from bus.contract import BusLink, ExecuteAll, ExecuteSpeed, ParameterValue, SetLine, Staged, UnitLink
 from bus.instants import unix_now
 from tests.app.complete_app import House
+from tests.app.fake_worker import until
 from tests.app.played_commands import ANNA
 from tests.app.played_line import BUS, PlayedLine, played_line
-from tests.app.stage import until
 
 API = "/api/v1"
 KEY = {"Idempotency-Key": "mine-1"}

@@ -17,7 +17,7 @@ from app.line.feed.bus_feed import Credential, refusal
 from bus.contract import CONTRACT_VERSION, BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
 from bus.settings import Seam
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus
-from tests.app.stage import hello
+from tests.app.fake_worker import hello
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from app.line.live.change_recorder import (
 )
 from bus.contract import BusFigures, BusLink, UnitLink, Update
 from bus.messages import Message, term
-from tests.app.stage import HEALTHY, REMOTE, bus_settings, reading
+from tests.app.fake_worker import HEALTHY, REMOTE, bus_settings, reading
 
 
 def seen(*updates: Update, **settings: object) -> list[tuple[str, int | None, str, str]]:

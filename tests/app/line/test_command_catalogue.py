@@ -38,8 +38,9 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
+from tests.app.complete_app import House
+from tests.app.fake_worker import PlayedWorker, reading, responding
 from tests.app.line.test_command_rules import bus_with, parameter
-from tests.app.stage import PlayedWorker, Stage, reading, responding
 
 SECRET = next(number for number, each in PARAMETERS.items() if each.secret)
 ALL: list[Action] = [
@@ -146,10 +147,10 @@ def test_a_change_of_several_is_worded_for_each_of_its_units() -> None:
     assert kind_of_command(ALL[0]).part_wordings(ALL[0], bus) == {}
 
 
-async def code_of(stage: Stage, person: Person, action: Action) -> str:
+async def code_of(site: House, person: Person, action: Action) -> str:
     """Send it as confirmed; return the code of the refusal, or the outcome."""
     try:
-        return (await stage.commands.send(person, action, confirm=True)).outcome
+        return (await site.commands.send(person, action, confirm=True)).outcome
     except Problem as problem:
         return problem.code
 
@@ -157,34 +158,32 @@ async def code_of(stage: Stage, person: Person, action: Action) -> str:
 @pytest.mark.parametrize("role", Role)
 @pytest.mark.parametrize("action", ALL, ids=lambda action: type(action).__name__)
 async def test_every_kind_is_sent_for_its_role_and_those_above_alone(
-    stage: Stage, worker: PlayedWorker, action: Action, role: Role
+    site: House, worker: PlayedWorker, action: Action, role: Role
 ) -> None:
     worker.play = responding("verified")
     person, needed = Person("anna", role, "session"), kind_of_command(action).role
-    code = await code_of(stage, person, action)
+    code = await code_of(site, person, action)
     assert (code == "forbidden") == (not role.includes(needed))
     if code == "forbidden":
         assert worker.commands == []
         with pytest.raises(Problem, match=f"role {needed}") as refused:
-            stage.commands.check(person, action, confirm=True)
+            site.commands.check(person, action, confirm=True)
         assert refused.value.status == 403
 
 
-async def test_a_refused_write_is_recorded_with_its_author(stage: Stage, worker: PlayedWorker) -> None:
-    assert (
-        await code_of(stage, Person("vera", Role.VIEWER, "session"), SetSpeed(unit=1, raw=5)) == "forbidden"
-    )
-    (event, *_), _ = await stage.events.page(Filter(kind="command"), 1)
+async def test_a_refused_write_is_recorded_with_its_author(site: House, worker: PlayedWorker) -> None:
+    assert await code_of(site, Person("vera", Role.VIEWER, "session"), SetSpeed(unit=1, raw=5)) == "forbidden"
+    (event, *_), _ = await site.log.page(Filter(kind="command"), 1)
     assert (event["who"], event["outcome"]) == ("vera", "forbidden")
     assert worker.commands == []
 
 
 async def test_a_batch_of_a_person_without_the_right_writes_nothing(
-    stage: Stage, worker: PlayedWorker
+    site: House, worker: PlayedWorker
 ) -> None:
     operator = Person("ben", Role.OPERATOR, "session")
-    rows = rows_of_batch(stage.live.buses["dry-end"], 6, {1: "5.0", 2: "5.0", 16: "5.0"})
-    results = await write_batch(stage.commands, operator, 6, rows, confirm=True)
+    rows = rows_of_batch(site.live, 6, {1: "5.0", 2: "5.0", 16: "5.0"})
+    results = await write_batch(site.commands, operator, 6, rows, confirm=True)
     assert [result.outcome for result in results] == ["forbidden", "not_sent", "not_sent"]
     assert worker.commands == []
 

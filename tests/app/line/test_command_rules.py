@@ -42,8 +42,8 @@ from bus.contract import (
 )
 from bus.instants import Monotonic
 from bus.messages import Message
+from tests.app.fake_worker import HEALTHY, bus_settings, reading
 from tests.app.played_commands import a_bus, responding
-from tests.app.stage import HEALTHY, bus_settings, reading
 
 RUNNING = HEALTHY | 1
 BLOCK = CommandBlock("belt off, do not run", "anna", 0.0)

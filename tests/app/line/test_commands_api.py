@@ -36,7 +36,8 @@ from bus.contract import (
 )
 from bus.instants import unix_now
 from bus.messages import term
-from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, snapshot, unit_state, until
+from tests.app.complete_app import House
+from tests.app.fake_worker import PlayedWorker, reading, responding, result_of, snapshot, unit_state, until
 
 
 @pytest.fixture
@@ -46,15 +47,15 @@ async def worker(worker: PlayedWorker) -> PlayedWorker:
     return worker
 
 
-async def test_a_turn_is_reserved_before_the_write_comes(stage: Stage, worker: PlayedWorker) -> None:
-    await stage.request("POST", "/units/1/speed", {"raw": 5})
+async def test_a_turn_is_reserved_before_the_write_comes(site: House, worker: PlayedWorker) -> None:
+    await site.request("POST", "/units/1/speed", {"raw": 5})
     kinds = [type(message) for message in worker.received if isinstance(message, ReserveTurn | Command)]
     assert kinds == [ReserveTurn, Command]
 
 
-async def test_for_who_may_not_write_the_wire_waits_never(stage: Stage, worker: PlayedWorker) -> None:
-    assert (await stage.request("POST", "/units/1/speed", {"raw": 5}, role="viewer")).status_code == 403
-    await stage.request("GET", "/units/1/parameters?refresh=true")
+async def test_for_who_may_not_write_the_wire_waits_never(site: House, worker: PlayedWorker) -> None:
+    assert (await site.request("POST", "/units/1/speed", {"raw": 5}, role="viewer")).status_code == 403
+    await site.request("GET", "/units/1/parameters?refresh=true")
     await worker.receive(Command)
     assert not any(isinstance(message, ReserveTurn) for message in worker.received)
 
@@ -89,9 +90,9 @@ async def test_for_who_may_not_write_the_wire_waits_never(stage: Stage, worker: 
     ],
 )
 async def test_the_worker_gets_the_requested_action(
-    stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any, action: object
+    site: House, worker: PlayedWorker, method: str, path: str, body: Any, action: object
 ) -> None:
-    response = await stage.request(method, path, body)
+    response = await site.request(method, path, body)
     assert response.status_code == 200, response.text
     assert response.json()["outcome"] == response.json()["code"] == "verified"
     assert [command.action for command in worker.commands] == [action]
@@ -136,9 +137,9 @@ async def test_the_worker_gets_the_requested_action(
     ],
 )
 async def test_bad_input_is_explained_and_nothing_is_sent(
-    stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
+    site: House, worker: PlayedWorker, method: str, path: str, body: Any
 ) -> None:
-    response = await stage.request(method, path, body)
+    response = await site.request(method, path, body)
     assert response.status_code == 422, response.text
     assert response.headers["content-type"] == "application/problem+json"
     assert response.json()["code"] == "invalid"
@@ -146,8 +147,8 @@ async def test_bad_input_is_explained_and_nothing_is_sent(
     assert worker.commands == []
 
 
-async def test_malformed_json_is_invalid(stage: Stage, worker: PlayedWorker) -> None:
-    response = await stage.http().post("/api/v1/buses/dry-end/units/1/speed", content=b'{"raw": ')
+async def test_malformed_json_is_invalid(site: House, worker: PlayedWorker) -> None:
+    response = await site.http().post("/api/v1/buses/dry-end/units/1/speed", content=b'{"raw": ')
     assert response.status_code == 422
     assert response.json()["code"] == "invalid"
     assert worker.commands == []
@@ -169,16 +170,16 @@ async def test_malformed_json_is_invalid(stage: Stage, worker: PlayedWorker) -> 
     ],
 )
 async def test_what_there_is_not(
-    stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
+    site: House, worker: PlayedWorker, method: str, path: str, body: Any
 ) -> None:
-    response = await stage.request(method, path, body)
+    response = await site.request(method, path, body)
     assert response.status_code == 404, response.text
     assert worker.commands == []
 
 
-async def test_a_bus_there_is_not(stage: Stage) -> None:
+async def test_a_bus_there_is_not(site: House) -> None:
     for path, body in (("execute", None), ("speeds", {"setpoints": {"1": {"raw": 1}}})):
-        response = await stage.http().post(f"/api/v1/buses/nowhere/{path}", json=body)
+        response = await site.http().post(f"/api/v1/buses/nowhere/{path}", json=body)
         assert response.status_code == 404
         assert response.json()["code"] == "unknown_bus"
 
@@ -195,10 +196,10 @@ async def test_a_bus_there_is_not(stage: Stage) -> None:
     ],
 )
 async def test_each_outcome_has_its_status(
-    stage: Stage, worker: PlayedWorker, outcome: str, status: int
+    site: House, worker: PlayedWorker, outcome: str, status: int
 ) -> None:
     worker.play = responding(outcome, message=term("as it was"))
-    response = await stage.request("POST", "/units/1/speed", {"raw": 5})
+    response = await site.request("POST", "/units/1/speed", {"raw": 5})
     assert response.status_code == status
     result = response.json()
     assert result["outcome"] == result["code"] == outcome
@@ -211,17 +212,17 @@ async def test_each_outcome_has_its_status(
     assert not {"frames", "message"} & result.keys()
 
 
-async def test_a_command_to_one_unit_states_its_result_once(stage: Stage, worker: PlayedWorker) -> None:
+async def test_a_command_to_one_unit_states_its_result_once(site: House, worker: PlayedWorker) -> None:
     now = time.time()
     part = UnitOutcome(unit=1, outcome="verified", read_back=5, sent_at=now, proven_at=now)
     worker.play = responding("verified", units=[part], read_back=5)
-    result = (await stage.request("POST", "/units/1/speed", {"raw": 5})).json()
+    result = (await site.request("POST", "/units/1/speed", {"raw": 5})).json()
     assert (result["unit"], result["units"]) == (1, {})
     assert (result["sent_at"], result["proven_at"]) == (iso(now), iso(now))
 
 
-async def test_a_reading_takes_no_frames(stage: Stage) -> None:
-    response = await stage.request("GET", "/units/1/parameters?frames=true")
+async def test_a_reading_takes_no_frames(site: House) -> None:
+    response = await site.request("GET", "/units/1/parameters?frames=true")
     assert (response.status_code, response.json()["reason"]) == (422, "parameter_unknown")
 
 
@@ -246,10 +247,10 @@ def members(node: Any, name: str) -> int:
     ],
 )
 async def test_a_refusal_states_everything_once_and_on_one_level(
-    stage: Stage, worker: PlayedWorker, method: str, path: str, body: dict[str, Any], reason: str
+    site: House, worker: PlayedWorker, method: str, path: str, body: dict[str, Any], reason: str
 ) -> None:
     """The nearest value was there four times, and the code of the text three levels down."""
-    problem = (await stage.request(method, path, body)).json()
+    problem = (await site.request(method, path, body)).json()
     assert problem["reason"] == reason
     errors = problem.pop("errors", [])
     assert all(error.keys() == {"where", "code", "params", "detail"} for error in errors)
@@ -261,9 +262,9 @@ async def test_a_refusal_states_everything_once_and_on_one_level(
     assert worker.commands == []
 
 
-async def test_a_refusal_names_the_units_error(stage: Stage, worker: PlayedWorker) -> None:
+async def test_a_refusal_names_the_units_error(site: House, worker: PlayedWorker) -> None:
     worker.play = responding("refused", unit_error=128)
-    response = await stage.request("POST", "/units/1/speed", {"raw": 5})
+    response = await site.request("POST", "/units/1/speed", {"raw": 5})
     assert response.status_code == 409
     result = response.json()
     assert (result["outcome"], result["unit_error"]) == ("refused", 128)
@@ -272,7 +273,7 @@ async def test_a_refusal_names_the_units_error(stage: Stage, worker: PlayedWorke
 
 
 async def test_a_line_action_returns_each_unit_and_its_frames_on_request(
-    stage: Stage, worker: PlayedWorker
+    site: House, worker: PlayedWorker
 ) -> None:
     units = [
         UnitOutcome(unit=1, outcome="verified", read_back=100, sent_at=1.0, proven_at=2.0),
@@ -286,8 +287,8 @@ async def test_a_line_action_returns_each_unit_and_its_frames_on_request(
     )
     worker.play = responding("unverified", units=units, skew_s=0.02, frames=[frame])
     body = {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}}
-    assert "frames" not in (await stage.request("POST", "/speeds", body)).json()
-    response = await stage.request("POST", "/speeds?frames=true", body)
+    assert "frames" not in (await site.request("POST", "/speeds", body)).json()
+    response = await site.request("POST", "/speeds?frames=true", body)
     result = response.json()
     assert response.status_code == 504
     assert result["units"]["1"]["outcome"] == "verified"
@@ -297,40 +298,40 @@ async def test_a_line_action_returns_each_unit_and_its_frames_on_request(
     assert result["frames"][0]["hex"] == "10 02 00 83 10 03 7D"
 
 
-async def test_dangerous_needs_its_confirmation(stage: Stage, worker: PlayedWorker) -> None:
-    response = await stage.request("PUT", "/units/1/parameters/19", {"raw": 0})
+async def test_dangerous_needs_its_confirmation(site: House, worker: PlayedWorker) -> None:
+    response = await site.request("PUT", "/units/1/parameters/19", {"raw": 0})
     assert response.status_code == 409
     assert response.json()["code"] == response.json()["outcome"] == "dangerous"
     assert worker.commands == []
 
 
-async def test_the_time_is_passed_on(stage: Stage, worker: PlayedWorker) -> None:
+async def test_the_time_is_passed_on(site: House, worker: PlayedWorker) -> None:
     for path, body, seconds in (
         ("/units/1/speed", {"raw": 5}, 2.0),
         ("/units/1/speed", {"raw": 5, "timeout_s": 20}, 20.0),
         ("/units/1/speed?timeout_s=20", {"raw": 5}, 20.0),
     ):
         before = time.time()
-        await stage.request("POST", path, body)
+        await site.request("POST", path, body)
         deadline = worker.commands[-1].deadline
         assert before + seconds - 1 < deadline <= time.time() + seconds
 
 
-async def test_the_same_key_is_sent_once_and_returns_the_same(stage: Stage, worker: PlayedWorker) -> None:
+async def test_the_same_key_is_sent_once_and_returns_the_same(site: House, worker: PlayedWorker) -> None:
     key = {"Idempotency-Key": "mine-1"}
-    calls = (stage.request("POST", "/units/1/speed", {"raw": 5}, headers=key) for _ in range(3))
+    calls = (site.request("POST", "/units/1/speed", {"raw": 5}, headers=key) for _ in range(3))
     responses = await asyncio.gather(*calls)
-    again = await stage.request("POST", "/units/1/speed", {"raw": 5}, headers=key)
+    again = await site.request("POST", "/units/1/speed", {"raw": 5}, headers=key)
     assert {response.text for response in responses} == {again.text}
     assert again.json()["id"] == "mine-1"
     assert len(worker.commands) == 1
-    other = await stage.request("POST", "/units/1/speed", {"raw": 6}, headers=key)
+    other = await site.request("POST", "/units/1/speed", {"raw": 6}, headers=key)
     assert other.status_code == 422
 
 
-async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: Stage) -> None:
+async def test_a_value_reads_the_decimals_first_where_they_are_not_known(site: House) -> None:
     states = [unit_state(1, {}), unit_state(2), unit_state(16)]
-    worker = await stage.worker(state=snapshot(units=states))
+    worker = await site.worker(state=snapshot(units=states))
 
     async def play(command: Command) -> Sequence[Update]:
         if isinstance(command.action, ReadParameters):
@@ -342,7 +343,7 @@ async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: 
         return [result_of(command, "verified", read_back=1)]
 
     worker.play = play
-    assert (await stage.request("POST", "/units/1/speed", {"value": "12.34"})).status_code == 200
+    assert (await site.request("POST", "/units/1/speed", {"value": "12.34"})).status_code == 200
     assert [command.action for command in worker.commands] == [
         ReadParameters(unit=1, numbers=[3, 8]),
         ReadParameters(unit=1, numbers=[2]),
@@ -350,17 +351,17 @@ async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: 
     ]
 
 
-async def test_a_value_for_a_unit_that_does_not_respond_is_unverified_and_not_sent(stage: Stage) -> None:
-    worker = await stage.worker(state=snapshot(units=[unit_state(1, {}), unit_state(2), unit_state(16)]))
+async def test_a_value_for_a_unit_that_does_not_respond_is_unverified_and_not_sent(site: House) -> None:
+    worker = await site.worker(state=snapshot(units=[unit_state(1, {}), unit_state(2), unit_state(16)]))
     worker.play = responding("unverified", message=term("no response"))
-    response = await stage.request("POST", "/units/1/speed", {"value": "12.3"})
+    response = await site.request("POST", "/units/1/speed", {"value": "12.3"})
     assert response.status_code == 504
     assert "nothing was sent" in response.json()["detail"]
     assert len(worker.commands) == 1
 
 
-async def test_parameters_as_last_read_and_refreshed(stage: Stage, worker: PlayedWorker) -> None:
-    rows = (await stage.request("GET", "/units/1/parameters")).json()
+async def test_parameters_as_last_read_and_refreshed(site: House, worker: PlayedWorker) -> None:
+    rows = (await site.request("GET", "/units/1/parameters")).json()
     assert [row["number"] for row in rows] == list(range(1, 41))
     assert rows[2]["raw"] == 1
     assert rows[4]["read_at"] is None
@@ -376,7 +377,7 @@ async def test_parameters_as_last_read_and_refreshed(stage: Stage, worker: Playe
         return [*values, result_of(command, "verified", values=values)]
 
     worker.play = play
-    rows = (await stage.request("GET", "/units/1/parameters?refresh=true", role="viewer")).json()
+    rows = (await site.request("GET", "/units/1/parameters?refresh=true", role="viewer")).json()
     assert rows[5]["raw"] == 7
     assert rows[5]["value"] == "0.7"
     assert rows[5]["unit"] == "s"
@@ -386,15 +387,15 @@ async def test_parameters_as_last_read_and_refreshed(stage: Stage, worker: Playe
     assert "7" not in str(rows[20]["value"])
 
 
-async def test_a_refresh_that_breaks_off_is_no_list(stage: Stage, worker: PlayedWorker) -> None:
+async def test_a_refresh_that_breaks_off_is_no_list(site: House, worker: PlayedWorker) -> None:
     worker.play = responding("unverified", message=term("no response"))
-    response = await stage.request("GET", "/units/1/parameters?refresh=true")
+    response = await site.request("GET", "/units/1/parameters?refresh=true")
     assert response.status_code == 504
     assert response.json()["code"] == "unverified"
 
 
 async def test_a_requested_trace_delays_nothing_else(
-    stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
+    site: House, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sizes: list[int] = []
 
@@ -405,16 +406,16 @@ async def test_a_requested_trace_delays_nothing_else(
     monkeypatch.setattr(FeedQuota, "pause_s", counted)
     frame = Frame(at=unix_now(), direction="in", data=b"a" * 500, meanings=[])
     worker.play = responding("verified", frames=[frame])
-    await stage.request("GET", "/trace", role="engineer")
+    await site.request("GET", "/trace", role="engineer")
     assert 0 in sizes
     sizes.clear()
     worker.play = responding("verified", read_back=250)
-    await stage.request("POST", "/units/1/speed", {"raw": 250})
+    await site.request("POST", "/units/1/speed", {"raw": 250})
     assert sizes
     assert 0 not in sizes
 
 
-async def test_the_password_is_in_no_response_and_no_event(stage: Stage, worker: PlayedWorker) -> None:
+async def test_the_password_is_in_no_response_and_no_event(site: House, worker: PlayedWorker) -> None:
     frame = Frame(
         at=1.0,
         direction="out",
@@ -422,18 +423,18 @@ async def test_the_password_is_in_no_response_and_no_event(stage: Stage, worker:
         meanings=[term("write #21 = 4242")],
     )
     worker.play = responding("verified", read_back=4242, frames=[frame])
-    response = await stage.request("PUT", "/units/1/parameters/21", {"raw": 4242})
+    response = await site.request("PUT", "/units/1/parameters/21", {"raw": 4242})
     assert response.status_code == 200
     assert "4242" not in response.text
-    events = await stage.http().get("/api/v1/events?kind=command")
+    events = await site.http().get("/api/v1/events?kind=command")
     assert "4242" not in events.text
     assert "10 92" not in events.text
 
 
 @pytest.mark.usefixtures("worker")
-async def test_every_command_is_an_event_with_old_new_and_outcome(stage: Stage) -> None:
-    await stage.request("POST", "/units/1/speed", {"raw": 1500}, role="operator", name="anna")
-    event = (await stage.http().get("/api/v1/events?kind=command")).json()["events"][0]
+async def test_every_command_is_an_event_with_old_new_and_outcome(site: House) -> None:
+    await site.request("POST", "/units/1/speed", {"raw": 1500}, role="operator", name="anna")
+    event = (await site.http().get("/api/v1/events?kind=command")).json()["events"][0]
     expected = {"who": "anna", "bus": "dry-end", "unit": 1, "outcome": "verified", "kind": "command"}
     assert event.items() >= expected.items()
     assert (event["old"], event["new"]) == ("100.0", "150.0")
@@ -441,28 +442,28 @@ async def test_every_command_is_an_event_with_old_new_and_outcome(stage: Stage) 
 
 
 async def test_a_change_of_several_is_an_event_for_the_line_and_one_for_each_unit(
-    stage: Stage, worker: PlayedWorker
+    site: House, worker: PlayedWorker
 ) -> None:
     units = [UnitOutcome(unit=1, outcome="verified"), UnitOutcome(unit=2, outcome="unverified")]
     worker.play = responding("unverified", units=units, message=term("unit 2 did not respond"))
-    await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 1100}, "2": {"raw": 1200}}})
-    events = (await stage.http().get("/api/v1/events?kind=command")).json()["events"]
+    await site.request("POST", "/speeds", {"setpoints": {"1": {"raw": 1100}, "2": {"raw": 1200}}})
+    events = (await site.http().get("/api/v1/events?kind=command")).json()["events"]
     result = [(event["unit"], event["old"], event["new"], event["outcome"]) for event in reversed(events)]
     assert result == [
         (None, "1: 100.0, 2: 100.0", "1: 110.0, 2: 120.0", "unverified"),
         (1, "100.0", "110.0", "verified"),
         (2, "100.0", "120.0", "unverified"),
     ]
-    of_unit = (await stage.http().get("/api/v1/events?bus=dry-end&unit=2")).json()["events"]
+    of_unit = (await site.http().get("/api/v1/events?bus=dry-end&unit=2")).json()["events"]
     assert (of_unit[0]["old_raw"], of_unit[0]["new_raw"]) == (1000, 1200)
-    assert (await stage.events.proof.verify()).fault is None
+    assert (await site.log.proof.verify()).fault is None
 
 
 @pytest.mark.usefixtures("worker")
-async def test_a_refused_command_is_an_event_too(stage: Stage) -> None:
-    await stage.request("POST", "/units/1/speed", {"raw": 100000})
-    await stage.request("PUT", "/units/1/parameters/18", {"raw": 48})
-    events = (await stage.http().get("/api/v1/events?kind=command")).json()["events"]
+async def test_a_refused_command_is_an_event_too(site: House) -> None:
+    await site.request("POST", "/units/1/speed", {"raw": 100000})
+    await site.request("PUT", "/units/1/parameters/18", {"raw": 48})
+    events = (await site.http().get("/api/v1/events?kind=command")).json()["events"]
     assert [event["outcome"] for event in events] == ["dangerous", "invalid"]
 
 
@@ -483,16 +484,14 @@ async def test_a_refused_command_is_an_event_too(stage: Stage) -> None:
         ("GET", "/units/1", None, "worker"),
     ],
 )
-async def test_roles(
-    stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any, role: str
-) -> None:
-    assert (await stage.request(method, path, body, role=role)).status_code == 403
-    assert (await stage.request(method, path, body, role="")).status_code == 401
+async def test_roles(site: House, worker: PlayedWorker, method: str, path: str, body: Any, role: str) -> None:
+    assert (await site.request(method, path, body, role=role)).status_code == 403
+    assert (await site.request(method, path, body, role="")).status_code == 401
     assert worker.commands == []
 
 
 async def test_the_trace_is_read_in_pieces_and_its_file_can_be_read_back(
-    stage: Stage, worker: PlayedWorker
+    site: House, worker: PlayedWorker
 ) -> None:
     start = time.time() - 30
     frames = [
@@ -511,15 +510,15 @@ async def test_the_trace_is_read_in_pieces_and_its_file_can_be_read_back(
         return [result_of(command, "acknowledged", frames=wanted[: command.action.limit])]
 
     worker.play = play
-    text = (await stage.request("GET", "/trace?seconds=60", role="engineer")).text
+    text = (await site.request("GET", "/trace?seconds=60", role="engineer")).text
     lines = text.splitlines()
     assert len(lines) == 2500
     assert parse_trace_line(lines[7]).data == frames[7].data
-    shown = (await stage.request("GET", "/trace?limit=3")).json()["frames"]
+    shown = (await site.request("GET", "/trace?limit=3")).json()["frames"]
     assert [frame["at"] for frame in shown] == [iso(frame.at) for frame in frames[-3:]]
 
 
-async def test_an_account_reads_two_traces_at_a_time(stage: Stage, worker: PlayedWorker) -> None:
+async def test_an_account_reads_two_traces_at_a_time(site: House, worker: PlayedWorker) -> None:
     """Each is thousands of frames to decode and to write."""
 
     async def play(command: Command) -> Sequence[Update]:
@@ -527,23 +526,23 @@ async def test_an_account_reads_two_traces_at_a_time(stage: Stage, worker: Playe
 
     worker.play = play
     downloads, account = (
-        stage.app.state.services[Turns].downloads,
+        site.app.state.services[Turns].downloads,
         Person("eva", Role.ENGINEER, "session").account,
     )
     async with downloads.turn(account), downloads.turn(account):
-        third = asyncio.create_task(stage.request("GET", "/trace", role="engineer", name="eva"))
+        third = asyncio.create_task(site.request("GET", "/trace", role="engineer", name="eva"))
         await until(lambda: downloads.count_of(account) == 3, "a third waits")
-        assert (await stage.request("GET", "/trace", role="engineer", name="ben")).status_code == 200
+        assert (await site.request("GET", "/trace", role="engineer", name="ben")).status_code == 200
         assert len(worker.commands) == 1
     assert (await third).status_code == 200
 
 
-async def test_what_one_account_sends_keeps_no_other_waiting(stage: Stage, worker: PlayedWorker) -> None:
+async def test_what_one_account_sends_keeps_no_other_waiting(site: House, worker: PlayedWorker) -> None:
     """A program that writes without end has two writes in progress; what slows has separate turns."""
 
     def write(name: str, raw: int, timeout_s: float = 30.0) -> asyncio.Task[httpx.Response]:
         body = {"raw": raw, "timeout_s": timeout_s}
-        return asyncio.create_task(stage.request("POST", "/units/1/speed", body, "operator", name=name))
+        return asyncio.create_task(site.request("POST", "/units/1/speed", body, "operator", name=name))
 
     worker.play = None
     flood = [write("anna", 1100 + number) for number in range(5)]
@@ -564,14 +563,14 @@ async def test_what_one_account_sends_keeps_no_other_waiting(stage: Stage, worke
     assert {(await task).status_code for task in (*flood, *others)} == {200}
 
 
-async def test_the_shown_speed_changes_by_readings_alone(stage: Stage, worker: PlayedWorker) -> None:
-    await stage.request("POST", "/units/1/speed", {"raw": 1500})
-    assert (await stage.request("GET", "/units/1")).json()["commanded_raw"] == 1000
+async def test_the_shown_speed_changes_by_readings_alone(site: House, worker: PlayedWorker) -> None:
+    await site.request("POST", "/units/1/speed", {"raw": 1500})
+    assert (await site.request("GET", "/units/1")).json()["commanded_raw"] == 1000
 
     async def play(command: Command) -> Sequence[Update]:
         return [reading(1, 1600), result_of(command, "verified", read_back=1600)]
 
     worker.play = play
-    await stage.request("POST", "/units/1/speed", {"raw": 1600})
-    unit = (await stage.request("GET", "/units/1")).json()
+    await site.request("POST", "/units/1/speed", {"raw": 1600})
+    unit = (await site.request("GET", "/units/1")).json()
     assert (unit["commanded_raw"], unit["commanded"]) == (1600, "160.0")

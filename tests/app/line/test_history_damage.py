@@ -26,8 +26,8 @@ from app.line.history.tables import BlockKey, StoredTier
 from app.line.history.writer import Upkeep, Writer
 from bus.instants import unix_now
 from bus.messages import Message
+from tests.app.fake_worker import until as arrived
 from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
-from tests.app.stage import until as arrived
 
 START = micros(NOON)
 NOISE = [chance.randrange(99_999) for chance in [random.Random(3)] for _ in range(9_000)]

@@ -39,7 +39,7 @@ from bus.contract import (
 from bus.contract.session import WINDOW_S, ClockOffset
 from bus.messages import term
 from bus.worker.outbox import MAX_OTHERS, MAX_READINGS
-from tests.app.stage import hello, unit_state
+from tests.app.fake_worker import hello, unit_state
 
 READING = Reading(1, 1.0, 0, 0, 0, 0, 0)
 

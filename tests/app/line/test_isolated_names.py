@@ -14,8 +14,8 @@ from app.core.web.access import Role
 from app.line.live.bus_live import LiveState
 from bus.messages import Message, listed, number, term
 from tests.app.complete_app import House, complete_app
+from tests.app.fake_worker import snapshot
 from tests.app.page_texts import PAGES, texts_without
-from tests.app.stage import snapshot
 
 UNIT, GROUP, SITE, REASON = "حزام ناقل", "نهاية جافة", "مصنع الورق", "صيانة"
 CONFIG = f"""

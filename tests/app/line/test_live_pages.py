@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -61,12 +60,6 @@ async def test_an_engineer_is_guided_and_others_are_not(tmp_path: Path, link: st
 
 
 PAGES = ["/", "/units/dry-end/1", "/units/dry-end/1/parameters", "/setpoints", "/bus/dry-end"]
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from app.line.live.bus_live import (
     updates_of,
 )
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink, UnitLinkState, Update
-from tests.app.stage import bus_settings, reading, snapshot
+from tests.app.fake_worker import bus_settings, reading, snapshot
 
 READ_AT = 1000.0
 

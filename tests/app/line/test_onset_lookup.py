@@ -17,7 +17,7 @@ from app.line.pipeline import Pipeline
 from bus.contract import BusLink, Reading, Snapshot, UnitLink, UnitState
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
-from tests.app.stage import bus_settings, until
+from tests.app.fake_worker import bus_settings, until
 
 AT_SPEED, REMOTE, RUN, HEALTHY = 0x80, 0x40, 0x01, 0x02
 WELL = (AT_SPEED | REMOTE) << 8 | RUN | HEALTHY

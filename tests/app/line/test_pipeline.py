@@ -13,26 +13,29 @@ from app.line.live.change_recorder import FEW
 from app.people.audit.queries import Filter
 from bus.contract import Batch, BusLink
 from bus.messages import Message, term
-from tests.app.stage import HEALTHY, Stage, hello, reading, snapshot, until
+from tests.app.complete_app import House
+from tests.app.conftest import Kept
+from tests.app.fake_worker import HEALTHY, hello, reading, snapshot, until
 
 
-async def events(stage: Stage, count: int) -> list[dict[str, Any]]:
+async def events(site: House, count: int) -> list[dict[str, Any]]:
     """Oldest first, once there are so many."""
     while True:
-        found = (await stage.http().get("/api/v1/events")).json()["events"]
+        found = (await site.http().get("/api/v1/events")).json()["events"]
+        found = [event for event in found if event["kind"] != "server"]
         if len(found) >= count:
             return list(reversed(found))
 
 
-async def test_what_happens_on_the_line_is_written_down_in_order(stage: Stage) -> None:
-    worker = await stage.worker()
+async def test_what_happens_on_the_line_is_written_down_in_order(site: House) -> None:
+    worker = await site.worker()
     await worker.update(reading(1))
     local = reading(1, outputs=0)
     await worker.update(local)
     await worker.update(reading(1, outputs=0, inputs=HEALTHY | 1))
     await worker.update(BusLink(at=1.0, link="open"))
     await worker.update(BusLink(at=1.0, link="closed", cause=term("unplugged")))
-    found = await events(stage, 4)
+    found = await events(site, 4)
     assert [(event["kind"], event["unit"], event["old"], event["new"]) for event in found] == [
         ("worker", None, "", "connected"),
         ("mode", 1, "REMOTE", "LOCAL"),
@@ -41,52 +44,52 @@ async def test_what_happens_on_the_line_is_written_down_in_order(stage: Stage) -
     ]
     assert "unplugged" in found[-1]["what"]
     assert abs(datetime.fromisoformat(found[1]["time"]).timestamp() - local.at) < 0.001
-    await stage.recorder.recorded()
+    await site.recorder.recorded()
 
 
-async def test_workers_come_go_and_come_back(stage: Stage) -> None:
-    worker = await stage.worker()
+async def test_workers_come_go_and_come_back(site: House) -> None:
+    worker = await site.worker()
     await worker.leave()
-    await until(lambda: not stage.live.buses["dry-end"].worker_connected, "the loss")
-    await stage.worker(hello())
-    found = await events(stage, 3)
+    await until(lambda: not site.live.worker_connected, "the loss")
+    await site.worker(hello())
+    found = await events(site, 3)
     assert "started" in found[0]["what"]
     assert "not connected" in found[1]["what"]
     assert "is back" in found[2]["what"]
 
 
-async def test_a_worker_that_ran_before_the_server_has_not_started(stage: Stage) -> None:
+async def test_a_worker_that_ran_before_the_server_has_not_started(site: House) -> None:
     """The server was restarted, and the worker of another computer was not."""
     first = hello()
-    await stage.worker(structs.replace(first, started_at=first.sent_at - 3600))
-    assert "is back" in (await events(stage, 1))[0]["what"]
+    await site.worker(structs.replace(first, started_at=first.sent_at - 3600))
+    assert "is back" in (await events(site, 1))[0]["what"]
 
 
-async def test_what_happened_while_the_app_was_away_is_written_down_too(stage: Stage) -> None:
-    worker = await stage.worker()
+async def test_what_happened_while_the_app_was_away_is_written_down_too(site: House, kept: Kept) -> None:
+    worker = await site.worker()
     await worker.update(reading(1))
-    await until(lambda: len(stage.history.readings) == 1, "the first reading")
+    await until(lambda: len(kept.readings) == 1, "the first reading")
     await worker.leave()
-    back = await stage.worker(hello(), snapshot(seq=3))
+    back = await site.worker(hello(), snapshot(seq=3))
     for seq, outputs in ((2, 0), (3, 0b0100_0000)):
         updates = [reading(1, outputs=outputs)]
         await back.send(Batch(seq=seq, sent_at=0.0, updates=list(updates), live=False))
-    found = [event for event in await events(stage, 5) if event["kind"] == "mode"]
+    found = [event for event in await events(site, 5) if event["kind"] == "mode"]
     assert [event["new"] for event in found] == ["LOCAL", "REMOTE"]
-    assert len(stage.history.readings) == 3
+    assert len(kept.readings) == 3
 
 
-async def test_a_stepped_clock_is_written_down(stage: Stage) -> None:
-    stage.pipeline.clock_stepped(-3600.0, 5.0)
-    found = await events(stage, 1)
+async def test_a_stepped_clock_is_written_down(site: House) -> None:
+    site.pipeline.clock_stepped(-3600.0, 5.0)
+    found = await events(site, 1)
     assert found[0]["kind"] == "clock"
     assert "-3600" in found[0]["what"]
 
 
 async def test_events_that_cannot_be_written_now_are_written_later(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
+    site: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    record, refused = stage.events.record, 0
+    record, refused = site.log.record, 0
 
     async def full(**_: Any) -> int:
         nonlocal refused
@@ -94,22 +97,22 @@ async def test_events_that_cannot_be_written_now_are_written_later(
         raise StoreError(Message.of("system_error", error="the disk is full"))
 
     monkeypatch.setattr("app.line.live.change_recorder.RETRY_AFTER_S", 0.01)
-    monkeypatch.setattr(stage.events, "record", full)
-    worker = await stage.worker()
+    monkeypatch.setattr(site.log, "record", full)
+    worker = await site.worker()
     await worker.update(reading(1))
     await worker.update(reading(1, outputs=0))
     await until(lambda: refused >= 3, "some tries")
-    monkeypatch.setattr(stage.events, "record", record)
-    assert [event["kind"] for event in await events(stage, 2)] == ["worker", "mode"]
+    monkeypatch.setattr(site.log, "record", record)
+    assert [event["kind"] for event in await events(site, 2)] == ["worker", "mode"]
 
 
-async def test_a_port_that_flaps_indefinitely_is_few_events_with_a_count(stage: Stage) -> None:
+async def test_a_port_that_flaps_indefinitely_is_few_events_with_a_count(site: House) -> None:
     """Four a second came into a log that is kept for good."""
     for number in range(500):
         links: list[BusLink] = [BusLink(1.0, "open"), BusLink(1.0, "closed", f"closed {number}")]
-        stage.pipeline.batch(links, live=True)
-    await stage.recorder.recorded()
-    found, _ = await stage.events.page(Filter(kind="bus"), 100)
+        site.pipeline.batch(links, live=True)
+    await site.recorder.recorded()
+    found, _ = await site.log.page(Filter(kind="bus"), 100)
     assert len(found) == FEW + 1
     last = found[0]
     assert (last["what"], last["new"]) == ("port closed: closed 499", "closed")
@@ -117,11 +120,11 @@ async def test_a_port_that_flaps_indefinitely_is_few_events_with_a_count(stage: 
 
 
 async def test_a_summary_is_recorded_without_anything_new(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
+    site: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     later = 0.0
-    monkeypatch.setattr(stage.recorder, "_monotonic", lambda: later)
+    monkeypatch.setattr(site.recorder, "_monotonic", lambda: later)
     for _ in range(10):
-        stage.pipeline.batch([BusLink(1.0, "open"), BusLink(1.0, "closed")], live=True)
+        site.pipeline.batch([BusLink(1.0, "open"), BusLink(1.0, "closed")], live=True)
     later = 3600.0
-    await events(stage, FEW + 1)
+    await events(site, FEW + 1)

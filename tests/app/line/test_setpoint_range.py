@@ -16,8 +16,8 @@ from app.line.commands.safeguards import Safeguards
 from app.line.live.bus_live import LiveState
 from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSpeed, Update
 from tests.app.complete_app import House, complete_app
+from tests.app.fake_worker import PlayedWorker, result_of, snapshot, unit_state
 from tests.app.played_commands import ANNA, responding
-from tests.app.stage import PlayedWorker, Stage, result_of, snapshot, unit_state
 
 TO = "\N{EN DASH}"
 
@@ -138,10 +138,10 @@ def unit_with_parameters(values: dict[int, int | None]) -> Any:
     return play
 
 
-async def unread(stage: Stage, values: dict[int, int | None]) -> PlayedWorker:
+async def unread(site: House, values: dict[int, int | None]) -> PlayedWorker:
     """Return a worker whose unit 1 has no parameter read yet."""
     states = [unit_state(1, {}), unit_state(2), unit_state(16)]
-    worker = await stage.worker(state=snapshot(units=states))
+    worker = await site.worker(state=snapshot(units=states))
     worker.play = unit_with_parameters(values)
     return worker
 
@@ -160,11 +160,11 @@ async def unread(stage: Stage, values: dict[int, int | None]) -> PlayedWorker:
 )
 @pytest.mark.parametrize("many", [False, True])
 async def test_it_is_read_within_the_time_of_the_command(
-    stage: Stage, values: dict[int, int | None], raw: int, nearest: int | None, many: bool
+    site: House, values: dict[int, int | None], raw: int, nearest: int | None, many: bool
 ) -> None:
-    worker = await unread(stage, values)
+    worker = await unread(site, values)
     path, body = ("/speeds", {"setpoints": {"1": {"raw": raw}}}) if many else ("/units/1/speed", {"raw": raw})
-    response = await stage.request("POST", path, body)
+    response = await site.request("POST", path, body)
     assert response.status_code == (200 if nearest is None else 422), response.text
     assert response.json().get("nearest") == nearest
     written = [
@@ -175,14 +175,14 @@ async def test_it_is_read_within_the_time_of_the_command(
     assert len({round(command.deadline, 1) for command in worker.commands}) <= 2
 
 
-async def test_what_cannot_be_read_is_not_taken_for_unlimited(stage: Stage) -> None:
-    worker = await unread(stage, {8: 0})
+async def test_what_cannot_be_read_is_not_taken_for_unlimited(site: House) -> None:
+    worker = await unread(site, {8: 0})
     for path, body in (
         ("/units/1/speed", {"raw": 5}),
         ("/speeds", {"setpoints": {"1": {"raw": 5}, "2": {"raw": 5}}}),
         ("/units/1/parameters/20", {"raw": 5}),
     ):
-        response = await stage.request("PUT" if "parameters" in path else "POST", path, body)
+        response = await site.request("PUT" if "parameters" in path else "POST", path, body)
         result = response.json()
         assert (response.status_code, result["code"], result["outcome"]) == (504, "unverified", "unverified")
         assert "could not be read from unit 1" in result["detail"]
@@ -191,17 +191,17 @@ async def test_what_cannot_be_read_is_not_taken_for_unlimited(stage: Stage) -> N
     assert all(isinstance(command.action, ReadParameters) for command in worker.commands)
 
 
-async def test_zero_waits_for_nothing_to_be_read(stage: Stage) -> None:
-    worker = await unread(stage, {})
-    assert (await stage.request("POST", "/units/1/speed", {"raw": 0})).status_code == 200
+async def test_zero_waits_for_nothing_to_be_read(site: House) -> None:
+    worker = await unread(site, {})
+    assert (await site.request("POST", "/units/1/speed", {"raw": 0})).status_code == 200
     assert [command.action for command in worker.commands] == [SetSpeed(unit=1, raw=0)]
 
 
-async def test_each_that_was_never_read_is_read_once(stage: Stage) -> None:
+async def test_each_that_was_never_read_is_read_once(site: House) -> None:
     states = [unit_state(number, {}) for number in (1, 2, 16)]
-    worker = await stage.worker(state=snapshot(units=states))
+    worker = await site.worker(state=snapshot(units=states))
     worker.play = unit_with_parameters({8: 0, 2: 20000})
     body = {"setpoints": {number: {"raw": 100} for number in ("1", "2", "16")}}
-    assert (await stage.request("POST", "/speeds", body)).status_code == 200
+    assert (await site.request("POST", "/speeds", body)).status_code == 200
     assert worker.commands[-1].action == SetLine({1: 100, 2: 100, 16: 100})
     assert len(worker.commands) == 4

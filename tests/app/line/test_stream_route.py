@@ -19,8 +19,8 @@ from app.line.live.requests import Admission
 from app.people.auth.accounts import Accounts
 from tests.administrator import BY
 from tests.app.complete_app import HOST, House, complete_app
+from tests.app.fake_worker import snapshot
 from tests.app.line.test_recent_events import read
-from tests.app.stage import snapshot
 
 
 @pytest.fixture

@@ -24,7 +24,8 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from tests.app.stage import REMOTE, PlayedWorker, Stage, reading, result_of
+from tests.app.complete_app import House
+from tests.app.fake_worker import REMOTE, PlayedWorker, reading, result_of
 
 ANNA, BEN = (Person(name, Role.ENGINEER, "session") for name in ("anna", "ben"))
 
@@ -54,10 +55,10 @@ def obeying(worker: PlayedWorker) -> PlayedWorker:
     return worker
 
 
-async def send(stage: Stage, action: Action, id: str, person: Person = ANNA, **more: str) -> Action | None:
+async def send(site: House, action: Action, id: str, person: Person = ANNA, **more: str) -> Action | None:
     """Send it from a page; what would undo it."""
-    await stage.commands.send(person, action, confirm=True, id=id, origin="page", **more)
-    offer = stage.commands.undo.offer(person, id)
+    await site.commands.send(person, action, confirm=True, id=id, origin="page", **more)
+    offer = site.commands.undo.offer(person, id)
     return None if offer is None else offer.action
 
 
@@ -74,54 +75,57 @@ async def send(stage: Stage, action: Action, id: str, person: Person = ANNA, **m
     ],
     ids=["set", "stage", "group", "parameter", "parameter never read", "no change"],
 )
-async def test_undo_is_the_command_back(stage: Stage, action: Action, undo: Action | None) -> None:
-    assert await send(stage, action, "first-id") == undo
-    assert stage.commands.undo.offer(BEN, "first-id") is None
+async def test_undo_is_the_command_back(site: House, action: Action, undo: Action | None) -> None:
+    assert await send(site, action, "first-id") == undo
+    assert site.commands.undo.offer(BEN, "first-id") is None
 
 
 @pytest.mark.usefixtures("obeying")
 async def test_nothing_is_offered_that_would_be_another_value_in_the_scale_that_the_unit_has_now(
-    stage: Stage,
+    site: House,
 ) -> None:
     """Speed 0 needs no scale of its own, but what was there before it does."""
-    undo = await send(stage, SetSpeed(unit=1, raw=0), "first-id", scales={1: {}})
+    undo = await send(site, SetSpeed(unit=1, raw=0), "first-id", scales={1: {}})
     assert undo == SetSpeed(unit=1, raw=1000)
-    stage.live.buses["dry-end"].apply([ParameterValue(unit=1, number=3, at=time.time(), raw=0)])
-    assert stage.commands.undo.offer(ANNA, "first-id") is None
+    site.live.apply([ParameterValue(unit=1, number=3, at=time.time(), raw=0)])
+    assert site.commands.undo.offer(ANNA, "first-id") is None
 
 
 @pytest.mark.usefixtures("obeying")
-async def test_a_change_of_several_has_its_undo_while_another_unit_holds_a_staged_value(stage: Stage) -> None:
+async def test_a_change_of_several_has_its_undo_while_another_unit_holds_a_staged_value(site: House) -> None:
     """That unit keeps its speed and its staged value (bus/line/commands/staging.py)."""
-    stage.live.buses["dry-end"].apply([Staged(unit=16, at=time.time(), raw=700)])
-    undo = await send(stage, SetLine(setpoints={1: 900, 2: 800}), "first-id")
+    site.live.apply([Staged(unit=16, at=time.time(), raw=700)])
+    undo = await send(site, SetLine(setpoints={1: 900, 2: 800}), "first-id")
     assert undo == SetLine(setpoints={1: 1000, 2: 1000})
 
 
 @pytest.mark.usefixtures("obeying")
-async def test_the_analog_output_is_known_once_it_was_acknowledged(stage: Stage) -> None:
-    assert await send(stage, WriteAnalogOutput(unit=1, raw=300), "first-id") is None
-    undo = await send(stage, WriteAnalogOutput(unit=1, raw=400), "second-id")
+async def test_the_analog_output_is_known_once_it_was_acknowledged(site: House) -> None:
+    assert await send(site, WriteAnalogOutput(unit=1, raw=300), "first-id") is None
+    undo = await send(site, WriteAnalogOutput(unit=1, raw=400), "second-id")
     assert undo == WriteAnalogOutput(unit=1, raw=300)
 
 
 @pytest.mark.usefixtures("obeying")
-async def test_an_undone_command_makes_room_for_the_one_before_it(stage: Stage) -> None:
-    await send(stage, SetSpeed(unit=1, raw=1100), "first-id")
-    undo = await send(stage, SetSpeed(unit=1, raw=1200), "second-id")
+async def test_an_undone_command_makes_room_for_the_one_before_it(
+    site: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await send(site, SetSpeed(unit=1, raw=1100), "first-id")
+    undo = await send(site, SetSpeed(unit=1, raw=1200), "second-id")
     assert undo is not None
-    assert stage.commands.undo.offer(ANNA, "first-id") is None
-    assert await send(stage, undo, "third-id", undoes="second-id") is None
-    offer = stage.commands.undo.newest(ANNA, {1})
+    assert site.commands.undo.offer(ANNA, "first-id") is None
+    assert await send(site, undo, "third-id", undoes="second-id") is None
+    offer = site.commands.undo.newest(ANNA, {1})
     assert offer is not None
     assert offer.action == SetSpeed(unit=1, raw=1000)
-    stage.command_clock_ahead_s = 60.0
-    assert stage.commands.undo.newest(ANNA, {1}) is None
+    later = time.monotonic() + 60.0
+    monkeypatch.setattr(site.commands.undo, "_clock", lambda: later)
+    assert site.commands.undo.newest(ANNA, {1}) is None
 
 
 @pytest.mark.parametrize(("unit", "known"), [(1, False), (2, True)])
 async def test_of_two_commands_to_a_unit_at_once_neither_knows_what_was_before_it(
-    stage: Stage, worker: PlayedWorker, unit: int, known: bool
+    site: House, worker: PlayedWorker, unit: int, known: bool
 ) -> None:
     async def play(_: Command) -> Sequence[Update]:
         if len(worker.commands) < 2:
@@ -134,21 +138,21 @@ async def test_of_two_commands_to_a_unit_at_once_neither_knows_what_was_before_i
 
     worker.play = play
     undone = await asyncio.gather(
-        send(stage, SetSpeed(unit=1, raw=1100), "first-id"),
-        send(stage, SetSpeed(unit=unit, raw=1100), "second-id", BEN),
+        send(site, SetSpeed(unit=1, raw=1100), "first-id"),
+        send(site, SetSpeed(unit=unit, raw=1100), "second-id", BEN),
     )
     assert [action is not None for action in undone] == [known, known]
 
 
 @pytest.mark.usefixtures("obeying")
-async def test_a_program_has_no_undo(stage: Stage) -> None:
-    await stage.commands.send(ANNA, SetSpeed(unit=1, raw=1100), confirm=True, id="first-id")
-    assert stage.commands.undo.offer(ANNA, "first-id") is None
+async def test_a_program_has_no_undo(site: House) -> None:
+    await site.commands.send(ANNA, SetSpeed(unit=1, raw=1100), confirm=True, id="first-id")
+    assert site.commands.undo.offer(ANNA, "first-id") is None
 
 
-async def test_on_a_page_of_several_units_undo_names_its_unit(stage: Stage, obeying: PlayedWorker) -> None:
+async def test_on_a_page_of_several_units_undo_names_its_unit(site: House, obeying: PlayedWorker) -> None:
     del obeying
-    bus = stage.live.buses["dry-end"]
+    bus = site.live
     for number, action in enumerate(
         (
             SetSpeed(unit=1, raw=1100, execute=True),
@@ -156,11 +160,11 @@ async def test_on_a_page_of_several_units_undo_names_its_unit(stage: Stage, obey
             WriteParameter(unit=1, number=6, raw=60),
         )
     ):
-        await stage.commands.send(ANNA, action, confirm=True, id=f"c{number}", origin="page")
-        offer = stage.commands.undo.offer(ANNA, f"c{number}")
+        await site.commands.send(ANNA, action, confirm=True, id=f"c{number}", origin="page")
+        offer = site.commands.undo.offer(ANNA, f"c{number}")
         if offer is None:
             continue
-        named = stage.commands.undo.newest(ANNA, {1}, names_unit=True)
+        named = site.commands.undo.newest(ANNA, {1}, names_unit=True)
         assert named is not None
         assert bus.units[1].settings.name in str(named.text)
         assert str(named.text) != str(offer.text)

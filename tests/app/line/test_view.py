@@ -28,18 +28,18 @@ from bus.contract import (
     Update,
 )
 from bus.messages import Message, term
-from tests.app.screens import line_view
-from tests.app.stage import (
+from tests.app.complete_app import House
+from tests.app.fake_worker import (
     HEALTHY,
     PARAMETERS,
     REMOTE,
-    Stage,
     bus_settings,
     reading,
     result_of,
     snapshot,
     until,
 )
+from tests.app.screens import line_view
 
 CONTRACT_UNIT = {
     *("id", "name", "link", "read_at", "age_ms", "commanded_raw", "actual_raw", "commanded", "actual"),
@@ -228,35 +228,35 @@ def test_outcomes() -> None:
         TypeAdapter(CommandResult).validate_python(result_of)
 
 
-async def test_the_api_gives_them(stage: Stage) -> None:
-    worker = await stage.worker()
+async def test_the_api_gives_them(site: House) -> None:
+    worker = await site.worker()
 
     async def unresponsive(command: Command) -> list[Update]:
         return [result_of(command, "unverified", message=term("no response"))]
 
     worker.play = unresponsive
     for path in ("/units/1", "", "/units/1/parameters"):
-        assert (await stage.request("GET", path)).status_code == 200
-    assert (await stage.http().get("/api/v1/line")).status_code == 200
+        assert (await site.request("GET", path)).status_code == 200
+    assert (await site.http().get("/api/v1/line")).status_code == 200
 
 
-async def test_the_line_a_bus_a_unit(stage: Stage) -> None:
-    await stage.worker()
-    line = (await stage.http("viewer").get("/api/v1/line")).json()
-    assert line["site"] == "Test line"
-    bus = (await stage.http("viewer").get("/api/v1/buses/dry-end")).json()
+async def test_the_line_a_bus_a_unit(site: House) -> None:
+    await site.worker()
+    line = (await site.http("viewer").get("/api/v1/line")).json()
+    assert line["site"] == "Mill 7"
+    bus = (await site.http("viewer").get("/api/v1/buses/dry-end")).json()
     assert [unit["id"] for unit in bus["units"]] == [1, 2, 16]
-    unit = (await stage.request("GET", "/units/16", role="viewer")).json()
+    unit = (await site.request("GET", "/units/16", role="viewer")).json()
     assert (unit["name"], unit["link"], unit["commanded"]) == ("Unit 16", "online", "100.0")
 
 
-async def test_figures_before_and_after_they_are_measured(stage: Stage) -> None:
-    worker = await stage.worker()
-    assert (await stage.request("GET", "/figures", role="viewer")).json()["measured"] is False
+async def test_figures_before_and_after_they_are_measured(site: House) -> None:
+    worker = await site.worker()
+    assert (await site.request("GET", "/figures", role="viewer")).json()["measured"] is False
     units = [UnitFigures(unit=1, polls=9, naks={128: 2})]
     await worker.update(BusFigures(1.0, 12.0, 0.08, 0.98, 0.1, units=units))
-    await until(lambda: stage.live.buses["dry-end"].figures is not None, "figures")
-    figures = (await stage.request("GET", "/figures", role="viewer")).json()
+    await until(lambda: site.live.figures is not None, "figures")
+    figures = (await site.request("GET", "/figures", role="viewer")).json()
     assert figures["scan_hz"] == 12.0
     assert figures["units"][0]["polls"] == 9
     assert figures["units"][0]["naks"] == [
@@ -264,18 +264,18 @@ async def test_figures_before_and_after_they_are_measured(stage: Stage) -> None:
     ]
 
 
-async def test_an_anonymous_client_sees_nothing(stage: Stage) -> None:
+async def test_an_anonymous_client_sees_nothing(site: House) -> None:
     for path in ("", "/units/1", "/figures"):
-        assert (await stage.request("GET", path, role="")).status_code == 401
+        assert (await site.request("GET", path, role="")).status_code == 401
 
 
-async def test_a_text_is_one_object_with_its_code(stage: Stage) -> None:
-    worker = await stage.worker()
+async def test_a_text_is_one_object_with_its_code(site: House) -> None:
+    worker = await site.worker()
     late = Message("diagnosis_no_response")
     await worker.update(BusFigures(1.0, 12.0, 0.08, 0.98, 0.1, responds_for_all=2, diagnosis=[late]))
-    await until(lambda: stage.live.buses["dry-end"].figures is not None, "figures")
-    await stage.request("POST", "/units/1/block", {"reason": "belt off"}, role="operator")
-    bus = (await stage.http("viewer").get("/api/v1/buses/dry-end")).json()
+    await until(lambda: site.live.figures is not None, "figures")
+    await site.request("POST", "/units/1/block", {"reason": "belt off"}, role="operator")
+    bus = (await site.http("viewer").get("/api/v1/buses/dry-end")).json()
     assert bus["diagnosis"] == [{"code": "diagnosis_no_response", "params": {}, "detail": str(late)}]
     assert bus["link_cause"] is None
     unit = bus["units"][0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -48,12 +48,6 @@ ENDLESS = "/api/v1/stream"
 
 SIGNING_IN = {"/login", "/login/panel", "/setup"}
 """They refuse an empty form by 401."""
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 def filled(path: str) -> str:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import AsyncIterator
-from pathlib import Path
 from typing import Literal
 
 import httpx
@@ -19,17 +17,11 @@ from app.people.auth.accounts import Accounts
 from app.people.auth.pages import DEVICE_COOKIE
 from app.people.auth.throttle import FREE
 from tests.administrator import BY
-from tests.app.complete_app import PASSWORD, House, complete_app
+from tests.app.complete_app import PASSWORD, House
 
 HTML = {"accept": "text/html"}
 PIN = "471193"
 FORMS: tuple[Literal["NFC", "NFD"], ...] = ("NFC", "NFD")
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 @pytest.fixture

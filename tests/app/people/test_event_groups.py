@@ -6,11 +6,8 @@ import csv
 import io
 import re
 import sqlite3
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 from app.core.database.migration import MIGRATIONS, bring_up_to_date
 from app.core.web.access import Role
@@ -18,15 +15,9 @@ from app.people.audit.log import EventLog
 from app.people.audit.pages import MAX_PARTS, EventRow, page_of
 from app.people.audit.queries import Filter, link_parts
 from bus.messages import number as decimal
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House
+from tests.app.fake_worker import PlayedWorker, responding
 from tests.app.intents import intend
-from tests.app.stage import PlayedWorker, Stage, responding
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 def intent(unit: int | None, what: str = "set speed", **more: Any) -> dict[str, Any]:
@@ -112,13 +103,11 @@ async def test_a_page_has_room_for_so_many_units_and_no_more(house: House) -> No
     assert after is None
 
 
-async def test_a_command_to_several_units_is_written_as_one_change(
-    stage: Stage, worker: PlayedWorker
-) -> None:
+async def test_a_command_to_several_units_is_written_as_one_change(site: House, worker: PlayedWorker) -> None:
     worker.play = responding("verified")
-    await stage.request("POST", "/units/1/speed", {"raw": 90, "execute": True})
-    await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
-    found, _ = await page_of(stage.events, Filter(kind="command"), 10)
+    await site.request("POST", "/units/1/speed", {"raw": 90, "execute": True})
+    await site.request("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
+    found, _ = await page_of(site.log, Filter(kind="command"), 10)
     assert [(row.event["unit"], [part["unit"] for part in row.parts]) for row in found] == [
         (None, [1, 2]),
         (1, []),

@@ -7,7 +7,6 @@ import random
 import stat
 import zlib
 from base64 import b64encode
-from collections.abc import AsyncIterator
 from pathlib import Path
 from struct import pack
 from typing import Any
@@ -202,12 +201,6 @@ def test_damage_is_refused_or_leaves_a_picture_of_the_same_kind(kind: str, data:
     except CallerError:
         return
     assert plain_picture(plain.content) == plain
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 async def present(client: httpx.AsyncClient) -> str:

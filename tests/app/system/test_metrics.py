@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator
-from pathlib import Path
 
 import httpx
 import pytest
@@ -15,14 +13,8 @@ from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitFigures, UnitLink
 from bus.instants import unix_now
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House
 from tests.app.intents import intend
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 async def samples(house: House) -> dict[tuple[str, ...], float]:

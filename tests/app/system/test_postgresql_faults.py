@@ -17,8 +17,8 @@ from app.core.web.access import Role
 from app.system.postgresql.publisher import Publisher, PublisherStatus
 from app.system.postgresql.settings import PostgresqlSettings
 from bus.instants import unix_now
+from tests.app.fake_worker import until
 from tests.app.plant_database import published, publishing, rows, write_configuration
-from tests.app.stage import until
 from tests.postgresql import GUARDED, PASSWORD, USER, fresh_database, needs_postgresql
 
 pytestmark = needs_postgresql

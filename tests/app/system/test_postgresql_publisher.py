@@ -22,6 +22,7 @@ from bus.contract import UnitLink, Update
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 from tests.app.complete_app import House
+from tests.app.fake_worker import until
 from tests.app.plant_database import (
     SCALES,
     compare_events,
@@ -34,7 +35,6 @@ from tests.app.plant_database import (
     reading,
     rows,
 )
-from tests.app.stage import until
 from tests.postgresql import OwnPostgresql, fresh_database, needs_postgresql
 
 pytestmark = needs_postgresql
