@@ -159,7 +159,9 @@ async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: P
         overwrite_pages(tmp_path / FILE, random.Random(seed))
         history.append(BUS.name, polls(NOON, NOON + 900))
         history.append(BUS.name, polls(NOON + 1200, NOON + 1260))
-        await arrived(lambda: history.status.waiting == 0 and len(history._writer.tail) == 0, "folding")
+        await arrived(
+            lambda: history.status.waiting == 0 and not history._writer.tail.everything(), "folding"
+        )
         await arrived(lambda: history.status.state == "ok", "a store that can be written")
         history.append(BUS.name, polls(NOON + 1300, NOON + 1360))
         await arrived(lambda: history.status.waiting == 0, "recording")
