@@ -100,8 +100,8 @@ class WebhookSettings(StrictModel):
 
     @field_serializer("url")
     def _without_its_path(self, url: str | None) -> str | None:
-        """Return the host and a digest for the record of the configuration: the URL may be a secret, and a
-        change of it has to show."""
+        """Return the host and a digest for a support bundle: the URL may be a secret, and a change of it has
+        to show."""
         return url and f"{urlsplit(url).hostname}#{blake2b(url.encode(), digest_size=8).hexdigest()}"
 
     @model_validator(mode="after")
