@@ -1,6 +1,6 @@
 """``lineside support-bundle``: what helps to find a fault from afar, and no secret.
 
-The configuration is as its record in the audit log, which leaves out what is secret; of a configuration that
+The configuration leaves out what is secret; of one that
 cannot be read only the faults are included, without what was written. Events are without who and values;
 files are names and sizes; URLs are without user and password.
 """
