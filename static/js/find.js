@@ -10,7 +10,13 @@ export function start() {
     open();
   });
   document.addEventListener("click", (event) => {
-    const link = /** @type {Element} */ (event.target).closest("[data-find]");
+    const link = /** @type {Element} */ (event.target).closest("[data-find], .find__place[href^='#']");
+    if (link?.matches(".find__place")) {
+      // An action of this page, which the script that knows it carries out.
+      event.preventDefault();
+      dialog?.close();
+      return;
+    }
     if (!link || event.ctrlKey || event.metaKey) return;
     event.preventDefault();
     open();

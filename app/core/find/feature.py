@@ -22,6 +22,7 @@ router = APIRouter(include_in_schema=False)
 Typed = Annotated[OneLine, Query(max_length=80)]
 Near = Annotated[str, Query(max_length=200)]
 ACTIONS = (
+    # An address that begins with # is a press on the page itself: data-theme-toggle, data-clean.
     FixedPlace(Message("find_set_units"), "/setpoints", "SetLine"),
     FixedPlace(Message("find_save_recipe"), "/recipes", "save_recipe"),
     FixedPlace(Message("find_save_set"), "/sets", "save_parameter_set"),
@@ -30,7 +31,11 @@ ACTIONS = (
     FixedPlace(Message("find_wallboard"), "/wallboard"),
     FixedPlace(Message("find_scan_bus"), "/bus#scan"),
     FixedPlace(Message("find_add_user"), "/users#add", "add_user"),
-    FixedPlace(Message("find_change_password"), "/account"),
+    FixedPlace(Message("find_change_password"), "/account", words=Message("find_words_account")),
+    FixedPlace(Message("find_backups"), "/system", words=Message("find_words_system")),
+    FixedPlace(Message("find_theme"), "#theme-toggle", words=Message("find_words_theme")),
+    FixedPlace(Message("find_full_screen"), "#full-screen"),
+    FixedPlace(Message("find_clean_screen"), "#clean", words=Message("find_words_clean")),
 )
 
 

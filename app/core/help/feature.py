@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
@@ -16,7 +16,8 @@ from markupsafe import Markup, escape
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 
-from app.core.help.handbook import BY_NAME, CHAPTERS, Chapter, Handbook
+from app.core.find.finders import Finders, FoundPlace, Search, matched
+from app.core.help.handbook import BY_NAME, Chapter, Handbook
 from app.core.web.access import Viewer
 from app.core.web.api import rendered_once
 from app.core.web.assets import docs_dir
@@ -164,8 +165,8 @@ async def help_page(request: Request, _: Viewer, typed: TypedHelp = "") -> Respo
 
 def _chapters_by_group(handbook: Handbook, language: str) -> list[tuple[Message, list[tuple[Chapter, str]]]]:
     """Return each chapter with its title, by group."""
-    titles = [(chapter, handbook.chapter(chapter, language).title) for chapter in CHAPTERS]
-    return [(group, list(each)) for group, each in groupby(titles, key=lambda title: title[0].group)]
+    titles = groupby(handbook.titles(language), key=lambda title: title[0].group)
+    return [(group, list(each)) for group, each in titles]
 
 
 def _language(request: Request) -> str:
@@ -206,7 +207,17 @@ def _calls_by_tag(app: FastAPI) -> list[tuple[str, list[Call]]]:
 
 
 def make(services: Services) -> None:
-    services.add(Handbook(docs_dir()))
+    handbook = services.add(Handbook(docs_dir()))
+    services[Finders].add("find_help", partial(_find, handbook))
+
+
+async def _find(handbook: Handbook, search: Search) -> Iterable[FoundPlace]:
+    """Find chapters by their title and by their name, which is English in every language."""
+    found: list[FoundPlace] = []
+    for chapter, title in handbook.titles(search.language.tag):
+        name = chapter.name.replace("-", " ")
+        found += matched(search, FoundPlace(title, f"/help/{chapter.name}", is_name=True), title, name)
+    return found
 
 
 FEATURE = Feature(make, (router,))

@@ -143,6 +143,7 @@ class Handbook:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self.chapter = lru_cache(maxsize=2 * len(CHAPTERS))(self._chapter)
+        self.titles = lru_cache(maxsize=8)(self._titles)
 
     def _chapter(self, chapter: Chapter, language: str) -> Rendered:
         file = chapter.file_in(language)
@@ -150,6 +151,14 @@ class Handbook:
         # A translation has the headings of the English chapter, in its order, under the same anchors.
         english = () if file == chapter.file else self.chapter(chapter, ENGLISH).sections
         return render(chapter, text, posixpath.dirname(file), [section.anchor for section in english])
+
+    def _titles(self, language: str) -> list[tuple[Chapter, str]]:
+        """Return each chapter with its title: the first line of its file, which is not rendered."""
+        found = []
+        for chapter in CHAPTERS:
+            with (self._folder / chapter.file_in(language)).open(encoding="utf-8") as file:
+                found.append((chapter, file.readline().removeprefix("# ").strip().replace("`", "")))
+        return found
 
     def picture(self, name: str) -> Path | None:
         """Return a picture of the handbook; None if there is none of this name."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from functools import partial
 from time import time
 from typing import Annotated
 
@@ -9,6 +11,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from starlette.responses import RedirectResponse
 
 from app.core.database import Database
+from app.core.find.finders import Finders, FoundPlace, Search, matched
 from app.core.web.access import Person
 from app.core.web.services import service
 from app.core.web.templating import render
@@ -43,6 +46,7 @@ from app.feature import Feature, Services
 from app.line.commands.service import CommandService
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import LiveState
+from app.line.live.fields import unit_key
 from app.line.live.requests import unit_or_404
 from app.people.audit.log import EventLog
 from bus.messages import Message
@@ -170,6 +174,18 @@ def make(services: Services) -> None:
     store, restores, events = SwapStore(services[Database]), services[RestoreService], services[EventLog]
     swaps = services.add(SwapService(services[LiveState], commands, keepers, restores, store, events))
     services.lifespan.add("swaps", start=swaps.load)
+    services[Finders].add("find_actions", partial(_find, services[LiveState]))
+
+
+async def _find(live: LiveState, search: Search) -> Iterable[FoundPlace]:
+    """Find the replacement of each unit, by the unit too."""
+    found: list[FoundPlace] = []
+    for bus in live.buses.values() if search.may("begin_swap") else ():
+        for unit in bus.units.values():
+            label = Message.of("find_replace", unit=unit.settings.name)
+            href = f"/swap/{unit_key(bus.settings.name, unit.settings.id)}"
+            found += matched(search, FoundPlace(label, href), search.language.t(label), *unit.names)
+    return found
 
 
 FEATURE = Feature(make, (router,), ACTS)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from functools import partial
 
 from app.core.database.files import Reserve
-from app.core.find.finders import Finders, FoundPlace, Search, matched
+from app.core.find.finders import Finders
 from app.core.messages import DEFAULT
 from app.core.web.services import Registry
 from app.core.web.templating import Templates
@@ -17,41 +16,22 @@ from app.line.live import pages, socket
 from app.line.live.api import routes, stream
 from app.line.live.api.stream import LineStream
 from app.line.live.api.view import LineView
-from app.line.live.bus_live import BusLive, LiveState, UnitLive
+from app.line.live.bus_live import LiveState
 from app.line.live.change_recorder import ChangeRecorder, LineEvent, OnsetLookup
-from app.line.live.fields import Translator, unit_key
+from app.line.live.fields import Translator
 from app.line.live.hub import Hub
 from app.line.live.sources import Notice, Sources
+from app.line.live.unit_finder import find_units, find_wiring
 from app.people.audit.anchor import Anchoring, anchor_notice
 from app.people.audit.log import EventLog
 from bus.instants import unix_now
 
 
-class UnitFinder:
-    """Finds units by their name, address, group and wiring."""
-
-    def __init__(self, live: LiveState) -> None:
-        self._live = live
-
-    async def __call__(self, search: Search) -> Iterable[FoundPlace]:
-        return [
-            place
-            for bus in self._live.buses.values()
-            for unit in bus.units.values()
-            for place in _found(search, bus, unit)
-        ]
-
-
-def _found(search: Search, bus: BusLive, unit: UnitLive) -> Iterator[FoundPlace]:
-    settings, name = unit.settings, bus.settings.name
-    detail = " · ".join(part for part in (str(settings.id), settings.group, name) if part)
-    href = f"/units/{unit_key(name, settings.id)}"
-    yield from matched(search, FoundPlace(settings.name, href, detail, is_name=True), *unit.names)
-
-
 def make(services: Services) -> None:
     live = services.add(LiveState(services.settings.bus, unix_now()))
-    services[Finders].add("find_units", UnitFinder(live))
+    finders = services[Finders]
+    finders.add("find_units", partial(find_units, live))
+    finders.add("find_wiring", partial(find_wiring, live))
     history, recorder = services[History], _make_recorder(services, services, None)
     history.on_fault(lambda kind, what, at: recorder.note(LineEvent(kind, None, at, what, "", "")))
     for name, bus in services.buses.items():

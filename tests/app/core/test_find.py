@@ -5,17 +5,20 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import httpx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from app.core.find.finders import missing, rank, words_of
 from app.core.web.access import Role
+from app.core.web.formats import UNKNOWN
 from app.engineering.recipes.book import RecipeBook
 from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
 from app.people.audit.queries import Filter
-from bus.contract import ParameterValue
+from bus.contract import BusLink, ParameterValue, Reading, UnitLink
+from bus.instants import unix_now
 from bus.messages import Message
 from tests.app.complete_app import complete_app
 from tests.app.played_commands import ANNA
@@ -79,6 +82,29 @@ async def test_units_parameters_recipes_events_and_pages_are_found(tmp_path: Pat
         assert not [href for href, _ in await found("add user") if href.startswith("/users")]
         assert await found("") == []
         assert await found("!?%") == []
+
+
+async def test_help_actions_and_the_state_of_an_input_are_found(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        live = house.services[LiveState].buses["dry-end"]
+        client, engineer = await house.signed_in(Role.VIEWER), await house.signed_in(Role.ENGINEER, "eve")
+
+        async def found(client: httpx.AsyncClient, typed: str) -> str:
+            return (await client.get("/find", params={"typed": typed, "part": "true"})).text
+
+        assert 'href="/help/replace-a-drive"' in await found(client, "replace")
+        assert 'href="/swap/' not in await found(client, "replace")
+        assert 'href="/swap/dry-end/2"' in await found(engineer, "replace nip")
+        assert "data-theme-toggle" in await found(client, "theme")
+        assert 'href="/system"' in await found(client, "backup")
+        never = await found(client, "nip run input")
+        assert re.search(rf"Nip · Run input</span>\s*<small[^>]*>{UNKNOWN}<", never)
+        now = unix_now()
+        live.apply([BusLink(at=now, link="open"), UnitLink(unit=2, at=now, link="online")])
+        live.apply([Reading(2, now, 1000, 1000, 0, 0xC0, 0x03)])
+        shown = await found(client, "nip run input")
+        assert re.search(r"Nip · Run input</span>\s*<small[^>]*>(on|off)<", shown)
+        assert "Run input" not in await found(client, "nip"), "a name alone is that of the unit"
 
 
 @pytest.mark.parametrize(
