@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
-from copy import copy
 
 from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
@@ -19,7 +18,7 @@ from app.core.server.refusals import SecurityHeaders
 from app.core.web import feature as web
 from app.core.web import problems
 from app.core.web.request_rules import HEALTH
-from app.core.web.routes import AnonymousLimiter, Turns, guard, refuse_undeclared
+from app.core.web.routes import AnonymousLimiter, refuse_unguarded
 from app.core.web.templating import Templates
 from app.engineering.recipes import feature as recipes
 from app.engineering.sets import feature as sets
@@ -88,8 +87,8 @@ def create_app(
     ``worker_tokens``: by bus, the token with which the server's own worker opens /feed. Its services run
     within its lifespan, or within that of ``app.state.services`` where the server does not call it.
 
-    Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role and for two
-    services of one type.
+    Raises StoreError when the data cannot be used, RuntimeError for a route without a guard and for
+    two services of one type.
     """
     services = Services(settings, demo=demo, worker_tokens=worker_tokens or {})
     app = FastAPI(
@@ -102,9 +101,8 @@ def create_app(
     app.state.services = services
     for feature in FEATURES:
         feature.make(services)
-        # Copies, which take a millisecond: an app guards its own routes, and a process may have several apps.
-        # An included router would share them, or build every route again.
-        app.router.routes.extend(copy(route) for router in feature.routers for route in router.routes)
+        # The router of an app would analyze every route again that it includes.
+        app.router.routes.extend(route for router in feature.routers for route in router.routes)
     for feature in FEATURES:
         services[Templates].permit({act.name: act.role for act in feature.acts})
     problems.install(app)
@@ -124,8 +122,7 @@ def create_app(
     app.add_middleware(
         Forwarded, trusted=settings.server.trusted_proxies, note_refusal=services[RefusalLog].note
     )
-    refuse_undeclared(app)
-    guard(app, services[Turns])
+    refuse_unguarded(app)
     return app
 
 

@@ -28,7 +28,6 @@ from jinja2 import Environment
 
 import app.core.database.database
 import app.core.messages.languages
-import app.core.web.routes
 import app.people.auth.passwords
 from app.core.database.files import Reserve
 from app.core.database.migration import MIGRATIONS, Migration, bring_up_to_date
@@ -123,23 +122,6 @@ def catalogs_compiled_once() -> Iterator[None]:
     """Every app has a folder for them, in which the first page in German would compile its catalog again."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(app.core.messages.languages, "_parsed", cache(app.core.messages.languages._parsed))
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def declarations_found_once() -> Iterator[None]:
-    """Every app looks twice at what each of its 270 routes declares, and the routes of all apps declare the
-    same."""
-    found: dict[int, tuple[Any, list[Any]]] = {}
-    calls = app.core.web.routes._calls
-
-    def calls_once(dependant: Any) -> list[Any]:
-        if id(dependant) not in found:
-            found[id(dependant)] = dependant, list(calls(dependant))
-        return found[id(dependant)][1]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.core.web.routes, "_calls", calls_once)
         yield
 
 

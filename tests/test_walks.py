@@ -17,10 +17,10 @@ from types import FrameType
 from typing import Any, cast
 
 import pytest
-from fastapi.routing import APIRoute
 from websockets.asyncio.client import ClientConnection
 
 from app.core.web.access import Role
+from app.core.web.routes import GuardedRoute
 from app.line.feed.bus_feed import BusFeed
 from app.line.feed.channel import Channel
 from app.line.feed.ingest import FeedQuota, Ingest, IngestPosition
@@ -195,7 +195,7 @@ async def test_the_walk_of_a_click_names_the_middleware_it_passes(tmp_path: Path
     async with complete_app(tmp_path) as house:
         route = next(route for route in house.app.routes if getattr(route, "name", "") == "set_speed")
         passed: list[Any] = [middleware.cls for middleware in house.app.user_middleware]
-        passed.append(type(cast(APIRoute, route).app))
+        passed.append(type(cast(GuardedRoute, route).guard))
     assert re.findall(
         r"`([\w.]+)`", section(CLICK).partition("Every request passes")[2].partition("\n\n")[0]
     ) == [f"{each.__module__}.{each.__qualname__}" for each in passed]

@@ -9,19 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fastapi import FastAPI
+from fastapi import APIRouter, Depends, FastAPI
 from starlette.responses import StreamingResponse
 from starlette.types import Message
 
 from app.core.server.turns import FairQueue
-from app.core.web.access import Person, Role
+from app.core.web.access import Person, Role, public
 from app.core.web.routes import (
     MAX_AT_ONCE,
     MAX_READS,
     MAX_WAITING,
+    GuardedRoute,
     Turns,
-    guard,
 )
+from app.core.web.services import Registry
 from app.line.history.service import History
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
@@ -152,10 +153,12 @@ async def test_what_an_account_reads_comes_in_turns_and_others_do_not_wait(
 
 
 async def test_a_response_that_is_being_sent_has_no_turn_any_more() -> None:
-    turns, app = Turns(reads=FairQueue(inf, 1, 0)), FastAPI()
+    app, router = FastAPI(), APIRouter(route_class=GuardedRoute)
+    turns = Turns(reads=FairQueue(inf, 1, 0))
+    app.state.services = Registry((turns,))
     gate, begun = asyncio.Event(), 0
 
-    @app.get("/stream")
+    @router.get("/stream", dependencies=[Depends(public)])
     async def stream() -> StreamingResponse:
         async def pieces() -> AsyncIterator[bytes]:
             nonlocal begun
@@ -172,7 +175,7 @@ async def test_a_response_that_is_being_sent_has_no_turn_any_more() -> None:
         await gate.wait()
         return {"type": "http.disconnect"}
 
-    guard(app, turns)
+    app.router.routes.extend(router.routes)
     scope = {"type": "http", "method": "GET", "path": "/stream", "query_string": b"", "headers": []}
     scope["caller"] = Person("ann", Role.VIEWER, "session")
     sent = [asyncio.create_task(app({**scope}, receive, ignore))]

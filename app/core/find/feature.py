@@ -11,14 +11,14 @@ from starlette.responses import Response
 
 from app.core.find.finders import Finders, FixedPlace, Search
 from app.core.web.access import Viewer
-from app.core.web.routes import SEARCH
+from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.services import service_of
 from app.core.web.templating import GROUPS, render, templates_of
 from app.feature import Feature, Services
 from bus.messages import Message
 from bus.validation import OneLine
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 Typed = Annotated[OneLine, Query(max_length=80)]
 Near = Annotated[str, Query(max_length=200)]
 ACTIONS = (

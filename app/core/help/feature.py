@@ -22,7 +22,7 @@ from app.core.web.access import Viewer
 from app.core.web.api import rendered_once
 from app.core.web.assets import docs_dir
 from app.core.web.request_rules import parse_apart
-from app.core.web.routes import SEARCH
+from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.services import service_of
 from app.core.web.templating import render, templates_of
 from app.errors import Problem
@@ -149,7 +149,7 @@ def _named(reference: str) -> str:
     return reference.rpartition("/")[2]
 
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 TypedHelp = Annotated[OneLine, Query(max_length=80)]
 
 

@@ -1,7 +1,7 @@
 """Who a request is from, and the grant that its route requires.
 
 `app.people.auth.identify` finds the `Caller` of each request. Every route declares a role with one of
-the dependencies here, or is declared public; the app does not start otherwise
+the dependencies here, or is declared public, and is not served otherwise
 (`app.core.web.routes`). `Requires` grants that role once, before the body is read: the caller
 becomes a `Person`. Commands and acts are called by a `Person` only.
 

@@ -17,21 +17,19 @@ import re
 from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, Any, cast, get_args, get_origin
+from typing import Annotated, Any, get_args, get_origin
 
 from fastapi import APIRouter, FastAPI, Header, params
-from fastapi.dependencies.utils import get_flat_params, get_typed_return_annotation
+from fastapi.dependencies.utils import get_flat_params
 from fastapi.openapi.utils import get_openapi
-from fastapi.routing import APIRoute
-from pydantic import ConfigDict, with_config
 from starlette.datastructures import QueryParams
 from starlette.requests import Request
 from starlette.responses import Response
-from typing_extensions import is_typeddict
 
 from app.core.web.access import Viewer
 from app.core.web.assets import Asset
 from app.core.web.request_rules import MAX_PLAIN_BODY_BYTES, parse_apart
+from app.core.web.routes import GuardedRoute
 from app.errors import CODES, Problem
 from bus.messages import Message
 
@@ -50,23 +48,22 @@ RequestKey = Annotated[
 ]
 
 
-class ApiRoute(APIRoute):
+class ApiRoute(GuardedRoute):
     """For ``APIRouter(route_class=ApiRoute)``.
 
     Most servers take the last of two and pass over what they do not know. A filter with a slip in its name
     would then let everything through, and of two setpoints one would be set that another program did not see.
     """
 
-    def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:
-        name = endpoint.__name__
-        options["operation_id"] = options.get("operation_id") or name
-        options["summary"] = options.get("summary") or name.replace("_", " ").capitalize()
-        for shown in (options.get("response_model"), get_typed_return_annotation(endpoint)):
-            if is_typeddict(shown):
-                # Its validator is built for the first response: all at once would take a fifth of the start.
-                with_config(ConfigDict(defer_build=True))(cast(type, shown))
-        usual = _usual_problems(path, options.get("methods") or ["GET"])
-        super().__init__(path, endpoint, **{**options, "responses": usual | (options.get("responses") or {})})
+    def complete(self, options: dict[str, Any]) -> dict[str, Any]:
+        name = self.endpoint.__name__
+        usual = _usual_problems(self.path, self.methods or ())
+        return {
+            **options,
+            "operation_id": options.get("operation_id") or name,
+            "summary": options.get("summary") or name.replace("_", " ").capitalize(),
+            "responses": usual | (options.get("responses") or {}),
+        }
 
     def get_route_handler(self) -> _RouteHandler:
         """Return FastAPI's handler behind the checks."""
@@ -205,7 +202,7 @@ def _response(description: str) -> dict[str, Any]:
     return {"description": description, "content": content}
 
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 
 @router.get("/api/v1/openapi.json")

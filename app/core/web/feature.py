@@ -15,12 +15,12 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 from app.core.web import api as schema
 from app.core.web.access import public
 from app.core.web.assets import Assets, static_dir, templates_dir
-from app.core.web.routes import Turns
+from app.core.web.routes import GuardedRoute, Turns
 from app.core.web.services import service_of
 from app.core.web.templating import Templates, render, templates_of
 from app.feature import Feature, Services
 
-router = APIRouter(dependencies=[Depends(public)], include_in_schema=False)
+router = APIRouter(dependencies=[Depends(public)], include_in_schema=False, route_class=GuardedRoute)
 KEPT = ("css/lineside.css", "js/theme.js", "js/offline.js", "icons/sprite.svg")
 """What the service worker keeps, for the page for no connection."""
 OFFLINE = "/offline"

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Form, Request, Response
 from starlette.responses import RedirectResponse
 
 from app.core.web.access import Person, Viewer
+from app.core.web.routes import GuardedRoute
 from app.core.web.templating import render
 from app.engineering.recipes.api import Book, KnownRecipe
 from app.engineering.recipes.book import DELETE, SAVE
@@ -28,7 +29,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 from bus.validation import Lines, OneLine, TypedText
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 
 @router.get("/recipes")

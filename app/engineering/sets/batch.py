@@ -12,6 +12,7 @@ from starlette.datastructures import FormData
 
 from app.core.web.access import Person
 from app.core.web.arrival import Deadline
+from app.core.web.routes import GuardedRoute
 from app.core.web.shape import parse_integer
 from app.core.web.templating import render
 from app.engineering.sets.model import UnitRows, known_rows, status_of, with_unit
@@ -168,7 +169,7 @@ async def _write(
     return BatchResult(row.unit, row.name, result.outcome, result.message)
 
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 
 @router.get("/batch/{bus}")

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Form, Request, Response
 from starlette.responses import RedirectResponse
 
 from app.core.web.access import Person, Viewer
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import bus_service_of, service
 from app.core.web.shape import UnitAddresses
 from app.core.web.templating import render
@@ -25,7 +26,7 @@ from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
 from bus.validation import Lines, OneLine
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 Readings = Annotated[SetReadings, service(SetReadings)]
 
 MAX_LISTED = 100

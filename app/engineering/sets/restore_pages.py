@@ -8,6 +8,7 @@ from fastapi import APIRouter, Form, Request, Response
 from starlette.responses import RedirectResponse
 
 from app.core.web.access import Person
+from app.core.web.routes import GuardedRoute
 from app.core.web.templating import render
 from app.engineering.sets.lookup import FILE_FORM, Chosen, KnownRestore, Restores, Sets, offers, side
 from app.engineering.sets.model import compare
@@ -21,7 +22,7 @@ from app.line.live.requests import unit_or_404
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 Ticks = Annotated[list[int] | None, Form()]
 

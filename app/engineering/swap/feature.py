@@ -13,6 +13,7 @@ from starlette.responses import RedirectResponse
 from app.core.database import Database
 from app.core.find.finders import Finders, FoundPlace, Search, matched
 from app.core.web.access import Person
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import service
 from app.core.web.templating import render
 from app.engineering.sets.api import ParameterSets
@@ -51,7 +52,7 @@ from app.line.live.requests import unit_or_404
 from app.people.audit.log import EventLog
 from bus.messages import Message
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 Swaps = Annotated[SwapService, service(SwapService)]
 Beginner = Annotated[Person, BEGIN.permitted]

@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.core.web.arrival import Deadline
+from app.core.web.routes import GuardedRoute
 from app.engineering.recipes.api import KnownRecipe
 from app.engineering.recipes.rules import why_not_setpoint
 from app.engineering.sets.batch import rows_of_batch, typed_batch, writable_or_404
@@ -41,7 +42,7 @@ from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
 from bus.messages import Message, term
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 GATHERS = [permitted(SET_LINE)]
 SEE_OTHER = 303
 TITLE = term("Change tray")

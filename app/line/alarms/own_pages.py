@@ -12,6 +12,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.core.web.access import Engineer, Person
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import service_of
 from app.core.web.shape import parse_integer
 from app.core.web.templating import render, templates_of
@@ -32,7 +33,7 @@ from bus.instants import unix_now
 from bus.messages import term
 from bus.settings import UnitSettings
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 SPANS = (1, 7, 31)
 _NUMBERS = ("above", "below", "deadband", "change_per_s")

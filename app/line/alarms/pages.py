@@ -16,7 +16,7 @@ from app.core.messages import Language
 from app.core.time_zone import day_begins
 from app.core.web.access import Person, Viewer
 from app.core.web.formats import UNKNOWN, Formats
-from app.core.web.routes import SEARCH
+from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.services import service_of
 from app.core.web.templating import render, templates_of
 from app.errors import Problem
@@ -103,7 +103,7 @@ def _row(alarms: LineAlarms, alarm: Alarm, now: UnixTime) -> AlarmRow:
     return AlarmRow(alarm, place, present_value(alarms, alarm), chatters)
 
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 ON_A_PAGE = 100
 MAX_FOUND = 5000

@@ -18,6 +18,7 @@ from app.core.database import Database, StoreConnection
 from app.core.database.connection import upsert
 from app.core.web.access import Person, Role, Viewer
 from app.core.web.assets import Assets
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import service
 from app.core.web.templating import Templates, render, templates_of
 from app.errors import Problem, StoreError
@@ -150,7 +151,7 @@ DELETE_SHARED = Act("delete_shared_view", Role.ENGINEER, "configuration", "event
 ACTS = (SHARE, DELETE_SHARED)
 
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 SEE_OTHER = 303
 SavedViews = Annotated[TrendViews, service(TrendViews)]
 

@@ -13,6 +13,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.core.web.access import Engineer, Viewer, cookie_of, set_cookie
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import service_of
 from app.core.web.templating import LINES, PageLines, render, templates_of
 from app.line.live.bus_live import BusLive, UnitLive
@@ -36,7 +37,7 @@ def next_step(bus: BusLive) -> FirstStep | None:
     return "scan" if bus.link.link == "open" else "port"
 
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 View = Literal["tiles", "rows", "matrix"]
 FORMER_VIEWS = {"board": "matrix"}

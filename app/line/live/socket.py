@@ -17,6 +17,7 @@ from starlette.websockets import WebSocketDisconnect
 from app.core.server.addresses import source_of
 from app.core.web.access import Person, Role, Viewer
 from app.core.web.problems import refuse_socket
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import service_of
 from app.core.web.templating import WEBSOCKET_LINES, templates_of
 from app.errors import Problem
@@ -26,7 +27,7 @@ from bus.instants import monotonic_now
 from bus.messages import Message
 from bus.pacing import Bucket
 
-router = APIRouter()
+router = APIRouter(route_class=GuardedRoute)
 
 IDLE_TIMEOUT_S = 30.0
 """A page that sends nothing for this long is gone; it sends every ten seconds."""

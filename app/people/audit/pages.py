@@ -19,7 +19,7 @@ from app.core.messages import Language
 from app.core.time_zone import day_begins
 from app.core.web.access import Viewer
 from app.core.web.formats import Formats
-from app.core.web.routes import SEARCH
+from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.services import service_of
 from app.core.web.shape import parse_integer
 from app.core.web.templating import render, templates_of
@@ -32,7 +32,7 @@ from bus.messages import Message
 from bus.settings import BusSettings
 from bus.validation import TypedText
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 ON_A_PAGE = 100
 MAX_PARTS = 1000
 """Parts on one page; with more of them it has fewer rows. A change has at most 255."""

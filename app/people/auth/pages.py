@@ -34,6 +34,7 @@ from app.core.web.access import (
 )
 from app.core.web.api import ApiRoute
 from app.core.web.problems import is_fragment
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import looked_up, service, service_of
 from app.core.web.templating import LANGUAGE_COOKIE, render, templates_of
 from app.errors import Problem
@@ -60,7 +61,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 from bus.validation import composed
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 
 SignInService = Annotated[SignIn, service(SignIn)]

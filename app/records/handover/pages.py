@@ -14,7 +14,7 @@ from starlette.responses import RedirectResponse, Response
 
 from app.core.web.access import Person, Viewer, address_of
 from app.core.web.request_rules import MAX_BODY_BYTES
-from app.core.web.routes import SEARCH
+from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.services import service
 from app.core.web.shape import ZonedTime
 from app.core.web.templating import render
@@ -28,7 +28,7 @@ from app.records.handover.signatures import SIGN, WRITE_NOTE, SignedPart
 from bus.instants import UnixTime
 from bus.validation import Lines, OneLine
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 ON_A_PAGE = 30
 SEE_OTHER = 303

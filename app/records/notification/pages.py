@@ -9,6 +9,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.core.web.access import Engineer, Person, Viewer
+from app.core.web.routes import GuardedRoute
 from app.core.web.templating import render
 from app.errors import Problem
 from app.line.alarms.acts import ACKNOWLEDGE
@@ -20,7 +21,7 @@ from app.records.notification.settings import DAYS
 from bus.messages import Message
 from bus.validation import OneLine
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 SEE_OTHER = 303
 ON_A_PAGE = 50

@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.core.web.access import Viewer
-from app.core.web.routes import SEARCH
+from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.shape import iso
 from app.core.web.templating import render
 from app.errors import Problem
@@ -25,7 +25,7 @@ from bus.instants import UnixTime
 from bus.messages import Message, term
 from bus.validation import OneLine
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 SPANS: dict[SpanName, Message] = {
     "shift": term("This shift"),

@@ -12,6 +12,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.core.web.access import Person
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import service
 from app.core.web.templating import render
 from app.errors import Problem
@@ -24,7 +25,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 from bus.settings import BAUDS, BusSettings, check_port
 
-router = APIRouter(prefix="/configuration/bus", include_in_schema=False)
+router = APIRouter(prefix="/configuration/bus", include_in_schema=False, route_class=GuardedRoute)
 
 MAX_UNITS_TEXT = 20_000
 _DEFAULTS = {"baud": BusSettings.model_fields["baud"].default}

@@ -13,6 +13,7 @@ from starlette.responses import RedirectResponse, Response
 
 from app.core.web.access import Person
 from app.core.web.formats import Formats
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import service
 from app.core.web.templating import render, templates_of
 from app.errors import Problem
@@ -51,7 +52,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 from bus.validation import OneLine
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 SEE_OTHER = 303
 _DUTY = next(form for form in FORMS if form.kind == "duty")

@@ -9,6 +9,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.core.web.access import Viewer
+from app.core.web.routes import GuardedRoute
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.history.service import History
@@ -19,7 +20,7 @@ from app.people.audit.log import Event, EventLog
 from app.system.backup.service import Backups
 from app.system.postgresql.publisher import Publisher
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 OUTCOMES = ("verified", "acknowledged", "refused", "unverified", "invalid", "not_sent", "bus_closed")
 
 

@@ -15,6 +15,7 @@ from starlette.responses import Response
 from app.core.messages import DEFAULT
 from app.core.web.access import Viewer
 from app.core.web.api import ApiRoute
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import service, service_of, unknown_bus
 from app.core.web.templating import PageLines, Templates, render, templates_of
 from app.feature import Feature, Services
@@ -31,7 +32,7 @@ from app.system.peers.summary import LastEvents, OwnLines
 from bus.instants import unix_now
 
 api = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 TemplatesService = Annotated[Templates, service(Templates)]
 Own = Annotated[bool, Query(description="Only the lines of this server, without those of its peers.")]
 Size = Literal["large", "medium", "small", "tiny"]

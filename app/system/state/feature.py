@@ -7,13 +7,13 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.core.web.access import Viewer
-from app.core.web.routes import SEARCH
+from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.templating import render
 from app.feature import Feature, Services
 from app.system.state.rows import system_rows
 from bus.instants import monotonic_now, unix_now
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 
 @router.get("/system", dependencies=[SEARCH])

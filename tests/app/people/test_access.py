@@ -9,6 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 from fastapi import APIRouter, FastAPI
+from fastapi.routing import APIRoute, APIWebSocketRoute
 from starlette.requests import HTTPConnection
 from starlette.testclient import TestClient, WebSocketDenialResponse
 from starlette.types import Message, Receive, Scope, Send
@@ -18,8 +19,8 @@ from uvicorn.protocols.utils import ClientDisconnected
 
 from app.core.database import Database
 from app.core.server.connections import CONNECTION, ClientConnection
-from app.core.web.access import SESSION, Person, Requires, Role
-from app.core.web.routes import demands, refuse_undeclared
+from app.core.web.access import SESSION, Person, Requires, Role, public
+from app.core.web.routes import GuardedRoute, calls_of, refuse_unguarded
 from app.main import create_app
 from app.people.audit.log import EventLog
 from app.people.auth import identify as access
@@ -54,15 +55,25 @@ def filled(path: str) -> str:
     return re.sub(r"\{(\w+)(?::\w+)?\}", lambda found: FILLED.get(found[1], "1"), path)
 
 
+def demands(app: FastAPI) -> Iterator[tuple[APIRoute | APIWebSocketRoute, set[Role | None]]]:
+    """Each route with the roles that it requires; ``None`` stands for public."""
+    for route in app.routes:
+        assert isinstance(route, GuardedRoute | APIWebSocketRoute), route
+        declared = [call for call in calls_of(route) if isinstance(call, Requires) or call is public]
+        yield route, {getattr(each, "role", None) for each in declared}
+
+
 def http_calls(app: FastAPI) -> Iterator[tuple[str, str, set[Role | None]]]:
     for route, roles in demands(app):
-        for method in sorted(route.methods or ()):
+        for method in sorted(getattr(route, "methods", None) or ()):
             if method != "HEAD":
-                yield method, filled(route.path or ""), roles
+                yield method, filled(route.path), roles
 
 
 def sockets(app: FastAPI) -> list[tuple[str, set[Role | None]]]:
-    return [(filled(route.path or ""), roles) for route, roles in demands(app) if not route.methods]
+    return [
+        (filled(route.path), roles) for route, roles in demands(app) if isinstance(route, APIWebSocketRoute)
+    ]
 
 
 def may(role: Role, roles: set[Role | None]) -> bool:
@@ -212,15 +223,34 @@ async def test_an_unknown_path_reveals_nothing(house: House) -> None:
     assert (await house.client(accept="text/html").get("/nowhere")).status_code == 303
 
 
-async def test_a_route_that_declares_nothing_stops_the_start() -> None:
+def test_every_route_declares_a_role_or_that_it_is_public(tmp_path: Path) -> None:
+    declared = list(demands(create_app(settings_in(tmp_path))))
+    assert len(declared) > 200
+    assert [route.path for route, roles in declared if not roles] == []
+
+
+async def test_a_route_that_declares_nothing_is_never_served() -> None:
+    app, router = FastAPI(openapi_url=None), APIRouter(route_class=GuardedRoute)
+
+    @router.get("/forgotten")
+    def forgotten() -> None: ...
+
+    app.router.routes.extend(router.routes)
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://line") as client:
+        for _ in range(2):
+            with pytest.raises(RuntimeError, match="/forgotten declares no role"):
+                await client.get("/forgotten")
+
+
+def test_a_route_without_a_guard_stops_the_start() -> None:
     app, router = FastAPI(openapi_url=None), APIRouter()
 
     @router.get("/forgotten")
     def forgotten() -> None: ...
 
-    app.include_router(router)
-    with pytest.raises(RuntimeError, match="/forgotten declares no role"):
-        refuse_undeclared(app)
+    app.router.routes.extend(router.routes)
+    with pytest.raises(RuntimeError, match="/forgotten has no guard"):
+        refuse_unguarded(app)
 
 
 @pytest.mark.parametrize(

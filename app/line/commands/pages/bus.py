@@ -11,6 +11,7 @@ from starlette.responses import RedirectResponse, Response
 
 from app.core.web.access import Person, Role, Viewer
 from app.core.web.arrival import Deadline
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import service_of
 from app.core.web.templating import render
 from app.errors import Problem
@@ -40,7 +41,7 @@ from bus.messages import Message, term
 from bus.settings import BAUDS
 from bus.validation import OneLine, TypedText
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 SEE_OTHER = 303
 DEFAULT_MINUTES = 60
 

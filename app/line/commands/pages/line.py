@@ -19,6 +19,7 @@ from starlette.responses import Response
 
 from app.core.web.access import Viewer
 from app.core.web.arrival import Deadline
+from app.core.web.routes import GuardedRoute
 from app.core.web.shape import parse_integer
 from app.errors import Problem
 from app.line.commands.catalogue import SET_LINE, longest_change_s, timeout_s_for
@@ -50,7 +51,7 @@ from bus.errors import CallerError
 from bus.instants import unix_now
 from bus.messages import Message, joined, term
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 TITLE = term("Setpoints")
 
 

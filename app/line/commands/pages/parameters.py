@@ -10,6 +10,7 @@ from fastapi import APIRouter, Form, Path
 from starlette.responses import Response
 
 from app.core.web.access import Viewer
+from app.core.web.routes import GuardedRoute
 from app.errors import Problem
 from app.line.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
 from app.line.commands.page_context import Confirmed, PageOfUnit, ReviewedScale, UnitPage
@@ -23,7 +24,9 @@ from bus.contract import ReadParameters, Result, UnitScale, WriteParameter
 from bus.errors import CallerError
 from bus.messages import Message
 
-router = APIRouter(prefix="/units/{bus}/{unit:int}/parameters", include_in_schema=False)
+router = APIRouter(
+    prefix="/units/{bus}/{unit:int}/parameters", include_in_schema=False, route_class=GuardedRoute
+)
 ParameterPath = Annotated[int, Path(ge=1, le=40)]
 CONFIRMING_WORD = "WRITE"
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Form
 from starlette.responses import Response
 
+from app.core.web.routes import GuardedRoute
 from app.errors import Problem
 from app.line.commands.catalogue import EXECUTE_SPEED, SET_SPEED
 from app.line.commands.page_context import Confirmed, PageOfUnit, ReviewedScale, UnitPage
@@ -20,7 +21,7 @@ from bus.contract import ExecuteSpeed, Result, SetSpeed, UnitScale
 from bus.errors import CallerError
 from bus.messages import Message
 
-router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
+router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False, route_class=GuardedRoute)
 
 SetpointField = Annotated[int, Form(ge=0)]
 SeenSetpoint = Annotated[str, Form(pattern=r"^\d{0,6}$")]

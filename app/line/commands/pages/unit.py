@@ -10,6 +10,7 @@ from fastapi import APIRouter, Form, Path
 from starlette.responses import RedirectResponse, Response
 
 from app.core.web.access import Person, Viewer
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import service_of
 from app.errors import Problem
 from app.line.alarms.line_alarms import LineAlarms
@@ -30,7 +31,7 @@ from bus.errors import CallerError
 from bus.messages import Message, number, term
 from bus.validation import OneLine
 
-router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
+router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False, route_class=GuardedRoute)
 TypedLimit = Annotated[str, Form(max_length=20)]
 SEE_OTHER = 303
 

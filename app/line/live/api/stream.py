@@ -32,6 +32,7 @@ from app.core.web.access import Viewer
 from app.core.web.api import schema_name, with_published_names
 from app.core.web.assets import Asset
 from app.core.web.request_rules import parse_apart
+from app.core.web.routes import GuardedRoute
 from app.core.web.services import service
 from app.core.web.shape import iso, parse_integer
 from app.line.live.api.schemas import BusShown, Line, Time, UnitShown
@@ -264,7 +265,7 @@ class LineStream:
         return fields
 
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 
 @dataclass(frozen=True, slots=True)
