@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import json
 import re
 import tomllib
 from collections.abc import Iterator
+from datetime import date
 from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar, cast, get_args, get_origin
@@ -130,6 +132,22 @@ class TomlStatement(NamedTuple):
     is_header: bool
     first: int
     last: int
+
+
+def toml_of(value: Any) -> str:
+    """Return a value on one line of TOML. Texts of JSON are texts of TOML, but for one control character."""
+    match value:
+        case dict():
+            return "{" + ", ".join(f"{toml_of(key)} = {toml_of(each)}" for key, each in value.items()) + "}"
+        case list() | tuple():
+            return f"[{', '.join(map(toml_of, value))}]"
+        case str():
+            return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        case bool():
+            return "true" if value else "false"
+        case date():
+            return value.isoformat()
+    return repr(value)
 
 
 def lines_of(text: str) -> list[str]:

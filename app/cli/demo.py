@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -18,6 +16,7 @@ from app.cli.starting import listen, listen_from
 from app.core.server.service_manager import ServiceManager
 from app.errors import StoreError
 from app.settings import load
+from bus.configuration import toml_of
 from bus.instants import monotonic_now
 from bus.messages import Message
 from bus.settings import UnitSettings
@@ -84,15 +83,4 @@ def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:
         "server": {"port": port},
         "bus": [{"name": "demo", "port": str(line), "draw_percent": [-0.5, 1.0], "unit": unit}],
     }
-    return "".join(f"{name} = {_toml(value)}\n" for name, value in sections.items())
-
-
-def _toml(value: Any) -> str:
-    """Return a value in one line of TOML, whose strings, numbers and truth values are those of JSON."""
-    match value:
-        case dict():
-            return "{" + ", ".join(f"{json.dumps(key)} = {_toml(each)}" for key, each in value.items()) + "}"
-        case list() | tuple():
-            return "[" + ", ".join(_toml(each) for each in value) + "]"
-        case _:
-            return json.dumps(value)
+    return "".join(f"{name} = {toml_of(value)}\n" for name, value in sections.items())

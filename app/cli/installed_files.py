@@ -4,7 +4,6 @@ documentation, and a first lineside.toml.
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from app.cli.options import INSTALLED_CONFIG
 from app.cli.process import WRONG_CONFIGURATION
 from app.system.configuration.document import content_of, with_values, without
 from app.system.configuration.port_scan import BY_ID, adapters
+from bus.configuration import toml_of
 from bus.errors import LinesideError
 from bus.messages import Message
 
@@ -143,7 +143,7 @@ def likely_port(folder: Path = BY_ID) -> str:
 def starter(config: Path, port: str) -> str:
     """Return the text of a new configuration. Strings of JSON are strings of TOML."""
     text = STARTER.read_text(encoding="utf-8")
-    for name, value in {"config": str(config), "quoted_port": json.dumps(port), "port": port}.items():
+    for name, value in {"config": str(config), "quoted_port": toml_of(port), "port": port}.items():
         text = text.replace(f"{{{name}}}", value)
     return text
 
@@ -152,7 +152,7 @@ def first_configuration(path: Path) -> str:
     """Return the configuration that a service begins with at ``path``: it serves, and has no bus yet."""
     # Below the folder that the service may write in: the anchor of the audit log is beside the data.
     text = without_bus(path)
-    return re.sub(r'^data = ".*"', f"data = {json.dumps(str(DATA / 'data'))}", text, flags=re.M)
+    return re.sub(r'^data = ".*"', f"data = {toml_of(str(DATA / 'data'))}", text, flags=re.M)
 
 
 def without_bus(config: Path) -> str:

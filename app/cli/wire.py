@@ -18,6 +18,7 @@ from app.cli.options import ADDRESS, PATH, json_option
 from app.cli.process import complain, report, wrong_option
 from app.core.web.shape import maybe_shown, message_shown
 from app.line.commands.api.trace_file import is_trace_line, parse_trace_line
+from bus.configuration import toml_of
 from bus.contract import Frame
 from bus.errors import CallerError, LinesideError
 from bus.line.examination import PASSES, Found, conclude, no_response_s, settings_seen
@@ -323,7 +324,7 @@ def bus_table(port: str, found: Sequence[Found], turnaround_ms: float) -> str:
     lines = [
         line
         for head, table in tables
-        for line in (head, *(f"{key} = {json.dumps(table[key])}" for key in table if key != "unit"))
+        for line in (head, *(f"{key} = {toml_of(table[key])}" for key in table if key != "unit"))
     ]
     own = {(unit["id"], bus["baud"]) for unit in bus["unit"]}
     lines += [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
@@ -12,6 +11,7 @@ from pydantic import Field, ValidationError
 from app.core.web.shape import StrictBody
 from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows, with_unit
 from bus.catalogue.parameters import PARAMETERS
+from bus.configuration import toml_of
 from bus.errors import CallerError
 from bus.instants import UnixTime
 from bus.messages import Message, term
@@ -66,13 +66,13 @@ class _Document(StrictBody):
 def write_document(parameter_set: ParameterSet, *, with_secrets: bool = False) -> str:
     """Write the set as TOML text; #21 is masked unless ``with_secrets``."""
     lines = [
-        f"format = {_quoted(_DOCUMENT_FORMAT)}",
+        f"format = {toml_of(_DOCUMENT_FORMAT)}",
         f"version = {_DOCUMENT_VERSION}",
-        f"bus = {_quoted(parameter_set.bus)}",
-        f"name = {_quoted(parameter_set.name)}",
-        f"comment = {_quoted(parameter_set.comment)}",
+        f"bus = {toml_of(parameter_set.bus)}",
+        f"name = {toml_of(parameter_set.name)}",
+        f"comment = {toml_of(parameter_set.comment)}",
         f"taken_at = {_time(parameter_set.taken_at)}",
-        f"by = {_quoted(parameter_set.who)}",
+        f"by = {toml_of(parameter_set.who)}",
     ]
     for unit in parameter_set.units:
         lines += ["", *_unit_lines(unit, with_secrets)]
@@ -80,7 +80,7 @@ def write_document(parameter_set: ParameterSet, *, with_secrets: bool = False) -
 
 
 def _unit_lines(unit: UnitRows, with_secrets: bool) -> list[str]:
-    lines = ["[[unit]]", f"id = {unit.unit}", f"name = {_quoted(unit.name)}"]
+    lines = ["[[unit]]", f"id = {unit.unit}", f"name = {toml_of(unit.name)}"]
     times = [row.read_at for row in unit.rows.values() if row.read_at is not None]
     if times:
         lines.append(f"read_at = {_time(max(times))}")
@@ -90,14 +90,14 @@ def _unit_lines(unit: UnitRows, with_secrets: bool) -> list[str]:
 
 def _row_line(row: ParameterRow, unit: UnitRows, with_secrets: bool) -> str:
     parameter = PARAMETERS[row.number]
-    fields = [f"name = {_quoted(parameter.name)}"]
+    fields = [f"name = {toml_of(parameter.name)}"]
     if not row.available:
         fields.append("available = false")
     elif parameter.secret and not with_secrets:
         fields.append("masked = true")
     elif row.raw is not None:
         shown = str(with_unit(parameter, row.raw, unit))
-        fields += [f"raw = {row.raw}", f"value = {_quoted(shown)}"]
+        fields += [f"raw = {row.raw}", f"value = {toml_of(shown)}"]
     return f"{row.number} = {{ {', '.join(fields)} }}"
 
 
@@ -124,7 +124,7 @@ def read_document(text: str, source: str | Message = THE_FILE) -> ParameterSet:
 def _parse(text: str, source: str | Message) -> _Document:
     content = _content(text, source)
     if content.get("format") != _DOCUMENT_FORMAT:
-        wanted = _quoted(_DOCUMENT_FORMAT)
+        wanted = toml_of(_DOCUMENT_FORMAT)
         raise DocumentError(Message.of("source_no_parameter_set", source=source, format=wanted))
     version = content.get("version")
     if isinstance(version, int) and version > _DOCUMENT_VERSION:
@@ -202,11 +202,6 @@ def _check_range(number: int, raw: int | None, unit: int, source: str | Message)
         highest=parameter.maximum,
     )
     raise DocumentError(outside)
-
-
-def _quoted(text: str) -> str:
-    """Return a TOML basic string: JSON's escapes are a part of TOML's; DEL must be escaped as well."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
 def _time(at: UnixTime) -> str:

@@ -7,7 +7,6 @@ file of the data folder, readable by the server's user alone.
 
 from __future__ import annotations
 
-import json
 import re
 import secrets
 import tomllib
@@ -26,14 +25,13 @@ from pydantic import Field
 
 from app.core.database.files import make_folder, write_file
 from app.core.web.shape import InstantObject
-from bus.configuration import HOLDS_SECRET, KeyPath, lines_of, statements
+from bus.configuration import HOLDS_SECRET, KeyPath, lines_of, statements, toml_of
 from bus.errors import CallerError
 from bus.messages import Message
 
 TomlValue = str | bool | int | float | date | list[Any]
 Edit = Callable[[str], str]
 """Makes the new text of the file from the present one. Raises CallerError."""
-_DELETE = "\x7f"
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -165,7 +163,7 @@ def _with_value(text: str, table: KeyPath, key: tuple[str, ...], value: TomlValu
     headers = [each for each in found if each.is_header and path[: len(each.paths[0])] == each.paths[0]]
     owner = max(headers, key=lambda each: len(each.paths[0]), default=None)
     if owner is None or len(owner.paths[0]) < len(table):
-        block = [*_gap(lines), f"[{_dotted(table)}]", f"{_dotted(key)} = {_written(value)}"]
+        block = [*_gap(lines), f"[{_dotted(table)}]", f"{_dotted(key)} = {toml_of(value)}"]
         return _inserted(lines, len(lines), block)
     index = found.index(owner)
     last = owner.last
@@ -173,7 +171,7 @@ def _with_value(text: str, table: KeyPath, key: tuple[str, ...], value: TomlValu
         if each.is_header:
             break
         last = each.last
-    return _inserted(lines, last, [f"{_dotted(path[len(owner.paths[0]) :])} = {_written(value)}"])
+    return _inserted(lines, last, [f"{_dotted(path[len(owner.paths[0]) :])} = {toml_of(value)}"])
 
 
 def _with_element(text: str, table: KeyPath, values: Mapping[str, TomlValue | None]) -> str:
@@ -186,7 +184,7 @@ def _with_element(text: str, table: KeyPath, values: Mapping[str, TomlValue | No
         end = _block(lines, text, table[:-2])[1]
     end = len(lines) if end is None else end
     pairs = [
-        f"{_dotted(key.split('.'))} = {_written(value)}" for key, value in values.items() if value is not None
+        f"{_dotted(key.split('.'))} = {toml_of(value)}" for key, value in values.items() if value is not None
     ]
     return _inserted(lines, end, [*_gap(lines[:end]), f"[[{_dotted(table)}]]", *pairs])
 
@@ -237,10 +235,10 @@ def _replaced(statement: str, value: TomlValue) -> str:
         if is_all:
             code = statement[:place]
             behind = code[len(code.rstrip()) :] + statement[place:]
-            return f"{_key_of(statement)}{_written(value)}{behind}"
+            return f"{_key_of(statement)}{toml_of(value)}{behind}"
     if "#" in statement and "\n" in statement.rstrip():
         raise WrittenOtherwiseError
-    return f"{_key_of(statement)}{_written(value)}{newline}"
+    return f"{_key_of(statement)}{toml_of(value)}{newline}"
 
 
 def _key_of(statement: str) -> str:
@@ -250,18 +248,7 @@ def _key_of(statement: str) -> str:
 
 def _dotted(path: Any) -> str:
     names = [step for step in path if isinstance(step, str)]
-    return ".".join(name if _BARE.fullmatch(name) else json.dumps(name) for name in names)
-
-
-def _written(value: TomlValue) -> str:
-    """Return a value as TOML has it: JSON's texts are TOML's too, but for one control character."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, list):
-        return f"[{', '.join(map(_written, value))}]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace(_DELETE, "\\u007f")
-    return value.isoformat() if isinstance(value, date) else repr(value)
+    return ".".join(name if _BARE.fullmatch(name) else toml_of(name) for name in names)
 
 
 CONTEXT = 2
