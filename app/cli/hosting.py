@@ -31,6 +31,7 @@ from app.cli.starting import listen, url_of
 from app.core.database import Database
 from app.core.database.files import make_folder
 from app.core.messages.languages import catalogs, locale_of
+from app.core.server.in_thread import in_thread
 from app.core.server.service_manager import Liveness, ServiceManager
 from app.errors import system_error
 from app.settings import LOCK_FILE, Settings
@@ -168,7 +169,7 @@ def _report_serving(url: str, manager: ServiceManager, code: str) -> None:
 async def _server_module(stopping: asyncio.Task[Any]) -> Any:
     """Import the dashboard's code; return None if ``stopping`` came first. Beside many workers that start
     too, the import takes a minute on a small machine: a request to stop must not wait for it."""
-    reading = asyncio.create_task(asyncio.to_thread(_import_server))
+    reading = asyncio.create_task(in_thread(_import_server))
     await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
     return None if stopping.done() else await reading
 

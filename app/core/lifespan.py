@@ -7,7 +7,7 @@ others.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Coroutine
 from contextlib import AsyncExitStack, asynccontextmanager
 from functools import partial
 from typing import Any
@@ -21,6 +21,7 @@ from bus.messages import Message
 RESTART_AFTER_S = 1.0
 MAX_FINISH_S = 1.0
 """How long the end of the server waits for all backlogs to be written."""
+CANCEL_AGAIN_S = 0.5
 Step = Callable[[], Awaitable[object]]
 Running = Callable[[], Coroutine[Any, Any, None]]
 log = structlog.get_logger()
@@ -70,7 +71,7 @@ class Lifespan:
                     await _start(name, start)
                 if end is not None:
                     stack.push_async_callback(_ended, name, end)
-            stack.push_async_callback(_cancel, [asyncio.create_task(work()) for work in self._works])
+            stack.push_async_callback(cancel, [asyncio.create_task(work()) for work in self._works])
             stack.push_async_callback(self._finish)
             yield
 
@@ -102,10 +103,14 @@ async def _within(finish: Step) -> None:
         await finish()
 
 
-async def _cancel(tasks: list[asyncio.Task[None]]) -> None:
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
+async def cancel(tasks: Collection[asyncio.Task[None]]) -> None:
+    """Cancel tasks and wait until all have ended. A task is canceled again while it runs: Python 3.11's
+    `asyncio.wait_for`, which libraries use, loses a cancellation that comes as its future is done."""
+    left = set(tasks)
+    while left:
+        for task in left:
+            task.cancel()
+        _, left = await asyncio.wait(left, timeout=CANCEL_AGAIN_S)
 
 
 async def _restarted(name: str, work: Step) -> None:
@@ -142,4 +147,4 @@ class Background:
 
     async def close(self) -> None:
         """Cancel the tasks that still run."""
-        await _cancel(list(self._tasks))
+        await cancel(list(self._tasks))

@@ -114,3 +114,21 @@ async def test_a_failing_work_is_restarted_and_once_is_not(
                 await asyncio.sleep(0)
     assert played.steps.count("indexed") == 1
     assert {(entry["event"], entry["part"]) for entry in logs} == {("work failed", "log")}
+
+
+async def test_a_work_that_loses_its_cancellation_is_canceled_again() -> None:
+    """Python 3.11's `wait_for` loses one where its future is done at that moment."""
+    lost = []
+
+    async def work() -> None:
+        try:
+            await asyncio.sleep(60)
+        except asyncio.CancelledError:
+            lost.append("lost")
+        await asyncio.sleep(60)
+
+    lifespan = Lifespan()
+    lifespan.add("work", once=work)
+    async with lifespan.running():
+        await asyncio.sleep(0)
+    assert lost == ["lost"]
