@@ -562,3 +562,30 @@ def test_nothing_moves_with_reduced_motion(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PANEL, reduced_motion="reduce"), "/units/line/1")
     moving = "document.getAnimations().map(one => one.effect.target.className)"
     assert page.evaluate(moving) == []
+
+
+def test_a_token_is_copied_and_its_page_is_loaded_again_without_it(browser_page: OpensPages) -> None:
+    page = browser_page("admin", locale=ENGLISH, permissions=["clipboard-read", "clipboard-write"])
+    page.goto("/users")
+    page.get_by_role("button", name="New token").click()
+    page.locator("#field-token").fill("plc")
+    page.get_by_role("button", name="Create the token").click()
+    secret = page.locator("[data-token]").inner_text()
+    page.get_by_role("button", name="Copy").click()
+    expect(page.get_by_role("button", name="Copied")).to_be_visible()
+    assert page.evaluate("navigator.clipboard.readText()") == secret
+    page.reload()
+    expect(page.get_by_role("button", name="Revoke the token: plc")).to_be_visible()
+    expect(page.locator("[data-token]")).to_have_count(0)
+
+
+@pytest.mark.provokes("422")
+def test_a_drawer_that_was_refused_opens_again_with_what_was_typed(browser_page: OpensPages) -> None:
+    page = browser_page("admin", locale=ENGLISH)
+    page.goto("/users")
+    page.get_by_role("button", name="Add a user").click()
+    page.locator("#field-name").fill("two words")
+    page.locator("#field-password").fill("a good new one")
+    page.get_by_role("button", name="Add the user").click()
+    expect(page.locator("#add-user [role=alert]")).to_be_visible()
+    expect(page.locator("#field-name")).to_have_value("two words")

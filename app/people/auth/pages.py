@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable
+from collections import defaultdict
+from collections.abc import Awaitable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal
 from urllib.parse import urlencode
@@ -362,10 +363,17 @@ class UsersPage:
     accounts: Accounts
 
     async def render(
-        self, *, fault: CallerError | None = None, token_name: str = "", token: str = ""
+        self,
+        *,
+        fault: CallerError | None = None,
+        token_name: str = "",
+        token: str = "",
+        opened: str = "",
+        typed: Mapping[str, str] | None = None,
     ) -> HTMLResponse:
-        """Show every user and every token. ``fault``: why a change was refused; ``token``: the secret of the
-        one just created, ``token_name``, which is shown once."""
+        """Show every user and every token. ``fault``: why a change was refused, with what was ``typed`` into
+        the drawer ``opened``; ``token``: the secret of the one just created, ``token_name``, which is shown
+        once."""
         return render(
             self.request,
             "users/page.html",
@@ -378,18 +386,20 @@ class UsersPage:
             encryption_fault=service_of(self.request, Encryption).fault,
             token_name=token_name,
             token=token,
+            opened=opened,
+            typed=defaultdict(str, typed or {}),
         )
 
-    async def after(self, change: Awaitable[None]) -> Response:
-        """Await a change and return to the page; a refused change is explained on the page, or in the
-        dialog."""
+    async def after(self, change: Awaitable[None], opened: str = "", **typed: str) -> Response:
+        """Await a change and return to the page; a refused change is explained on the page, in the drawer
+        ``opened`` with what was ``typed``, or in the dialog."""
         in_dialog = is_fragment(self.request)
         try:
             await change
         except CallerError as error:
             if in_dialog:
                 raise
-            return await self.render(fault=error)
+            return await self.render(fault=error, opened=opened, typed=typed)
         return Response(headers={"HX-Redirect": "/users"}) if in_dialog else RedirectResponse("/users", 303)
 
 
@@ -413,7 +423,8 @@ async def add_user(
     password: FormText = "",
 ) -> Response:
     """Add a person, who signs in by password."""
-    return await page.after(page.accounts.add_user(name, role_named(role), password, by=by))
+    change = page.accounts.add_user(name, role_named(role), password, by=by)
+    return await page.after(change, "add-user", name=name, role=role)
 
 
 @router.post("/users/panels")
@@ -427,7 +438,8 @@ async def add_panel(
 ) -> Response:
     """Add a panel on the wall, which signs in by PIN; it is a viewer unless it is given another role."""
     role, begins = role_named(panel_role), home.strip() or "/"
-    return await page.after(page.accounts.add_panel(panel, role, pin, begins, by=by))
+    change = page.accounts.add_panel(panel, role, pin, begins, by=by)
+    return await page.after(change, "add-panel", panel=panel, panel_role=panel_role, home=home)
 
 
 @router.post("/users/{name}/role")
@@ -485,11 +497,12 @@ async def create_token(
 ) -> HTMLResponse:
     """Create a token; its secret is in this response and nowhere else."""
     create = page.accounts.create_token
+    typed = {"token": token, "token_role": token_role, "token_bus": token_bus, "expires": expires}
     try:
         role, days = role_named(token_role, Role), _days(expires)
         secret = await create(token, role, bus=token_bus, expires_days=days, by=by)
     except CallerError as error:
-        return await page.render(fault=error)
+        return await page.render(fault=error, opened="add-token", typed=typed)
     return await page.render(token_name=token, token=secret)
 
 
