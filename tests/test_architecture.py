@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-MAX_TEMPLATE_LINE = 160
 MEANINGLESS_NAMES = {"util", "utils", "helper", "helpers", "common", "misc", "manager", "managers"}
 LEFT_BEHIND = re.compile(r"\b(TO[D]O|FIX[M]E|X{3})\b")
 REGISTRY = re.compile(
@@ -63,11 +62,6 @@ def test_no_registry_is_named() -> None:
 def test_third_party_files_stay_out() -> None:
     foreign = re.compile(r"\.min\.(js|css)$|(^|/)(vendor|node_modules)/|(^|/)(uv|poetry|yarn)\.lock$")
     assert [name for name in relative(tracked()) if foreign.search(name)] == []
-
-
-def test_no_line_of_a_template_is_longer_than_160_characters() -> None:
-    lines = ((path, line) for path in tracked("templates/*.html") for line in text_of(path).splitlines())
-    assert relative(path for path, line in lines if len(line) > MAX_TEMPLATE_LINE) == []
 
 
 @pytest.mark.parametrize("suffix", ["html"])

@@ -1,8 +1,4 @@
-"""``make soak`` runs both of its halves and reports; its tests name nothing that is gone.
-
-Each of them also has a smallest size that ``make test`` runs (`tests.sizes`), or is a walk through pages that
-takes too long for that: then the texts that it looks for are compared with those that there are.
-"""
+"""``make soak`` runs both of its halves and reports."""
 
 from __future__ import annotations
 
@@ -10,36 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from tests import soak, soak_texts
+from tests import soak
 
 REPORT = """<testsuites><testsuite>
 <testcase classname="tests.app.test_a" name="one" time="61.5"/>
 <testcase classname="tests.app.test_a" name="two" time="1.0"><failure/></testcase>
 <testcase classname="tests.app.test_b" name="one" time="90.0"><error/></testcase>
 </testsuite></testsuites>"""
-
-
-def files() -> list[Path]:
-    return [path for path in soak_texts.ROOT.glob("tests/*/test_*.py") if soak_texts.SOAK in path.read_text()]
-
-
-@pytest.mark.parametrize("file", files(), ids=lambda file: file.stem)
-def test_the_texts_that_it_looks_for_exist(file: Path) -> None:
-    assert soak_texts.unknown_texts(file) == []
-
-
-def test_a_text_that_is_gone_is_found(tmp_path: Path) -> None:
-    file = tmp_path / "test_page.py"
-    file.write_text(
-        "@pytest.mark.soak\n"
-        "def test_it(page):\n"
-        "    page.get_by_text('Review the remaining rows')\n"
-        "    page.get_by_role('button', name='Write 7 rows to unit 2')\n"
-        "    page.get_by_text('Zebras graze behind dryers')\n"
-        "def test_other(page):\n"
-        "    page.get_by_text('Another herd of zebras')\n"
-    )
-    assert soak_texts.unknown_texts(file) == ["test_page.py:5: Zebras graze behind dryers"]
 
 
 @pytest.mark.parametrize(("codes", "exit_code"), [([0, 0], 0), ([1, 0], 1), ([0, 1], 1)])

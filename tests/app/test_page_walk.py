@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from html import unescape
 from urllib.parse import urljoin
 
@@ -12,13 +12,11 @@ import httpx
 import pytest
 import pytest_asyncio
 from fastapi.routing import APIRoute
-from jinja2 import nodes
 from starlette.requests import Request
 
 from app.core.database import Database
 from app.core.web.access import PEOPLE_ROLES, Role
-from app.core.web.assets import templates_dir
-from app.core.web.templating import Templates, render
+from app.core.web.templating import render
 from app.engineering.recipes.book import RecipeStore
 from app.engineering.recipes.rules import Recipe, RecipeSetpoint
 from app.engineering.sets.model import ParameterSet, UnitRows
@@ -74,8 +72,6 @@ NEEDS_MORE = {
     "/offline": "no link: the service worker",
     "/live": "no link: a script, where no socket opens",
 }
-DEFINES = (nodes.Assign, nodes.AssignBlock, nodes.Import, nodes.FromImport, nodes.Macro)
-SCOPES = (nodes.With, nodes.For, nodes.Macro, nodes.CallBlock, nodes.FilterBlock, nodes.AssignBlock)
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module", params=LINES)
@@ -153,37 +149,6 @@ async def test_control_is_handed_over_to_persons_alone(house: House) -> None:
     page = (await person.get(f"/bus/{BUS}")).text
     assert "No other user with a page open can take control." in page
     assert 'name="to"' not in page
-
-
-def leaked(node: nodes.Node) -> Iterator[nodes.Node]:
-    """What of a template defines a name in the context of each page that extends it."""
-    for child in node.iter_child_nodes():
-        if isinstance(child, DEFINES):
-            yield child
-        if not isinstance(child, SCOPES):
-            yield from leaked(child)
-
-
-async def test_the_frame_defines_no_name_that_a_page_sees(house: House) -> None:
-    environment = house.services[Templates].environment("en")
-    texts = {path: path.read_text(encoding="utf-8") for path in templates_dir().rglob("*.html")}
-    frames = {name for text in texts.values() for name in re.findall(r'extends "([^"]+)"', text)}
-    assert frames == {"base.html"}
-    assert list(leaked(environment.parse(texts[templates_dir() / "base.html"]))) == []
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "{% set others = 1 %}",
-        "{% if a %}{% set others %}{% endset %}{% endif %}",
-        '{% import "a" as others %}',
-    ],
-)
-async def test_a_name_of_the_frame_that_a_page_would_see_is_found(house: House, text: str) -> None:
-    environment = house.services[Templates].environment("en")
-    assert len(list(leaked(environment.parse(text)))) == 1
-    assert list(leaked(environment.parse(f"{{% with %}}{text}{{% endwith %}}"))) == []
 
 
 async def test_a_page_replaces_no_name_of_the_frame(house: House) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Iterator
 from inspect import isasyncgenfunction, iscoroutinefunction
 from pathlib import Path
@@ -11,7 +10,6 @@ import pytest
 from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute, APIWebSocketRoute
 
-import app
 from app.core.web.access import Requires
 from app.core.web.services import Registry
 from tests.app.complete_app import complete_app
@@ -57,17 +55,3 @@ def test_a_service_is_added_once() -> None:
     assert services.of_buses(int) == {"dry-end": 1, "wet-end": 2}
     with pytest.raises(RuntimeError, match="two services of the type float"):
         services.add(3.5)
-
-
-def test_nothing_is_patched_into_a_service_after_it_was_made() -> None:
-    features = sorted(Path(app.__file__).parent.rglob("feature.py"))
-    assert len(features) > 10
-    stored = [
-        f"{path}: {ast.unparse(node)}"
-        for path in features
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Attribute)
-        and isinstance(node.ctx, ast.Store)
-        and ast.unparse(node.value) != "self"
-    ]
-    assert stored == []

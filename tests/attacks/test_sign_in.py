@@ -16,9 +16,8 @@ from starlette.websockets import WebSocketDisconnect
 
 from app.core.database import Database
 from app.core.web.access import Role
-from app.line.commands.safeguards import Safeguards
 from app.main import create_app
-from app.people.audit.log import CHUNK, EventLog
+from app.people.audit.log import EventLog
 from app.people.auth import passwords
 from app.people.auth.accounts import Accounts
 from app.people.auth.identify import NO_LONGER_SIGNED_IN
@@ -268,42 +267,6 @@ async def test_the_account_page_is_no_way_around(house: House) -> None:
     ]
 
 
-async def test_a_response_in_pieces_ends_with_the_rights_of_its_person(house: House) -> None:
-    """An export goes on for minutes."""
-    accounts, events = house.services[Accounts], house.services[EventLog]
-    token = await accounts.create_token("t", Role.VIEWER, **BY)
-    for number in range(2 * CHUNK):
-        await events.record(kind="server", what=f"line {number}")
-    headers = [(b"authorization", f"Bearer {token}".encode()), (b"host", b"plant.example")]
-    scope = {
-        "type": "http",
-        "method": "GET",
-        "path": "/api/v1/events.csv",
-        "query_string": b"",
-        "headers": headers,
-    }
-    scope |= {
-        "scheme": "http",
-        "client": ("192.0.2.7", 1),
-        "server": ("plant.example", 80),
-        "http_version": "1.1",
-    }
-    sent: list[Message] = []
-
-    async def receive() -> Message:
-        return await asyncio.Future()
-
-    async def send(message: Message) -> None:
-        sent.append(message)
-        if message["type"] == "http.response.body" and len(sent) == 2:
-            await accounts.revoke_token("t", **BY)
-
-    await house.app(scope, receive, send)
-    assert sent[0]["status"] == 200
-    assert sent[-1]["more_body"], "it was cut off, and is seen to be"
-    assert len(sent) == 2
-
-
 def elsewhere(folder: Path, change: Callable[[Accounts], object]) -> None:
     """Do what ``lineside token …`` or ``lineside user …`` does in a separate process."""
     database = Database(folder / "data" / "lineside.db", checkpoints=False)
@@ -343,20 +306,3 @@ def test_a_token_that_the_command_line_revokes_stops_soon(
             elsewhere(tmp_path, lambda there: there.revoke_token("t", **BY))
             assert until_closed(socket).code == NO_LONGER_SIGNED_IN
         assert client.get("/api/v1/line", headers=headers).status_code == 401
-
-
-def test_control_of_a_line_ends_with_a_token_that_the_command_line_revokes(tmp_path: Path) -> None:
-    """It was kept for ten minutes."""
-    app = create_app(settings_in(tmp_path, control=True))
-    accounts, safeguards = app.state.services[Accounts], app.state.services.buses["dry-end"][Safeguards]
-    with TestClient(app) as client:
-        call = client.portal.call  # type: ignore[union-attr]
-        token = call(lambda: accounts.create_token("t", Role.OPERATOR, **BY))
-        taken = client.post("/api/v1/buses/dry-end/control", headers={"authorization": f"Bearer {token}"})
-        assert taken.status_code == 200, taken.text
-        assert safeguards.holder() == "t (token)"
-        elsewhere(tmp_path, lambda there: there.revoke_token("t", **BY))
-        end = time.monotonic() + 20
-        while safeguards.holder():
-            assert time.monotonic() < end, "never: control released"
-            time.sleep(0.01)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import sys
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
@@ -23,7 +22,6 @@ from bus.contract import (
     ExecuteSpeed,
     Frames,
     Hello,
-    ParameterValue,
     ReadParameters,
     ReadTrace,
     SetLine,
@@ -44,7 +42,6 @@ from tests.bus.fake_app import TOKEN, FakeApp
 from tests.fork_server import ForkedProcess
 
 UNITS = 3
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(params=["pty"])
@@ -156,27 +153,6 @@ async def test_a_command_that_was_held_up_is_never_sent(line: LineServer, tmp_pa
         assert not line.call(lambda simulated: list(simulated.record.since(0, WireEventKind.ACTED)))
 
 
-async def test_a_dead_unit_is_reported_and_found_again(line: LineServer, tmp_path: Path) -> None:
-    async with running(line, tmp_path) as app:
-        line.call(lambda simulated: simulated.faults.set(FaultKind.DEAD, 1.0, 2))
-        await app.until(lambda: app.links(2)[-1:] == ["offline"])
-        result = await app.perform(SetSpeed(2, 640))
-        assert result.outcome == "unverified"
-        before = len(app.updates())
-        line.call(lambda simulated: simulated.faults.clear())
-        await app.until(lambda: app.links(2)[-1:] == ["online"])
-        await app.until(
-            lambda: (
-                {
-                    update.number
-                    for update in app.updates()[before:]
-                    if isinstance(update, ParameterValue) and update.unit == 2
-                }
-                >= {1, 2, 3, 8}
-            )
-        )
-
-
 async def test_a_pulled_cable_is_seen_and_the_line_found_under_its_new_name(
     line: LineServer, tmp_path: Path
 ) -> None:
@@ -190,15 +166,6 @@ async def test_a_pulled_cable_is_seen_and_the_line_found_under_its_new_name(
         seen = len(app.readings(1))
         await app.until(lambda: len(app.readings(1)) > seen)
         assert not line.call(lambda simulated: list(simulated.record.since(0, WireEventKind.ACTED)))
-
-
-async def test_a_port_that_is_taken_is_named_with_who_has_it(line: LineServer, tmp_path: Path) -> None:
-    file = config(line, tmp_path)
-    async with FakeApp() as first, FakeApp() as second, worker(file, first) as holder:
-        await first.until(lambda: first.readings(1))
-        async with worker(file, second):
-            await second.until(lambda: any("in use by" in str(link.cause) for link in _links(second)))
-            assert str(holder.pid) in str(_links(second)[-1].cause)
 
 
 async def many_polls(line: LineServer) -> None:
@@ -228,18 +195,6 @@ async def test_readings_are_kept_while_the_app_is_away(line: LineServer, tmp_pat
         assert times == sorted(set(times)), "in order, and none twice"
         assert [at for at in times if last < at < until], "the time without the app is no hole"
         assert len({batch.seq for batch in app.batches()}) == len(app.batches())
-
-
-async def test_a_killed_app_leaves_the_complete_new_line(line: LineServer, tmp_path: Path) -> None:
-    async with running(line, tmp_path) as app:
-        command = asyncio.create_task(app.perform(SetLine({1: 301, 2: 302, 3: 303}), command_id="whole"))
-        await app.until(lambda: any(getattr(update, "id", "") == "whole" for update in app.updates()))
-        await app.stop()
-        await app.start()
-        await asyncio.wait_for(command, 10)
-        assert app.results("whole")[0].outcome == "verified"
-        setpoints = line.call(lambda simulated: [unit.setpoint for unit in simulated.plant.units])
-        assert setpoints == [301, 302, 303]
 
 
 async def test_the_trace_is_sent_while_followed_and_read_on_request(line: LineServer, tmp_path: Path) -> None:
@@ -274,29 +229,6 @@ async def test_a_waiting_command_can_be_given_up(line: LineServer, tmp_path: Pat
         assert result.outcome in ("unverified", "not_sent")
 
 
-async def test_it_leaves_with_its_parent(line: LineServer, tmp_path: Path) -> None:
-    file = config(line, tmp_path)
-    script = (
-        "import subprocess, sys, time\n"
-        f"child = subprocess.Popen([sys.executable, *{['-m', 'bus', '--config', str(file), '--bus', 'b']!r},"
-        " '--app', sys.argv[1], '--child'], stdin=subprocess.PIPE)\n"
-        f"child.stdin.write(b'{TOKEN}\\n')\nchild.stdin.flush()\n"
-        "print(child.pid, flush=True)\ntime.sleep(600)\n"
-    )
-    async with FakeApp() as app:
-        parent = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-c", script, app.url),
-            cwd=ROOT,
-            stdout=asyncio.subprocess.PIPE,
-        )
-        assert parent.stdout is not None
-        child = int(await parent.stdout.readline())
-        await app.until(lambda: app.readings(1))
-        parent.kill()
-        await parent.wait()
-        await asyncio.to_thread(_wait_for_end, child)
-
-
 async def test_a_refused_worker_logs_the_reason(line: LineServer, tmp_path: Path) -> None:
     async with FakeApp() as app:
         app.refuses = "install the same release"
@@ -305,20 +237,6 @@ async def test_a_refused_worker_logs_the_reason(line: LineServer, tmp_path: Path
             async with asyncio.timeout(60):
                 while "install the same release" not in await asyncio.to_thread(process.stderr.readline):
                     pass
-
-
-def _wait_for_end(pid: int) -> None:
-    """Wait for the end of a process that is not our child."""
-    until = time.monotonic() + 10
-    while time.monotonic() < until:
-        try:
-            state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
-        except OSError:
-            return
-        if state == "Z":
-            return
-        time.sleep(0.05)
-    raise AssertionError(f"process {pid} outlived its parent")
 
 
 def _links(app: FakeApp) -> list[BusLink]:

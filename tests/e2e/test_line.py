@@ -2,47 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import signal
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import httpx
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
-from tests.e2e.limits import START_S
-from tests.e2e.site import AT_REST, Site, eventually
-from tests.e2e.site import site as one_site
+from tests.e2e.site import Site
 from tests.sizes import in_turn
 
 OFFICE = {"width": 1280, "height": 800}
-
-
-@pytest.fixture(scope="module")
-def own_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """Three units, for tests that hurt the server."""
-    with one_site(tmp_path_factory.mktemp("hurt"), 3, line_options=AT_REST) as made:
-        yield made
-
-
-def acted(served: Site, command: int) -> list[dict[str, Any]]:
-    """The writes that units carried out."""
-    entries = served.line.remote.do("record", kinds=["acted"])
-    return [entry for entry in entries if bytes.fromhex(entry["hex"])[1] == command]
-
-
-def process_is_there(number: int) -> bool:
-    try:
-        return ") Z " not in Path(f"/proc/{number}/stat").read_text()
-    except FileNotFoundError:
-        return False
-
-
-def children(number: int) -> list[int]:
-    return [int(child) for child in Path(f"/proc/{number}/task/{number}/children").read_text().split()]
 
 
 def test_the_page_shows_the_units_values(site: Site, shared_page: OpensPages) -> None:
@@ -51,35 +22,6 @@ def test_the_page_shows_the_units_values(site: Site, shared_page: OpensPages) ->
     for unit in range(1, 9):
         raw = site.line.remote.do("state", unit=unit)["commanded"]
         expect(page.locator(f'[data-live="line/{unit}.commanded"]').first).to_have_text(f"{raw / 10:.1f}")
-
-
-def test_a_speed_set_by_the_api_reaches_the_unit_once_and_the_page_by_reading(
-    site: Site, shared_page: OpensPages
-) -> None:
-    page = shared_page("viewer", viewport=OFFICE)
-    page.goto("/")
-    before = len(acted(site, 0x84))
-    with site.api("operator") as client:
-        response = client.post("/buses/line/units/2/speed", json={"value": "123.4", "execute": True})
-    assert (response.status_code, response.json()["outcome"]) == (200, "verified")
-    assert site.line.remote.do("state", unit=2)["setpoint"] == 1234
-    assert len(acted(site, 0x84)) == before + 1
-    expect(page.locator('[data-live="line/2.commanded"]').first).to_have_text("123.4")
-
-
-def test_a_unit_that_does_not_respond_is_shown_as_such_and_comes_back(
-    site: Site, shared_page: OpensPages
-) -> None:
-    page = shared_page("viewer", viewport=OFFICE)
-    page.goto("/")
-    tile = page.locator('[data-unit="line/4"]').first
-    site.line.remote.do("fault", kind="dead", rate=1, unit=4)
-    try:
-        eventually(lambda: site.unit(4)["link"] == "offline", "unit 4 offline")
-        expect(tile).not_to_have_attribute("data-quality", "online")
-    finally:
-        site.line.remote.do("clear")
-    eventually(lambda: site.unit(4)["link"] == "online", "unit 4 online")
 
 
 BOXES = """selector => [...document.querySelectorAll(selector)].map(each => {
@@ -132,46 +74,6 @@ def test_a_page_beside_the_line_is_accessible(
     page = shared_page(role, locale=locale)
     page.goto(path)
     assert flaws(page, locale) == []
-
-
-@pytest.mark.provokes("WebSocket connection")
-def test_a_page_that_has_lost_its_server_shows_it_and_recovers(
-    own_site: Site, browser_page: OpensPages
-) -> None:
-    page: Page = browser_page("operator", own_site, viewport=OFFICE)
-    page.goto("/")
-    expect(page.locator("body")).to_have_attribute("data-link", "live")
-    own_site.stop(signal.SIGKILL)
-    expect(page.locator("body")).to_have_attribute("data-link", "lost")
-    own_site.start()
-    expect(page.locator("body")).to_have_attribute("data-link", "live")
-
-
-def test_sigterm_ends_all_of_it(own_site: Site) -> None:
-    assert own_site.server is not None
-    workers = children(own_site.server.pid)
-    assert workers
-    status = own_site.stop()
-    left = [worker for worker in workers if process_is_there(worker)]
-    own_site.start()
-    assert (status, left) == (0, [])
-
-
-def test_no_worker_outlives_a_killed_server(own_site: Site) -> None:
-    assert own_site.server is not None
-    workers = children(own_site.server.pid)
-    own_site.stop(signal.SIGKILL)
-    eventually(lambda: not any(map(process_is_there, workers)), "the end of the workers", within=START_S)
-    own_site.start()
-
-
-def test_a_worker_that_dies_is_started_again(own_site: Site) -> None:
-    assert own_site.server is not None
-    [worker] = children(own_site.server.pid)
-    os.kill(worker, signal.SIGKILL)
-    server = own_site.server.pid
-    eventually(lambda: children(server) not in ([], [worker]), "another worker", within=START_S)
-    own_site.wait_for_units()
 
 
 FOR_A_PHONE = [

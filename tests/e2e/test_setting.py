@@ -120,21 +120,6 @@ def test_a_setpoint_typed_before_the_scripts_are_there_stays(browser_page: Opens
     expect(page.locator("[data-review-act]")).to_have_text(re.compile(r"to 87\.0$"))
 
 
-def test_undo_is_an_ordinary_command_with_a_review(site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page(viewport=PANEL), "/units/line/5")
-    former = page.locator("#setpoint").input_value()
-    page.locator("#setpoint").fill("77.0")
-    page.get_by_role("button", name="Set now").click()
-    page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_be_visible()
-    page.get_by_role("button", name=re.compile("Undo")).click()
-    act = page.locator("[data-review-act]")
-    expect(act).to_have_text(re.compile(re.escape(former) + "$"))
-    act.click()
-    expect(page.locator("[data-review-done=good]")).to_contain_text(former)
-    assert state(site, 5)["setpoint"] == round(float(former) * 10)
-
-
 def test_a_review_ends_when_the_value_has_moved(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/6")
     page.locator("#setpoint").fill("66.0")

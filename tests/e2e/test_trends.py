@@ -412,22 +412,3 @@ def wait_for_reading_after(served: Site, moment: float) -> None:
 def times_of(served: Site) -> list[float]:
     """Return when unit 1 responded, over the last five minutes."""
     return [datetime.fromisoformat(t).timestamp() for t in history(served, "actual", 300)["t"]] or [0.0]
-
-
-@pytest.mark.soak
-def test_a_damaged_store_is_reported_and_the_line_goes_on(own_site: Site, browser_page: OpensPages) -> None:
-    own_site.stop()
-    store = own_site.folder / "data" / "history.db"
-    for path in store.parent.glob("history.db*"):
-        path.unlink()
-    store.write_bytes(b"this is no store " * 1000)
-    own_site.start()
-    own_site.wait_for_units()
-    page = browser_page("viewer", own_site, viewport=OFFICE)
-    page.goto("/trends")
-    expect(page.locator("[data-live='line_summary.memory']")).to_contain_text("is not shown: it was damaged")
-    assert [aside.read_bytes()[:16] for aside in store.parent.glob("history.db.damaged-*")] == [
-        b"this is no store"
-    ]
-    own_site.wait_for_units()
-    wait_for_reading_after(own_site, time.time())

@@ -253,28 +253,6 @@ def test_a_hidden_tab_gets_a_snapshot_when_it_is_shown(own_site: Site, browser_p
     expect(page.locator(LIVE)).to_be_attached()
 
 
-@pytest.mark.soak
-def test_two_posts_of_one_review_are_one_command(own_site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
-    page.locator("#setpoint").fill("47.0")
-    page.get_by_role("button", name="Set now").click()
-    form = page.locator("form[data-review]")
-    expect(form).to_be_visible()
-    before = received_writes(own_site)
-    outcomes = page.evaluate(
-        """async () => {
-            const form = document.querySelector("form[data-review]");
-            const body = new URLSearchParams(new FormData(form));
-            const headers = {"HX-Request": "true"};
-            const post = () => fetch("/units/line/1/speed", {method: "POST", body, headers});
-            const [one, two] = await Promise.all([post(), post()]);
-            return [await one.text(), await two.text()];
-        }"""
-    )
-    assert all("verified" in text for text in outcomes)
-    assert received_writes(own_site) == before + 1
-
-
 def test_the_offline_page_is_honest(own_site: Site, browser_page: OpensPages) -> None:
     page = browser_page(None, site=own_site, viewport=PANEL)
     page.goto("/offline")

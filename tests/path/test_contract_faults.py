@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -78,39 +77,6 @@ def test_a_pulled_cable_closes_the_bus_and_nothing_is_sent_when_it_is_back(plant
     assert speed(plant, 1, 4000).status_code == 200
 
 
-def test_a_unit_that_does_not_respond_goes_stale_then_offline_and_comes_back(plant: Plant) -> None:
-    plant.cable.units[2].off = True
-    plant.see(2, "stale or worse", lambda shown: shown["link"] in ("stale", "offline"))
-    plant.see(2, "offline", lambda shown: shown["link"] == "offline")
-    assert plant.unit(1)["link"] == "online"
-    assert plant.unit(2)["commanded_raw"] == 0
-    plant.cable.units[2].off = False
-    plant.see(2, "online", lambda shown: shown["link"] == "online")
-    eventually(
-        lambda: (
-            {("unit", "offline"), ("unit", "online")}
-            <= {(event["kind"], event["new"]) for event in _events(plant, "unit=2")}
-        ),
-        "both events, each stored after it was shown",
-    )
-
-
-def test_mode_estop_and_run_are_events(plant: Plant) -> None:
-    unit = plant.cable.units[1]
-    unit.remote = False
-    plant.see(1, "LOCAL", lambda shown: shown["remote"] is False)
-    unit.inputs = 0b01
-    plant.see(1, "stopped and running", lambda shown: shown["inputs"]["estop"] and shown["inputs"]["run"])
-    kinds = eventually(
-        lambda: (
-            {"mode", "estop", "run"} <= (found := {event["kind"] for event in _events(plant, "unit=1")})
-            and found
-        ),
-        "the three events",
-    )
-    assert "command" not in kinds
-
-
 def test_a_killed_worker_is_seen_and_replaced(plant: Plant) -> None:
     (worker,) = plant.workers()
     os.kill(worker, signal.SIGKILL)
@@ -148,40 +114,6 @@ def test_a_worker_stopped_between_two_tries_tries_no_more(plant: Plant) -> None:
     assert len(unit.writes) == tries
 
 
-def test_limits_blocks_and_their_events(plant: Plant) -> None:
-    limits = {"lowest": 500, "highest": 1500, "largest_step": 200, "per_minute": None}
-    assert plant.bus("PUT", "/units/1/limits", limits, "engineer").status_code == 200
-    refused = speed(plant, 1, 1501)
-    assert (refused.status_code, refused.json()["nearest"]) == (422, 1500)
-    assert speed(plant, 1, 1300).json()["code"] == "confirm_needed"
-    assert speed(plant, 1, 1300, confirm=True).status_code == 200
-    assert plant.bus("POST", "/units/2/block", {"reason": "belt off"}, "operator").status_code == 200
-    assert plant.unit(2)["blocked"]
-    line = plant.bus("POST", "/speeds", {"setpoints": {"1": {"raw": 1310}, "2": {"raw": 10}}})
-    assert (line.status_code, line.json()["code"]) == (423, "blocked")
-    assert plant.cable.units[1].commanded == 1300
-    assert plant.cable.units[2].writes == []
-    assert plant.bus("DELETE", "/units/2/block", role="operator").status_code == 200
-    assert speed(plant, 2, 10).status_code == 200
-
-
-def test_a_killed_server_leaves_no_worker_behind(tmp_path: Path) -> None:
-    with dashboard(tmp_path, [Unit(1)]) as plant:
-        (worker,) = plant.workers()
-        parent = int(Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[1])
-        os.kill(parent, signal.SIGKILL)
-        eventually(lambda: not Path(f"/proc/{worker}/cmdline").exists() or _dead(worker), "no worker")
-
-
-def test_control_of_a_line(tmp_path: Path) -> None:
-    with dashboard(tmp_path, [Unit(1)], site_toml="control = true") as plant:
-        assert speed(plant, 1, 10).json()["code"] == "controlled"
-        assert plant.bus("POST", "/control", role="operator").json()["holder"] == "operator-program"
-        assert speed(plant, 1, 10).status_code == 409
-        body = {"raw": 10, "execute": True}
-        assert plant.bus("POST", "/units/1/speed", body, "operator").status_code == 200
-
-
 def _events(plant: Plant, query: str) -> list[dict[str, Any]]:
     """Those of the test, of one kind or unit."""
     found: list[dict[str, Any]] = plant.call("GET", f"/events?limit=200&bus=dry-end&{query}").json()["events"]
@@ -197,10 +129,6 @@ def _responds(plant: Dashboard, unit: int) -> None:
 def _reads_again(plant: Dashboard, unit: int) -> None:
     before = plant.unit(unit)["read_at"]
     plant.see(unit, "read again", lambda shown: shown["read_at"] != before)
-
-
-def _dead(pid: int) -> bool:
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
 
 
 def test_a_worker_that_stays_stuck_closes_the_bus(plant: Plant) -> None:

@@ -234,22 +234,6 @@ def test_the_app_knows_its_worker_and_reports_the_missing_port(config: Path) -> 
         assert shown_by_ps(only_child(process)) <= harmless
 
 
-def test_the_description_of_the_api_writes_no_warning_into_the_log(config: Path) -> None:
-    """As installed: the models are built when the description is read."""
-    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
-    log = config.with_name("log")
-    words = [LINESIDE, "serve", "--config", str(config)]
-    with log.open("w") as output, subprocess.Popen(words, stdout=output, stderr=output) as process:
-        try:
-            url = eventually(lambda: re.search(r"http://127\.0\.0\.1:\d+", log.read_text()), "it serves")[0]
-            headers = {"Authorization": f"Bearer {token}"}
-            found = httpx.get(f"{url}/api/v1/openapi.json", headers=headers, trust_env=False, timeout=30)
-        finally:
-            process.terminate()
-    assert found.status_code == 200
-    assert "Warning" not in log.read_text()
-
-
 def shown_by_ps(pid: int) -> set[str]:
     """The variables that a listing shows of a worker, beyond those of this test."""
     shown = Path(f"/proc/{pid}/environ").read_text().split("\0")

@@ -17,7 +17,6 @@ from app.core.server.connections import (
     ARRIVED_AT,
     MAX_OF_ADDRESS,
     MIN_RATE,
-    PROMPT_S,
     STALL_S,
     WITHIN_S,
     Awaited,
@@ -396,27 +395,6 @@ async def test_what_came_before_it_was_accepted_is_as_old_as_its_connection(
         writer.write(GET)
         await reader.readuntil(b"hi")
     assert site.arrivals == [43.0 if age_s else 44.0, 60.0]
-
-
-async def test_the_oldest_of_many_strangers_gives_way_to_the_newest(site: Site) -> None:
-    first, _ = await site.connect(POST + b"x")
-    others = [await site.connect() for _ in range(MAX_OF_ADDRESS)]
-    assert b"503 Service Unavailable" in await everything(first)
-    others[-1][1].write(GET)
-    assert b"200 OK" in await others[-1][0].readuntil(b"hi")
-
-
-async def test_a_connection_being_served_gives_way_last(site: Site) -> None:
-    site.go.clear()
-    served, _ = await site.connect(GET)
-    await until(lambda: site.requests)
-    for _ in range(MAX_OF_ADDRESS - 1):
-        await site.connect()
-    for protocol in site.served.made:
-        protocol._pace.since -= 2 * PROMPT_S
-    await site.connect()
-    site.go.set()
-    assert b"200 OK" in await served.readuntil(b"hi")
 
 
 async def test_a_client_that_has_just_connected_does_not_give_way_to_a_burst(site: Site) -> None:

@@ -214,13 +214,6 @@ async def test_garbage_after_the_handshake_ends_the_connection(site: TlsSite) ->
     assert site.scopes == []
 
 
-async def test_a_client_cannot_renegotiate(site: TlsSite) -> None:
-    context = site.client()
-    context.maximum_version = ssl.TLSVersion.TLSv1_2
-    await site.connect(context)
-    assert site.certificate.context_for(b"").options & ssl.OP_NO_RENEGOTIATION
-
-
 async def test_the_end_is_announced_and_the_socket_closes(site: TlsSite) -> None:
     reader, writer = await site.connect()
     writer.write(b"GET / HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n")

@@ -180,10 +180,6 @@ async def test_an_unescaped_plus_is_understood(client: httpx.AsyncClient, histor
     assert len(found.json()["t"]) > 50
 
 
-async def test_an_anonymous_client_is_refused(client: httpx.AsyncClient) -> None:
-    assert (await client.get("/history", params=query(), headers={"X-Anonymous": "1"})).status_code == 401
-
-
 async def test_several_values_come_together(client: httpx.AsyncClient, history: History) -> None:
     fill(history)
     series = ["dry-end/1/actual", "dry-end/1/run"]

@@ -16,8 +16,6 @@ from app.core.web.access import Role
 from app.line.live.api.stream import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, LineStream
 from app.line.live.bus_live import LiveState
 from app.line.live.requests import Admission
-from app.people.auth.accounts import Accounts
-from tests.administrator import BY
 from tests.app.complete_app import HOST, House, complete_app
 from tests.app.fake_worker import snapshot
 from tests.app.line.test_recent_events import read
@@ -101,18 +99,6 @@ async def test_a_snapshot_then_changes_and_alarms(house: House) -> None:
         assert changes[0]["bus"] == "dry-end"
         alarm = (await response.until("alarm"))[0]
         assert alarm["code"] == "worker_lost"
-
-
-async def test_it_ends_with_the_rights_of_its_reader(house: House) -> None:
-    token = await house.token(Role.VIEWER)
-    async with streaming(house, token) as response:
-        await response.until("snapshot")
-        await house.services[Accounts].revoke_token("key-viewer", **BY)
-        seen = response.body
-        house.services[LineStream].tick(with_heartbeat=True)
-        assert response.task is not None
-        await asyncio.wait_for(response.task, 30)
-        assert response.body == seen
 
 
 async def test_it_ends_with_the_server(house: House) -> None:

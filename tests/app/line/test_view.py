@@ -264,11 +264,6 @@ async def test_figures_before_and_after_they_are_measured(site: House) -> None:
     ]
 
 
-async def test_an_anonymous_client_sees_nothing(site: House) -> None:
-    for path in ("", "/units/1", "/figures"):
-        assert (await site.request("GET", path, role="")).status_code == 401
-
-
 async def test_a_text_is_one_object_with_its_code(site: House) -> None:
     worker = await site.worker()
     late = Message("diagnosis_no_response")

@@ -9,14 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.types import Send
-from starlette.websockets import WebSocketDisconnect
 
 from app.core.database import Database
 from app.core.web.access import Person, Role
 from app.errors import Problem, StoreError
-from app.main import create_app
 from app.people.audit.log import EventLog
 from app.people.auth import rules, store
 from app.people.auth.accounts import Accounts
@@ -34,7 +31,6 @@ from app.people.auth.rights import (
 from app.people.auth.store import Token, User
 from bus.messages import Message
 from tests.administrator import BY
-from tests.app.complete_app import settings_in
 
 ANN = Person("ann", Role.ENGINEER, "session", credential="a")
 
@@ -480,23 +476,3 @@ async def test_a_response_at_once_is_not_followed() -> None:
 
     await run_while_allowed(respond, right.withdrawn, Socket().send)
     assert right.looks == 0
-
-
-def read_to_the_end(socket: WebSocketTestSession) -> None:
-    while True:
-        socket.receive_text()
-
-
-def test_a_revoked_token_loses_its_open_page(tmp_path: Path) -> None:
-    """It was looked at every 20 s."""
-    app = create_app(settings_in(tmp_path))
-    accounts = app.state.services[Accounts]
-    with TestClient(app) as client:
-        call = client.portal.call  # type: ignore[union-attr]
-        token = call(lambda: accounts.create_token("t", Role.VIEWER, **BY))
-        with client.websocket_connect("/live", headers={"authorization": f"Bearer {token}"}) as socket:
-            socket.receive_text()
-            call(lambda: accounts.revoke_token("t", **BY))
-            with pytest.raises(WebSocketDisconnect) as ended:
-                read_to_the_end(socket)
-    assert ended.value.code == NO_LONGER_SIGNED_IN

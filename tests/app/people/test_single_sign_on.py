@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import subprocess
-import sys
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
@@ -383,21 +380,6 @@ async def test_without_the_package_the_server_does_not_start(
             raise AssertionError("it has started")
     [missing] = oidc(Settings.model_construct(oidc=settings))
     assert missing.is_fault
-
-
-def test_without_the_setting_nothing_of_it_is_loaded(tmp_path: Path) -> None:
-    """The start stays as light as it was."""
-    program = """
-import json, sys
-from pathlib import Path
-from app.main import create_app
-from app.settings import load
-create_app(load(Path(sys.argv[1])))
-loaded = {name.partition(".")[0] for name in sys.modules}
-print(json.dumps(sorted(loaded & {"authlib", "joserfc", "cryptography", "httpx", "httpx2"})))
-"""
-    command = [sys.executable, "-c", program, str(written(tmp_path, "[site]\n"))]
-    assert json.loads(subprocess.run(command, capture_output=True, check=True, timeout=120).stdout) == []
 
 
 async def test_check_names_the_secret_and_the_provider(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import random
 import re
 import shutil
@@ -33,6 +34,7 @@ from app.system.backup.archive import KEPT_EVENTS, WrittenBackup
 from app.system.backup.folder import CONTENTS, REMOVE_EVERY, SITE, name_of, open_newest, write_to_folder
 from app.system.backup.stores import CHANGED, copy_store
 from bus.instants import UnixTime
+from tests import fork_server
 from tests.app.archived_site import archived_site
 from tests.app.busy_site import make_site
 from tests.app.cli.test_backup_store import verified
@@ -442,24 +444,16 @@ def test_whatever_is_killed_every_finished_backup_restores(tmp_path: Path, kills
     config, chance = make_site(tmp_path), random.Random(38)
     backups, finished = tmp_path / "backups", 0
     backups.mkdir()
-    lineside: tuple[str | Path, ...] = (
-        sys.executable,
-        "-m",
-        "app.cli",
-        "backup-store",
-        backups,
-        "--config",
-        config,
-    )
+    backup = ("backup-store", backups, "--config", config)
     site: tuple[str | Path, ...] = (sys.executable, "-m", "tests.app.busy_site", config)
-    writing = subprocess.Popen(site)
+    writing, nowhere = subprocess.Popen(site), os.open(os.devnull, os.O_WRONLY)
     try:
         for _ in range(kills):
             begun = time.monotonic()
-            if subprocess.run(lineside, capture_output=True, check=False).returncode == 0:
+            if fork_server.run(*backup).returncode == 0:
                 finished += 1
             took = time.monotonic() - begun
-            backing_up = subprocess.Popen(lineside, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            backing_up = fork_server.start(*backup, stdout=nowhere, stderr=nowhere)
             time.sleep(chance.uniform(0, took))
             backing_up.kill()
             backing_up.wait()
@@ -470,6 +464,7 @@ def test_whatever_is_killed_every_finished_backup_restores(tmp_path: Path, kills
             number = len([*backups.glob("lineside-2*.json")])
             assert number >= min(finished, 1)
     finally:
+        os.close(nowhere)
         writing.kill()
         writing.wait()
     assert finished >= kills - 1

@@ -42,12 +42,6 @@ async def test_one_line_by_its_name(tmp_path: Path) -> None:
         assert "<script>" not in unknown.text
 
 
-async def test_it_needs_an_account(tmp_path: Path) -> None:
-    async with complete_app(tmp_path) as house:
-        response = await house.client(Accept="text/html").get("/wallboard")
-        assert (response.status_code, response.headers["location"].partition("?")[0]) == (303, "/login")
-
-
 async def test_the_last_event_names_unit_change_and_result(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         log, last = house.services[EventLog], house.services[LastEvents]
