@@ -46,7 +46,6 @@ STEP_S = 60.0
 """A clock that was changed by more is not trusted for an hour."""
 MAX_REMOVED = 200
 """Entries that one transaction removes, in a few milliseconds, so that no command waits longer."""
-MAX_SCANNED = 2000
 MAX_LINE = 1024 * 1024
 """Characters of an entry, the longest of which has a few hundred frames. A forged file may unpack to one
 endless line."""
@@ -290,22 +289,15 @@ class EventArchive:
     def _next_due(self, connection: StoreConnection, cut: int) -> _Due | None:
         """Return the next entries to archive after number ``cut``. They end before the first entry of a later
         month, so that a clock that is ahead cannot archive the newest ones."""
-        now, first, last = self._clock(), None, cut
-        due: list[Month] = []
-        while times := _times_after(connection, last):
-            for number, at in times:
-                if not 0 < float(at) <= float(now):
-                    continue  # of a clock that was wrong
-                if first is None:
-                    first, due = number, months_due(at, now, self._keep, self._zone)
-                while due and at >= due[0].after(1).begins(self._zone):
-                    month = due.pop(0)
-                    until = _before_unfinished(connection, first=cut + 1, last=number - 1)
-                    if until > cut:
-                        return _Due(month, cut + 1, until)
-                if not due:
-                    return None
-            last = times[-1][0]
+        now = self._clock()
+        oldest = _first_after(connection, cut, UnixTime(0.0), now)
+        for month in months_due(oldest[1], now, self._keep, self._zone) if oldest else ():
+            later = _first_after(connection, cut, month.after(1).begins(self._zone), now)
+            if later is None:
+                return None
+            until = _before_unfinished(connection, first=cut + 1, last=later[0] - 1)
+            if until > cut:
+                return _Due(month, cut + 1, until)
         return None
 
     async def _remove_archived(self) -> None:
@@ -316,9 +308,14 @@ class EventArchive:
             continue
 
 
-def _times_after(connection: StoreConnection, number: int) -> list[tuple[int, UnixTime]]:
-    query = "SELECT id, time FROM events WHERE id > ? ORDER BY id LIMIT ?"
-    return [(row[0], UnixTime(row[1])) for row in connection.execute(query, (number, MAX_SCANNED))]
+def _first_after(
+    connection: StoreConnection, number: int, since: UnixTime, until: UnixTime
+) -> tuple[int, UnixTime] | None:
+    """Return number and time of the first entry after a number with a time in a span; others are of a clock
+    that was wrong."""
+    query = "SELECT id, time FROM events WHERE id > ? AND time > 0 AND time >= ? AND time <= ? ORDER BY id"
+    row = connection.execute(f"{query} LIMIT 1", (number, float(since), float(until))).fetchone()
+    return None if row is None else (row[0], UnixTime(row[1]))
 
 
 def _before_unfinished(connection: StoreConnection, first: int, last: int) -> int:
