@@ -21,9 +21,8 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from app.core.former_settings import former_notices, without_former_keys
-from app.core.messages.languages import catalogs
+from app.core.messages.languages import catalogs, is_zone, machine_zone
 from app.core.server.settings import TlsSettings, is_loopback
-from app.core.time_zone import is_zone, machine_zone
 from app.line.alarms.settings import AlarmSettings, BuiltInAlarmSettings, refuse_built_in, refuse_misplaced
 from app.line.history.settings import HistorySettings
 from app.people.audit.settings import Audit

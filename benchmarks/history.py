@@ -20,10 +20,9 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from app.core.database import Database
 from app.line.history import tables
 from app.line.history.query import SeriesQuery, run_query
-from app.line.history.recorder import Recorder, compact
+from app.line.history.recorder import Recorder, Tail, compact
 from app.line.history.series.runs import DAY, micros
 from app.line.history.series.values import VALUES
-from app.line.history.tail import Tail
 from app.line.history.writer import MIGRATIONS
 from benchmarks.history_store import build, readings
 from benchmarks.tables import median, milliseconds, quantile, show

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.core.database import Database
-from app.line.history.recorder import Recorder
-from app.line.history.tail import Tail
+from app.line.history.recorder import Recorder, Tail
 from app.line.history.writer import MIGRATIONS
 from app.people.audit.keys import open_keys
 from app.people.audit.proof import heads_of, prove

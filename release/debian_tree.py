@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from app.cli.installed_files import CONFIGURATION, INSTALLED, PACKAGED_UNIT, ServiceUnit, first_configuration
+from app.cli.install_service import CONFIGURATION, INSTALLED, PACKAGED_UNIT, ServiceUnit, first_configuration
 from release.packages import ROOT, extras
 
 TEMPLATES = ROOT / "release" / "debian"

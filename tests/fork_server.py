@@ -41,7 +41,7 @@ ENTRY_POINTS: dict[Program, tuple[str, str]] = {
 IMPORTED = (
     "app.cli.hosting",
     "app.cli.server",
-    "app.cli.simulate",
+    "app.cli.wire",
     "app.cli.accounts",
     "bus.worker.service",
 )

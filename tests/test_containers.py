@@ -12,7 +12,7 @@ import yaml
 
 from app.cli import cli
 from app.cli.accounts import token
-from app.cli.installed_files import CONFIGURATION, DATA, INSTALLED
+from app.cli.install_service import CONFIGURATION, DATA, INSTALLED
 from app.settings import Settings, load
 from release.__main__ import platform_tag
 from tests.test_architecture import ROOT, text_of

@@ -225,7 +225,7 @@ async def test_browsers_learn_of_a_reading_before_what_judges_and_stores_it(tmp_
     learning = [
         "app.line.live.hub.Hub._on_updates",
         "app.line.live.browser.Browser.send_diff",
-        "app.line.live.api.stream.LineStream._on_updates",
+        "app.line.live.api.routes.LineStream._on_updates",
         "app.engineering.sets.drift.BusDrift._see",
         "app.line.alarms.bus_alarms.BusAlarms._see",
         "app.line.history.service.History.append",

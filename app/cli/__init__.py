@@ -17,8 +17,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "init": ("init", "Write a commented lineside.toml to start from."),
     "serve": ("serve", "Serve the dashboard and run one bus worker for each [[bus]]."),
     "demo": ("demo", "Run a simulated line and its dashboard; no configuration needed."),
-    "worker": ("worker", "Run one bus worker near the port, for a dashboard on another machine."),
-    "simulate": ("simulate", "Run simulated units only and print the port to open."),
+    "worker": ("serve", "Run one bus worker near the port, for a dashboard on another machine."),
+    "simulate": ("wire", "Run simulated units only and print the port to open."),
     "scan": ("wire", "Find the addresses that respond, their baud rate and device."),
     "decode": ("wire", "Decode the frames in some bytes."),
     "check": ("check", "Check the configuration and list its faults."),
@@ -79,7 +79,7 @@ class Lazy(click.Group):
         return name, command, rest
 
     def invoke(self, ctx: click.Context) -> Any:
-        from app.cli.process import ending  # not for --help and --version, which take no command
+        from app.cli.command import ending  # not for --help and --version, which take no command
 
         with ending():
             return super().invoke(ctx)

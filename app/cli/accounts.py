@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import click
 
-from app.cli.options import config_option, json_option
+from app.cli.command import config_option, json_option
 from app.cli.site import console, reading_site, site_log
 from app.core.web.access import PEOPLE_ROLES, Role
 from app.people.auth.accounts import Accounts

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import click
 
-from app.cli.options import PATH, config_option, json_option
-from app.cli.process import report
+from app.cli.command import PATH, config_option, json_option, report
 from app.cli.site import has_store, reading_site, record, site_log
 from app.cli.starting import check_store
 from app.core.database.connection import examining
@@ -18,7 +17,7 @@ from app.core.web.shape import message_shown
 from app.errors import StoreError
 from app.people.audit.anchor import Anchors, anchor_file, read_anchor_file
 from app.people.audit.archive import ArchiveProof, prove_archive
-from app.people.audit.chain import ROTATED, Ends, KeyRing, newest_of, origin_of
+from app.people.audit.entry import ROTATED, Ends, KeyRing, newest_of, origin_of
 from app.people.audit.keys import find_key_file, owners_of, read_key_file
 from app.people.audit.proof import AuditVerification, cuts_of, heads_of, prove
 from app.records.handover.signatures import missing_signatures

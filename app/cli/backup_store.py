@@ -18,8 +18,7 @@ from zoneinfo import ZoneInfo
 
 import click
 
-from app.cli.options import PATH, config_option, json_option, typed_time, yes_option
-from app.cli.process import become_owner_of, report
+from app.cli.command import PATH, become_owner_of, config_option, json_option, report, typed_time, yes_option
 from app.cli.site import open_log, reading_site, record
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import examining, open_for_reading
@@ -28,7 +27,7 @@ from app.core.database.migration import COMPANIONS, is_store
 from app.errors import StoreError
 from app.line.commands.limits import Protection, keep_in_force, read_protection
 from app.people.audit.anchor import anchor_file, put_aside
-from app.people.audit.chain import Head, newest_of
+from app.people.audit.entry import Head, newest_of
 from app.people.audit.proof import heads_of
 from app.people.auth.rights import Present, Withheld, read_present, tokens_to_revoke, withhold
 from app.settings import STORE_FILE, Settings, load

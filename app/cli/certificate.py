@@ -23,8 +23,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from app.cli.options import config_option
-from app.cli.process import become_owner_of, report, wrong_option
+from app.cli.command import become_owner_of, config_option, report, wrong_option
 from app.core.database.files import write_file
 from app.settings import HostName, ServerSettings, Settings, host_name, load
 from bus.errors import LinesideError

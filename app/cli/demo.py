@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from app.cli.options import ADDRESS, TCP_PORT
+from app.cli.command import ADDRESS, TCP_PORT
 from app.cli.starting import listen, listen_from
 from app.core.server.service_manager import ServiceManager
 from app.errors import StoreError

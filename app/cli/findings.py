@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from app.cli.installed_files import UNIT_FILE
+from app.cli.install_service import UNIT_FILE
 from app.cli.starting import ListenError, PortInUse, listen
 from app.core.database.connection import examining
 from app.core.database.files import free_bytes

@@ -26,12 +26,12 @@ from pydantic import BaseModel
 from pydantic.warnings import UnsupportedFieldAttributeWarning
 
 from app.cli import loading
-from app.cli.process import become_owner_of, report
+from app.cli.command import become_owner_of, report
 from app.cli.starting import listen, url_of
 from app.core.database import Database
 from app.core.database.files import make_folder
+from app.core.lifespan import in_thread
 from app.core.messages.languages import catalogs, locale_of
-from app.core.server.in_thread import in_thread
 from app.core.server.service_manager import Liveness, ServiceManager
 from app.errors import system_error
 from app.settings import LOCK_FILE, Settings

@@ -13,7 +13,8 @@ from pathlib import Path
 import click
 
 from app.cli import install_service
-from app.cli.installed_files import (
+from app.cli.command import acting_as_owner_of, config_option, report
+from app.cli.install_service import (
     CONFIGURATION,
     PACKAGED_UNIT,
     UNIT_FILE,
@@ -24,8 +25,6 @@ from app.cli.installed_files import (
     with_names,
     without_bus,
 )
-from app.cli.options import config_option
-from app.cli.process import acting_as_owner_of, report
 from app.errors import system_error
 from app.settings import parse
 from app.system.configuration.port_scan import adapters

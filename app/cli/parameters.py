@@ -12,23 +12,24 @@ from typing import Any
 
 import click
 
-from app.cli.dashboard import Dashboard, DashboardError, dashboard
-from app.cli.options import (
+from app.cli.command import (
     ADDRESS,
     PATH,
     bearer_token,
     bus_option,
+    complain,
     json_option,
+    report,
     token_file_option,
     token_option,
     url_option,
     yes_option,
 )
-from app.cli.process import complain, report
+from app.cli.dashboard import Dashboard, DashboardError, dashboard
 from app.core.database.files import write_file
 from app.core.web.shape import maybe_shown, message_shown
-from app.engineering.sets.document import MAX_DOCUMENT, read_document, write_document
 from app.engineering.sets.model import ParameterDifference, ParameterSet, UnitRows, differences
+from app.engineering.sets.store import MAX_DOCUMENT, read_document, write_document
 from app.errors import system_error
 from bus.errors import CallerError
 from bus.instants import unix_now

@@ -23,8 +23,8 @@ from app.engineering.sets.store import SetStore
 from app.line.alarms.acts import ACKNOWLEDGE
 from app.line.alarms.alarm import Alarm, AlarmDefinition, built_in
 from app.line.alarms.journal import AlarmStore, entry_of
-from app.line.alarms.rules.performance import ObservedSpan
-from app.line.alarms.rules.state_machine import AlarmAttributes, AlarmFacts, Changed, acknowledge, observe
+from app.line.alarms.performance import ObservedSpan
+from app.line.alarms.rules import AlarmAttributes, AlarmFacts, Changed, acknowledge, observe
 from app.line.conditions.catalogue import CONDITIONS
 from app.line.history import recorder, tables
 from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, combine, micros, minute_rollups
@@ -37,7 +37,7 @@ from app.people.audit.log import EventLog
 from app.people.audit.proof import heads_of
 from app.records.handover import notes
 from app.records.handover.notes import Note
-from app.records.handover.rules.shifts import shift_at, site_time
+from app.records.handover.rules import shift_at, site_time
 from app.records.handover.signatures import WRITE_NOTE
 from app.settings import Settings
 from bus.catalogue import parameters as numbers

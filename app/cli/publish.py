@@ -10,11 +10,10 @@ from zoneinfo import ZoneInfo
 
 import click
 
-from app.cli.options import config_option, typed_time
-from app.cli.process import report
+from app.cli.command import config_option, report, typed_time
 from app.cli.site import open_history, reading_site
 from app.line.history.series.runs import SECOND, micros
-from app.records.handover.rules.shifts import site_time
+from app.records.handover.rules import site_time
 from app.settings import load
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.outbox import HistoryRows, fill, read_identity

@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 
 import click
 
-from app.cli.options import config_option, json_option, typed_time
+from app.cli.command import config_option, json_option, typed_time
 from app.cli.site import open_history, reading_site
 from app.core.database import StoreConnection
 from app.core.database.connection import snapshot
@@ -20,7 +20,7 @@ from app.core.web.csv_file import FOR_PROGRAMS
 from app.core.web.formats import lasting
 from app.core.web.shape import iso
 from app.line.history.unit_report import UnitReport, stored_tail
-from app.records.handover.rules.shifts import EVERYTHING, Shift, shift_at, site_time
+from app.records.handover.rules import EVERYTHING, Shift, shift_at, site_time
 from app.records.handover.signatures import signed_between
 from app.records.reports.report import ReportedUnit, reported_buses, span_report
 from app.records.reports.rules import DAY_S, MAX_DAYS

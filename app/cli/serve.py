@@ -1,24 +1,39 @@
-"""``lineside serve``: takes the TCP port, then starts the dashboard and one bus worker for each ``[[bus]]``.
-It imports little, so that a port in use is reported at once."""
+"""``lineside serve``, which takes the TCP port, then starts the dashboard and one bus worker for each
+``[[bus]]``; and ``lineside worker``, one bus worker alone on a machine near the port. Imports are few, so
+that a port in use is reported at once."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from app.cli.options import config_option
-from app.cli.process import WRONG_CONFIGURATION, complain, report
+from app.cli.command import (
+    LINESIDE_TOML,
+    PATH,
+    WRONG_CONFIGURATION,
+    bearer_token,
+    complain,
+    config_option,
+    report,
+    token_file_option,
+    token_option,
+)
 from app.cli.starting import check_store, listen
 from app.core.server.service_manager import ServiceManager
 from app.settings import load
-from bus.configuration import ConfigurationError
+from bus.configuration import ConfigurationError, load_bus
+from bus.errors import CallerError
 from bus.instants import monotonic_now
 from bus.messages import Message
+
+if TYPE_CHECKING:
+    from bus.worker.uplink import UplinkTls
 
 NEW = "--new"
 
@@ -61,3 +76,60 @@ def _configuration_refused(manager: ServiceManager) -> Iterator[None]:
             raise
         complain(error.message)
         raise click.exceptions.Exit(WRONG_CONFIGURATION) from error
+
+
+WORKER_TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
+
+
+@click.command
+@click.option("--bus", required=True, help="Name of the bus in the configuration.")
+@click.option(
+    "--app",
+    required=True,
+    multiple=True,
+    help="Address of the dashboard, http://host:port; may be repeated for that of its spare.",
+)
+@token_option
+@token_file_option
+@click.option("--config", type=PATH, default=LINESIDE_TOML, help="The configuration that has the bus.")
+@click.option("--ca", type=PATH, help="Certificate of the dashboard's authority, by default this machine's.")
+@click.option("--certificate", type=PATH, help="The worker's certificate, where the dashboard demands one.")
+@click.option("--key", type=PATH, help="Its private key.")
+def worker(
+    bus: str,
+    app: Sequence[str],
+    token: str,
+    token_file: Path | None,
+    config: Path,
+    ca: Path | None,
+    certificate: Path | None,
+    key: Path | None,
+) -> None:
+    """Run one bus worker for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
+    for url in app:
+        if not url.startswith(("http://", "https://", "ws://", "wss://")):
+            raise CallerError(Message.of("app_url_malformed", url=url))
+    bearer = bearer_token(token, token_file, WORKER_TOKEN_VARIABLE)
+    settings = load_bus(config, bus)
+    tls = _tls(app, ca, certificate, key)
+    from bus.worker.service import run
+
+    raise click.exceptions.Exit(run(settings, app, bearer, tls=tls))
+
+
+def _tls(
+    apps: Sequence[str], ca: Path | None, certificate: Path | None, key: Path | None
+) -> UplinkTls | None:
+    """Return what secures the link. Raises CallerError for options that do not fit and files that cannot be
+    used."""
+    if not any(url.startswith(("https://", "wss://")) for url in apps):
+        if ca or certificate or key:
+            raise CallerError(Message.of("app_url_in_clear", url=apps[0]))
+        return None
+    if (certificate is None) != (key is None):
+        raise CallerError(Message("certificate_without_key"))
+    from bus.worker.uplink import UplinkTls
+
+    tls = UplinkTls(ca, (certificate, key) if certificate and key else None)
+    tls.context()
+    return tls

@@ -20,14 +20,13 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app.cli.starting import BACKLOG
 from app.core.server.connections import Connections
-from app.core.server.gate import RECEIVE_BUFFER_BYTES, Gate, Gates, Stages
-from app.core.server.loop_watch import LoopWatch
+from app.core.server.gate import RECEIVE_BUFFER_BYTES, Gate, Gates, LoopWatch, Stages
 from app.core.server.refusal_log import ErrorLines, RefusalLog
 from app.core.server.refusals import TLS_REQUIRED
 from app.core.server.tls import Encryption
 from app.feature import Services
 from app.line.feed.socket import Workers
-from app.line.live.api.stream import LineStream
+from app.line.live.api.routes import LineStream
 from app.main import create_app
 from app.people.auth.sign_in import FirstAdmin
 from app.settings import Settings

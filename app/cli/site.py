@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
-from app.cli.process import become_owner_of
+from app.cli.command import become_owner_of
 from app.cli.starting import check_store
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import examining

@@ -16,10 +16,9 @@ from zoneinfo import ZoneInfo
 import click
 import httpx
 
+from app.cli.command import bearer_token, config_option, json_option, report, token_file_option, token_option
 from app.cli.dashboard import dashboard
 from app.cli.findings import backup_folder_fault, certificate_files, existing_part
-from app.cli.options import bearer_token, config_option, json_option, token_file_option, token_option
-from app.cli.process import report
 from app.cli.starting import url_of
 from app.core.database.connection import examining, has_table
 from app.core.database.files import free_bytes
@@ -28,7 +27,7 @@ from app.core.web.shape import iso, maybe_shown
 from app.errors import StoreError
 from app.line.history.service import seconds
 from app.line.history.status import MAX_DAYS
-from app.records.handover.rules.shifts import site_time
+from app.records.handover.rules import site_time
 from app.settings import Settings, load
 from app.system.backup.folder import next_due
 from app.system.backup.service import newest_in

@@ -21,10 +21,9 @@ from typing import Any
 
 import click
 
+from app.cli.command import PATH, config_option, report
 from app.cli.findings import OF_MACHINE
-from app.cli.installed_files import UNIT_FILE
-from app.cli.options import PATH, config_option
-from app.cli.process import report
+from app.cli.install_service import UNIT_FILE
 from app.core.database.connection import examining
 from app.core.database.files import free_bytes, fresh_file, in_words
 from app.errors import StoreError

@@ -1,16 +1,18 @@
 """The lifespan of the server: parts start in order and end in reverse order, each even where another fails.
 
 Works run as tasks of their own, not in a TaskGroup: one that fails is started again and never ends the
-others.
+others. A blocking call may run in a thread that ends with the process.
 """
 
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Coroutine
+from concurrent.futures import Future
 from contextlib import AsyncExitStack, asynccontextmanager
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import structlog
 
@@ -148,3 +150,28 @@ class Background:
     async def close(self) -> None:
         """Cancel the tasks that still run."""
         await cancel(list(self._tasks))
+
+
+T = TypeVar("T")
+
+
+async def in_thread(work: Callable[[], T], *, stop: Callable[[], None] | None = None) -> T:
+    """Return what ``work`` returns. ``stop`` is called when the wait for it is canceled, and has to make it
+    return. A thread that hangs in spite of that is abandoned: it delays neither the loop nor the end of the
+    process, as a thread of a pool would."""
+    done: Future[T] = Future()
+    done.set_running_or_notify_cancel()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:
+            done.set_exception(error)
+
+    threading.Thread(target=run, name="detached", daemon=True).start()
+    try:
+        return await asyncio.wrap_future(done)
+    except asyncio.CancelledError:
+        if stop is not None:
+            stop()
+        raise

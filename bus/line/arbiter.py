@@ -11,7 +11,7 @@ from bus.line.poll_schedule import PollSchedule, Task, TaskKind
 from bus.line.send import ExchangeResult, Send, SendAttempts
 from bus.messages import Message
 from bus.wire.commands import Nak, ReadParameterRequest, ReadStatusRequest, Request
-from bus.wire.fence import PendingResponses
+from bus.wire.exchange import PendingResponses
 
 
 class CommandQueue:

@@ -30,8 +30,18 @@ from bus.line.trace import Trace, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import Request, least_reply_bytes, longest_reply_bytes
-from bus.wire.exchange import Duplicate, Echo, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
-from bus.wire.fence import PendingByUnit, PendingResponses
+from bus.wire.exchange import (
+    Duplicate,
+    Echo,
+    Exchange,
+    ExchangeEvent,
+    Foreign,
+    Late,
+    PendingByUnit,
+    PendingResponses,
+    Responded,
+    Unexpected,
+)
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
 
 T = TypeVar("T")

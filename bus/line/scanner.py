@@ -23,8 +23,17 @@ from bus.line.timing import MARGIN_S, LineClock, RealClock, Window
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import ReadStatusRequest, longest_reply_bytes
-from bus.wire.exchange import Duplicate, Echo, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
-from bus.wire.fence import PendingByUnit
+from bus.wire.exchange import (
+    Duplicate,
+    Echo,
+    Exchange,
+    ExchangeEvent,
+    Foreign,
+    Late,
+    PendingByUnit,
+    Responded,
+    Unexpected,
+)
 from bus.wire.framing import DLE, DoubledChecksum, FrameDecoder, Noise, ReceivedFrame
 
 _PLAIN = Dialect()

@@ -11,7 +11,7 @@ from bus.instants import Monotonic, UnixTime
 from bus.line.timing import NEVER
 from bus.settings import Dialect
 from bus.wire.commands import Nak, Reply, Request, is_write
-from bus.wire.fence import PendingResponses
+from bus.wire.exchange import PendingResponses
 
 READ_ATTEMPTS = 3
 WRITE_ATTEMPTS = 4

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 from app.core.database import Database
-from app.line.alarms.rules import state_machine
-from app.line.alarms.rules.state_machine import NoTransitionError
+from app.line.alarms import rules
+from app.line.alarms.rules import NoTransitionError
 from tests.app.alarm_bus import BUS, HEALTHY, RUN, AlarmBus
 
 
@@ -25,7 +25,7 @@ async def flood(store: Path) -> None:
             bus.read(unit, inputs=dice.choice((RUN, RUN | HEALTHY)))
             alarm = bus.alarms.list.alarms[f"{BUS}.{unit}.estop_active"]
             try:
-                acknowledged = state_machine.acknowledge(alarm.facts, alarm.definition.attributes, bus.now)
+                acknowledged = rules.acknowledge(alarm.facts, alarm.definition.attributes, bus.now)
             except NoTransitionError:
                 continue
             if dice.random() < 0.3:

@@ -119,7 +119,7 @@ class House:
 
     async def events(self, kind: str) -> list[dict[str, Any]]:
         """Return the events of one kind, newest first."""
-        from app.people.audit.queries import Filter
+        from app.people.audit.log import Filter
 
         return (await self.services[EventLog].page(Filter(kind=kind), 100))[0]
 

@@ -15,8 +15,7 @@ from typing import Any
 
 from app.core.database import Database, StoreConnection
 from app.people.audit.archive import Month, write_file
-from app.people.audit.chain import BEGINNING, ROTATED, Head, KeyRing, sealed_entry, sealed_head
-from app.people.audit.entry import new_entry
+from app.people.audit.entry import BEGINNING, ROTATED, Head, KeyRing, new_entry, sealed_entry, sealed_head
 from app.people.audit.proof import Cut, add_cut
 
 SITE, DRY, WET = "", "dry-end", "wet-end"

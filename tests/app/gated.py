@@ -15,8 +15,7 @@ from uvicorn.server import ServerState
 
 from app.cli.server import MAX_MESSAGE_BYTES
 from app.core.server.connections import Connections
-from app.core.server.gate import Gate, Gates, Stages
-from app.core.server.loop_watch import LoopWatch
+from app.core.server.gate import Gate, Gates, LoopWatch, Stages
 from app.core.server.refusal_log import RefusalLog
 from app.core.server.tls import ChooseContext
 from bus.instants import monotonic_now

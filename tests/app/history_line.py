@@ -9,12 +9,11 @@ from pathlib import Path
 from app.core.database import Database
 from app.line.history import tables
 from app.line.history.query import QueryResult, SeriesQuery, run_query
-from app.line.history.recorder import Recorder, compact
+from app.line.history.recorder import Recorder, Tail, compact
 from app.line.history.series.runs import micros
 from app.line.history.series.values import VALUES
 from app.line.history.settings import HistorySettings
 from app.line.history.status import DiskReserve
-from app.line.history.tail import Tail
 from app.line.history.writer import MIGRATIONS, Writer
 from bus.contract import ParameterValue, Reading, Update
 from bus.messages import Message

@@ -12,9 +12,9 @@ from typing import cast
 
 import pyarrow.parquet
 
+from app.line.history.api import Span, series_queries
 from app.line.history.export import Format, export_response
 from app.line.history.service import History
-from app.line.history.spans import Span, series_queries
 from bus.settings import BusSettings, UnitSettings
 
 assert pyarrow.parquet, "loading it is no growth"

@@ -10,9 +10,9 @@ import pytest
 from app.core.server import addresses, connections, gate
 from app.core.web import api as api_route
 from app.core.web import request_rules as bounds
-from app.line.live.api import stream as line_stream
+from app.line.live.api import routes as line_stream
 from app.people.audit import acts
-from app.people.auth import pages, passwords, rights, rules, sign_in, store, throttle
+from app.people.auth import pages, passwords, rights, rules, sign_in, store
 
 DOCS = Path(__file__).parents[2] / "docs"
 SIGN_IN = "| limit | value |"
@@ -100,16 +100,16 @@ def test_every_limit_of_signing_in_is_documented_with_its_value() -> None:
     table = (DOCS / "safety.md").read_text().partition(SIGN_IN)[2].partition("\n\n")[0]
     rows = re.findall(rf"^\| (?!-).* \| {NUMBER} \|$", table, re.MULTILINE)
     assert [float(value) for value in rows] == [
-        throttle.FREE,
-        throttle.FREE_OF_PANEL,
-        throttle.FIRST_WAIT_S,
-        throttle.MAX_WAIT_S,
-        throttle.FORGOTTEN_AFTER_S,
-        throttle.OF_ADDRESS,
-        throttle.OF_ADDRESS_WINDOW_S,
-        throttle.OF_NAME,
-        throttle.OF_NAME_EVERY_S,
-        throttle.OF_PANEL_EVERY_S,
+        sign_in.FREE,
+        sign_in.FREE_OF_PANEL,
+        sign_in.FIRST_WAIT_S,
+        sign_in.MAX_WAIT_S,
+        sign_in.FORGOTTEN_AFTER_S,
+        sign_in.OF_ADDRESS,
+        sign_in.OF_ADDRESS_WINDOW_S,
+        sign_in.OF_NAME,
+        sign_in.OF_NAME_EVERY_S,
+        sign_in.OF_PANEL_EVERY_S,
         sign_in.MAX_WAITING_OF_PLACE,
         sign_in.MAX_WAITING,
         pages.DEVICE_KNOWN_S / rules.DAY,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.core.time_zone import machine_zone
+from app.core.messages.languages import machine_zone
 from app.settings import ConfigurationError, Site, load, parse
 
 BUSES = """\

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from app.core.database import Database
-from app.people.audit.chain import KEY_BYTES, KeyOrigin, KeyRing, previous_after, sealed_entry, sealed_head
+from app.people.audit.entry import KEY_BYTES, KeyOrigin, KeyRing, previous_after, sealed_entry, sealed_head
 from app.people.audit.keys import make_key_file, open_keys, owners_of, read_key_file
 from app.people.audit.log import EventLog
 from tests.app.former_log import DRY, SITE, WET, FormerLog

@@ -20,7 +20,7 @@ from app.cli import cli
 from app.core.database import Database
 from app.core.database.migration import MIGRATIONS
 from app.people.audit.anchor import Anchoring
-from app.people.audit.chain import (
+from app.people.audit.entry import (
     BEGINNING,
     END_ALTERED,
     OTHER_KEY,

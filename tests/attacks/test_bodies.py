@@ -19,7 +19,7 @@ from app.core.web.request_rules import (
     MAX_PLAIN_BODY_BYTES,
     MAX_QUERY,
 )
-from app.engineering.sets.document import MAX_KEY_STEPS, MAX_LINES, MAX_VALUES, DocumentError, read_document
+from app.engineering.sets.store import MAX_KEY_STEPS, MAX_LINES, MAX_VALUES, DocumentError, read_document
 from tests.app.complete_app import House, complete_app
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"

@@ -18,9 +18,8 @@ from app.line.alarms.line_alarms import LineAlarms
 from app.main import create_app
 from app.people.audit.anchor import Anchoring, AnchorStatus
 from app.people.audit.keys import open_keys
-from app.people.audit.log import EventLog
+from app.people.audit.log import EventLog, Filter
 from app.people.audit.proof import heads_of
-from app.people.audit.queries import Filter
 from app.settings import load
 from tests.app.complete_app import settings_in
 from tests.attacks.test_audit_log import ENTRIES, Plant

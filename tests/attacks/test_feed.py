@@ -28,8 +28,7 @@ from app.line.live.browser import Browser
 from app.line.live.bus_live import Audience, BusLive
 from app.line.live.change_recorder import ChangeRecorder
 from app.line.live.hub import Hub
-from app.people.audit.log import EventLog
-from app.people.audit.queries import Filter
+from app.people.audit.log import EventLog, Filter
 from bus.contract import (
     MAX_UPDATES,
     AppMessage,

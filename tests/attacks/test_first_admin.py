@@ -11,8 +11,7 @@ import pytest
 
 from app.core.web.access import Role
 from app.people.auth.accounts import Accounts
-from app.people.auth.sign_in import FirstAdmin, new_code
-from app.people.auth.throttle import FREE, OF_NAME
+from app.people.auth.sign_in import FREE, OF_NAME, FirstAdmin, new_code
 from tests.app.complete_app import PASSWORD, House, complete_app
 
 

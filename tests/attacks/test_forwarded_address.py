@@ -13,8 +13,7 @@ import pytest
 from app.cli.server import Server
 from app.core.server.addresses import Network
 from app.core.web.access import Role
-from app.people.audit.log import EventLog
-from app.people.audit.queries import Filter
+from app.people.audit.log import EventLog, Filter
 from app.people.auth.accounts import Accounts
 from bus.instants import monotonic_now
 from tests.administrator import BY

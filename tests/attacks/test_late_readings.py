@@ -15,9 +15,9 @@ from app.line.feed.ingest import MAX_VALUES_AT_ONCE
 from app.line.feed.plausibility import FIRST_S
 from app.line.feed.socket import Workers
 from app.line.history import tables
+from app.line.history.recorder import Tail
 from app.line.history.series.runs import HOUR, Run, merge, micros
 from app.line.history.service import History
-from app.line.history.tail import Tail
 from app.line.live.bus_live import LiveState
 from app.line.live.change_recorder import ChangeRecorder
 from bus.contract import MAX_UPDATES, Batch, Reading, Snapshot, UnitState, encode

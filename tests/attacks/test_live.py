@@ -13,7 +13,7 @@ from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketT
 from starlette.websockets import WebSocketDisconnect
 
 from app.core.web.access import Role
-from app.line.live import socket
+from app.line.live import hub
 from app.line.live.browser import Browser, Diff
 from app.line.live.hub import MAX_WATCH_BURST, Broadcast, Hub
 from app.line.live.requests import MAX_OF_ACCOUNT, Admission
@@ -62,7 +62,7 @@ def test_endless_requests_of_a_page_get_responses_at_its_pace(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pauses: list[float] = []
-    paces, wait = (1 / socket.SNAPSHOTS_A_SECOND, 1 / socket.MESSAGES_A_SECOND), asyncio.sleep
+    paces, wait = (1 / hub.SNAPSHOTS_A_SECOND, 1 / hub.MESSAGES_A_SECOND), asyncio.sleep
 
     async def sleep(seconds: float) -> None:
         # The app's own rhythms go on as they are: without a pause they would leave nothing for anyone else.
@@ -70,16 +70,16 @@ def test_endless_requests_of_a_page_get_responses_at_its_pace(
             pauses.append(seconds)
         await wait(0 if seconds in paces else seconds)
 
-    monkeypatch.setattr(socket.asyncio, "sleep", sleep)
+    monkeypatch.setattr(hub.asyncio, "sleep", sleep)
     requested = 50
     with client.websocket_connect("/live", headers=ORIGIN) as page:
         for _ in range(requested):
             page.send_text('{"want": "snapshot"}')
         snapshots = 0
-        while snapshots < requested - socket.MAX_SNAPSHOTS_AT_ONCE and len(pauses) < requested:
+        while snapshots < requested - hub.MAX_SNAPSHOTS_AT_ONCE and len(pauses) < requested:
             snapshots += json.loads(page.receive_text())["is"] == "snapshot"
-    assert pauses.count(1 / socket.SNAPSHOTS_A_SECOND) >= requested - socket.MAX_SNAPSHOTS_AT_ONCE - 1
-    assert pauses.count(1 / socket.MESSAGES_A_SECOND) >= requested - socket.MAX_MESSAGES_AT_ONCE - 1
+    assert pauses.count(1 / hub.SNAPSHOTS_A_SECOND) >= requested - hub.MAX_SNAPSHOTS_AT_ONCE - 1
+    assert pauses.count(1 / hub.MESSAGES_A_SECOND) >= requested - hub.MAX_MESSAGES_AT_ONCE - 1
 
 
 MALFORMED: list[dict[str, Any]] = [

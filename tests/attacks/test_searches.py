@@ -44,7 +44,7 @@ SEARCHES = (
 @pytest.fixture
 async def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[House]:
     # The server's own first query would be counted as one of an account.
-    monkeypatch.setattr("app.line.history.pages.AFTER_S", inf)
+    monkeypatch.setattr("app.line.history.feature.AFTER_S", inf)
     async with complete_app(tmp_path) as house:
         yield house
 

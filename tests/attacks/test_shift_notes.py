@@ -13,7 +13,7 @@ from app.core.database.files import MIN_FREE_OF_OTHERS
 from app.core.web.access import Role
 from app.records.handover import notes
 from app.records.handover.notes import MAX_AGE_DAYS, MAX_PER_HOUR
-from app.records.handover.rules.shifts import Shift
+from app.records.handover.rules import Shift
 from app.records.handover.service import Handover
 from app.records.handover.settings import ShiftSettings
 from app.settings import ServerSettings

@@ -24,8 +24,7 @@ from app.people.auth.identify import NO_LONGER_SIGNED_IN
 from app.people.auth.pages import DEVICE_COOKIE
 from app.people.auth.rights import Rights
 from app.people.auth.rules import SECRET_LENGTH
-from app.people.auth.sign_in import SignIn
-from app.people.auth.throttle import FREE, OF_ADDRESS, OF_NAME
+from app.people.auth.sign_in import FREE, OF_ADDRESS, OF_NAME, SignIn
 from bus.contract import CONTRACT_VERSION, Hello, encode
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House, complete_app, settings_in

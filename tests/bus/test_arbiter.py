@@ -10,7 +10,7 @@ from bus.line.poll_schedule import PollSchedule
 from bus.line.send import ExchangeResult, Send
 from bus.settings import Dialect
 from bus.wire.commands import Ack, ReadStatusRequest, Reply, Request, SetAndExecuteSpeedRequest, StatusReply
-from bus.wire.fence import PendingResponses
+from bus.wire.exchange import PendingResponses
 
 PLAIN = Dialect()
 POLL_S = 0.026

@@ -25,8 +25,17 @@ from bus.wire.commands import (
     encode_reply,
     encode_request,
 )
-from bus.wire.exchange import Duplicate, Echo, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
-from bus.wire.fence import PendingResponses
+from bus.wire.exchange import (
+    Duplicate,
+    Echo,
+    Exchange,
+    ExchangeEvent,
+    Foreign,
+    Late,
+    PendingResponses,
+    Responded,
+    Unexpected,
+)
 from bus.wire.framing import DoubledChecksum, Fault, Noise
 
 PLAIN = Dialect()

@@ -27,12 +27,13 @@ from bus.wire.commands import (
     encode_reply,
     is_write,
 )
-from bus.wire.exchange import Exchange, Responded
-from bus.wire.fence import (
+from bus.wire.exchange import (
     LONG_RUN,
     MAX_OUTSTANDING,
+    Exchange,
     PendingByUnit,
     PendingResponses,
+    Responded,
     possible_shapes,
 )
 from bus.wire.framing import ACK, NAK

@@ -31,7 +31,7 @@ from bus.wire.commands import (
     SetAndExecuteSpeedRequest,
     StatusReply,
 )
-from bus.wire.fence import PendingResponses
+from bus.wire.exchange import PendingResponses
 
 REMOTE = 0x40
 MASTER, FOLLOWER, PRESET = 0x03, 0x43, 0x07

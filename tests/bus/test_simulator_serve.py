@@ -200,7 +200,7 @@ def test_remote_control() -> None:
 @pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGINT])
 def test_the_command_prints_the_port_first_and_ends_cleanly(tmp_path: Path, ending: signal.Signals) -> None:
     link = tmp_path / "line"
-    code = "from app.cli.simulate import simulate; simulate()"
+    code = "from app.cli.wire import simulate; simulate()"
     call = [sys.executable, "-c", code, "--units", "3", "--link", str(link), "--control", "0"]
     with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

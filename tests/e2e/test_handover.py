@@ -10,7 +10,7 @@ from zlib import compress, crc32
 import pytest
 from playwright.sync_api import Page, ViewportSize, expect
 
-from app.records.handover.rules.pictures import exif_of
+from app.records.handover.rules import exif_of
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.site import PASSWORD
 

@@ -10,8 +10,7 @@ from zoneinfo import ZoneInfo
 from babel.dates import format_skeleton, format_time
 from babel.numbers import get_decimal_symbol
 
-from app.core.messages.languages import day, locale_of, minute, moment
-from app.core.time_zone import UTC
+from app.core.messages.languages import UTC, day, locale_of, minute, moment
 from bus.instants import UnixTime
 
 HALF_DAY_S = 43_200

@@ -27,18 +27,17 @@ from app.core.web.shape import (
 from app.engineering.recipes.book import DELETE, LOAD, SAVE, RecipeBook
 from app.engineering.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, setpoints_now
 from app.errors import Problem, or_404
-from app.line.commands.api.commands import RESULT_RESPONSES
-from app.line.commands.api.responses import FramesWanted, command_response
+from app.line.commands.api import RESULT_RESPONSES, FramesWanted, command_response
 from app.line.commands.catalogue import SET_LINE
 from app.line.commands.rules import setpoint_text
 from app.line.commands.service import permitted_writer
 from app.line.live.api.routes import Live
-from app.line.live.api.schemas import Time
+from app.line.live.api.view import Time
 from app.line.live.bus_live import BusLive
 from app.line.live.requests import bus_or_404
 from app.people.audit.api import Events
 from app.people.audit.entry import Event
-from app.people.audit.queries import Filter
+from app.people.audit.log import Filter
 from bus.instants import UnixTime
 from bus.messages import Message
 from bus.validation import Lines, OneLine

@@ -19,7 +19,7 @@ from app.line.commands.values import (
     scale_text,
     setpoint_scale,
 )
-from app.line.live.api.schemas import UnitAddress
+from app.line.live.api.view import UnitAddress
 from app.line.live.bus_live import BusLive, UnitLive, follower
 from bus.catalogue.parameters import RATIO_SETPOINT
 from bus.contract.actions import change_s

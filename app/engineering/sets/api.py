@@ -13,7 +13,6 @@ from app.core.web.access import Person, Viewer
 from app.core.web.api import NEXT_PAGE, ApiRoute, link_next, problems
 from app.core.web.services import bus_service, bus_service_of
 from app.core.web.shape import MessageObject, StrictBody, UnitAddresses, iso
-from app.engineering.sets.document import write_document
 from app.engineering.sets.drift import BusDrift, DriftedParameter
 from app.engineering.sets.lookup import Sets, StoredSet, set_or_404, unit_rows_or_404
 from app.engineering.sets.model import (
@@ -28,9 +27,10 @@ from app.engineering.sets.model import (
     with_unit,
 )
 from app.engineering.sets.saving import EXPORT_SECRET, MARK_GOLDEN, SAVE, SCHEDULE, SetKeeper, SetSchedule
+from app.engineering.sets.store import write_document
 from app.errors import Problem
 from app.line.live.api.routes import Live
-from app.line.live.api.schemas import MaybeTime, UnitAddress
+from app.line.live.api.view import MaybeTime, UnitAddress
 from app.line.live.requests import bus_or_404, unit_or_404
 from app.people.audit.api import Events
 from bus.catalogue.parameters import PARAMETERS

@@ -13,8 +13,7 @@ from app.engineering.sets.store import SetStore
 from app.line.live.bus_live import Audience, BusLive
 from app.line.live.fields import Translator
 from app.line.live.sources import Drifted
-from app.people.audit.log import Event, EventLog
-from app.people.audit.queries import Filter
+from app.people.audit.log import Event, EventLog, Filter
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, Update
 from bus.instants import UnixTime

@@ -6,7 +6,7 @@ from functools import partial
 
 from app.core.database import Database
 from app.core.web.services import Registry
-from app.engineering.sets import api, batch, pages, restore_api, restore_pages
+from app.engineering.sets import api, batch, pages, restore_api
 from app.engineering.sets.drift import BusDrift
 from app.engineering.sets.restore_service import CANCEL, PLAN, START, RestoreService, RestoreStore
 from app.engineering.sets.saving import (
@@ -60,6 +60,6 @@ def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
 
 FEATURE = Feature(
     make,
-    (api.router, restore_api.router, pages.router, restore_pages.router, batch.router),
+    (api.router, restore_api.router, pages.router, pages.router, batch.router),
     (SAVE, MARK_GOLDEN, EXPORT_SECRET, SCHEDULE, END_SCHEDULE, PLAN, START, CANCEL),
 )

@@ -15,11 +15,10 @@ from fastapi import Depends, Form, UploadFile
 from app.core.web.request_rules import MAX_BODY_BYTES, parse_apart
 from app.core.web.services import service
 from app.core.web.shape import parse_integer
-from app.engineering.sets.document import MAX_DOCUMENT, THE_FILE, read_document
 from app.engineering.sets.model import ParameterSet, ParameterSetSummary, UnitRows, known_rows
 from app.engineering.sets.restore_plan import Restore
 from app.engineering.sets.restore_service import RestoreService
-from app.engineering.sets.store import SetStore
+from app.engineering.sets.store import MAX_DOCUMENT, THE_FILE, SetStore, read_document
 from app.errors import Problem, or_404
 from app.line.live.bus_live import LiveState
 from app.line.live.requests import unit_or_404

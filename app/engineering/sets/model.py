@@ -10,7 +10,7 @@ from pydantic import Field, PlainSerializer
 
 from app.core.web.shape import MessageObject, iso
 from app.line.commands.values import in_measure
-from app.line.live.api.schemas import Time
+from app.line.live.api.view import Time
 from app.line.live.bus_live import BusLive, UnitLive
 from bus.catalogue.parameters import DECIMALS, FOLLOWER_MODE, PARAMETERS, Parameter
 from bus.catalogue.values import StatusBits, is_follower, parameter_message, parameter_unit, status_bits

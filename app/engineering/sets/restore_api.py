@@ -36,7 +36,7 @@ from app.engineering.sets.restore_plan import (
 from app.engineering.sets.restore_service import CANCEL, PLAN, START
 from app.errors import Problem
 from app.line.live.api.routes import Live
-from app.line.live.api.schemas import UnitAddress
+from app.line.live.api.view import UnitAddress
 from app.line.live.requests import unit_or_404
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Outcome

@@ -1,18 +1,388 @@
-"""The change tray: changes that a person gathers for each bus and sends together."""
+"""The change tray, changes that a person gathers for each bus and sends together: adding beside each way to
+set a value, the review, sending, the results."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple
+
+from fastapi import APIRouter, Form
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
 
 from app.core.find.finders import Finders, FixedPlace
 from app.core.messages import Language
 from app.core.web.access import Caller
+from app.core.web.arrival import Deadline
+from app.core.web.routes import GuardedRoute
 from app.core.web.templating import Templates
-from app.engineering.tray import pages
-from app.engineering.tray.contents import Trays
+from app.engineering.recipes.api import KnownRecipe
+from app.engineering.recipes.rules import why_not_setpoint
+from app.engineering.sets.batch import rows_of_batch, typed_batch, writable_or_404
+from app.engineering.sets.lookup import KnownRestore, Restores
+from app.engineering.sets.pages import Ticks, ticked
+from app.engineering.tray.contents import ON_OFF, TrayRow, Trays, place_of, steps_of, unable_units
+from app.engineering.tray.own_tray import OwnTray, TrayResult, first_id, send_changes
+from app.errors import Problem
 from app.feature import Feature, Services
+from app.line.commands.catalogue import (
+    SET_LINE,
+    SET_SPEED,
+    WRITE_ANALOG_OUTPUT,
+    WRITE_OUTPUT,
+    longest_change_s,
+    timeout_s_for,
+)
+from app.line.commands.control import controlled
+from app.line.commands.page_context import BusPage, Confirmed, Page, PageOfBus, PageOfUnit, ReviewedScale
+from app.line.commands.pages.line import followers_of, left_out_of, typed_setpoints
+from app.line.commands.pages.parameters import CONFIRMING_WORD, ParameterPath
+from app.line.commands.pages.speed import explain_setpoint
+from app.line.commands.pages.unit import OutputPath, typed_analog
+from app.line.commands.review import OutcomeText, Tone, by_remark, draw_changes, outcome_text
+from app.line.commands.service import ParameterWriter, permitted, permitted_writer
+from app.line.commands.undo import UndoOffer, ValuePlace, Values
+from app.line.commands.values import Scales, parameter_message, parse_scale
+from bus.catalogue.parameters import PARAMETERS
+from bus.errors import CallerError
 from bus.instants import monotonic_now
-from bus.messages import Message
+from bus.messages import Message, term
+
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
+GATHERS = [permitted(SET_LINE)]
+SEE_OTHER = 303
+TITLE = term("Change tray")
+_REVIEWED = re.compile(r"([a-z]+-\d+-\d+):(\d{1,6}):(\d{0,6})", re.ASCII)
+
+
+class ReviewedRow(NamedTuple):
+    """A change as the person saw it: the new raw value, and the one before as text, empty for none."""
+
+    raw: int
+    was: str
+
+
+class ShownResult(NamedTuple):
+    """A change and its result. ``undo`` is that of its command, at the first change of the command."""
+
+    row: TrayRow
+    outcome: OutcomeText
+    undo: UndoOffer | None
+
+
+@router.get("/tray", dependencies=GATHERS)
+async def tray_page(page: Page) -> Response:
+    """Show what the person has gathered for each bus."""
+    trays = [OwnTray(bus) for bus in page.buses()]
+    buses = [(tray.page.name, rows) for tray in trays if (rows := tray.rows())]
+    return page.render("tray/page.html", buses=buses)
+
+
+@router.get("/tray/strip", dependencies=GATHERS)
+async def tray_strip(page: Page) -> Response:
+    """Show how much is in the tray, at the edge of the open page."""
+    return page.render("tray/_strip.html")
+
+
+@router.get("/bus/{bus}/tray/review", dependencies=GATHERS)
+async def review_tray(page: PageOfBus) -> Response:
+    """Show every change as it is now, to be confirmed."""
+    tray = OwnTray(page)
+    try:
+        _refuse_without_control(page)
+        await tray.learn()
+        return _review(page, tray)
+    except Problem as problem:
+        return _refused(page, problem)
+
+
+@router.post("/bus/{bus}/tray/remove", dependencies=GATHERS)
+async def remove_from_tray(page: PageOfBus, place: Annotated[str, Form(max_length=40)] = "") -> Response:
+    """Remove one change or, without a place, all changes of the bus."""
+    tray = OwnTray(page)
+    held, named = tray.changes, place_of(place)
+    tray.remove({each: raw for each, raw in held.items() if not place or each == named})
+    return _review(page, tray) if _is_in_page(page) else RedirectResponse("/tray", SEE_OTHER)
+
+
+def _review(page: BusPage, tray: OwnTray) -> Response:
+    rows = tray.rows()
+    if not rows:
+        return _shown(page, "tray/_empty.html")
+    unable = unable_units(rows)
+    able = [row for row in rows if row.place.unit not in unable]
+    setpoints = {row.place.unit: row.raw for row in able if row.place.kind == "setpoint"}
+    return _shown(
+        page,
+        "tray/_review.html",
+        rows=rows,
+        able=len(able),
+        unable=unable.values(),
+        followers=followers_of(page.bus),
+        warnings=by_remark((row.name, warning) for row in able for warning in row.warnings),
+        dangers=by_remark((row.name, term(row.danger)) for row in able if row.danger),
+        draws=draw_changes(page.bus, setpoints),
+        word=CONFIRMING_WORD,
+        longest_s=_longest_s(page, {row.place: row.raw for row in able}),
+    )
+
+
+def _refuse_without_control(page: BusPage) -> None:
+    """Raise Problem 409, beside which a page offers control."""
+    objection = page.guards.objection(page.person.account)
+    if objection is not None:
+        raise controlled(Message.of("nothing_sent", reason=objection), page.name)
+
+
+def _longest_s(page: BusPage, changes: Values) -> float:
+    steps = steps_of(changes)
+    return longest_change_s(page.bus, len(steps[0])) + len(steps) * timeout_s_for(page.bus) if steps else 0.0
+
+
+@router.post("/bus/{bus}/tray/send", dependencies=[permitted_writer(SET_LINE)])
+async def send_tray(
+    request: Request,
+    page: PageOfBus,
+    confirmed: Confirmed,
+    row: Annotated[list[str] | None, Form(max_length=512)] = None,
+    typed: Annotated[str, Form(max_length=20)] = "",
+) -> Response:
+    """Send what was reviewed, without the units that the person leaves out; nothing if anything differs from
+    the review."""
+    tray, left_out = OwnTray(page), left_out_of(await request.form())
+    try:
+        if await page.has_sent(first_id(confirmed.id)):
+            raise Problem(409, "not_in_state", Message("tray_sent_before"))
+        confirmed.refuse_lapsed()
+        _refuse_without_control(page)
+        rows = _confirmed_rows(tray, _reviewed(row or []), left_out)
+        if any(each.danger for each in rows) and typed.strip() != CONFIRMING_WORD:
+            raise Problem(409, "dangerous", Message("word_not_typed"))
+        changes = {each.place: each.raw for each in rows}
+        results = await send_changes(
+            page.commands, page.person, page.bus, changes, confirmed.id, page.made_at, tray.scales
+        )
+    except Problem as problem:
+        return _refused(page, problem)
+    tray.remove({result.place: result.raw for result in results if result.is_done})
+    return _done(page, rows, results, left_out)
+
+
+def _reviewed(rows: list[str]) -> Mapping[ValuePlace, ReviewedRow]:
+    """Parse the rows of a review. Raises Problem 422 for a text that no review holds."""
+    reviewed = {}
+    for text in rows:
+        found = _REVIEWED.fullmatch(text)
+        place = None if found is None else place_of(found[1])
+        if found is None or place is None:
+            raise Problem(422, "invalid", Message("not_what_was_reviewed"))
+        reviewed[place] = ReviewedRow(int(found[2]), found[3])
+    return reviewed
+
+
+def _confirmed_rows(
+    tray: OwnTray, reviewed: Mapping[ValuePlace, ReviewedRow], left_out: set[int]
+) -> list[TrayRow]:
+    """Return the changes to send: all or none.
+
+    Raises Problem 409 where the tray or a value has changed since the review, or a unit that is not left out
+    cannot take its change.
+    """
+    if tray.changes != {place: row.raw for place, row in reviewed.items()}:
+        raise Problem(409, "moved", Message("tray_changed"))
+    rows = [row for row in tray.rows() if row.place.unit not in left_out]
+    if not rows:
+        raise Problem(422, "invalid", Message("tray_all_left_out"))
+    for row in rows:
+        if reviewed[row.place].was != row.was_text:
+            raise Problem(409, "moved", Message.of("tray_moved", name=row.name, what=row.what))
+    for unable in unable_units(rows).values():
+        reason = Message.of("unit_unable", name=unable.name, reason=unable.obstacle)
+        raise Problem(409, "not_loadable", reason)
+    return rows
+
+
+def _done(page: BusPage, rows: list[TrayRow], results: list[TrayResult], left_out: set[int]) -> Response:
+    by_place = {result.place: result for result in results}
+    shown, commands = list[ShownResult](), set[str]()
+    for row in rows:
+        result = by_place[row.place]
+        undo = None if result.id in commands else page.undo(result.id)
+        commands.add(result.id)
+        shown.append(ShownResult(row, _outcome(page, result), undo))
+    good = sum(result.is_done for result in results)
+    tone: Tone = "good" if good == len(results) else "unknown" if _is_unknown(results) else "bad"
+    return _shown(
+        page,
+        "tray/_done.html",
+        results=shown,
+        left_out=[(page.name_of(unit), page.outcome_left_out(unit)) for unit in sorted(left_out)],
+        outcome=OutcomeText(
+            tone,
+            Message.of("tray_result_of_all", n=good)
+            if tone == "good"
+            else Message.of("tray_result_of_some", n=len(results), good=good),
+        ),
+    )
+
+
+def _is_unknown(results: list[TrayResult]) -> bool:
+    return any(not isinstance(each.part, Message) and each.part.outcome == "unverified" for each in results)
+
+
+def _outcome(page: BusPage, result: TrayResult) -> OutcomeText:
+    place, part = result.place, result.part
+    if isinstance(part, Message):
+        return OutcomeText("bad", part)
+    match place.kind:
+        case "setpoint":
+            return page.outcome(part, place.unit)
+        case "parameter":
+            unit, parameter = page.bus.units[place.unit], PARAMETERS[place.number]
+            return outcome_text(part, lambda raw: parameter_message(parameter, raw, unit))
+        case "output" if part.outcome == "verified":
+            state = ON_OFF[result.raw]
+            return OutcomeText("good", Message.of("result_output", n=place.number, state=state))
+    return outcome_text(part)
+
+
+def _refused(page: BusPage, problem: Problem) -> Response:
+    """End a review without sending. Raises Problem for a browser without scripts."""
+    if not _is_in_page(page):
+        raise problem
+    return page.refused(problem, page.translator.t(TITLE))
+
+
+def _shown(page: BusPage, template: str, **context: Any) -> Response:
+    """Render a part of the open page or, for a browser without scripts, a page around it."""
+    context = {"bus": page.name, "part": template, "is_alone": not _is_in_page(page), **context}
+    return page.review(template if _is_in_page(page) else "tray/alone.html", **context)
+
+
+def _is_in_page(page: BusPage) -> bool:
+    return bool(page.request.headers.get("hx-request"))
+
+
+TypedText = Annotated[str, Form(max_length=40)]
+
+
+async def _added(
+    page: BusPage, changes: Values, deadline: Deadline | None = None, scales: Scales | None = None
+) -> Response:
+    await OwnTray(page).add(changes, deadline, scales)
+    return page.render("tray/_added.html", added=len(changes))
+
+
+def _setpoints(raw: Mapping[int, int]) -> Values:
+    return {ValuePlace("setpoint", unit): value for unit, value in raw.items()}
+
+
+@router.post("/units/{bus}/{unit:int}/tray/setpoint", dependencies=[permitted(SET_SPEED)])
+async def add_setpoint(page: PageOfUnit, value: TypedText = "") -> Response:
+    """Add a setpoint, as typed."""
+    try:
+        return await _added(page, _setpoints({page.id: (await page.typed_setpoint(page.id, value))[0]}))
+    except (CallerError, Problem) as error:
+        return explain_setpoint(page, error)
+
+
+@router.post("/units/{bus}/{unit:int}/tray/outputs/{number:int}", dependencies=[permitted(WRITE_OUTPUT)])
+async def add_output(page: PageOfUnit, number: OutputPath, on: Annotated[bool, Form()]) -> Response:
+    """Add a state of an output."""
+    try:
+        return await _added(page, {ValuePlace("output", page.id, number): int(on)})
+    except Problem as problem:
+        return page.explain(problem, "#outputs-result", status=problem.status)
+
+
+@router.post("/units/{bus}/{unit:int}/tray/analog-output", dependencies=[permitted(WRITE_ANALOG_OUTPUT)])
+async def add_analog(page: PageOfUnit, value: TypedText = "") -> Response:
+    """Add a value of the analog output, as typed."""
+    try:
+        return await _added(page, {ValuePlace("analog", page.id): typed_analog(value)})
+    except (CallerError, Problem) as error:
+        return page.explain(error, "#analog-error")
+
+
+@router.post("/units/{bus}/{unit:int}/tray/parameters/{number:int}")
+async def add_parameter(
+    _: ParameterWriter,
+    page: PageOfUnit,
+    number: ParameterPath,
+    raw: Annotated[int, Form(ge=0)],
+    scale: ReviewedScale,
+) -> Response:
+    """Add a value of a parameter from its review."""
+    try:
+        return await _added(page, {ValuePlace("parameter", page.id, number): raw}, scales={page.id: scale})
+    except Problem as problem:
+        return page.explain(problem, f"#parameter-{number}-error")
+
+
+@router.post("/bus/{bus}/tray/setpoints", dependencies=[permitted(SET_LINE)])
+async def add_setpoints(request: Request, page: PageOfBus) -> Response:
+    """Add every setpoint that was typed for a bus."""
+    try:
+        setpoints, scales = await typed_setpoints(page, await request.form())
+        return await _added(page, _setpoints(setpoints), page.deadline(len(setpoints)), scales)
+    except (CallerError, Problem) as error:
+        return page.explain(error, f"#setpoints-error-{page.name}")
+
+
+@router.post("/recipes/{recipe_id}/tray", dependencies=[permitted(SET_LINE)])
+async def add_recipe(page: Page, recipe: KnownRecipe) -> Response:
+    """Add every setpoint of a recipe."""
+    of_bus = page.of_bus(recipe.bus)
+    try:
+        for setpoint in recipe.setpoints:
+            if reason := why_not_setpoint(setpoint, of_bus.bus):
+                name = Message.of("unit_address", unit=setpoint.unit)
+                raise Problem(409, "not_loadable", Message.of("of_unit", name=name, reason=reason))
+        setpoints = {setpoint.unit: setpoint.raw for setpoint in recipe.setpoints}
+        scales = {each.unit: parse_scale(each.scale) for each in recipe.setpoints if each.scale}
+        return await _added(of_bus, _setpoints(setpoints), of_bus.deadline(len(setpoints)), scales)
+    except Problem as problem:
+        return page.explain(problem, "#recipe-error")
+
+
+@router.post("/batch/{bus}/tray")
+async def add_batch(request: Request, _: ParameterWriter, page: PageOfBus) -> Response:
+    """Add every value of a batch edit that differs from that of its unit."""
+    number, typed = await typed_batch(request)
+    writable_or_404(number)
+    rows = rows_of_batch(page.bus, number, typed)
+    try:
+        for row in rows:
+            if row.fault is not None:
+                raise Problem(422, "invalid", Message.of("of_unit", name=row.name, reason=row.fault))
+        changes = {
+            ValuePlace("parameter", row.unit, number): row.wanted
+            for row in rows
+            if row.changes and row.wanted is not None
+        }
+        if not changes:
+            raise CallerError(Message("tray_nothing_to_add"))
+        return await _added(page, changes, scales={row.unit: row.scale for row in rows})
+    except (CallerError, Problem) as error:
+        return page.explain(error, "#batch-error")
+
+
+@router.post("/restores/{restore_id}/tray")
+async def add_restore(
+    person: ParameterWriter, page: Page, restores: Restores, restore: KnownRestore, row: Ticks = None
+) -> Response:
+    """Add the ticked rows of a restore, in the order of its plan."""
+    of_bus = page.of_bus(restore.bus)
+    try:
+        restores.select(person, restore, ticked(restore, frozenset(row or ())))
+        changes = {
+            ValuePlace("parameter", restore.unit, write.number): write.wanted for write in restore.plan.writes
+        }
+        # The values of a set are raw, and an earlier row may change the scale of a later one.
+        return await _added(of_bus, changes, scales={restore.unit: {}})
+    except Problem as problem:
+        return page.explain(problem, "#restore-error")
 
 
 class TrayCount(NamedTuple):
@@ -43,4 +413,4 @@ def make(services: Services) -> None:
     services[Finders].add_links("find_actions", [FixedPlace(Message("find_tray"), "/tray", "SetLine")])
 
 
-FEATURE = Feature(make, (pages.router,))
+FEATURE = Feature(make, (router,))

@@ -10,8 +10,8 @@ from pydantic import ConfigDict, Field
 
 from app.core.web.access import Role
 from app.core.web.shape import StrictBody
-from app.line.alarms.rules import state_machine
-from app.line.alarms.rules.state_machine import Changed
+from app.line.alarms import rules
+from app.line.alarms.rules import Changed
 from app.people.audit.acts import Act
 from bus.validation import OneLine
 
@@ -95,7 +95,7 @@ ACKNOWLEDGE = AlarmAct(
     "event_alarm_acknowledged",
     path="acknowledge",
     means="Acknowledge the occurrence that the id names.",
-    change=state_machine.acknowledge,
+    change=rules.acknowledge,
     counted=False,
 )
 SILENCE = AlarmAct(
@@ -105,7 +105,7 @@ SILENCE = AlarmAct(
     "event_alarm_silenced",
     path="silence",
     means="End the sound of the occurrence that the id names. It is still to be acknowledged.",
-    change=state_machine.silence,
+    change=rules.silence,
 )
 RESET = AlarmAct(
     "reset_alarm",
@@ -114,7 +114,7 @@ RESET = AlarmAct(
     "event_alarm_reset",
     path="reset",
     means="Reset an acknowledged alarm that is latched.",
-    change=state_machine.reset,
+    change=rules.reset,
 )
 SHELVE = AlarmAct(
     "shelve_alarm",
@@ -124,7 +124,7 @@ SHELVE = AlarmAct(
     path="shelve",
     means="Hide it until a time. It is still detected and recorded.",
     body=AlarmShelveRequest,
-    change=state_machine.shelve,
+    change=rules.shelve,
     hides=True,
 )
 UNSHELVE = AlarmAct(
@@ -135,7 +135,7 @@ UNSHELVE = AlarmAct(
     path="unshelve",
     means="Annunciate it again before its time.",
     body=AlarmReturnRequest,
-    change=state_machine.unshelve,
+    change=rules.unshelve,
 )
 REMOVE = AlarmAct(
     "remove_alarm_from_service",
@@ -145,7 +145,7 @@ REMOVE = AlarmAct(
     path="out-of-service",
     means="Hide it until it is returned to service. It is still detected and recorded.",
     body=AlarmOutOfServiceRequest,
-    change=state_machine.remove_from_service,
+    change=rules.remove_from_service,
     hides=True,
 )
 RETURN = AlarmAct(
@@ -156,7 +156,7 @@ RETURN = AlarmAct(
     path="in-service",
     means="Annunciate it again.",
     body=AlarmReturnRequest,
-    change=state_machine.return_to_service,
+    change=rules.return_to_service,
 )
 ALARM_ACTS = (ACKNOWLEDGE, SILENCE, RESET, SHELVE, UNSHELVE, REMOVE, RETURN)
 """The acts on one alarm; each has its routes."""

@@ -12,7 +12,7 @@ from pydantic import Field
 from typing_extensions import TypeAliasType
 
 from app.core.web.shape import MessageObject
-from app.line.alarms.rules.state_machine import AlarmAttributes, AlarmFacts, AlarmState
+from app.line.alarms.rules import AlarmAttributes, AlarmFacts, AlarmState
 from app.line.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.line.conditions.catalogue import CONDITIONS
 from app.line.conditions.condition import (

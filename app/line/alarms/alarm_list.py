@@ -15,12 +15,11 @@ from typing_extensions import Unpack
 
 from app.core.database import StoreConnection
 from app.errors import StoreError
+from app.line.alarms import rules
 from app.line.alarms.alarm import SITE, Alarm, AlarmDefinition
 from app.line.alarms.journal import AlarmStore, JournalEntry, StoredAlarm, alarm_writer, entry_of
-from app.line.alarms.rules import state_machine
-from app.line.alarms.rules.detection import FirstOut
-from app.line.alarms.rules.performance import ObservedSpan, observed_until
-from app.line.alarms.rules.state_machine import AlarmFacts, Changed, due_at, shifted
+from app.line.alarms.performance import ObservedSpan, observed_until
+from app.line.alarms.rules import AlarmFacts, Changed, FirstOut, due_at, shifted
 from app.line.conditions.condition import AlarmPriority
 from app.people.audit.entry import EventKind
 from app.people.audit.log import Also, EventFields, EventLog
@@ -101,12 +100,12 @@ class AlarmList:
         if holds is alarm.holds:
             return
         alarm.holds = holds
-        self.apply(alarm, state_machine.observe(alarm.facts, alarm.definition.attributes, holds, now))
+        self.apply(alarm, rules.observe(alarm.facts, alarm.definition.attributes, holds, now))
 
     def suppress(self, alarm: Alarm, suppressed: bool, now: UnixTime) -> None:
         """Begin or end the suppression of an alarm by design."""
         if suppressed is not alarm.facts.suppressed:
-            self.apply(alarm, state_machine.suppress(alarm.facts, suppressed, now))
+            self.apply(alarm, rules.suppress(alarm.facts, suppressed, now))
 
     def restore(
         self, alarm: Alarm, facts: AlarmFacts, hidden_by: str, reason: str, *, unless_changed_from: AlarmFacts
@@ -122,7 +121,7 @@ class AlarmList:
         """Apply the transitions that are due by time alone."""
         for key in [key for key, due in self._due.items() if due <= now]:
             alarm = self.alarms[key]
-            self.apply(alarm, state_machine.advance(alarm.facts, alarm.definition.attributes, now))
+            self.apply(alarm, rules.advance(alarm.facts, alarm.definition.attributes, now))
 
     def clock_stepped(self, step_s: float) -> None:
         """Shift every running time with the clock, which was set, so that it keeps its length."""

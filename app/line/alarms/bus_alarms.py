@@ -9,7 +9,7 @@ from app.line.alarms.alarm import Alarm, AlarmDefinition, alarm_key, built_in
 from app.line.alarms.alarm_list import AlarmList
 from app.line.alarms.journal import AlarmStore, StoredAlarm
 from app.line.alarms.own_condition import OwnCondition, known_decimals, own_definition
-from app.line.alarms.rules.detection import CountWindow, Suppressors, is_at_rest, limits_of
+from app.line.alarms.rules import CountWindow, Suppressors, is_at_rest, limits_of
 from app.line.alarms.settings import AlarmSettings, BuiltInAlarmSettings, tuning_of
 from app.line.conditions import unit as unit_conditions
 from app.line.conditions.catalogue import (

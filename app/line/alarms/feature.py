@@ -18,13 +18,12 @@ from app.line.alarms.alarm import Alarm
 from app.line.alarms.api import AlarmShown, alarm_json
 from app.line.alarms.bus_alarms import BusAlarms, control_left_by
 from app.line.alarms.journal import AlarmStore
-from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
+from app.line.alarms.line_alarms import AlarmBanner, ExpiryWatch, LineAlarms, SiteAlarms
 from app.line.alarms.own_alarms import OwnAlarmBook
 from app.line.alarms.simulation import Simulator
-from app.line.alarms.site_alarms import ExpiryWatch, SiteAlarms
 from app.line.conditions.catalogue import AUDIT_DEGRADED, DISK_LOW, EVENTS_NOT_ARCHIVED, HISTORY_DEGRADED
 from app.line.history.service import History
-from app.line.live.api.stream import AlarmType, LineStream
+from app.line.live.api.routes import AlarmType, LineStream
 from app.line.live.bus_live import BusLive
 from app.line.live.fields import Fields, Translator
 from app.line.live.hub import Hub

@@ -17,7 +17,7 @@ from app.core.database import Database, StoreConnection, StoreRow
 from app.core.database.connection import upsert
 from app.core.web.shape import InstantObject
 from app.line.alarms.alarm import Alarm, AlarmDefinition, BusName, UnitNumber, state_text
-from app.line.alarms.rules.performance import (
+from app.line.alarms.performance import (
     CHATTERS_S,
     FLEETING_S,
     STALE_S,
@@ -29,7 +29,7 @@ from app.line.alarms.rules.performance import (
     figures,
     observed_within,
 )
-from app.line.alarms.rules.state_machine import AlarmFacts, AlarmState, AlarmTrigger, Transition
+from app.line.alarms.rules import AlarmFacts, AlarmState, AlarmTrigger, Transition
 from app.line.conditions.condition import AlarmPriority
 from bus.instants import UnixTime
 from bus.messages import Message

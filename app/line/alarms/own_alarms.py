@@ -21,6 +21,7 @@ from app.core.web.api import ApiRoute, RequestKey
 from app.core.web.services import service
 from app.core.web.shape import InstantObject, MessageObject, StrictBody, ZonedTime
 from app.errors import Problem, StoreError
+from app.line.alarms import rules
 from app.line.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN, ActReason, Comment
 from app.line.alarms.alarm import Alarm, own_key
 from app.line.alarms.alarm_list import ActTransaction
@@ -28,11 +29,10 @@ from app.line.alarms.api import AlarmPriorityShown, month_at_most
 from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.own_condition import in_toml, own_definition, proposed
-from app.line.alarms.rules import state_machine
 from app.line.alarms.settings import AlarmSettings, OwnValue
 from app.line.alarms.simulation import AlarmSimulation, Simulator
 from app.line.conditions.condition import AlarmPriority
-from app.line.history.spans import HistoryOf
+from app.line.history.api import HistoryOf
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from bus.instants import Clock, UnixTime, unix_now
@@ -218,7 +218,7 @@ class OwnAlarmBook:
             bus.list.advance(now)
             bus.end_own(alarm)
             transaction = ActTransaction(person.name, [bus.list])
-            ended = state_machine.withdraw(alarm.facts, alarm.definition.attributes, now)
+            ended = rules.withdraw(alarm.facts, alarm.definition.attributes, now)
             transaction.change(bus.list, alarm, ended, reason)
             try:
                 await transaction.record(

@@ -12,12 +12,10 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from app.errors import Problem
 from app.line.alarms.alarm import AlarmDefinition, AlarmRationalization, own_key
-from app.line.alarms.rules.detection import ChangeRate, LimitRule
-from app.line.alarms.rules.state_machine import AlarmAttributes
+from app.line.alarms.rules import AlarmAttributes, ChangeRate, LimitRule
 from app.line.alarms.settings import INPUT_VALUES, SPEED_VALUES, AlarmSettings, refuse_misplaced
 from app.line.conditions.condition import MATRIX, AlarmPriority, Consequence, TimeToRespond
-from app.line.live.bus_live import BusLive, UnitLive, speed_decimals
-from app.line.live.unit_status import bits_of
+from app.line.live.bus_live import BusLive, UnitLive, bits_of, speed_decimals
 from bus.catalogue.parameters import ANALOG_IN_HIGH, ANALOG_IN_LOW
 from bus.catalogue.values import MAX_DECIMALS, analog_input_value
 from bus.contract import Reading

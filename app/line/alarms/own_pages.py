@@ -22,13 +22,13 @@ from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.own_alarms import OwnAlarmBook, OwnBook, SimulatorOf, WrittenText
 from app.line.alarms.own_condition import proposed
 from app.line.alarms.pages import SEE_OTHER, TypedReason, given_reason, places_of
-from app.line.alarms.rules.performance import DAY_S
+from app.line.alarms.performance import DAY_S
 from app.line.alarms.settings import OwnValue
 from app.line.alarms.simulation import AlarmSimulation
+from app.line.history.api import HistoryOf
 from app.line.history.series import values
 from app.line.history.series.values import VALUES
 from app.line.history.service import History
-from app.line.history.spans import HistoryOf
 from bus.instants import unix_now
 from bus.messages import term
 from bus.settings import UnitSettings

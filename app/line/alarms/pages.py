@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.core.messages import Language
-from app.core.time_zone import day_begins
+from app.core.messages.languages import day_begins
 from app.core.web.access import Person, Viewer
 from app.core.web.formats import UNKNOWN, Formats
 from app.core.web.routes import SEARCH, GuardedRoute
@@ -25,8 +25,8 @@ from app.line.alarms.alarm import Alarm, state_text
 from app.line.alarms.api import Alarms, present_value
 from app.line.alarms.journal import JournalFilter
 from app.line.alarms.line_alarms import LineAlarms, rank
-from app.line.alarms.rules.performance import DAY_S, AlarmFigure
-from app.line.alarms.rules.state_machine import PRESENT_STATES, AlarmState
+from app.line.alarms.performance import DAY_S, AlarmFigure
+from app.line.alarms.rules import PRESENT_STATES, AlarmState
 from app.line.conditions.condition import GROUPS
 from app.line.live.hub import Hub
 from app.line.live.screen import ALARM_GROUP

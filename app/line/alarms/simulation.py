@@ -15,19 +15,18 @@ from pydantic import Field
 
 from app.core.server.turns import FairQueue
 from app.core.web.shape import InstantObject
+from app.line.alarms import rules
 from app.line.alarms.own_condition import OwnCondition, in_toml, known_decimals, own_definition
-from app.line.alarms.rules import state_machine
-from app.line.alarms.rules.detection import ChangeRate, Suppressors
-from app.line.alarms.rules.performance import CHATTERS_S
-from app.line.alarms.rules.state_machine import AlarmFacts, Changed, Transition
+from app.line.alarms.performance import CHATTERS_S
+from app.line.alarms.rules import AlarmFacts, Changed, ChangeRate, Suppressors, Transition
 from app.line.alarms.settings import AlarmSettings
 from app.line.conditions.unit import ESTOP_ACTIVE
 from app.line.history import query, tables
 from app.line.history.query import StoredUnit, minutes_of
+from app.line.history.recorder import Tail
 from app.line.history.series.runs import HOUR, MINUTE, SECOND, Rollup, Run, micros
 from app.line.history.series.values import VALUES, ParameterStep
 from app.line.history.service import History
-from app.line.history.tail import Tail
 from app.line.live.bus_live import bus_without_reports, scan_s_of, stale_after_s
 from app.line.live.diagnosis import unit_facts
 from bus.contract import ParameterValue, Reading
@@ -188,7 +187,7 @@ class Replay:
     def end(self, at: UnixTime) -> None:
         """End the simulation at a time, up to which an annunciation that stands is counted."""
         self._pass_gap(at)
-        self._apply(state_machine.advance(self._facts, self._definition.attributes, at))
+        self._apply(rules.advance(self._facts, self._definition.attributes, at))
         if self._unknown_since is not None:
             self.unknown_s += at - self._unknown_since
 
@@ -231,14 +230,14 @@ class Replay:
             return
         rises, self._holds = bool(holds) and not self._holds, holds
         if rises and self._suppresses():
-            self._apply(state_machine.suppress(self._facts, True, at))
-        self._apply(state_machine.observe(self._facts, self._definition.attributes, holds, at))
+            self._apply(rules.suppress(self._facts, True, at))
+        self._apply(rules.observe(self._facts, self._definition.attributes, holds, at))
 
     def _hide(self, at: UnixTime) -> None:
         """Begin or end the suppression of the alarm, unless it is neither active nor about to be."""
         facts = self._facts
         if facts.suppressed or facts.active or self._holds:
-            self._apply(state_machine.suppress(facts, self._suppresses(), at))
+            self._apply(rules.suppress(facts, self._suppresses(), at))
 
     def _suppresses(self) -> bool:
         unit = self._settings.unit

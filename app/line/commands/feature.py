@@ -10,7 +10,7 @@ from app.core.database import Database
 from app.core.find.finders import MAX_OF_KIND, Finders, FoundPlace, Search, missing, rank
 from app.core.web.templating import Templates
 from app.feature import Feature, Services
-from app.line.commands.api import commands, safeguards, trace
+from app.line.commands import api, safeguards_api, trace_api
 from app.line.commands.catalogue import ROLES_BY_COMMAND
 from app.line.commands.pages import bus, line, parameters, speed, unit
 from app.line.commands.record import CommandRecord
@@ -101,9 +101,9 @@ def _places_of(
 FEATURE = Feature(
     make,
     (
-        commands.router,
-        safeguards.router,
-        trace.router,
+        api.router,
+        safeguards_api.router,
+        trace_api.router,
         line.router,
         speed.router,
         parameters.router,

@@ -27,9 +27,8 @@ from app.errors import Problem, StoreError
 from app.line.commands.catalogue import kind_of_command
 from app.line.commands.values import Scales, Wording, reworded
 from app.line.live.bus_live import BusLive
-from app.people.audit.chain import KeyRing
-from app.people.audit.log import EventLog
-from app.people.audit.queries import link_parts
+from app.people.audit.entry import KeyRing
+from app.people.audit.log import EventLog, link_parts
 from bus.contract import Action, Outcome, Result, UnitOutcome
 from bus.instants import Clock, UnixTime
 from bus.messages import Message, term

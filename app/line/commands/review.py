@@ -25,13 +25,13 @@ from app.line.conditions.condition import Draw, SectionSpeed, draw_between, perc
 from app.line.live.bus_live import (
     BusLive,
     UnitLive,
+    bits_of,
     follower,
     quantity_of,
     ramp_parameter,
     ramp_seconds,
     unit_link_now,
 )
-from app.line.live.unit_status import bits_of
 from bus.catalogue.parameters import ACCELERATION, DECELERATION, DECIMALS, MAX_DISPLAY, RATIO_SETPOINT
 from bus.contract import Outcome, Result, UnitOutcome, UnitScale
 from bus.errors import unit_error

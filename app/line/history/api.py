@@ -1,15 +1,18 @@
-"""``GET /api/v1/history`` and what goes with it. Every request names a span; limits are refused in words."""
+"""``GET /api/v1/history`` and what goes with it. Every request names a span, and may name values and a number
+of points; limits are refused in words."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from datetime import datetime
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from operator import attrgetter
 from typing import Annotated, Any, Literal, NamedTuple
 from zoneinfo import ZoneInfo
 
-from fastapi import APIRouter, Query, Response
-from pydantic import Field
+from fastapi import APIRouter, Depends, Query, Response
+from pydantic import Field, WithJsonSchema
 from starlette.requests import Request
 from starlette.responses import StreamingResponse
 from typing_extensions import TypedDict
@@ -18,23 +21,122 @@ from app.core.messages import Language
 from app.core.web.access import Viewer
 from app.core.web.api import ApiRoute, problems
 from app.core.web.csv_file import CsvForm, WantedCsv
+from app.core.web.request_rules import refuse_year
 from app.core.web.routes import DOWNLOAD, SEARCH
-from app.core.web.shape import Instant, MessageShown, iso, json_response, message_shown
+from app.core.web.services import service, unknown_bus, unknown_unit
+from app.core.web.shape import (
+    DATE_TIME,
+    Instant,
+    MessageShown,
+    iso,
+    json_response,
+    message_shown,
+    parse_integer,
+)
 from app.core.web.templating import templates_of
 from app.errors import Problem
-from app.line.history import spans
 from app.line.history.export import ExportResolution, Format, Layout, export_response
 from app.line.history.query import QueryResult, Resolution, SeriesQuery, stored_queries
 from app.line.history.series import values
-from app.line.history.series.runs import SECOND
-from app.line.history.service import seconds
-from app.line.history.spans import HistoryOf, PointsOf, Span, SpanOf
+from app.line.history.series.runs import HOUR, SECOND, micros
+from app.line.history.series.values import VALUES
+from app.line.history.service import History, seconds
 from app.line.history.status import HistoryStatus
 from app.people.audit.api import Events
-from app.people.audit.log import Event, EventLog
-from app.people.audit.queries import Filter
-from bus.instants import UnixTime
+from app.people.audit.log import Event, EventLog, Filter
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
+
+MAX_POINTS = 20_000
+MAX_SERIES = 32
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND = timedelta(microseconds=1)
+_PLUS_LOST = re.compile(r"(:\d\d(?:\.\d+)?) (\d\d:?\d\d)$")
+
+
+MaybeMomentText = Annotated[str, Field(max_length=40), WithJsonSchema({**DATE_TIME, "maxLength": 40})] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A span from ``start`` up to ``end``, µs since the epoch."""
+
+    start: int
+    end: int
+
+
+HistoryOf = Annotated[History, service(History)]
+
+
+def moment(text: str, name: str) -> int:
+    """Parse an ISO 8601 time with zone as µs since the epoch. A ``+`` that was not escaped, and so arrives as
+    a blank, is understood. Raises Problem 422."""
+    try:
+        at = datetime.fromisoformat(_PLUS_LOST.sub(r"\1+\2", text.strip()))
+    except ValueError:
+        at = None
+    if at is None or at.tzinfo is None:
+        wrong = Message.of("time_malformed", field=name, example="2026-11-21T03:12:00Z", text=text)
+        raise Problem(422, "invalid", wrong)
+    refuse_year(at, name)
+    return (at - _EPOCH) // _MICROSECOND
+
+
+async def wanted_span(
+    since: Annotated[MaybeMomentText, Query(alias="from")] = None,
+    until: Annotated[MaybeMomentText, Query(alias="to")] = None,
+) -> Span:
+    """Return the requested span, by default the last hour."""
+    end = micros(unix_now()) if until is None else moment(until, "to")
+    start = end - HOUR if since is None else moment(since, "from")
+    if start >= end:
+        raise Problem(422, "invalid", Message("span_reversed"))
+    return Span(start, end)
+
+
+SpanOf = Annotated[Span, Depends(wanted_span)]
+
+
+async def wanted_points(points: int = 1000) -> int:
+    if not 1 <= points <= MAX_POINTS:
+        raise Problem(422, "invalid", Message.of("points_out_of_range", most=MAX_POINTS))
+    return points
+
+
+PointsOf = Annotated[int, Depends(wanted_points)]
+
+
+def series_query(history: History, bus: str, unit: int, value: str, span: Span, most: int) -> SeriesQuery:
+    """Return the query of one value of one unit. Raises Problem 404 for an unknown bus or unit, 422 for an
+    unknown value."""
+    settings = history.buses.get(bus)
+    if settings is None:
+        raise unknown_bus(bus, history.buses)
+    if all(known.id != unit for known in settings.unit):
+        raise unknown_unit(bus, unit)
+    if value not in VALUES:
+        raise Problem(422, "invalid", Message.of("no_such_value", value=value, known=", ".join(VALUES)))
+    if VALUES[value].kind == "draw" and unit not in settings.seams:
+        raise Problem(422, "invalid", Message.of("no_draw_of_first", unit=unit))
+    return SeriesQuery(settings, unit, VALUES[value], span.start, span.end, most)
+
+
+def named_series_query(history: History, name: str, span: Span, most: int) -> SeriesQuery:
+    """Return the query of one value named ``bus/unit/value``. Raises Problem."""
+    bus, _, rest = name.partition("/")
+    unit, _, value = rest.partition("/")
+    number = parse_integer(unit)
+    if number is None:
+        raise Problem(422, "invalid", Message.of("series_malformed", example="dry-end/1/actual", text=name))
+    return series_query(history, bus, number, value, span, most)
+
+
+def series_queries(history: History, names: list[str], span: Span, most: int) -> list[SeriesQuery]:
+    """Return the queries of several values, each named ``bus/unit/value``. Raises Problem."""
+    if not 1 <= len(names) <= MAX_SERIES:
+        raise Problem(422, "invalid", Message.of("series_count", most=MAX_SERIES, count=len(names)))
+    return [named_series_query(history, name, span, most) for name in names]
+
 
 Column = Annotated[list[float | None], Field(description="In display units; null: a gap.")]
 TimeList = Annotated[
@@ -236,7 +338,7 @@ async def get_history(
     fits; equal readings one after the other are given as the first and the last. A null between is a
     hole. ``format=epoch`` gives times in seconds since the epoch.
     """
-    requested = spans.series_query(history, bus, unit, value, span, points)
+    requested = series_query(history, bus, unit, value, span, points)
     (found,) = await history.query([requested])
     return await json_response(lambda: shown(requested, found, times))
 
@@ -251,7 +353,7 @@ async def get_history_series(
     times: TimeFormat = "iso",
 ) -> Response:
     """Several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history gives."""
-    requested = spans.series_queries(history, series, span, points)
+    requested = series_queries(history, series, span, points)
     found = await history.query(requested)
     return await json_response(lambda: [shown(q, a, times) for q, a in zip(requested, found, strict=True)])
 
@@ -268,7 +370,7 @@ async def get_sparklines(
     120 points."""
     if len(series) > MAX_SPARKS:
         raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MAX_SPARKS, count=len(series)))
-    requested = [spans.named_series_query(history, name, span, SPARK_POINTS) for name in series]
+    requested = [named_series_query(history, name, span, SPARK_POINTS) for name in series]
     found = await history.query(requested)
     sparks = zip(series, found, strict=True)
     return await json_response(lambda: {name: _small(result, times) for name, result in sparks})
@@ -325,7 +427,7 @@ async def export_history(
     under the names of units in the reader's language; ``form=reader``: also with the separator and the
     decimal sign of that language.
     """
-    requested = spans.series_queries(history, series, Span(span.start, span.end), 1)
+    requested = series_queries(history, series, Span(span.start, span.end), 1)
     stored = [stored for each in requested for stored in stored_queries(each)]
     once = {(each.bus.name, each.unit, each.value.name): each for each in stored}
     if layout == "table" and form.language is None:

@@ -37,12 +37,12 @@ from app.line.history.query import (
     scale_of,
     stored_unit,
 )
+from app.line.history.recorder import Tail
 from app.line.history.series import values
 from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, Run, micros
 from app.line.history.series.values import LinearScale, holes, long_gap, usual_interval
 from app.line.history.service import History
 from app.line.history.tables import BlockKey
-from app.line.history.tail import Tail
 from bus.instants import unix_now
 from bus.messages import Message, term
 

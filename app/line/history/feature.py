@@ -1,17 +1,257 @@
-"""History: readings stored, queried and exported."""
+"""The trends page, and its saved views, of one person or shared with all. The address of the page holds what
+it shows, so that a link reopens the same view."""
 
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
+from itertools import islice
+from typing import Annotated, Any
+from urllib.parse import parse_qsl, urlencode
 
-from app.core.database import Database
+from fastapi import APIRouter, Form, Path
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from app.core.database import Database, StoreConnection
+from app.core.database.connection import upsert
+from app.core.web.access import Person, Role, Viewer
 from app.core.web.assets import Assets
-from app.core.web.templating import Templates
+from app.core.web.routes import GuardedRoute
+from app.core.web.services import service
+from app.core.web.templating import Templates, render, templates_of
+from app.errors import Problem, StoreError
 from app.feature import Feature, Services
-from app.line.history import api, pages
-from app.line.history.pages import ACTS, TrendViews
+from app.line.history import api
+from app.line.history.api import HistoryOf, Span, series_queries
+from app.line.history.export import has_parquet
+from app.line.history.series import values
+from app.line.history.series.runs import DAY, micros
+from app.line.history.series.values import VALUES
 from app.line.history.service import History
+from app.line.history.status import store_notice
+from app.people.audit.acts import Act
+from app.people.audit.api import Events
+from app.people.audit.log import EventLog
+from bus.instants import unix_now
+from bus.messages import Message
+from bus.validation import OneLine
+
+MAX_OF_PERSON = 50
+MAX_SHARED = 200
+MAX_OF_SITE = 10_000
+MAX_NAME = 80
+MAX_QUERY = 4000
+_MEMBERS = frozenset({"s", "span", "from", "to", "preset", "scale", "marks", "compare"})
+"""The parameters of a page's address that are saved; its cursors are not."""
+_COLUMNS = "id, sender, owner, name, query, shared"
+
+
+@dataclass(frozen=True, slots=True)
+class TrendView:
+    """A saved view. ``query``: the address of the page without its path; ``sender``: the account that it
+    belongs to, and ``owner`` its name."""
+
+    id: int
+    sender: str
+    owner: str
+    name: str
+    query: str
+    shared: bool
+
+
+class TrendViews:
+    """The table of saved views. A view saved again under its name replaces the earlier one."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    async def seen_by(self, person: Person) -> list[TrendView]:
+        """Return the views of a person, then those that others share, by name. Raises StoreError."""
+
+        def read(connection: StoreConnection) -> list[TrendView]:
+            query = f"SELECT {_COLUMNS} FROM trend_view WHERE sender = ? OR shared = 1"
+            return [_view(row) for row in connection.execute(query, (person.sender,))]
+
+        found = await self._database.read(read)
+        return sorted(found, key=lambda view: (view.sender != person.sender, view.name.casefold()))
+
+    async def save(self, person: Person, events: EventLog, name: str, query: str, *, shared: bool) -> str:
+        """Save a view, and return its address. Raises Problem 403 for one to share, 409 and 422."""
+        if shared:
+            SHARE.check(person)
+        name, address = name.strip(), clean(query)
+        if not 1 <= len(name) <= MAX_NAME:
+            raise Problem(422, "invalid", Message.of("view_name_length", most=MAX_NAME))
+
+        def write(connection: StoreConnection) -> None:
+            _refuse_full(connection, person.sender, name, shared=shared)
+            put = upsert("trend_view", ("sender", "name"), ("owner", "query", "shared", "saved_at"))
+            values = (person.sender, name, person.name, address, int(shared), unix_now())
+            connection.execute(put, values)
+
+        if shared:
+            await events.record(**SHARE.by(person, name=name), also=write)
+        else:
+            await self._database.write(write)
+        return address
+
+    async def delete(self, person: Person, events: EventLog, number: int) -> None:
+        """Delete a view. Raises Problem 404, and 403 for the shared one of another person."""
+
+        def find(connection: StoreConnection) -> TrendView | None:
+            row = connection.execute(f"SELECT {_COLUMNS} FROM trend_view WHERE id = ?", (number,)).fetchone()
+            return None if row is None else _view(row)
+
+        def remove(connection: StoreConnection) -> None:
+            connection.execute("DELETE FROM trend_view WHERE id = ?", (number,))
+
+        view = await self._database.read(find)
+        is_own = view is not None and view.sender == person.sender
+        if view is None or not (is_own or view.shared):
+            raise Problem(404, "not_found", Message("view_unknown"))
+        if not is_own:
+            DELETE_SHARED.check(person)
+        if view.shared:
+            await events.record(**DELETE_SHARED.by(person, name=view.name), also=remove)
+        else:
+            await self._database.write(remove)
+
+
+def clean(query: str) -> str:
+    """Return the members of an address of the page that are saved. Raises Problem 422 without any."""
+    if len(query) <= MAX_QUERY:
+        members = [(name, value) for name, value in parse_qsl(query) if name in _MEMBERS]
+        address = urlencode(members)
+        if members and len(address) <= MAX_QUERY:
+            return address
+    raise Problem(422, "invalid", Message("view_malformed"))
+
+
+def _view(row: tuple[int, str, str, str, str, int]) -> TrendView:
+    number, sender, owner, name, query, shared = row
+    return TrendView(number, sender, owner, name, query, bool(shared))
+
+
+def _refuse_full(connection: StoreConnection, sender: str, name: str, *, shared: bool) -> None:
+    """Raise Problem 409 if there would be too many views."""
+
+    def count(condition: str, *values: object) -> int:
+        query = f"SELECT count(*) FROM trend_view WHERE NOT (sender = ? AND name = ?) AND {condition}"
+        return int(connection.execute(query, (sender, name, *values)).fetchone()[0])
+
+    if count("sender = ?", sender) >= MAX_OF_PERSON:
+        raise Problem(409, "too_many", Message.of("views_of_person_full", n=MAX_OF_PERSON))
+    if (shared and count("shared = 1") >= MAX_SHARED) or count("1 = 1") >= MAX_OF_SITE:
+        raise Problem(409, "too_many", Message("views_of_site_full"))
+
+
+SHARE = Act("share_view", Role.OPERATOR, "configuration", "event_view_shared")
+DELETE_SHARED = Act("delete_shared_view", Role.ENGINEER, "configuration", "event_view_deleted")
+"""The act of deleting another person's shared view; everyone may delete their own."""
+ACTS = (SHARE, DELETE_SHARED)
+
+
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
+SEE_OTHER = 303
+SavedViews = Annotated[TrendViews, service(TrendViews)]
+
+
+@router.get("/trends")
+async def trends(request: Request, person: Viewer, history: HistoryOf, views: SavedViews) -> Response:
+    """Show any values of any units over any span; the browser draws what its address names."""
+    templates = templates_of(request)
+    language = templates.language_of(request)
+    return render(
+        request,
+        "trends/page.html",
+        catalogue=_catalogue(history),
+        words={name: values.text(value, language.t) for name, value in VALUES.items()},
+        has_parquet=has_parquet(),
+        memory=store_notice(history.status, templates.formats(language.tag), unix_now()),
+        shift_starts=history.shift_starts,
+        views=await _views_seen(views, person),
+    )
+
+
+async def _views_seen(views: TrendViews, person: Person) -> list[TrendView]:
+    """Return the saved views of a person; none if the store cannot be read, which the chart does not need."""
+    try:
+        return await views.seen_by(person)
+    except StoreError:
+        return []
+
+
+@router.post("/trends/views")
+async def save_view(
+    person: Viewer,
+    views: SavedViews,
+    events: Events,
+    name: Annotated[OneLine, Form(max_length=200)] = "",
+    query: Annotated[OneLine, Form(max_length=MAX_QUERY)] = "",
+    shared: Annotated[bool, Form()] = False,
+) -> Response:
+    """Save what is shown under a name; an operator may share it with everyone."""
+    address = await views.save(person, events, name, query, shared=shared)
+    return RedirectResponse(f"/trends?{address}#trend-save", SEE_OTHER)
+
+
+@router.post("/trends/views/{number}/delete")
+async def delete_view(
+    person: Viewer, views: SavedViews, events: Events, number: Annotated[int, Path(ge=1, le=2**62)]
+) -> Response:
+    """Delete a saved view."""
+    await views.delete(person, events, number)
+    return RedirectResponse("/trends", SEE_OTHER)
+
+
+def _catalogue(history: History) -> list[dict[str, Any]]:
+    """Return every unit in floor order, with its wiring and its measure."""
+    return [
+        {
+            "key": f"{bus.name}/{unit.id}",
+            "name": unit.name,
+            "bus": bus.name,
+            "labels": {name: text for name, value in VALUES.items() if (text := values.label(unit, value))},
+            "measures": {"speed": unit.labels.unit, "analog": unit.labels.analog_unit},
+        }
+        for bus in history.buses.values()
+        for unit in bus.unit
+    ]
+
+
+DEFAULT_VALUES = 8
+
+
+def usual_series(history: History) -> list[str]:
+    """Return the series that the page shows while its address names none."""
+    units = (f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit)
+    return [f"{unit}/actual" for unit in islice(units, DEFAULT_VALUES)]
+
+
+AFTER_S = 1.0
+"""The time after the start, which needs the machine; a person takes longer to find the page."""
+POINTS = 1000
+_SHELL = ("base.html", "components/", "trends/")
+
+
+async def warm(history: History, templates: Templates, assets: Assets, language: str) -> None:
+    """Read the catalog of the site's language, compile the others, compress static files, load the templates
+    of the trends page, and query a day of history: one after the other, to keep the line responsive."""
+    await asyncio.sleep(AFTER_S)
+    await asyncio.to_thread(templates.languages[language].read)
+    for each in templates.languages:
+        await asyncio.to_thread(each.compile)
+    for name in assets:
+        await asyncio.to_thread(assets.pack, name)
+    environment = templates.environment(language)
+    for name in environment.list_templates(filter_func=lambda name: name.startswith(_SHELL)):
+        await asyncio.to_thread(environment.get_template, name)
+    now = micros(unix_now())
+    with suppress(Problem, StoreError):
+        await history.query(series_queries(history, usual_series(history), Span(now - DAY, now), POINTS))
 
 
 def make(services: Services) -> None:
@@ -28,8 +268,7 @@ def make(services: Services) -> None:
         history.start()
 
     lifespan.add("history", start=start, end=partial(asyncio.to_thread, history.close))
-    warm = partial(pages.warm, history, services[Templates], services[Assets], language)
-    lifespan.add("warming", once=warm)
+    lifespan.add("warming", once=partial(warm, history, services[Templates], services[Assets], language))
 
 
-FEATURE = Feature(make, (api.router, pages.router), ACTS)
+FEATURE = Feature(make, (api.router, router), ACTS)

@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar
 
 from app.core.database.connection import snapshot
 from app.line.history import tables
-from app.line.history.series import columns
+from app.line.history.recorder import Tail
 from app.line.history.series.figures import (
     STORED_DECIMALS,
     Points,
@@ -38,6 +38,7 @@ from app.line.history.series.runs import (
     replace_rows,
     rollup,
     unpack_columns,
+    unpack_integers,
     unpack_rollups,
 )
 from app.line.history.series.values import (
@@ -51,7 +52,6 @@ from app.line.history.series.values import (
     usual_interval,
 )
 from app.line.history.tables import BlockKey, StoredTier
-from app.line.history.tail import Tail
 from bus.settings import BusSettings
 
 MAX_READINGS = 100_000
@@ -293,7 +293,7 @@ def rollups(source: StoredUnit, tier: tables.RollupTier, value: Value, start: in
     since = start - start % found.width
     unpacked = _unpacked(source, since, end + -end % found.width, found.width)
     newer = {row.start for row in unpacked}
-    blocks = source.blocks(tier, since, end, lambda data, _: columns.unpack(data, wanted))
+    blocks = source.blocks(tier, since, end, lambda data, _: unpack_integers(data, wanted))
     stored = ((begin, _without(newer, begin, table)) for begin, table in blocks)
     computed = (rows for rows in (unpacked, _tail_rollups(source, found.width)) if rows)
     for begin, (starts, count, least, greatest, total) in chain(
@@ -380,7 +380,7 @@ def usual_of(source: StoredUnit, end: int) -> int:
         return usual_interval(source.tail)
     if runs := source.newest("raw", end, partial(unpack_columns, names=("at", "until", "readings"))):
         return usual_interval(list(zip(*runs, strict=True)))
-    minutes = source.newest("minutes", end, lambda data, _: columns.unpack(data, [FIELDS["readings"]]))
+    minutes = source.newest("minutes", end, lambda data, _: unpack_integers(data, [FIELDS["readings"]]))
     return MINUTE // max(minutes[0]) if minutes else 0
 
 

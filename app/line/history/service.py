@@ -12,12 +12,12 @@ import structlog
 from app.errors import StoreError
 from app.line.history import tables
 from app.line.history.query import QueryResult, SeriesQuery, run_query
+from app.line.history.recorder import Tail
 from app.line.history.series.runs import SECOND, micros
 from app.line.history.series.values import Interval
 from app.line.history.settings import HistorySettings
 from app.line.history.status import HistoryStatus
 from app.line.history.tables import BlockKey
-from app.line.history.tail import Tail
 from app.line.history.writer import Writer
 from app.people.audit.entry import EventKind
 from bus.contract import Update

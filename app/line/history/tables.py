@@ -15,7 +15,6 @@ from typing import Literal, TypeVar
 
 from app.core.database import StoreConnection as StoreConnection
 from app.core.database.connection import upsert
-from app.line.history.series import columns
 from app.line.history.series.runs import (
     DAY,
     HOUR,
@@ -24,8 +23,10 @@ from app.line.history.series.runs import (
     Rollup,
     Run,
     pack_columns,
+    pack_integers,
     pack_rollups,
     unpack_columns,
+    unpack_integers,
     unpack_rollups,
     unpack_runs,
 )
@@ -115,7 +116,7 @@ def write_journal(connection: StoreConnection, rows: Sequence[tuple[int, PlainRu
     units, runs = zip(*sorted(rows, key=itemgetter(0)), strict=True)
     at, until, *rest = zip(*runs, strict=True)
     lengths = list(map(sub, until, at))
-    data = columns.pack([units, at, lengths, *rest], _JOURNAL_LEVEL)
+    data = pack_integers([units, at, lengths, *rest], _JOURNAL_LEVEL)
     newest = "SELECT coalesce(max(seq), 0) + 1, ? FROM journal"
     connection.execute(f"INSERT INTO journal (seq, data) {newest}", (data,))
 
@@ -131,7 +132,7 @@ def read_journal(connection: StoreConnection) -> Iterator[list[tuple[int, Run]] 
     """Yield the readings of every row, oldest first; None for a damaged one."""
     for (data,) in connection.execute("SELECT data FROM journal ORDER BY seq"):
         try:
-            units, at, lengths, *rest = columns.unpack(data)
+            units, at, lengths, *rest = unpack_integers(data)
         except ValueError:
             yield None
             continue

@@ -16,6 +16,7 @@ from app.line.history.query import (
     scale_of,
     stored_unit,
 )
+from app.line.history.recorder import Tail
 from app.line.history.series.figures import (
     DrawFigures,
     RunFigures,
@@ -28,7 +29,6 @@ from app.line.history.series.figures import (
 )
 from app.line.history.series.runs import MINUTE, Run
 from app.line.history.series.values import VALUES, ParameterStep, Scaling
-from app.line.history.tail import Tail
 from bus.catalogue.parameters import FOLLOWER_MODE
 from bus.settings import BusSettings
 

@@ -20,7 +20,7 @@ from app.core.database.migration import proves_intact, put_aside
 from app.core.web.shape import iso
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.line.history import tables
-from app.line.history.recorder import Delivery, FoundDamage, Recorder, compact, set_aside
+from app.line.history.recorder import Delivery, FoundDamage, Recorder, Tail, compact, set_aside
 from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, micros
 from app.line.history.settings import HistorySettings
 from app.line.history.status import (
@@ -33,7 +33,6 @@ from app.line.history.status import (
     store_message,
 )
 from app.line.history.tables import BlockKey, DamagedBlock
-from app.line.history.tail import Tail
 from app.people.audit.entry import EventKind
 from bus.instants import ClockWatch, Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number

@@ -18,8 +18,16 @@ from app.errors import StoreError
 from app.line.conditions.catalogue import PORT_LOST, STATUS
 from app.line.conditions.condition import Condition
 from app.line.conditions.unit import BY_READING, UNIT_OFFLINE
-from app.line.live.bus_live import BusLive, LiveState, offline_after_s, scan_s_of
-from app.line.live.unit_status import Onset, WordSpan, onset_in, status_conditions
+from app.line.live.bus_live import (
+    BusLive,
+    LiveState,
+    Onset,
+    WordSpan,
+    offline_after_s,
+    onset_in,
+    scan_s_of,
+    status_conditions,
+)
 from app.people.audit.entry import EventKind
 from app.people.audit.log import EventLog
 from bus.catalogue.values import status_bits

@@ -27,9 +27,14 @@ from app.line.conditions.unit import (
 )
 from app.line.live.bus_live import (
     BusLive,
+    Onset,
     UnitLive,
+    bits_of,
     draw_of,
+    is_driven,
+    later,
     lost_at,
+    mode_of,
     offline_after_s,
     ramp_seconds,
     scan_s_of,
@@ -38,7 +43,6 @@ from app.line.live.bus_live import (
     unit_link_now,
     worker_timed_out,
 )
-from app.line.live.unit_status import Onset, bits_of, is_driven, later, mode_of
 from bus.contract import Reading, UnitLinkState
 from bus.contract.actions import POLL_BYTES
 from bus.instants import UnixTime

@@ -12,9 +12,9 @@ from app.core.web.templating import Templates
 from app.feature import Feature, Services
 from app.line.history.service import History, status_words
 from app.line.history.status import store_notice
-from app.line.live import pages, socket
-from app.line.live.api import routes, stream
-from app.line.live.api.stream import LineStream
+from app.line.live import hub, pages
+from app.line.live.api import routes
+from app.line.live.api.routes import LineStream
 from app.line.live.api.view import LineView
 from app.line.live.bus_live import LiveState
 from app.line.live.change_recorder import ChangeRecorder, LineEvent, OnsetLookup
@@ -73,4 +73,4 @@ def _make_screens(services: Services, live: LiveState, sources: Sources) -> None
     lifespan.add("onsets", onsets.follow)
 
 
-FEATURE = Feature(make, (routes.router, stream.router, socket.router, pages.router))
+FEATURE = Feature(make, (routes.router, routes.document_router, hub.router, pages.router))

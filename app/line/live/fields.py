@@ -18,9 +18,12 @@ from app.line.conditions.catalogue import tile_check, tile_text
 from app.line.conditions.condition import DRAW_DECIMALS, Draw
 from app.line.live.bus_live import (
     BusLive,
+    MotionState,
     UnitLive,
+    bits_of,
     figures_now,
     follower,
+    mode_of,
     offline_after_s,
     scan_s_of,
     setpoint_decimals,
@@ -28,7 +31,6 @@ from app.line.live.bus_live import (
     stale_after_s,
 )
 from app.line.live.diagnosis import Cause
-from app.line.live.unit_status import MotionState, bits_of, mode_of
 from bus.catalogue.parameters import (
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,

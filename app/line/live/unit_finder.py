@@ -6,9 +6,8 @@ from collections.abc import Iterable, Iterator
 
 from app.core.find.finders import FoundPlace, Search, matched, missing
 from app.core.web.formats import UNKNOWN
-from app.line.live.bus_live import BusLive, LiveState, UnitLive, unit_link_now
+from app.line.live.bus_live import BusLive, LiveState, UnitLive, bits_of, unit_link_now
 from app.line.live.fields import unit_key
-from app.line.live.unit_status import bits_of
 from bus.instants import unix_now
 from bus.messages import Message, term
 

@@ -25,10 +25,10 @@ import msgspec
 import structlog
 
 from app.core.database.files import restrict, write_file
-from app.core.server.in_thread import in_thread
+from app.core.lifespan import in_thread
 from app.core.web.formats import Formats
 from app.errors import StoreError, system_error
-from app.people.audit.chain import Head, KeyRing, newest_of
+from app.people.audit.entry import Head, KeyRing, newest_of
 from app.people.audit.keys import find_key_file
 from app.people.audit.log import EventLog
 from app.people.audit.proof import AuditVerification

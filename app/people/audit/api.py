@@ -21,9 +21,8 @@ from app.core.web.services import service
 from app.core.web.shape import Instant, MaybeInstant, ZonedTime, iso, json_response
 from app.people.audit.anchor import Anchoring
 from app.people.audit.entry import EventKind, is_moment
-from app.people.audit.log import Event, EventLog
+from app.people.audit.log import Event, EventLog, Filter
 from app.people.audit.proof import AuditVerification
-from app.people.audit.queries import Filter
 from bus.instants import UnixTime
 from bus.messages import term
 from bus.validation import TypedText

@@ -30,9 +30,9 @@ import structlog
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import open_for_reading
 from app.core.database.files import FILE_MODE, in_words, sync_folder
-from app.core.server.in_thread import in_thread
+from app.core.lifespan import in_thread
 from app.errors import StoreError, system_error
-from app.people.audit.chain import Ends, KeyRing
+from app.people.audit.entry import Ends, KeyRing
 from app.people.audit.log import EventLog
 from app.people.audit.proof import CHUNK, Cut, Walk, add_cut, cuts_of, heads_text
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now

@@ -1,26 +1,201 @@
-"""The audit log as a feature: the event log, its proof, and the record of each start and end of a server."""
+"""The audit log as a feature: the page of events, the events that the search of all pages finds, and the
+record of each start and end of the server."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import timedelta
 from functools import partial
 from pathlib import Path
+from typing import Annotated, Any
+from urllib.parse import urlencode
 from zoneinfo import ZoneInfo
+
+from fastapi import APIRouter, Query
+from starlette.requests import Request
+from starlette.responses import HTMLResponse
 
 from app.core.database import Database
 from app.core.database.migration import FIRST, Migration
-from app.core.find.finders import Finders
+from app.core.find.finders import Finders, FoundPlace, Search, rank, words_of
+from app.core.messages import Language
+from app.core.messages.languages import day_begins
 from app.core.server.tls import ServerEvents
+from app.core.web.access import Viewer
+from app.core.web.formats import Formats
+from app.core.web.routes import SEARCH, GuardedRoute
+from app.core.web.services import service_of
+from app.core.web.shape import parse_integer
+from app.core.web.templating import render, templates_of
+from app.errors import StoreError
 from app.feature import Feature, Services
-from app.people.audit import api, pages
+from app.people.audit import api
 from app.people.audit.acts import ActLimit
 from app.people.audit.anchor import Anchoring, anchor_file
+from app.people.audit.api import Events
 from app.people.audit.archive import EventArchive
+from app.people.audit.entry import Event
 from app.people.audit.keys import open_keys
-from app.people.audit.log import EventLog
-from app.people.audit.pages import EventFinder
+from app.people.audit.log import EventLog, Filter, UnitPlace
 from app.people.audit.proof import heads_of
 from bus.messages import Message
+from bus.settings import BusSettings
+from bus.validation import TypedText
+
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
+ON_A_PAGE = 100
+MAX_PARTS = 1000
+"""Parts on one page; with more of them it has fewer rows. A change has at most 255."""
+FIELDS = ("kind", "bus", "unit", "who", "since", "until", "search")
+
+
+@router.get("/events", dependencies=[SEARCH])
+async def events_page(
+    request: Request,
+    _: Viewer,
+    events: Events,
+    before: Annotated[str, Query(max_length=18)] = "",
+    kind: str = "",
+    bus: str = "",
+    unit: Annotated[str, Query(max_length=3)] = "",
+    who: TypedText = "",
+    since: Annotated[str, Query(max_length=10)] = "",
+    until: Annotated[str, Query(max_length=10)] = "",
+    search: Annotated[TypedText, Query(max_length=200)] = "",
+) -> HTMLResponse:
+    """Show the events of a filter. Empty fields do not filter; days are those of the site."""
+    chosen = dict(zip(FIELDS, (kind, bus, unit, who, since, until, search), strict=True))
+    templates = templates_of(request)
+    site_zone, formats = templates.site.zone, templates.formats(templates.language_of(request).tag)
+    finder = service_of(request, EventFinder)
+    wanted = Filter(
+        before=parse_integer(before),
+        kind=kind or None,
+        bus=bus or None,
+        unit=parse_integer(unit),
+        who=who or None,
+        since=day_begins(since, site_zone),
+        until=day_begins(until, site_zone, timedelta(days=1)),
+        search=formats.typed_number(search),
+        named=finder.units_named(search),
+    )
+    rows, after = await page_of(events, wanted, ON_A_PAGE)
+    return render(
+        request,
+        "events/page.html",
+        rows=rows,
+        names=finder.names,
+        kinds=await events.kinds(),
+        chosen=chosen,
+        older=_address("/events", chosen | {"before": after}) if after else "",
+        newest=_address("/events", chosen) if before else "",
+        csv=_address("/api/v1/events.csv", _of_api(wanted, formats)),
+    )
+
+
+def _address(path: str, query: dict[str, Any]) -> str:
+    return f"{path}?" + urlencode({name: value for name, value in query.items() if value})
+
+
+def _of_api(wanted: Filter, formats: Formats) -> dict[str, Any]:
+    """Return the query of the API for the same events: it takes instants."""
+    names = ("kind", "bus", "unit", "who", "search")
+    times = {"from": wanted.since, "to": wanted.until}
+    instants = {name: None if at is None else formats.local(at).isoformat() for name, at in times.items()}
+    return {name: getattr(wanted, name) for name in names} | instants
+
+
+@dataclass(frozen=True, slots=True)
+class EventRow:
+    """One row of the events page: an event, with the parts of a change of several units by address."""
+
+    event: Event
+    parts: list[Event] = field(default_factory=list)
+
+    @property
+    def outcomes(self) -> list[tuple[str | None, int]]:
+        """The number of parts with each outcome, the most frequent first; None while it is not known."""
+        return Counter(part["outcome"] for part in self.parts).most_common()
+
+
+async def page_of(events: EventLog, wanted: Filter, limit: int) -> tuple[list[EventRow], int | None]:
+    """Return at most ``limit`` rows, newest first, and the number to continue from (None at the end). A part
+    is a row of its own if the filter excludes its change."""
+    found, after = await events.page(replace(wanted, folded=True), limit)
+    groups = sorted(event["id"] for event in found)
+    parts, more = await events.page(Filter(parts_of=tuple(groups)), MAX_PARTS)
+    by_group: dict[int, list[Event]] = {}
+    for part in reversed(parts):
+        by_group.setdefault(_group_of(part, groups), []).append(part)
+    if more is not None:
+        # Newest first: the change of the last part may have more than were read; newer ones have all.
+        cut = _group_of(parts[-1], groups)
+        found, after = [event for event in found if event["id"] > cut], cut + 1
+    return [EventRow(event, by_group.get(event["id"], [])) for event in found], after
+
+
+def _group_of(part: Event, ordered: Sequence[int]) -> int:
+    """Return the number of the change that an event is a part of, which is the last one before it."""
+    return ordered[bisect_left(ordered, part["id"]) - 1]
+
+
+SHOWN = 3
+"""Events that the search lists; the page of events has the others."""
+MAX_SEARCHED = 10_000
+"""Entries that a key press searches: a word that is in none would take seconds in a long log."""
+LAST = 100
+"""The rank of events, after everything that has the name."""
+
+
+class EventFinder:
+    """The finder of events for the search of all pages, also by the names of units."""
+
+    def __init__(self, events: EventLog, buses: Iterable[BusSettings]) -> None:
+        self._events = events
+        self._units = {(bus.name, unit.id): unit for bus in buses for unit in bus.unit}
+        self.names = {place: unit.name for place, unit in self._units.items()}
+
+    def units_named(self, typed: str) -> tuple[UnitPlace, ...]:
+        """Return the units with this name."""
+        words = words_of(typed)
+        return tuple(
+            place
+            for place, unit in self._units.items()
+            if words and rank(words, (unit.name, unit.group)) is not None
+        )
+
+    async def __call__(self, search: Search) -> Iterable[FoundPlace]:
+        """Return the newest events of a search, and the page of events with that search."""
+        typed = search.formats.typed_number(search.typed)
+        named = self.units_named(search.typed)
+        wanted = Filter(search=typed, named=named, folded=True, newest=MAX_SEARCHED)
+        try:
+            events, _ = await self._events.page(wanted, SHOWN)
+        except StoreError:
+            events = []
+        every = f"/events?{urlencode({'search': search.typed})}"
+        more = FoundPlace(Message.of("find_events_with", text=search.typed), every, rank=LAST)
+        return [
+            *(
+                FoundPlace(
+                    self._label(event, search.language),
+                    f"{every}#event-{event['id']}",
+                    search.formats.moment(event["time"]) if event["time"] else "",
+                    rank=LAST,
+                )
+                for event in events
+            ),
+            more,
+        ]
+
+    def _label(self, event: Event, language: Language) -> str:
+        """Return what happened, after the name of the unit."""
+        what = language.t(event["messages"].get("what", event["what"]))
+        name = self.names.get((event["bus"] or "", event["unit"] or 0))
+        return f"{name} · {what}" if name else what
 
 
 def make(services: Services) -> None:
@@ -66,4 +241,4 @@ def _store_changed(steps: Sequence[Migration]) -> Message:
     return Message.of("event_store_updated", steps=names)
 
 
-FEATURE = Feature(make, (api.router, pages.router))
+FEATURE = Feature(make, (api.router, router))

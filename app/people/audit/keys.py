@@ -18,7 +18,7 @@ import msgspec
 
 from app.core.database.files import fresh_file, sync_folder
 from app.errors import StoreError, system_error
-from app.people.audit.chain import KEY_BYTES, Ends, KeyOrigin, KeyRing, origin_of
+from app.people.audit.entry import KEY_BYTES, Ends, KeyOrigin, KeyRing, origin_of
 from bus.messages import Message
 
 

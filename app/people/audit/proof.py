@@ -15,9 +15,9 @@ from pydantic import ConfigDict, Field
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import has_column, open_for_reading
 from app.core.database.files import in_words
-from app.core.server.in_thread import in_thread
+from app.core.lifespan import in_thread
 from app.core.web.shape import MessageObject
-from app.people.audit.chain import (
+from app.people.audit.entry import (
     SITE,
     Ends,
     Head,

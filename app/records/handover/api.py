@@ -19,10 +19,10 @@ from app.core.web.routes import SEARCH
 from app.core.web.services import service
 from app.core.web.shape import Instant, StrictBody, ZonedTime, iso
 from app.errors import Problem
+from app.line.history.api import SpanOf
 from app.line.history.service import seconds
-from app.line.history.spans import SpanOf
 from app.records.handover.notes import MAX_OF_NOTE
-from app.records.handover.rules.shifts import Shift
+from app.records.handover.rules import Shift
 from app.records.handover.service import (
     APART,
     Handover,

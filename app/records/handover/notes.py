@@ -24,8 +24,7 @@ from app.core.database.files import MIN_FREE_OF_OTHERS, free_bytes
 from app.core.web.routes import RateLimit
 from app.errors import Problem, StoreError
 from app.line.alarms.journal import JournalEntry
-from app.records.handover.rules.pictures import PlainPicture, plain_picture
-from app.records.handover.rules.shifts import Shift
+from app.records.handover.rules import PlainPicture, Shift, plain_picture
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 from bus.pacing import Bucket

@@ -33,8 +33,7 @@ from app.people.audit.log import EventLog
 from app.people.auth.sign_in import SignIn, WrongSecretError
 from app.records.handover import notes, signatures
 from app.records.handover.notes import Note, PictureStore, Quota, RepeatedNoteError, judged
-from app.records.handover.rules.pictures import PlainPicture
-from app.records.handover.rules.shifts import Shift, instant_of, shift_at, shifts_until, site_time
+from app.records.handover.rules import PlainPicture, Shift, instant_of, shift_at, shifts_until, site_time
 from app.records.handover.sheet import write_sheet
 from app.records.handover.signatures import (
     CORRECT_NOTE,

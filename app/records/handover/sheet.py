@@ -19,13 +19,12 @@ from app.core.database.connection import json_member
 from app.core.web.shape import Instant, MaybeInstant, MessageShown, iso, message_shown
 from app.line.alarms.api import AlarmTransition, transition_json
 from app.line.alarms.journal import JournalEntry
-from app.line.alarms.rules.state_machine import AlarmState
-from app.people.audit import queries
+from app.line.alarms.rules import AlarmState
+from app.people.audit import log
 from app.people.audit.api import EventShown, shown
-from app.people.audit.log import Event
-from app.people.audit.queries import Filter
+from app.people.audit.log import Event, Filter
 from app.records.handover.notes import Note, notes_of
-from app.records.handover.rules.shifts import EVERYTHING, Scope, Shift, site_time
+from app.records.handover.rules import EVERYTHING, Scope, Shift, site_time
 from app.records.handover.signatures import MissingSignature, ShiftSignature, SignedSheet
 from app.settings import Settings
 from bus.instants import UnixTime
@@ -105,7 +104,7 @@ class ShiftEvents:
             until=self._shift.end,
             folded=True,
         )
-        return queries.select(self._connection, wanted, MAX_EVENTS)
+        return log.select(self._connection, wanted, MAX_EVENTS)
 
     def _count(self) -> dict[str, Counter[str]]:
         where, values = self._scope.conditions("e.")
@@ -151,7 +150,7 @@ def alarms_at(connection: StoreConnection, at: UnixTime) -> list[AlarmThen]:
 def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> list[Event]:
     """Return the last event of a kind before a moment, for each unit or bus."""
     numbers = [number for (number,) in connection.execute(_LAST_OF_EACH, (kind, before))]
-    found = (queries.one(connection, number) for number in numbers)
+    found = (log.one(connection, number) for number in numbers)
     return [event for event in found if event is not None]
 
 

@@ -15,9 +15,9 @@ from app.core.database.connection import has_column, json_member
 from app.core.web.access import Role
 from app.core.web.shape import InstantObject, iso
 from app.errors import Problem
-from app.people.audit import queries
+from app.people.audit import log
 from app.people.audit.acts import Act
-from app.records.handover.rules.shifts import Shift, site_time
+from app.records.handover.rules import Shift, site_time
 from bus.instants import UnixTime
 from bus.messages import Message, term
 
@@ -136,7 +136,7 @@ def check_turn(
 
 def _is_named(connection: StoreConnection, signed: SignedSheet, signature: ShiftSignature) -> bool:
     """Return whether the event of a signature names this sheet."""
-    event = queries.one(connection, signature.event)
+    event = log.one(connection, signature.event)
     what = None if event is None else event["messages"].get("what")
     digests = {"digest": signed.digest, "page_digest": signed.page_digest}
     return (

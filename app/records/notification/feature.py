@@ -1,23 +1,158 @@
-"""Notification of people about alarms."""
+"""Notification of people about alarms: its page, and the page to which the link of a message leads."""
 
 from __future__ import annotations
 
+from typing import Annotated
 from zoneinfo import ZoneInfo
 
+from fastapi import APIRouter, Depends, Form, Query
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
 from app.core.database import Database
-from app.core.web.templating import Templates
+from app.core.web.access import Engineer, Person, Viewer
+from app.core.web.routes import GuardedRoute
+from app.core.web.templating import Templates, render
+from app.errors import Problem
 from app.feature import Feature, Services
-from app.line.alarms.line_alarms import LineAlarms
-from app.line.alarms.site_alarms import SiteAlarms
+from app.line.alarms.acts import ACKNOWLEDGE
+from app.line.alarms.api import Alarms
+from app.line.alarms.line_alarms import LineAlarms, SiteAlarms
 from app.line.conditions.catalogue import NOTIFICATION_FAILED
 from app.people.audit.log import EventLog
-from app.records.notification import api, pages
+from app.records.notification import api
+from app.records.notification.api import Notifying
 from app.records.notification.compose import AcknowledgeLinks, Composer
-from app.records.notification.dispatcher import Dispatcher
+from app.records.notification.dispatcher import Dispatcher, subject_of
 from app.records.notification.outbox import NotificationOutbox, ReportAttachments
 from app.records.notification.plan import NotificationPlan
 from app.records.notification.senders import Senders
-from app.records.notification.service import ACTS, AlarmNotifier, Maintenance, Notification
+from app.records.notification.service import (
+    ACTS,
+    BEGIN_MAINTENANCE,
+    END_MAINTENANCE,
+    MAX_MINUTES,
+    SEND_TEST,
+    AlarmNotifier,
+    Maintenance,
+    Notification,
+)
+from app.records.notification.settings import DAYS
+from bus.messages import Message
+from bus.validation import OneLine
+
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
+
+SEE_OTHER = 303
+ON_A_PAGE = 50
+
+
+async def linked_alarm(
+    notification: Notifying,
+    alarm: Annotated[str, Query(max_length=300)],
+    until: Annotated[int, Query(ge=0, le=2**62)],
+    signature: Annotated[str, Query(max_length=100)],
+) -> str:
+    """Return the id of the alarm of a link. Raises Problem 403 for a link that this dashboard did not
+    make."""
+    notification.links.check(alarm, until, signature)
+    return alarm
+
+
+LinkedAlarm = Annotated[str, Depends(linked_alarm)]
+
+
+@router.get("/notifications")
+async def notification_page(
+    request: Request,
+    _: Engineer,
+    notification: Notifying,
+    before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
+) -> Response:
+    """Show whether the path works, who is on duty, maintenance, and what was sent."""
+    found = await notification.outbox.deliveries(ON_A_PAGE + 1, before)
+    addresses = {key: each.address for key, each in notification.plan.endpoints.items()}
+    return render(
+        request,
+        "notification/page.html",
+        endpoints=await notification.endpoints(),
+        groups=notification.groups(),
+        maintenance=notification.maintenance.present(),
+        recurring=notification.maintenance.recurring(),
+        days={day: Message(f"day_{number}") for number, day in enumerate(DAYS)},
+        buses=notification.maintenance.buses,
+        has_url=notification.plan.settings.dashboard_url is not None,
+        deliveries=[
+            (each, addresses.get(each.endpoint, each.endpoint), subject_of(each))
+            for each in found[:ON_A_PAGE]
+        ],
+        older=found[ON_A_PAGE - 1].id if len(found) > ON_A_PAGE else None,
+        before=before,
+    )
+
+
+@router.post("/notifications/test")
+async def send_test(
+    person: Annotated[Person, SEND_TEST.permitted],
+    notification: Notifying,
+    endpoint: Annotated[str, Form(max_length=400)],
+) -> Response:
+    """Send a test message; the page then shows its result."""
+    await notification.test(person, endpoint)
+    return _to_page()
+
+
+@router.post("/notifications/maintenance")
+async def begin_maintenance(
+    person: Annotated[Person, BEGIN_MAINTENANCE.permitted],
+    notification: Notifying,
+    minutes: Annotated[int, Form(ge=1, le=MAX_MINUTES)],
+    bus: Annotated[str, Form(max_length=80)] = "",
+    reason: Annotated[OneLine, Form(max_length=200)] = "",
+) -> Response:
+    """Notify nothing for a time."""
+    if not reason.strip():
+        raise Problem(422, "invalid", Message("maintenance_needs_reason"))
+    await notification.maintenance.begin(person, bus or None, minutes, reason.strip())
+    return _to_page()
+
+
+@router.post("/notifications/maintenance/{maintenance_id}/end")
+async def end_maintenance(
+    person: Annotated[Person, END_MAINTENANCE.permitted], notification: Notifying, maintenance_id: int
+) -> Response:
+    """Notify again."""
+    await notification.maintenance.end(person, maintenance_id)
+    return _to_page()
+
+
+@router.get("/notifications/acknowledge")
+async def acknowledge_page(request: Request, _: Viewer, alarms: Alarms, alarm: LinkedAlarm) -> Response:
+    """Show the alarm of a link, with the button. Opening the link changes nothing: programs that look for
+    malware open links, too."""
+    found = alarms.find(alarm).alarm
+    definition = found.definition
+    return render(
+        request,
+        "notification/acknowledge.html",
+        alarm=found,
+        place=alarms.place(definition.bus, definition.unit),
+        state=found.state_text,
+        action=request.url.path + "?" + request.url.query,
+    )
+
+
+@router.post("/notifications/acknowledge")
+async def acknowledge_by_link(
+    person: Annotated[Person, ACKNOWLEDGE.permitted], alarms: Alarms, alarm: LinkedAlarm
+) -> Response:
+    """Acknowledge the occurrence that the link names."""
+    await alarms.act(person, ACKNOWLEDGE, alarm)
+    return RedirectResponse(f"/alarms/{alarms.find(alarm).alarm.id}", SEE_OTHER)
+
+
+def _to_page() -> Response:
+    return RedirectResponse("/notifications", SEE_OTHER)
 
 
 def make(services: Services) -> None:
@@ -42,4 +177,4 @@ def make(services: Services) -> None:
     services.lifespan.add("notification of alarms", notifier.follow, start=notifier.load)
 
 
-FEATURE = Feature(make, (api.router, pages.router), ACTS)
+FEATURE = Feature(make, (api.router, router), ACTS)

@@ -15,7 +15,7 @@ from app.core.database import Database, StoreConnection
 from app.core.web.shape import InstantObject
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.journal import JournalEntry
-from app.line.alarms.rules.state_machine import AlarmState
+from app.line.alarms.rules import AlarmState
 from app.line.conditions.condition import AlarmPriority
 from app.records.notification.rules import (
     FLOOD_WINDOW_S,

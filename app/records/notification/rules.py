@@ -13,7 +13,7 @@ from typing import Literal
 from zoneinfo import ZoneInfo
 
 from app.line.alarms.journal import JournalEntry
-from app.line.alarms.rules.state_machine import AlarmState
+from app.line.alarms.rules import AlarmState
 from app.line.conditions.condition import AlarmPriority
 from app.records.notification.settings import DAYS, MaintenanceSettings, minute_of_day
 from bus.errors import LinesideError

@@ -22,7 +22,7 @@ from urllib.parse import urlsplit
 
 import structlog
 
-from app.core.server.in_thread import in_thread
+from app.core.lifespan import in_thread
 from app.core.server.settings import check_web_url, read_secret, read_secret_text
 from app.errors import network_cause
 from app.records.notification.compose import Composer, Letter, hook_body

@@ -18,7 +18,7 @@ from app.line.history.series.figures import DrawFigures, RunFigures, StopCause
 from app.line.history.series.runs import SECOND, micros
 from app.line.history.unit_report import MAX_READINGS, BusReport, UnitReport
 from app.records.handover.notes import MAX_OF_SPAN
-from app.records.handover.rules.shifts import Scope, Shift
+from app.records.handover.rules import Scope, Shift
 from app.records.handover.sheet import ShiftSignatures, SignedShiftSheet, signed_json, write_sheet
 from app.records.handover.signatures import signed_sheet
 from app.settings import Settings

@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 from typing import Literal
 from zoneinfo import ZoneInfo
 
-from app.records.handover.rules.shifts import Shift, shift_at
+from app.records.handover.rules import Shift, shift_at
 from bus.instants import UnixTime
 from bus.messages import Message
 

@@ -24,7 +24,7 @@ from app.errors import Problem, StoreError
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.history.service import History
 from app.line.history.unit_report import UnitReport
-from app.records.handover.rules.shifts import EVERYTHING, Scope, Shift, site_time
+from app.records.handover.rules import EVERYTHING, Scope, Shift, site_time
 from app.records.handover.service import readable
 from app.records.notification.outbox import Attachment, OutboxItem, ReportNotice
 from app.records.notification.plan import NotificationEndpoint

@@ -5,7 +5,7 @@ from __future__ import annotations
 from zoneinfo import ZoneInfo
 
 from app.feature import Feature, Services
-from app.line.alarms.site_alarms import SiteAlarms
+from app.line.alarms.line_alarms import SiteAlarms
 from app.people.audit.log import EventLog
 from app.system.backup.service import Backups
 

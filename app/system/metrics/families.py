@@ -15,7 +15,7 @@ from prometheus_client.registry import Collector
 from app.core.database.files import free_bytes
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.line_alarms import LineAlarms
-from app.line.alarms.rules.state_machine import PRESENT_STATES
+from app.line.alarms.rules import PRESENT_STATES
 from app.line.conditions.condition import PRIORITIES, percent_of
 from app.line.history.status import HistoryStatus
 from app.line.live.bus_live import BusLive, LiveState, draw_of, speed_decimals, unit_link_now

@@ -17,7 +17,7 @@ from app.errors import StoreError
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.line_alarms import LineAlarms, rank
 from app.line.conditions.condition import PRIORITIES, AlarmPriority
-from app.line.live.bus_live import BusLive, LiveState, figures_now, speed_decimals, unit_link_now
+from app.line.live.bus_live import BusLive, LiveState, Onset, figures_now, speed_decimals, unit_link_now
 from app.line.live.diagnosis import (
     Cause,
     Level,
@@ -31,10 +31,8 @@ from app.line.live.diagnosis import (
 from app.line.live.fields import Translator
 from app.line.live.screen import LEVELS, all_well
 from app.line.live.sources import Sources
-from app.line.live.unit_status import Onset
 from app.people.audit.entry import EventKind
-from app.people.audit.log import Event, EventLog
-from app.people.audit.queries import Filter
+from app.people.audit.log import Event, EventLog, Filter
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, ParamValue, term
 

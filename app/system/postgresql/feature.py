@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from app.core.database import Database
 from app.feature import Feature, Services
-from app.line.alarms.site_alarms import SiteAlarms
+from app.line.alarms.line_alarms import SiteAlarms
 from app.line.conditions import catalogue
 from app.line.history.service import History
 from app.system.configuration.service import SystemsBeside

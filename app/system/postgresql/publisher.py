@@ -14,11 +14,11 @@ from functools import partial
 import structlog
 
 from app.core.database import Database, StoreConnection
-from app.core.server.in_thread import in_thread
+from app.core.lifespan import in_thread
 from app.errors import StoreError
+from app.line.history.recorder import Tail
 from app.line.history.series.runs import MINUTE, micros
 from app.line.history.service import History, seconds
-from app.line.history.tail import Tail
 from app.line.history.writer import LATE
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.outbox import (

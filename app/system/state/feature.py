@@ -2,16 +2,159 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
 from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
+from app.core.database.files import free_bytes
+from app.core.server.tls import Encryption
 from app.core.web.access import Viewer
 from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.templating import render
 from app.feature import Feature, Services
-from app.system.state.rows import system_rows
-from bus.instants import monotonic_now, unix_now
+from app.line.alarms.alarm import Alarm
+from app.line.alarms.line_alarms import SiteAlarms
+from app.line.history.status import MAX_DAYS
+from app.people.audit.anchor import EVERY_S, Anchoring
+from app.system.backup.service import Backups
+from app.system.peers.board import LineTiles
+from app.system.postgresql.publisher import Publisher
+from app.system.state.disk import forecast, store_sizes
+from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
+from bus.messages import Message, number
+
+GB = 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class SystemRow:
+    """One thing that guards the records. ``level``: the priority of its alarm, empty while all is well;
+    ``next``: when it happens again, in words where it goes on without end; ``help``: the chapter about it;
+    ``alarm``: the id of the alarm that says what is wrong."""
+
+    name: Message | str
+    state: Message
+    last: UnixTime | None = None
+    next: UnixTime | Message | None = None
+    to_do: Message | None = None
+    help: str = ""
+    level: str = ""
+    alarm: str = ""
+
+
+async def system_rows(services: Services, now: UnixTime, monotonic: Monotonic) -> list[SystemRow]:
+    """Return what the page shows, in its order."""
+    rows = [
+        _alarmed(services, _backups(services, now), "backup_overdue"),
+        _alarmed(services, _audit_log(services), "audit_degraded", "events_not_archived"),
+        _alarmed(services, await _disk(services, now), "history_degraded", "disk_low"),
+        _alarmed(services, _plant_database(services, now), "publisher_day_behind", "publisher_behind"),
+        _alarmed(services, _certificate(services), "certificate_expiring"),
+        *_peers(services, now, monotonic),
+    ]
+    shown = {row.alarm for row in rows}
+    others = (alarm for alarm in _active(services) if alarm.id not in shown)
+    return [
+        *rows,
+        *(_row_of(services, alarm, SystemRow(alarm.definition.name, alarm.state_text)) for alarm in others),
+    ]
+
+
+def _active(services: Services) -> Iterable[Alarm]:
+    return [alarm for alarm in services[SiteAlarms].list.alarms.values() if alarm.facts.active]
+
+
+def _alarmed(services: Services, row: SystemRow, *codes: str) -> SystemRow:
+    """Return the row with the first of its alarms that is active: what it is about, and its response."""
+    of_row = [alarm for code in codes for alarm in _active(services) if alarm.definition.code == code]
+    return _row_of(services, of_row[0], row) if of_row else row
+
+
+def _row_of(services: Services, alarm: Alarm, row: SystemRow) -> SystemRow:
+    definition = alarm.definition
+    name = definition.name
+    about = services[SiteAlarms].present(alarm) or (name if isinstance(name, Message) else row.state)
+    return SystemRow(
+        row.name,
+        about,
+        row.last,
+        row.next,
+        definition.record.response,
+        row.help,
+        definition.priority,
+        alarm.id,
+    )
+
+
+def _backups(services: Services, now: UnixTime) -> SystemRow:
+    backups, name, chapter = services[Backups], Message("system_backups"), "backup"
+    if services.settings.backup.folder is None:
+        to_do = Message("system_set_backup")
+        return SystemRow(name, Message("system_not_set_up"), to_do=to_do, help=chapter)
+    state = Message("system_backup_is_written" if backups.written else "system_backup_is_due")
+    due = max(now, backups.next_due(now))
+    return SystemRow(name, backups.failing or state, backups.written, due, help=chapter)
+
+
+def _audit_log(services: Services) -> SystemRow:
+    anchoring = services[Anchoring]
+    at = anchoring.compared_at
+    following = None if at is None else at + EVERY_S
+    return SystemRow(
+        Message("system_audit"), Message("system_audit_is_anchored"), at, following, help="audit"
+    )
+
+
+async def _disk(services: Services, now: UnixTime) -> SystemRow:
+    settings, data = services.settings, services.settings.server.data
+    free = free_bytes(data)
+    days = await asyncio.to_thread(lambda: forecast(settings, store_sizes(data), free, now))
+    free_gb = number(f"{free / GB:.1f}")
+    if days is None:
+        state = Message.of("system_disk_unknown", free=free_gb)
+    elif days >= MAX_DAYS:
+        state = Message.of("system_disk_long", free=free_gb)
+    else:
+        state = Message.of("system_disk", free=free_gb, n=int(days))
+    return SystemRow(Message("system_disk_name"), state, now, Message("system_always"), help="scale")
+
+
+def _plant_database(services: Services, now: UnixTime) -> SystemRow:
+    name, chapter = Message("system_plant_database"), "plant-database"
+    if services.settings.postgresql is None:
+        return SystemRow(
+            name, Message("system_not_set_up"), to_do=Message("system_set_database"), help=chapter
+        )
+    status = services[Publisher].status
+    return SystemRow(name, status.state(now), status.until, Message("system_always"), help=chapter)
+
+
+def _certificate(services: Services) -> SystemRow:
+    encryption, name, chapter = services[Encryption], Message("system_certificate"), "tls"
+    if encryption.certificate is None:
+        state = Message("system_in_clear" if encryption.is_missing else "system_this_machine_only")
+        to_do = Message("system_set_certificate") if encryption.is_missing else None
+        return SystemRow(name, state, to_do=to_do, help=chapter)
+    state = Message.of("system_certificate_ends", day=encryption.certificate.ends_on)
+    return SystemRow(name, encryption.fault or state, help=chapter)
+
+
+def _peers(services: Services, now: UnixTime, monotonic: Monotonic) -> Iterator[SystemRow]:
+    for peer in services[LineTiles].board.peers:
+        age = peer.age_s(monotonic)
+        yield SystemRow(
+            Message.of("system_peer", name=peer.settings.name),
+            peer.fault or Message("system_peer_is_read"),
+            None if age is None else now - age,
+            Message("system_always"),
+            Message("system_check_peer") if peer.fault else None,
+            "several-lines",
+        )
+
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 

@@ -23,7 +23,7 @@ from bus.line.trace import Interpreter, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.commands import Request
-from bus.wire.fence import PendingResponses
+from bus.wire.exchange import PendingResponses
 
 
 class ProcedureResult(msgspec.Struct, frozen=True):

@@ -202,7 +202,7 @@ def _read_scales(members: list[Member], context: CommandContext) -> Subprocedure
     """Read what the typed values were converted with; how the change ends where a unit has another scale.
 
     One parameter of each unit in turn: the link polls a unit between two reads of it in a row, as their
-    responses look alike (``bus.wire.fence``), and 24 units would take longer than the 2 s of a command.
+    responses look alike (``bus.wire.exchange``), and 24 units would take longer than the 2 s of a command.
     """
     readings = {member.unit: ScaleReading(member.unit, member.scale) for member in members if member.guarded}
     while any(reading.remaining for reading in readings.values()):

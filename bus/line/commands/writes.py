@@ -270,7 +270,7 @@ def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext
     The scale of a typed value is read before it is sent and again afterwards, and the value is not verified
     in another one. That of a raw value is read afterwards alone, so that the record shows it as the unit
     does. One parameter is read between the acknowledgement and an 81h that proves the write: there it needs
-    no fence, which the next one does (``bus.wire.fence``).
+    no fence, which the next one does (``bus.wire.exchange``).
     """
     unit, scale, guarded = record.unit, context.scale(record.unit), context.typed
     if isinstance(action, ExecuteSpeed):

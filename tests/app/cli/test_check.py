@@ -18,7 +18,7 @@ from app.cli import findings as findings
 from app.core.database import Database
 from app.core.database.migration import COPYING
 from app.line.history.writer import MIGRATIONS
-from app.people.audit.chain import KeyOrigin
+from app.people.audit.entry import KeyOrigin
 from app.people.audit.keys import make_key_file
 from tests.mounted import mounted
 

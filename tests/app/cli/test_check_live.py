@@ -21,12 +21,12 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli import check
-from app.cli import check_live as live_findings
-from app.cli import check_live as port_findings
-from app.cli.check_live import is_connected_to, is_worker_of
+from app.cli import check as live_findings
+from app.cli import check as port_findings
+from app.cli.check import is_connected_to, is_worker_of
 from app.core.database import Database
 from app.line.conditions import catalogue as of_server
-from app.people.audit.chain import KeyOrigin
+from app.people.audit.entry import KeyOrigin
 from app.people.audit.keys import make_key_file
 from app.settings import LOCK_FILE
 from bus.line.opener import port_fault

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from app.cli import cli
 from app.cli.accounts import with_accounts
-from app.cli.installed_files import first_configuration, likely_port, starter
+from app.cli.install_service import first_configuration, likely_port, starter
 from app.settings import load
 from tests.app.cli.test_wire import line, unit
 

@@ -19,9 +19,8 @@ from app.line.history.series.runs import HOUR, runs_of
 from app.line.history.service import FILE
 from app.line.history.writer import MIGRATIONS
 from app.people.audit.keys import open_keys
-from app.people.audit.log import EventLog
+from app.people.audit.log import EventLog, Filter
 from app.people.audit.proof import heads_of
-from app.people.audit.queries import Filter
 from app.settings import Settings, load
 from bus.catalogue.parameters import ACCELERATION
 from bus.instants import UnixTime, unix_now

@@ -15,15 +15,16 @@ import pytest
 from app.cli import install_service
 from app.cli.findings import service
 from app.cli.install_service import (
+    ServiceUnit,
     carry_out,
     configured,
     installation,
+    quoted,
     removal,
     run,
     unit_of,
     write_configuration,
 )
-from app.cli.installed_files import ServiceUnit, quoted
 from app.settings import Settings
 from bus.errors import LinesideError
 from tests import fork_server

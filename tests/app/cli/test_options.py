@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from app.cli import cli
-from app.cli.options import NEW_CONFIG, TOKEN_VARIABLE, bearer_token, default_config
+from app.cli.command import NEW_CONFIG, TOKEN_VARIABLE, bearer_token, default_config
 from bus.errors import CallerError
 from tests.test_architecture import ROOT
 
@@ -44,7 +44,7 @@ def test_a_user_who_may_not_look_is_told_so_in_any_folder(where: str) -> None:
             each.mkdir(mode=0o700)
         (etc / "lineside.toml").touch()
         program = (
-            "import os, pathlib, app.cli.options as found\n"
+            "import os, pathlib, app.cli.command as found\n"
             "from bus.configuration import ConfigurationError, read\n"
             "import bus.messages; str(bus.messages.Message('configuration_missing', {'file': ''}))\n"
             "os.setgroups([]); os.setgid(4321); os.setuid(4321)\n"

@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 from app.cli import cli as command_line
 from app.cli import wire as scan
 from app.cli.wire import announcement, bauds_to_try, bus_table, parse_hex
-from app.line.commands.api.trace_file import trace_line
+from app.line.commands.trace_file import trace_line
 from app.settings import Settings
 from bus.catalogue import parameters as numbers
 from bus.contract import Frame

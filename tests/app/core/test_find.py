@@ -15,8 +15,7 @@ from app.core.web.access import Role
 from app.core.web.formats import UNKNOWN
 from app.engineering.recipes.book import RecipeBook
 from app.line.live.bus_live import LiveState
-from app.people.audit.log import EventLog
-from app.people.audit.queries import Filter
+from app.people.audit.log import EventLog, Filter
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
 from bus.instants import unix_now
 from bus.messages import Message

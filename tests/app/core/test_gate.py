@@ -31,8 +31,9 @@ from app.core.server.gate import (
     MAX_HELD_PARTS,
     MAX_PASSED_OVER_BYTES,
     SLICE_BYTES,
+    LoopWatch,
+    age_s,
 )
-from app.core.server.loop_watch import LoopWatch, age_s
 from bus.instants import Monotonic
 from tests.app.gated import Ends, Port, everything, gated, until
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.engineering.sets.document import DocumentError, read_document, write_document
 from app.engineering.sets.model import ParameterRow, ParameterSet, UnitRows
+from app.engineering.sets.store import DocumentError, read_document, write_document
 from bus.catalogue.parameters import PARAMETERS
 
 SECRET = 21

@@ -29,7 +29,7 @@ from app.line.commands.limits import NO_LIMITS
 from app.line.commands.review import change_of
 from app.line.commands.undo import ValuePlace, Values, value_now, values_set
 from app.line.live.bus_live import BusLive
-from app.people.audit.queries import Filter
+from app.people.audit.log import Filter
 from bus.contract import (
     Action,
     Command,

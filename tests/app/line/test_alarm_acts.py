@@ -28,9 +28,8 @@ from app.line.alarms.acts import (
     AlarmShelveRequest,
 )
 from app.line.alarms.journal import AlarmStore, JournalEntry
-from app.line.alarms.line_alarms import LineAlarms
-from app.line.alarms.site_alarms import SiteAlarms
-from app.people.audit.queries import Filter
+from app.line.alarms.line_alarms import LineAlarms, SiteAlarms
+from app.people.audit.log import Filter
 from bus.instants import UnixTime
 from tests.app.alarm_bus import BUS, RUN, AlarmBus
 from tests.app.complete_app import EVERY_ROLE

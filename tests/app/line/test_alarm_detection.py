@@ -8,7 +8,7 @@ from typing import get_args
 
 import pytest
 
-from app.line.alarms.rules.detection import (
+from app.line.alarms.rules import (
     ChangeRate,
     CountWindow,
     FirstOut,

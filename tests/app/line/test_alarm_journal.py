@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from app.core.database import Database
 from app.line.alarms.journal import MAX_OCCURRENCES, AlarmPerformance, AlarmStore, measure, occurrences
-from app.line.alarms.rules.performance import (
+from app.line.alarms.performance import (
     CHATTERS_S,
     FEW,
     FLEETING_S,

@@ -15,8 +15,8 @@ from app.core.web.access import Role
 from app.core.web.templating import Templates
 from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
-from app.line.alarms.rules.performance import ObservedSpan
-from app.line.alarms.rules.state_machine import AlarmFacts
+from app.line.alarms.performance import ObservedSpan
+from app.line.alarms.rules import AlarmFacts
 from app.line.live.bus_live import LiveState
 from app.line.live.hub import Hub
 from app.line.live.screen import ALARM_GROUP

@@ -22,7 +22,7 @@ from app.core.web.access import Role
 from app.errors import Problem
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.alarms.own_condition import in_toml, proposed
-from app.line.alarms.rules.state_machine import Transition
+from app.line.alarms.rules import Transition
 from app.line.alarms.settings import AlarmSettings
 from app.line.alarms.simulation import Annunciations, Replay, Simulator, StoredHour, extremes
 from app.line.history import tables

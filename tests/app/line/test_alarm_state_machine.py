@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.line.alarms.rules import state_machine
-from app.line.alarms.rules.state_machine import (
+from app.line.alarms import rules
+from app.line.alarms.rules import (
     AlarmAttributes,
     AlarmFacts,
     Changed,
@@ -32,21 +32,21 @@ def act(facts: AlarmFacts, how: AlarmAttributes, word: str, at: float, end: floa
     """One act of a person or of the suppression."""
     match word:
         case "acknowledge":
-            return state_machine.acknowledge(facts, how, UnixTime(at))
+            return rules.acknowledge(facts, how, UnixTime(at))
         case "silence":
-            return state_machine.silence(facts, how, UnixTime(at))
+            return rules.silence(facts, how, UnixTime(at))
         case "reset":
-            return state_machine.reset(facts, how, UnixTime(at))
+            return rules.reset(facts, how, UnixTime(at))
         case "shelve":
-            return state_machine.shelve(facts, how, UnixTime(at), for_s=end - at, once=once)
+            return rules.shelve(facts, how, UnixTime(at), for_s=end - at, once=once)
         case "unshelve":
-            return state_machine.unshelve(facts, how, UnixTime(at))
+            return rules.unshelve(facts, how, UnixTime(at))
         case "remove":
-            return state_machine.remove_from_service(facts, how, UnixTime(at))
+            return rules.remove_from_service(facts, how, UnixTime(at))
         case "return":
-            return state_machine.return_to_service(facts, how, UnixTime(at))
+            return rules.return_to_service(facts, how, UnixTime(at))
         case _:
-            return state_machine.suppress(facts, word == "suppress", UnixTime(at))
+            return rules.suppress(facts, word == "suppress", UnixTime(at))
 
 
 @settings(max_examples=5 * settings.default.max_examples)
@@ -70,13 +70,13 @@ def test_random_histories_equal_the_model_of_the_standard(
     for wait_s, (word, details) in history:
         for _ in range(wait_s):
             at += 1
-            facts, passed = state_machine.advance(facts, how, UnixTime(at))
+            facts, passed = rules.advance(facts, how, UnixTime(at))
             journal += [each.trigger for each in passed]
             assert (facts.state, facts.occurrence) == (model.state(at), model.occurrences(at))
         if word == "observe":
             assert details in (True, False, None)
             model.observed.append((at, details))  # type: ignore[arg-type]
-            facts, done = state_machine.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
+            facts, done = rules.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
         else:
             assert isinstance(details, tuple)
             end, once = (at + details[0] + 0.25, details[1]) if word == "shelve" else (FOREVER, False)
@@ -104,15 +104,15 @@ def test_an_alarm_whose_definition_ends_is_normal_as_the_standard_leads_there(
     model, facts, at = ModelAlarm(on_delay, 0, FOREVER, latching), AlarmFacts(), 0.0
     for wait_s, (word, details) in history:
         at += wait_s
-        facts, _ = state_machine.advance(facts, how, UnixTime(at))
+        facts, _ = rules.advance(facts, how, UnixTime(at))
         if word == "observe":
             model.observed.append((at, details))  # type: ignore[arg-type]
-            facts, _ = state_machine.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
+            facts, _ = rules.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
         elif model.allows(word, at):
             facts, _ = act(facts, how, word, at, FOREVER, once=False)
             model.acts.append((at, word, FOREVER, False))
     before = facts
-    facts, done = state_machine.withdraw(facts, how, UnixTime(at))
+    facts, done = rules.withdraw(facts, how, UnixTime(at))
     for each in done:
         if each.trigger == "clear":
             model.observed.append((at, False))
@@ -127,20 +127,20 @@ def test_an_alarm_whose_definition_ends_is_normal_as_the_standard_leads_there(
 
 def test_a_suppressed_alarm_whose_definition_ends_is_normal_and_no_longer_suppressed() -> None:
     how = AlarmAttributes()
-    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = state_machine.suppress(facts, True, UnixTime(11))
-    facts, done = state_machine.withdraw(facts, how, UnixTime(12))
+    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = rules.suppress(facts, True, UnixTime(11))
+    facts, done = rules.withdraw(facts, how, UnixTime(12))
     assert [each.trigger for each in done] == ["remove", "clear", "unsuppress", "return"]
     assert (facts.state, facts.suppressed) == ("normal", False)
 
 
 def test_an_alarm_is_silenced_once() -> None:
     how = AlarmAttributes()
-    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = state_machine.silence(facts, how, UnixTime(11))
+    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = rules.silence(facts, how, UnixTime(11))
     assert (facts.sounds, facts.state) == (False, "unack_active")
     with pytest.raises(NoTransitionError):
-        state_machine.silence(facts, how, UnixTime(12))
+        rules.silence(facts, how, UnixTime(12))
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_people_lead_a_base_state_only_where_the_standard_does(
 ) -> None:
     facts = AlarmFacts(active=active, acknowledged=acknowledged, latched=latched)
     assert facts.base == base
-    for change, target in ((state_machine.acknowledge, acknowledge), (state_machine.reset, reset)):
+    for change, target in ((rules.acknowledge, acknowledge), (rules.reset, reset)):
         if target is None:
             with pytest.raises(NoTransitionError):
                 change(facts, AlarmAttributes(), UnixTime(1))
@@ -178,42 +178,42 @@ def test_nothing_can_be_ended_that_has_not_begun(word: str) -> None:
 
 def test_an_unknown_condition_stops_a_delay_and_changes_nothing_else() -> None:
     how = AlarmAttributes(on_delay_s=2)
-    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(1))
-    facts, _ = state_machine.observe(facts, how, holds=None, at=UnixTime(2))
-    facts, _ = state_machine.observe(facts, how, holds=None, at=UnixTime(9))
+    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(1))
+    facts, _ = rules.observe(facts, how, holds=None, at=UnixTime(2))
+    facts, _ = rules.observe(facts, how, holds=None, at=UnixTime(9))
     assert (facts.state, facts.unknown_since) == ("normal", 2)
-    facts, _ = state_machine.observe(facts, how, holds=True, at=UnixTime(10))
-    facts, done = state_machine.advance(facts, how, UnixTime(12))
+    facts, _ = rules.observe(facts, how, holds=True, at=UnixTime(10))
+    facts, done = rules.advance(facts, how, UnixTime(12))
     assert (facts.state, facts.unknown_since, done[0].at) == ("unack_active", None, 12)
 
 
 def test_a_transition_has_the_time_at_which_it_was_due() -> None:
     how = AlarmAttributes(on_delay_s=5, off_delay_s=2)
-    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
     assert due_at(facts, how) == 15
-    facts, done = state_machine.observe(facts, how, holds=False, at=UnixTime(40))
+    facts, done = rules.observe(facts, how, holds=False, at=UnixTime(40))
     assert [(each.trigger, each.at) for each in done] == [("rise", 15)]
     assert due_at(facts, how) == 42
 
 
 def test_an_alarm_rises_again_while_it_stays_after_its_time_since_it_was_acknowledged() -> None:
     how = AlarmAttributes(realarm_s=3)
-    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = state_machine.acknowledge(facts, how, UnixTime(12))
-    facts, done = state_machine.advance(facts, how, UnixTime(20))
+    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = rules.acknowledge(facts, how, UnixTime(12))
+    facts, done = rules.advance(facts, how, UnixTime(20))
     assert [(each.trigger, each.at, facts.state) for each in done] == [("realarm", 15, "unack_active")]
 
 
 def test_a_shelf_for_once_ends_with_the_condition_and_hides_from_acts_until_then() -> None:
     how = AlarmAttributes()
-    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = state_machine.shelve(facts, how, UnixTime(11), for_s=88, once=True)
-    for hidden_act in (state_machine.acknowledge, state_machine.reset):
+    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = rules.shelve(facts, how, UnixTime(11), for_s=88, once=True)
+    for hidden_act in (rules.acknowledge, rules.reset):
         with pytest.raises(NoTransitionError):
             hidden_act(facts, how, UnixTime(12))
     with pytest.raises(NoTransitionError):
-        state_machine.shelve(facts, how, UnixTime(12), for_s=87)
-    facts, done = state_machine.observe(facts, how, holds=False, at=UnixTime(13))
+        rules.shelve(facts, how, UnixTime(12), for_s=87)
+    facts, done = rules.observe(facts, how, holds=False, at=UnixTime(13))
     assert ([each.trigger for each in done], facts.shelved_until) == (["clear", "unshelve"], None)
 
 
@@ -237,35 +237,35 @@ def times(facts: AlarmFacts) -> tuple[float | None, float | None, float | None]:
 
 def test_coming_clearing_and_acknowledging_are_three_times_and_none_changes_another() -> None:
     how = AlarmAttributes()
-    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
     assert times(facts) == (10, None, None)
-    facts, _ = state_machine.acknowledge(facts, how, UnixTime(12))
+    facts, _ = rules.acknowledge(facts, how, UnixTime(12))
     assert (times(facts), facts.since) == ((10, None, 12), 12)
-    facts, _ = state_machine.observe(facts, how, holds=False, at=UnixTime(15))
+    facts, _ = rules.observe(facts, how, holds=False, at=UnixTime(15))
     assert (times(facts), facts.since) == ((10, 15, 12), 15)
-    facts, _ = state_machine.observe(facts, how, holds=True, at=UnixTime(20))
+    facts, _ = rules.observe(facts, how, holds=True, at=UnixTime(20))
     assert times(facts) == (20, None, None)
-    facts, _ = state_machine.observe(facts, how, holds=False, at=UnixTime(25))
-    facts, _ = state_machine.acknowledge(facts, how, UnixTime(30))
+    facts, _ = rules.observe(facts, how, holds=False, at=UnixTime(25))
+    facts, _ = rules.acknowledge(facts, how, UnixTime(30))
     assert (times(facts), facts.state) == ((20, 25, 30), "normal")
 
 
 def test_an_acknowledgement_ends_where_it_is_annunciated_again_and_the_time_it_came_stays() -> None:
     how = AlarmAttributes(realarm_s=3)
-    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = state_machine.acknowledge(facts, how, UnixTime(12))
-    again, _ = state_machine.advance(facts, how, UnixTime(15))
+    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = rules.acknowledge(facts, how, UnixTime(12))
+    again, _ = rules.advance(facts, how, UnixTime(15))
     assert times(again) == (10, None, None)
-    hidden, _ = state_machine.shelve(facts, how, UnixTime(13), for_s=1)
-    back, _ = state_machine.advance(hidden, how, UnixTime(14))
+    hidden, _ = rules.shelve(facts, how, UnixTime(13), for_s=1)
+    back, _ = rules.advance(hidden, how, UnixTime(14))
     assert (times(back), back.state) == ((10, None, None), "unack_active")
 
 
 def test_an_alarm_that_cleared_after_its_acknowledgement_is_not_annunciated_again() -> None:
     how = AlarmAttributes(realarm_s=3)
-    facts, _ = state_machine.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = state_machine.acknowledge(facts, how, UnixTime(11))
-    facts, _ = state_machine.observe(facts, how, holds=False, at=UnixTime(12))
+    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = rules.acknowledge(facts, how, UnixTime(11))
+    facts, _ = rules.observe(facts, how, holds=False, at=UnixTime(12))
     assert (due_at(facts, how), facts.state) == (None, "normal")
 
 

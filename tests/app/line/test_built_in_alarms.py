@@ -12,7 +12,7 @@ from app.core.database import Database
 from app.core.web.access import Role
 from app.line.alarms.bus_alarms import control_left_by
 from app.line.alarms.journal import AlarmStore
-from app.line.alarms.site_alarms import ExpiryWatch, SiteAlarms
+from app.line.alarms.line_alarms import ExpiryWatch, SiteAlarms
 from app.line.conditions.catalogue import CONDITIONS, DAY_S, certificate_expires, token_expires
 from app.line.live.diagnosis import bus_facts
 from app.people.auth.store import Token

@@ -9,9 +9,9 @@ from decimal import Decimal
 import pytest
 
 from app.core.database import Database
+from app.line.alarms import rules
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.own_condition import own_definition
-from app.line.alarms.rules import state_machine
 from app.line.alarms.settings import AlarmSettings
 from app.line.feed.bus_feed import Credential, refusal
 from bus.contract import CONTRACT_VERSION, BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
@@ -405,7 +405,7 @@ async def test_a_restart_keeps_when_an_alarm_came_cleared_and_was_acknowledged(d
     bus.connect()
     bus.wait(1, 2, inputs=RUN)
     alarm = bus.alarm("2.estop_active")
-    changed = state_machine.acknowledge(alarm.facts, alarm.definition.attributes, bus.now)
+    changed = rules.acknowledge(alarm.facts, alarm.definition.attributes, bus.now)
     bus.alarms.list.apply(alarm, changed, "anna", "")
     bus.wait(3, 2)
     before = (alarm.facts.came, alarm.facts.cleared, alarm.facts.acknowledged_at)

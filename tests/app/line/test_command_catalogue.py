@@ -20,7 +20,7 @@ from app.line.commands.catalogue import (
     timeout_s_for,
 )
 from app.line.commands.rules import NewSetpoint
-from app.people.audit.queries import Filter
+from app.people.audit.log import Filter
 from app.settings import Site
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (

@@ -12,7 +12,7 @@ import pytest
 from app.core.web.access import Person, Role
 from app.core.web.arrival import Deadline
 from app.errors import Problem, StoreError
-from app.people.audit.queries import Filter
+from app.people.audit.log import Filter
 from bus.contract import (
     Action,
     Cancel,

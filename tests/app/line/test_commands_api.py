@@ -13,8 +13,8 @@ import pytest
 from app.core.web.access import Person, Role
 from app.core.web.routes import Turns
 from app.core.web.shape import iso
-from app.line.commands.api.trace_file import parse_trace_line
 from app.line.commands.service import MAX_AT_ONCE
+from app.line.commands.trace_file import parse_trace_line
 from app.line.feed.ingest import FeedQuota
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from app.line.conditions.unit import suspicion
-from app.line.live.bus_live import LiveState
+from app.line.live.bus_live import LiveState, Onset
 from app.line.live.diagnosis import (
     Cause,
     UnitView,
@@ -20,7 +20,6 @@ from app.line.live.diagnosis import (
     unit_cause,
 )
 from app.line.live.fields import cause_texts, check_text
-from app.line.live.unit_status import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
 from bus.messages import Message, term
 from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, line_view, reading, translator

@@ -15,7 +15,7 @@ from app.line.feed import socket as sockets
 from app.line.feed.bus_feed import Credential, Ending, Holder
 from app.line.feed.socket import GOING_AWAY, Workers, WorkerSocket
 from app.line.pipeline import OTHER_RELEASE
-from app.people.audit.queries import Filter
+from app.people.audit.log import Filter
 from bus.contract import (
     CONTRACT_VERSION,
     Batch,

@@ -29,10 +29,9 @@ from app.core.web.shape import iso
 from app.core.web.templating import Templates
 from app.line.history import export, tables
 from app.line.history.api import router
-from app.line.history.recorder import Recorder
+from app.line.history.recorder import Recorder, Tail
 from app.line.history.series.runs import Run
 from app.line.history.service import History
-from app.line.history.tail import Tail
 from app.people.audit.log import EventLog
 from app.settings import Site
 from bus.contract import UnitLink

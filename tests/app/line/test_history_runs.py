@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.line.history.series.columns import pack, unpack
 from app.line.history.series.runs import (
     FIELDS,
     HOUR,
@@ -20,11 +19,13 @@ from app.line.history.series.runs import (
     merge,
     minute_rollups,
     pack_columns,
+    pack_integers,
     pack_rollups,
     plain_run,
     replace_rows,
     rollup,
     unpack_columns,
+    unpack_integers,
     unpack_rollups,
     unpack_runs,
 )
@@ -114,33 +115,33 @@ def tables(draw: st.DrawFn) -> list[list[int]]:
 
 @given(tables())
 def test_packed_columns_are_unpacked_as_they_were(table: list[list[int]]) -> None:
-    assert unpack(pack(table)) == table
+    assert unpack_integers(pack_integers(table)) == table
 
 
 @given(tables())
 def test_single_columns_can_be_requested(table: list[list[int]]) -> None:
     last = len(table) - 1
-    assert unpack(pack(table), [last, 0]) == [table[last], table[0]]
+    assert unpack_integers(pack_integers(table), [last, 0]) == [table[last], table[0]]
 
 
 @given(tables(), st.binary(max_size=30), st.integers(0, 200))
 def test_damaged_columns_are_refused(table: list[list[int]], noise: bytes, cut: int) -> None:
-    packed = pack(table)
+    packed = pack_integers(table)
     for damaged in (noise, packed[: min(cut, len(packed) - 1)], packed[::-1]):
         with pytest.raises(ValueError, match="damaged"):
-            unpack(damaged)
+            unpack_integers(damaged)
 
 
 def test_a_number_that_cannot_be_held_is_refused() -> None:
     with pytest.raises(OverflowError):
-        pack([[2**64]])
+        pack_integers([[2**64]])
 
 
 def test_an_hour_of_polls_takes_few_bytes() -> None:
     at = [i * 208_000 + (i * 7919) % 1400 for i in range(17_000)]
     actual = [48_000 + (i * 31) % 7 for i in range(17_000)]
     same = [48_000] * 17_000
-    assert len(pack([at, actual, same, same, same])) < 4 * 17_000
+    assert len(pack_integers([at, actual, same, same, same])) < 4 * 17_000
 
 
 RUNS = st.lists(

@@ -16,7 +16,7 @@ from app.line.commands import record
 from app.line.commands.record import CommandRequest, without_secret
 from app.line.commands.service import CommandService
 from app.line.live.requests import key_of
-from app.people.audit.chain import KeyRing
+from app.people.audit.entry import KeyRing
 from bus.contract import Action, Command, Result, SetLine, SetSpeed, UnitOutcome, WriteParameter
 from bus.messages import Message, term
 from tests.app.complete_app import House

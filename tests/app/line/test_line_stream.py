@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.line.live.api.stream import AWAY_S, RETRY, TICKS_OF_ALL, LineStream
+from app.line.live.api.routes import AWAY_S, RETRY, TICKS_OF_ALL, LineStream
 from app.line.live.bus_live import LiveState
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink, Update
 from tests.app.line.test_recent_events import read
@@ -91,7 +91,7 @@ async def reading_program(
 @pytest.fixture(autouse=True, scope="module")
 def no_pause() -> Any:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("app.line.live.api.stream.PAUSE_S", 0.0)
+        patch.setattr("app.line.live.api.routes.PAUSE_S", 0.0)
         yield
 
 
@@ -207,7 +207,7 @@ async def test_nothing_is_noted_while_no_one_reads() -> None:
 async def test_who_reads_too_slowly_gets_a_snapshot_in_place_of_a_queue(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("app.line.live.api.stream.MAX_BYTES", 2000)
+    monkeypatch.setattr("app.line.live.api.routes.MAX_BYTES", 2000)
     world = World()
     pieces = world.stream.pieces(None)
     with world.stream.reading():

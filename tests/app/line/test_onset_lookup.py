@@ -10,9 +10,8 @@ from typing import Any
 
 from app.core.web.access import Role
 from app.errors import StoreError
-from app.line.live.bus_live import LiveState
+from app.line.live.bus_live import LiveState, Onset, WordSpan
 from app.line.live.change_recorder import DAY_S, HOUR_S, OnsetLookup
-from app.line.live.unit_status import Onset, WordSpan
 from app.line.pipeline import Pipeline
 from bus.contract import BusLink, Reading, Snapshot, UnitLink, UnitState
 from bus.messages import Message

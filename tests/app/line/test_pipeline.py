@@ -10,7 +10,7 @@ from msgspec import structs
 
 from app.errors import StoreError
 from app.line.live.change_recorder import FEW
-from app.people.audit.queries import Filter
+from app.people.audit.log import Filter
 from bus.contract import Batch, BusLink
 from bus.messages import Message, term
 from tests.app.complete_app import House

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.line.live.api.stream import PIECE_BYTES, RecentEvents
+from app.line.live.api.routes import PIECE_BYTES, RecentEvents
 
 BUSES = (None, "dry", "wet")
 

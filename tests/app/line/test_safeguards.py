@@ -26,7 +26,7 @@ from app.line.commands.limits import (
     Restrictions,
     read_protection,
 )
-from app.people.audit.queries import Filter
+from app.people.audit.log import Filter
 from bus.contract import Command, Update
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from tests.app.complete_app import House, commands_app

@@ -20,7 +20,7 @@ from app.core.web.access import Role
 from app.core.web.api import openapi_document
 from app.line.alarms.api import AlarmShown, alarm_json
 from app.line.alarms.line_alarms import LineAlarms
-from app.line.live.api.stream import AlarmType, LineStream, stream_document
+from app.line.live.api.routes import AlarmType, LineStream, stream_document
 from app.line.live.bus_live import LiveState
 from tests.app.complete_app import House, complete_app
 from tests.app.fake_worker import snapshot

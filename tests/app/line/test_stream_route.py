@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from app.core.web.access import Role
-from app.line.live.api.stream import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, LineStream
+from app.line.live.api.routes import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, LineStream
 from app.line.live.bus_live import LiveState
 from app.line.live.requests import Admission
 from tests.app.complete_app import HOST, House, complete_app

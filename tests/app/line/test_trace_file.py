@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.line.commands.api.trace_file import is_trace_line, parse_trace_line, trace_line
+from app.line.commands.trace_file import is_trace_line, parse_trace_line, trace_line
 from bus.contract import Direction, Frame
 from bus.errors import CallerError
 from bus.messages import term

@@ -18,8 +18,8 @@ from app.core.web.access import Person, Role
 from app.core.web.assets import Assets, static_dir, templates_dir
 from app.core.web.templating import Templates
 from app.errors import Problem
-from app.line.history import pages
-from app.line.history.pages import TrendViews, clean
+from app.line.history import feature
+from app.line.history.feature import TrendViews, clean
 from app.line.history.service import History
 from app.people.audit.log import EventLog
 from app.settings import Site
@@ -81,8 +81,8 @@ async def test_a_view_of_another_person_is_none_and_one_saved_again_replaces_it(
 
 async def test_views_are_bounded(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     saved, events = house.services[TrendViews], house.services[EventLog]
-    monkeypatch.setattr(pages, "MAX_OF_PERSON", 2)
-    monkeypatch.setattr(pages, "MAX_SHARED", 1)
+    monkeypatch.setattr(feature, "MAX_OF_PERSON", 2)
+    monkeypatch.setattr(feature, "MAX_SHARED", 1)
     await saved.save(ANN, events, "one", QUERY, shared=True)
     with pytest.raises(Problem, match="as many saved views"):
         await saved.save(ENGINEER, events, "one", QUERY, shared=True)
@@ -92,7 +92,7 @@ async def test_views_are_bounded(house: House, monkeypatch: pytest.MonkeyPatch) 
         await saved.save(ANN, events, "three", QUERY, shared=False)
 
 
-@pytest.mark.parametrize("query", ["", "evil=1", "//example.org", "s=" + "x" * pages.MAX_QUERY])
+@pytest.mark.parametrize("query", ["", "evil=1", "//example.org", "s=" + "x" * feature.MAX_QUERY])
 def test_an_address_that_is_none_of_the_page_is_refused(query: str) -> None:
     with pytest.raises(Problem):
         clean(query)
@@ -196,14 +196,14 @@ async def test_a_name_in_a_csv_for_people_is_no_formula(
 async def test_catalogs_are_read_files_packed_templates_loaded_and_the_store_queried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, open_store: bool
 ) -> None:
-    monkeypatch.setattr(pages, "AFTER_S", 0.0)
+    monkeypatch.setattr(feature, "AFTER_S", 0.0)
     bus = BusSettings(name="line", port="/dev/null", unit=(UnitSettings(id=1, name="Nip"),))
     history = History(tmp_path, [bus])
     if open_store:
         history.start()
     assets = Assets(static_dir())
     templates = Templates(templates_dir(), assets, Site(), kept_in=tmp_path / "compiled")
-    await pages.warm(history, templates, assets, "de")
+    await feature.warm(history, templates, assets, "de")
     if open_store:
         history.close()
     assert all(assets.get(name)._form[1] is not None for name in assets)

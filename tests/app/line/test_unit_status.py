@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.line.live.unit_status import Motion, Onset, Onsets, WordSpan, conditions_of, later, onset_in
+from app.line.live.bus_live import Motion, Onset, Onsets, WordSpan, conditions_of, later, onset_in
 from bus.catalogue.values import status_bits
 from bus.contract import Reading
 

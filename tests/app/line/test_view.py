@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 from pydantic import ConfigDict, TypeAdapter
 
-from app.line.commands.api.responses import CommandResult, result_json
-from app.line.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
-from app.line.live.api.view import parameter_json
+from app.line.commands.api import CommandResult, result_json
+from app.line.live.api.view import BusShown, CauseShown, ParameterShown, UnitShown, parameter_json
 from app.line.live.bus_live import LiveState
 from bus.catalogue import parameters as catalogue
 from bus.contract import (

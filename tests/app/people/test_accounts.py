@@ -14,8 +14,7 @@ from app.core.database import Database
 from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.people.audit.acts import Act
-from app.people.audit.log import EventLog
-from app.people.audit.queries import Filter
+from app.people.audit.log import EventLog, Filter
 from app.people.auth import rules, store
 from app.people.auth.accounts import (
     ACTS,

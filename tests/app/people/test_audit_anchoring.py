@@ -32,9 +32,8 @@ from app.people.audit.anchor import (
     read_anchor_file,
     read_anchors,
 )
-from app.people.audit.chain import Head, KeyRing
-from app.people.audit.log import EventLog
-from app.people.audit.queries import Filter
+from app.people.audit.entry import Head, KeyRing
+from app.people.audit.log import EventLog, Filter
 from app.people.audit.settings import Audit
 from app.people.auth.accounts import Accounts
 from bus.messages import Message

@@ -16,7 +16,7 @@ from app.core.database.migration import MIGRATIONS
 from app.people.audit import log as appending
 from app.people.audit.anchor import Anchoring, read_anchors
 from app.people.audit.archive import EventArchive, Month, prove_archive
-from app.people.audit.chain import (
+from app.people.audit.entry import (
     BEGINNING,
     JOINED,
     SITE,
@@ -24,11 +24,11 @@ from app.people.audit.chain import (
     KeyOrigin,
     KeyRing,
     entry_hash,
+    new_entry,
     origin_of,
     sealed_entry,
     sealed_head,
 )
-from app.people.audit.entry import new_entry
 from app.people.audit.keys import Keys, open_keys, passing_keys
 from app.people.audit.log import EventLog
 from app.people.audit.proof import cuts_of, heads_of, newest_cut, prove

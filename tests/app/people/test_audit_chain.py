@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.people.audit.chain import (
+from app.people.audit.entry import (
     BEGINNING,
     FIELDS,
     SITE,
@@ -16,10 +16,10 @@ from app.people.audit.chain import (
     KeyOrigin,
     KeyRing,
     entry_hash,
+    new_entry,
     sealed_entry,
     sealed_head,
 )
-from app.people.audit.entry import new_entry
 from app.people.audit.proof import AuditVerification, Walk
 
 Log = list[dict[str, Any]]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from app.errors import StoreError
-from app.people.audit.chain import SITE, Head, KeyOrigin, KeyRing
+from app.people.audit.entry import SITE, Head, KeyOrigin, KeyRing
 from app.people.audit.keys import KeyFileError, Keys, open_keys
 from app.settings import ConfigurationError, Settings, load
 

@@ -13,8 +13,7 @@ import pytest
 
 from app.core.database import Database
 from app.errors import ConstraintError
-from app.people.audit.log import ENDED_BEFORE, Event, EventLog
-from app.people.audit.queries import Filter
+from app.people.audit.log import ENDED_BEFORE, Event, EventLog, Filter
 from bus.contract import Frame
 from bus.messages import Message, term
 from tests.app.intents import intend

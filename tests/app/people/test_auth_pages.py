@@ -15,7 +15,7 @@ from app.core.web.access import Role
 from app.people.auth import store
 from app.people.auth.accounts import Accounts
 from app.people.auth.pages import DEVICE_COOKIE
-from app.people.auth.throttle import FREE
+from app.people.auth.sign_in import FREE
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House
 

@@ -13,7 +13,7 @@ from app.core.web.access import Role
 from app.people.auth import rules
 from app.people.auth.passwords import check_password, check_pin, is_easy_password, is_easy_pin
 from app.people.auth.settings import Sessions
-from app.people.auth.throttle import (
+from app.people.auth.sign_in import (
     FIRST_WAIT_S,
     FORGOTTEN_AFTER_S,
     FREE,

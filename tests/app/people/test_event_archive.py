@@ -33,11 +33,10 @@ from app.people.audit.archive import (
     prove_archive,
     write_file,
 )
-from app.people.audit.chain import KeyRing
+from app.people.audit.entry import KeyRing
 from app.people.audit.keys import Keys
-from app.people.audit.log import EventLog
+from app.people.audit.log import EventLog, Filter
 from app.people.audit.proof import AuditVerification, Cut, add_cut, cuts_of
-from app.people.audit.queries import Filter
 from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.intents import intend

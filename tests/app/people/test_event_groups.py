@@ -11,9 +11,8 @@ from typing import Any
 
 from app.core.database.migration import MIGRATIONS, bring_up_to_date
 from app.core.web.access import Role
-from app.people.audit.log import EventLog
-from app.people.audit.pages import MAX_PARTS, EventRow, page_of
-from app.people.audit.queries import Filter, link_parts
+from app.people.audit.feature import MAX_PARTS, EventRow, page_of
+from app.people.audit.log import EventLog, Filter, link_parts
 from bus.messages import number as decimal
 from tests.app.complete_app import House
 from tests.app.fake_worker import PlayedWorker, responding

@@ -9,8 +9,7 @@ import pytest
 
 from app.core.database import Database
 from app.core.server.refusal_log import WINDOW_S
-from app.people.audit.log import MANY, MAX_KEYS, EventLog, RepeatedEvents
-from app.people.audit.queries import Filter
+from app.people.audit.log import MANY, MAX_KEYS, EventLog, Filter, RepeatedEvents
 from tests.app.complete_app import complete_app
 
 

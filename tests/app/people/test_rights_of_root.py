@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.process import become_owner_of
+from app.cli.command import become_owner_of
 from tests import fork_server
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder away")

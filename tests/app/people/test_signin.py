@@ -11,15 +11,21 @@ from argon2 import PasswordHasher, Type, extract_parameters
 from app.core.database import Database
 from app.core.web.access import Person, Role
 from app.errors import Problem
-from app.people.audit.log import EventLog
-from app.people.audit.queries import Filter
+from app.people.audit.log import EventLog, Filter
 from app.people.auth import passwords, rules, store
 from app.people.auth.accounts import Accounts
 from app.people.auth.identify import Identity
 from app.people.auth.rights import Rights
 from app.people.auth.settings import Sessions
-from app.people.auth.sign_in import SignedIn, SignIn, WrongSecretError
-from app.people.auth.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
+from app.people.auth.sign_in import (
+    FIRST_WAIT_S,
+    FREE,
+    OF_NAME,
+    OF_NAME_EVERY_S,
+    SignedIn,
+    SignIn,
+    WrongSecretError,
+)
 from bus.errors import CallerError
 from tests.administrator import BY
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from app.core.web.access import Role
 from app.line.alarms.journal import JournalEntry
-from app.line.alarms.rules.state_machine import AlarmState, AlarmTrigger
+from app.line.alarms.rules import AlarmState, AlarmTrigger
 from app.people.audit.log import EventLog
 from app.records.notification.rules import (
     GIVE_UP_S,

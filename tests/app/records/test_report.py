@@ -32,7 +32,7 @@ from app.line.history.series.runs import MINUTE, SECOND, Run, rollup
 from app.line.history.series.values import LinearScale, Marks, Scaling
 from app.records.handover.notes import Note
 from app.records.handover.notes import add as add_note
-from app.records.handover.rules.shifts import Shift
+from app.records.handover.rules import Shift
 from bus.contract import Reading
 from bus.instants import UnixTime
 from tests.app.history_line import NOON, Shelf

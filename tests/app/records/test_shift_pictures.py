@@ -20,7 +20,7 @@ from app.core.database import Database
 from app.core.web.access import Role
 from app.errors import ConstraintError, StoreError
 from app.records.handover.notes import FILE, MIGRATIONS
-from app.records.handover.rules.pictures import TURNED, exif_of, orientation_of, plain_exif, plain_picture
+from app.records.handover.rules import TURNED, exif_of, orientation_of, plain_exif, plain_picture
 from app.system.backup import archive
 from bus.errors import CallerError
 from tests.app.backups import read_backup, write_backup

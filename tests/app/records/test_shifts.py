@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.records.handover.rules.shifts import (
+from app.records.handover.rules import (
     EVERYTHING,
     Scope,
     Shift,

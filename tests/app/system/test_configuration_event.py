@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from app.main import create_app
-from app.people.audit.log import EventLog
-from app.people.audit.queries import Filter
+from app.people.audit.log import EventLog, Filter
 from app.settings import load
 from tests.app.complete_app import settings_in
 

@@ -12,7 +12,7 @@ import pytest
 from app.core.database import Database
 from app.core.web.access import Role
 from app.line.alarms.alarm import alarm_key
-from app.line.alarms.site_alarms import SiteAlarms
+from app.line.alarms.line_alarms import SiteAlarms
 from app.line.history import tables
 from app.line.history.recorder import compact
 from app.line.history.service import History

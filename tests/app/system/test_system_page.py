@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from app.core.web.access import Role
-from app.line.alarms.site_alarms import SiteAlarms
+from app.line.alarms.line_alarms import SiteAlarms
 from app.people.audit.anchor import Anchoring
 from app.system.backup.service import Backups
 from app.system.backup.settings import BackupSettings
-from app.system.state.rows import SystemRow, system_rows
+from app.system.state.feature import SystemRow, system_rows
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app

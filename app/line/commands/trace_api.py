@@ -19,10 +19,10 @@ from app.core.web.access import Person
 from app.core.web.api import ApiRoute
 from app.core.web.routes import DOWNLOAD
 from app.errors import Problem
-from app.line.commands.api.responses import FrameShown, frame_json
-from app.line.commands.api.trace_file import trace_line
+from app.line.commands.api import FrameShown, frame_json
 from app.line.commands.catalogue import READ_TRACE
 from app.line.commands.service import Commands, CommandService, permitted
+from app.line.commands.trace_file import trace_line
 from bus.contract import Frame, ReadTrace
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message

@@ -14,8 +14,7 @@ from app.core.web.access import Person, Viewer, name_of
 from app.core.web.api import ApiRoute, limited
 from app.core.web.services import bus_service
 from app.core.web.shape import StrictBody, iso
-from app.line.commands.api.commands import UnitInPath
-from app.line.commands.api.responses import Moment
+from app.line.commands.api import Moment, UnitInPath
 from app.line.commands.control import LAPSES_AFTER_S, REQUEST_LAPSES_AFTER_S
 from app.line.commands.limits import HIGHEST_SETPOINT, MAX_READ_ONLY_MINUTES, Limits
 from app.line.commands.rules import Basis, SetpointKind, setpoint_range
@@ -32,8 +31,7 @@ from app.line.commands.safeguards import (
     UNBLOCK,
     Safeguards,
 )
-from app.line.live.api.schemas import DisplayedValue
-from app.line.live.api.view import setpoint_text
+from app.line.live.api.view import DisplayedValue, setpoint_text
 from bus.messages import Message
 from bus.validation import OneLine, TypedText
 

@@ -1,1 +1,0 @@
-"""The rules of alarms: their states, their detection and their figures. Pure: the time is passed in."""
