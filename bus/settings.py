@@ -141,6 +141,8 @@ class BusSettings(Dialect):
     port: Annotated[str, Field(min_length=1)]
     baud: Baud = 9600
     turnaround_ms: Annotated[float, Field(strict=True, ge=0, le=5000)] = 50
+    max_scan_hz: Annotated[float, Field(strict=True, ge=0.1, le=100)] | None = None
+    """How many times a second all units are polled at most; None: as often as the wire carries."""
     worker: Literal["server", "remote"] = "server"
     """Who runs its worker: the server on its machine, or ``lineside worker`` on the one with the port."""
     draw_percent: DrawBand = ()
@@ -190,6 +192,11 @@ class BusSettings(Dialect):
     def has_local_port(self) -> bool:
         """Whether its port is a device of the server's machine."""
         return self.worker == "server" and "://" not in self.port
+
+    @property
+    def least_scan_s(self) -> float:
+        """The shortest time in seconds that a scan may take; 0: none is set."""
+        return 0.0 if self.max_scan_hz is None else 1 / self.max_scan_hz
 
     @property
     def turnaround_s(self) -> float:

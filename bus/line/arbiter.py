@@ -160,7 +160,7 @@ class Arbiter:
     def next_request(self, now: Monotonic) -> NextRequest | None:
         """Return the request to send now; None: nothing before one of ``moments``."""
         if len(self.commands) and self._leave_a_poll(now):
-            if self._routine is None and (poll := self.schedule.next_poll()) is not None:
+            if self._routine is None and (poll := self.schedule.next_poll(now)) is not None:
                 self._routine = _routine(poll)
             return self._routine_request(now)
         return self._command_request(now) or self._routine_request(now)
@@ -205,9 +205,8 @@ class Arbiter:
 
     def moments(self) -> list[Monotonic]:
         """Return when something may become due that is not now."""
-        probe = self.schedule.probes.wake_at()
-        moments = [self._not_before, self._reserved_until, *self.commands.moments()]
-        return moments if probe is None else [probe, *moments]
+        routine = self.schedule.moments(slow_waits=self.commands.slow_waits)
+        return [self._not_before, self._reserved_until, *self.commands.moments(), *routine]
 
     # --- commands ------------------------------------------------------------------------------
 
@@ -223,6 +222,8 @@ class Arbiter:
         """Return whether a poll goes first: reads of parameters take every second turn at most, so that they
         do not blind others."""
         if self.commands.group_changes or len(self.schedule.poll_order) == 0:
+            return False
+        if self._routine is None and not self.schedule.poll_may_leave(now):
             return False
         if now - self._routine_at > COMMANDS_AT_A_STRETCH_S:
             return True

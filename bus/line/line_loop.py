@@ -85,7 +85,8 @@ class LineLoop:
         self.baud: int = bus.baud
         self.trace = Trace()
         self.roster = Roster((unit.id for unit in bus.unit), clock.epoch(clock.now()))
-        self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatusRequest(1)), seed)
+        poll_s = self._exchange_s(ReadStatusRequest(1))
+        self.schedule = PollSchedule(self.roster.configured, poll_s, seed, least_scan_s=bus.least_scan_s)
         self.link = Link(self.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
         self.state = self._port_is("closed", NOT_OPENED)
         self._send_report = report

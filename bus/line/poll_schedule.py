@@ -7,7 +7,8 @@ Order of claims on the wire, the first that may use it wins:
 3. parameters needed to show a unit right, within a share that is large only while they are missing;
 4. a requested slow read (a backup, a scan), within a tenth of the wire while watched;
 5. the slow scan of the other parameters, within a hundredth;
-6. the scan of 81h, where watched units have more turns than the others.
+6. the scan of 81h, where watched units have more turns than the others; where the configuration limits it,
+   the wire rests between its polls.
 
 When no unit takes part in the scan, 3 to 5 may use all of it. Operators' writes do not pass through here:
 they come before everything (``bus.line.arbiter``).
@@ -98,6 +99,14 @@ class ParameterQueue:
         entry = next(iter(queue))
         del queue[entry]
         return entry
+
+    @property
+    def any_needed(self) -> bool:
+        return bool(self._needed)
+
+    @property
+    def any_background(self) -> bool:
+        return bool(self._background or self._decimals)
 
     def was_read(self, unit: int, number: int, *, available: bool) -> None:
         """Move it to the end of the slow scan; remove one that the unit does not have."""
@@ -383,9 +392,11 @@ class Task(msgspec.Struct, frozen=True):
 
 
 class PollSchedule:
-    """The complete claim list of one bus."""
+    """The complete claim list of one bus. ``least_scan_s``: the shortest time that a scan may take."""
 
-    def __init__(self, units: Iterable[int], poll_s: float, seed: int = 0) -> None:
+    def __init__(
+        self, units: Iterable[int], poll_s: float, seed: int = 0, *, least_scan_s: float = 0.0
+    ) -> None:
         order = tuple(units)
         self._unseen = list(reversed(order))
         self.poll_order = PollOrder(order, poll_s)
@@ -397,6 +408,9 @@ class PollSchedule:
         self._poll_s = poll_s
         """What one completed poll takes, averaged, the unit's turnaround included."""
         self._poll_fraction = 1.0
+        self._least_scan_s = least_scan_s
+        self._poll_due = Monotonic(-math.inf)
+        """When the next poll of the scan may leave."""
 
     # --- what happened -------------------------------------------------------------------------
 
@@ -450,12 +464,39 @@ class PollSchedule:
         task = self._gap(now, slow_waits=slow_waits)
         if task is not None:
             return task
-        return self.next_poll() or self._gap(None, slow_waits=slow_waits)
+        if not self.poll_may_leave(now):
+            return None
+        return self.next_poll(now) or self._gap(None, slow_waits=slow_waits)
 
-    def next_poll(self) -> Task | None:
+    def poll_may_leave(self, now: Monotonic) -> bool:
+        """Return whether the limit of the scan allows a poll now."""
+        return now >= self._poll_due or len(self.poll_order) == 0
+
+    def next_poll(self, now: Monotonic) -> Task | None:
         """Return the unit whose turn it is, whatever else would be due."""
         unit = self.poll_order.take()
-        return Task(TaskKind.POLL, unit) if unit is not None else None
+        if unit is None:
+            return None
+        apart_s = self._least_scan_s / len(self.poll_order)
+        # A poll that leaves a little late does not delay those after it; what was missed is not made up for.
+        self._poll_due = (self._poll_due if now - self._poll_due < apart_s else now) + apart_s
+        return Task(TaskKind.POLL, unit)
+
+    def moments(self, *, slow_waits: bool) -> list[Monotonic]:
+        """Return when the next use of the wire may be due that is not now."""
+        probe = self.probes.wake_at()
+        moments = [] if probe is None else [probe]
+        if self._least_scan_s == 0 or len(self.poll_order) == 0:
+            # Then only probes are waited for: everything else is due at once.
+            return moments
+        moments.append(self._poll_due)
+        if self.parameters.any_needed:
+            moments.append(self._needed.ready_at)
+        if self.parameters.any_background:
+            moments.append(self._background.ready_at)
+        if slow_waits:
+            moments.append(self._slow.ready_at)
+        return moments
 
     def _gap(self, now: Monotonic | None, *, slow_waits: bool) -> Task | None:
         """Return what may use a gap now; ``now`` None: the wire is free anyhow."""
@@ -476,4 +517,5 @@ class PollSchedule:
     def scan_s(self, more_units: int = 0) -> float:
         """Return the seconds in which every online unit is polled once, with ``more_units`` more of them."""
         units = len(self.poll_order) + more_units
-        return units * self._poll_s / max(self._poll_fraction, 0.05)
+        possible_s = units * self._poll_s / max(self._poll_fraction, 0.05)
+        return max(possible_s, self._least_scan_s) if units else possible_s

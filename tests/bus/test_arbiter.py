@@ -19,9 +19,9 @@ POLL_S = 0.026
 class Line:
     """Turns of a line whose units all respond; time advances by a poll for each."""
 
-    def __init__(self, units: int) -> None:
+    def __init__(self, units: int, least_scan_s: float = 0.0) -> None:
         self.time = 100.0
-        self.schedule = PollSchedule(range(1, units + 1), POLL_S)
+        self.schedule = PollSchedule(range(1, units + 1), POLL_S, least_scan_s=least_scan_s)
         self.turns = Arbiter(
             self.schedule, lambda unit: PendingResponses(unit, PLAIN), lambda _request: POLL_S
         )
@@ -143,6 +143,22 @@ def test_of_a_line_with_one_unit_nothing_is_foreseen() -> None:
         turn = line.poll()
         assert line.turns.foresee(turn, line.time) is None
         line.settle(turn, _response(turn.request))
+
+
+def test_a_limit_of_the_scan_holds_no_command_up() -> None:
+    line = Line(2, least_scan_s=60.0)
+    while line.schedule.parameters.next_background():
+        """All is read."""
+    turn = line.poll()
+    line.settle(turn, _response(turn.request))
+    line.time += 1.0
+    assert line.turns.foresee(turn, line.time) is None
+    line.turns.commands.add(_write(1))
+    turn = line.next()
+    assert turn.run is not None
+    line.settle(turn, Ack(1))
+    assert line.turns.next_request(line.time + 20.0) is None, "half a minute apart"
+    assert min(at for at in line.turns.moments() if at > line.time + 20.0) < 131.0
 
 
 def test_a_command_goes_before_the_next_poll() -> None:

@@ -84,6 +84,8 @@ def test_a_value_beyond_what_the_parser_takes(tmp_path: Path, value: str) -> Non
         (11, "baud = 4801", "bus.baud = 4801: it must be one of 300, 600, 1200, 2400, 4800, 9600"),
         (11, "buad = 4800", "unknown key buad in [[bus]]; did you mean baud?"),
         (11, "zzz = 1", "unknown key zzz in [[bus]]; known here: checksum_10h, "),
+        (11, "max_scan_hz = 0", "bus.max_scan_hz = 0: it must be at least 0.1"),
+        (11, "max_scan_hz = true", "bus.max_scan_hz = True: it must be a finite number"),
         (11, "turnaround_ms = -1", "bus.turnaround_ms = -1: it must be at least 0"),
         (9, 'name = "Dry End"', "bus.name = 'Dry End': write small letters, digits and hyphens"),
         (10, 'port = "tcp://x"', "bus.port = 'tcp://x': write a device path, socket://host:port or"),

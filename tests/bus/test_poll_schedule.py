@@ -48,10 +48,7 @@ class Line:
         while self.now < until:
             task = self.schedule.next(self.now, slow_waits=slow)
             if task is None:
-                wake = self.schedule.probes.wake_at()
-                assert wake is not None
-                assert wake > self.now, "it must not be called again for nothing"
-                self.now = wake
+                self.now = min(at for at in self.schedule.moments(slow_waits=slow) if at > self.now)
                 continue
             self._carry_out(task)
         return self
@@ -79,8 +76,9 @@ class Line:
         return sum(seconds for _, _, seconds in self.of(*kinds, since=since)) / (self.now - since)
 
 
-def line_of(units: int, dead: Collection[int] = ()) -> Line:
-    return Line(PollSchedule(range(1, units + 1), POLL_S, seed=7), set(dead))
+def line_of(units: int, dead: Collection[int] = (), least_scan_s: float = 0.0) -> Line:
+    schedule = PollSchedule(range(1, units + 1), POLL_S, seed=7, least_scan_s=least_scan_s)
+    return Line(schedule, set(dead))
 
 
 def test_the_first_response_of_every_unit_comes_before_all_else() -> None:
@@ -282,6 +280,39 @@ def test_scan_time_and_what_one_more_costs() -> None:
     assert line.schedule.scan_s() == pytest.approx(8 * POLL_S, rel=0.05)
     assert line.schedule.scan_s(1) / line.schedule.scan_s() == pytest.approx(9 / 8)
     assert PollSchedule([], POLL_S).scan_s(1) == pytest.approx(POLL_S)
+
+
+def test_a_limit_spreads_the_polls_evenly_and_leaves_the_rest_of_the_wire_free() -> None:
+    line = line_of(8, least_scan_s=1.0).play(60.0)
+    polls = list(line.of(TaskKind.POLL, since=30.0))
+    assert [task.unit for _, task, _ in polls[:16]] == [task.unit for _, task, _ in polls[8:24]]
+    times = [at for at, _, _ in polls]
+    assert times[-1] - times[0] == pytest.approx((len(times) - 1) / 8, abs=0.1)
+    assert max(after - before for before, after in pairwise(times)) < 2 / 8
+    assert line.share(*TaskKind, since=30.0) < 8 * POLL_S + 0.02
+    assert line.schedule.scan_s() == line.schedule.scan_s(1) == 1.0
+
+
+def test_a_limit_holds_neither_the_first_responses_nor_parameters_nor_probes_up() -> None:
+    line = line_of(8, dead={3}, least_scan_s=10.0).play(60.0)
+    read = {(task.unit, task.number) for _, task, _ in line.of(TaskKind.PARAMETER)}
+    assert read >= {(unit, number) for unit in (1, 2, 4, 5, 6, 7, 8) for number in NEEDED_TO_SHOW}
+    assert [task.kind for _, task, _ in line.tasks[:8]] == [TaskKind.FIRST] * 8
+    assert len(list(line.of(TaskKind.PROBE))) >= 4
+    assert 7 * 5 <= len(list(line.of(TaskKind.POLL))) <= 7 * 6 + 1
+
+
+def test_a_limit_above_what_the_wire_carries_changes_nothing() -> None:
+    assert line_of(8, dead={2}, least_scan_s=0.01).play(30.0).tasks == line_of(8, dead={2}).play(30.0).tasks
+
+
+def test_a_watched_unit_has_a_larger_part_of_what_the_limit_allows() -> None:
+    line = line_of(8, least_scan_s=1.0)
+    line.schedule.watch({4})
+    line.play(60.0)
+    polls = Counter(task.unit for _, task, _ in line.of(TaskKind.POLL, since=30.0))
+    assert polls[4] > 2 * polls[5] > 0
+    assert polls.total() == pytest.approx(8 * 30, abs=2)
 
 
 def test_the_same_seed_gives_the_same_order() -> None:

@@ -127,6 +127,17 @@ async def test_every_action_of_the_contract_has_its_outcome(line: LineServer, tm
         ]
 
 
+async def test_a_limit_of_the_scan_bounds_the_polls_and_no_command(line: LineServer, tmp_path: Path) -> None:
+    file = config(line, tmp_path)
+    file.write_text(file.read_text().replace("turnaround_ms", "max_scan_hz = 0.5\nturnaround_ms"))
+    async with FakeApp() as app, worker(file, app):
+        await app.until(lambda: any(isinstance(update, BusFigures) for update in app.updates()))
+        figures = [update for update in app.updates() if isinstance(update, BusFigures)][-1]
+        assert (figures.scan_hz, figures.scan_s) == (0.5, 2.0)
+        assert (await app.perform(SetLine({1: 401, 2: 402, 3: 403}))).outcome == "verified"
+        await app.until(lambda: len(app.readings(3)) > 2)
+
+
 async def test_a_refusal_is_final_and_sent_once(line: LineServer, tmp_path: Path) -> None:
     line.line.plant.unit(2).memory[numbers.CONTROL_MODE] = Mode.LOCAL
     async with running(line, tmp_path) as app:

@@ -467,15 +467,17 @@ def silence_after_s(scan_s: float) -> float:
 
 
 def scan_s_of(bus: BusValues) -> float:
-    """Return how long one scan of all units takes: as the worker measured it, else what the wire allows."""
+    """Return how long one scan of all units takes: as the worker measured it, else what the wire and the
+    configuration allow."""
     if bus.figures is not None and bus.figures.scan_s > 0:
         return bus.figures.scan_s
     return scan_s_at_best(bus.settings)
 
 
 def scan_s_at_best(settings: BusSettings) -> float:
-    """Return the wire time of one poll of every configured unit, in seconds."""
-    return wire_seconds(len(settings.unit) * POLL_BYTES, settings.baud)
+    """Return the wire time of one poll of every configured unit, in seconds, or the least that the
+    configuration sets."""
+    return max(wire_seconds(len(settings.unit) * POLL_BYTES, settings.baud), settings.least_scan_s)
 
 
 WORKER_TIMEOUT_S = 2.0

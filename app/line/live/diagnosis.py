@@ -67,7 +67,7 @@ def bus_facts(bus: BusLive, now: UnixTime) -> BusFacts:
         lost=lost,
         unread=unread,
         scan_s=None if bus.figures is None else bus.figures.scan_s,
-        longest_scan_s=len(bus.units) * turnaround_s,
+        longest_scan_s=max(len(bus.units) * turnaround_s, bus.settings.least_scan_s),
     )
 
 

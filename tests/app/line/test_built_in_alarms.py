@@ -126,6 +126,15 @@ def test_a_scan_over_its_budget_is_an_alarm_after_a_minute_and_unknown_without_a
     assert CONDITIONS["wire_overloaded"].holds(facts) is True, "only the port is in the way"
 
 
+def test_a_scan_that_the_configuration_limits_is_not_over_its_budget(bus: AlarmBus) -> None:
+    bus.live.settings = bus.settings.model_copy(update={"max_scan_hz": 1.0})
+    slow = BusFigures(at=bus.now, scan_hz=1, scan_s=1.0, wire_utilisation=0.1, scan_s_with_one_more=1.0)
+    bus.apply(slow)
+    assert CONDITIONS["wire_overloaded"].holds(bus_facts(bus.live, bus.now)) is False
+    bus.apply(BusFigures(bus.now, 0.5, 2.0, 0.1, 2.0))
+    assert CONDITIONS["wire_overloaded"].holds(bus_facts(bus.live, bus.now)) is True
+
+
 def replace_at(figures: BusFigures, at: float) -> BusFigures:
     return BusFigures(
         at=at,

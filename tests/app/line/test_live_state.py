@@ -76,6 +76,14 @@ def test_before_figures_the_scan_is_what_the_wire_allows() -> None:
     assert scan_s_at_best(bus.settings) == pytest.approx(3 * 250 / 9600)
 
 
+def test_before_figures_a_limited_scan_is_given_its_time() -> None:
+    bus = bus_of()
+    bus.settings = bus.settings.model_copy(update={"max_scan_hz": 0.2})
+    assert scan_s_of(bus) == 5.0
+    bus.settings = bus.settings.model_copy(update={"max_scan_hz": 100.0})
+    assert scan_s_of(bus) == pytest.approx(3 * 250 / 9600), "more than the wire carries"
+
+
 @given(st.floats(0, 1000))
 def test_offline_comes_after_stale(scan_s: float) -> None:
     assert offline_after_s(scan_s) > stale_after_s(scan_s) >= 2.0
