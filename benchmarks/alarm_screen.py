@@ -25,12 +25,12 @@ TRANSITIONS = 1_000_000
 OPENINGS = 20
 WATCH_WAITING = """() => {
   window.seen = [];
-  const node = document.querySelector('[data-live="alarms_present.state"]');
+  const node = document.querySelector('[data-live="alarms_present.waiting"]');
   new MutationObserver(() => {
     window.seen.push([(performance.timeOrigin + performance.now()) / 1000, node.textContent]);
   }).observe(node, { characterData: true, childList: true, subtree: true });
 }"""
-WAITING = "document.querySelector('[data-live=\"alarms_present.state\"]').textContent"
+WAITING = "document.querySelector('[data-live=\"alarms_present.waiting\"]').textContent"
 OPENED = "performance.getEntriesByType('navigation')[0].domContentLoadedEventEnd"
 INSERT = """
 INSERT INTO alarm_journal

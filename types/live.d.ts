@@ -1,10 +1,9 @@
 // What the server sends over the socket of a page; app/line/live makes it.
 
-type StripEntry = [key: string, level: string, name: string, text: string, since: string];
 type Person = [name: string, role: string];
 type Setpoint = [raw: number | null, decimals: number | null];
 
-/** The fields of a group: texts, also of numbers, and three lists. Empty: not known. */
+/** The fields of a group: texts, also of numbers, and two lists. Empty: not known. */
 interface Fields {
   /** Unix time, seconds. */
   at?: string;
@@ -12,7 +11,6 @@ interface Fields {
   stale_after?: string;
   offline_after?: string;
   setpoint?: Setpoint;
-  strip?: StripEntry[];
   here?: Person[];
   abnormal?: string;
   blocked?: string;
@@ -24,7 +22,7 @@ interface Fields {
   sound?: string;
   sound_at?: string;
   verdict?: string;
-  [field: string]: string | Setpoint | StripEntry[] | Person[] | undefined;
+  [field: string]: string | Setpoint | Person[] | undefined;
 }
 /** What a page knows of GROUP.FIELD. */
 type Known<K> = (K extends `${string}.setpoint` ? Setpoint : string) | undefined;

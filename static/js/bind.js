@@ -6,7 +6,6 @@
 //   data-live-var="off=dry-end/1.off …"   custom properties of its style, here --off; for bars
 //   data-live-title="dry-end/1.cause"     the text that a pointer at rest shows
 //   data-live-href="line_summary.at"        where a link leads; no link while the text is empty
-//   data-live-value="alarms_present.acknowledge" the value that a button sends
 //   data-live-path="line_of/dry-end.spark"  the path of a drawing
 //   data-live-quality="line_of/dry-end.quality"  data-quality, for CSS
 //   data-live-step="dry-end/1.off"        data-step, the nearest of 48 steps from 0 to 1; for bars in great number
@@ -130,7 +129,6 @@ const KINDS = {
   },
   "data-live-title": (element) => add(element.dataset.liveTitle, titleOf(element)),
   "data-live-href": (element) => add(element.dataset.liveHref, hrefOf(element)),
-  "data-live-value": (element) => add(element.dataset.liveValue, attributeOf(element, "value")),
   "data-live-path": (element) => add(element.dataset.livePath, attributeOf(element, "d")),
   "data-live-quality": (element) => add(element.dataset.liveQuality, attributeOf(element, "data-quality")),
   "data-live-step": (element) => add(element.dataset.liveStep, stepOf(element)),

@@ -1,11 +1,14 @@
 // Stretches the cells of the line page over the window: from its size and the number of units follows the number of
 // columns. CSS does the rest, and a page of as many columns as fit where this script is not there.
 
-/** Width and height in px below which a cell cannot be read or pressed; the strip above it, and the gap. */
+/** Width and height in px below which a cell cannot be read or pressed; the strip above it, and the gap. In a window as
+ * narrow as a phone, *Auto* puts two tiles into a row. */
 const SIZES = {
+  phone: { width: 140, height: 84, strip: 18, gap: 6 },
   tiles: { width: 186, height: 110, strip: 22, gap: 8 },
   matrix: { width: 74, height: 48, strip: 16, gap: 3 },
 };
+const PHONE_PX = 576;
 /** A cell is as good as the smaller of its width and so many times its height. */
 const SHAPE = 1.6;
 
@@ -79,13 +82,14 @@ function fit(line) {
   const around = line.getBoundingClientRect().height - boxes.reduce((sum, box) => sum + box.height, 0);
   const below = Number.parseFloat(getComputedStyle(line.parentElement ?? line).paddingBlockEnd);
   const height = innerHeight - line.getBoundingClientRect().top - scrollY - Math.max(0, around) - below;
-  const least = SIZES[line.matches(".line--tiles") ? "tiles" : "matrix"];
+  const isPhone = innerWidth < PHONE_PX && "auto" in line.dataset;
+  const least = SIZES[isPhone ? "phone" : line.matches(".line--tiles") ? "tiles" : "matrix"];
   const units = webs.map((web) => web.childElementCount);
   const present = `${innerWidth} ${innerHeight}`;
   const kept = counted.of === present ? fitWith(counted.columns, units, boxes[0].width, height, least) : null;
   const found = kept ?? fitOf(units, boxes[0].width, height, least);
   counted = { columns: found.columns, of: present };
-  line.dataset.size = sizeOf(found);
+  line.dataset.size = isPhone ? "phone" : sizeOf(found);
   line.style.setProperty("--columns", String(found.columns));
   line.style.setProperty("--cell-width", `${found.width.toFixed(1)}px`);
   line.style.setProperty("--cell-height", `${found.height.toFixed(1)}px`);

@@ -8,7 +8,6 @@ import * as drafts from "./drafts.js";
 import * as counts from "./counts.js";
 import * as find from "./find.js";
 import * as focus from "./focus.js";
-import * as headAlarm from "./head-alarm.js";
 import * as keypad from "./keypad.js";
 import * as kiosk from "./kiosk.js";
 import * as live from "./live.js";
@@ -20,9 +19,9 @@ import * as setter from "./setter.js";
 import * as visibility from "./visibility.js";
 import * as timeLeft from "./time-left.js";
 import * as sound from "./sound.js";
-import * as strip from "./strip.js";
 import * as announce from "./announce.js";
 import * as trace from "./trace.js";
+import * as verdict from "./verdict.js";
 
 // On a phone the tabs are longer than the window: scroll them to the current page, and not the page to them.
 for (const current of document.querySelectorAll(".tabs__tab[aria-current]")) {
@@ -38,9 +37,8 @@ focus.start();
 find.start();
 quality.findUnits();
 quality.start();
-strip.start();
+verdict.start();
 sound.start();
-headAlarm.start();
 review.start();
 drawer.start();
 drafts.start();

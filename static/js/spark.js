@@ -38,13 +38,13 @@ export async function fetchMinutes(units) {
   return { from: to - SPAN_S, found: await response.json() };
 }
 
-/** The range to draw: never so narrow that noise looks like movement.
- * @param {(number | null)[]} all */
-export function range(all) {
+/** The range to draw: never so narrow that noise looks like movement, and with an at-speed window on both sides.
+ * @param {(number | null)[]} all @param {number} window */
+export function range(all, window = 0) {
   const known = all.filter((value) => value !== null);
   if (!known.length) return null;
   const [least, most] = [Math.min(...known), Math.max(...known)];
-  const pad = Math.max((most - least) * 0.1, Math.abs(most) * 0.01, 0.1);
+  const pad = Math.max((most - least) * 0.1, Math.abs(most) * 0.01, 0.1, 1.5 * window);
   return { least: Math.max(0, least - pad), most: most + pad };
 }
 
@@ -65,6 +65,20 @@ export function outline({ t, avg }, from, { least, most }, step) {
     d += `${pen ? "L" : "M"}${x} ${next}`;
     y = next;
     pen = true;
+  }
+  return d;
+}
+
+/** The at-speed band around a setpoint.
+ * @param {Spark} commanded @param {number} from @param {Scale} scale @param {number} window */
+export function band({ t, avg }, from, { least, most }, window) {
+  const y = (/** @type {number} */ at) => (HEIGHT - ((at - least) / (most - least)) * HEIGHT).toFixed(1);
+  let d = "";
+  for (let i = 0; i < t.length; i += 1) {
+    const middle = avg[i];
+    if (middle === null) continue;
+    const [x, next] = [t[i], t[i + 1] ?? from + SPAN_S].map((at) => (((at - from) / SPAN_S) * WIDTH).toFixed(1));
+    d += `M${x} ${y(middle + window)}H${next}V${y(middle - window)}H${x}Z`;
   }
   return d;
 }

@@ -45,7 +45,7 @@ def test_no_tile_moves_when_an_emergency_stop_comes_or_a_unit_is_opened(
     try:
         site.line.remote.do("input", unit=2, input="estop", on=True)
         expect(page.locator('.tile[data-unit="line/2"]')).to_have_attribute("data-is", "urgent")
-        expect(page.locator(".top__alarm-link")).not_to_have_attribute("data-is", "")
+        expect(page.locator(".top__alarm")).not_to_have_attribute("data-is", "")
         assert page.evaluate(BOXES, KEEP_THEIR_PLACES) == before
         page.locator('[data-unit="line/4"] [data-faceplate]').click()
         expect(page.locator("#faceplate-name")).to_be_visible()

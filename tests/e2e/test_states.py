@@ -24,7 +24,7 @@ REASON = (
 )
 
 TOO_SMALL = """target => [...document.querySelectorAll(
-    "button, select, summary, .tabs__tab, .rail__item, .views__item, .strip__item, input:not([type=hidden])")]
+    "button, select, summary, .tabs__tab, .rail__item, .views__item, input:not([type=hidden])")]
   .filter(one => one.checkVisibility() && !one.closest("[inert]"))
   .map(one => one.closest("label.check") ?? one)
   .map(one => [one, one.getBoundingClientRect()])

@@ -32,7 +32,7 @@ from app.people.audit.anchor import Anchoring, AnchorStatus
 from app.people.audit.archive import EventArchive
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
-from bus.instants import monotonic_now, unix_now
+from bus.instants import monotonic_now
 from bus.messages import Message
 
 
@@ -117,7 +117,7 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
     templates = services[Templates]
 
     def alarms_in(_: Caller | None, language: Language) -> Fields:
-        return banner.banner(Translator(language, templates.formats(language.tag)), unix_now())
+        return banner.banner(Translator(language, templates.formats(language.tag)))
 
     services[Sources].show_alarms(banner.banner, banner.unit_fields)
     templates.parts["head_alarms"] = alarms_in

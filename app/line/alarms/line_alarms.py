@@ -374,19 +374,18 @@ class AlarmBanner:
     def _note(self, _: Alarm) -> None:
         self._changed += 1
 
-    def banner(self, translator: Translator, now: UnixTime) -> Fields:
-        """Return the first alarm with its state, and how many more there are: of the active alarms or, where
-        none is active, of those that have cleared. An alarm that waits for its acknowledgement comes first:
-        the head has the button for it."""
+    def banner(self, translator: Translator) -> Fields:
+        """Return the mark of the first alarm, and how many are active and wait for an acknowledgement. Of
+        those that are as urgent as the first, one that waits comes before the others."""
         found = self._alarms.annunciated()
-        shown = [alarm for alarm in found if alarm.facts.active] or found
-        first = min(shown, key=lambda alarm: (not alarm.is_unacknowledged, *rank(alarm)), default=None)
+        first = min(found, key=lambda alarm: (rank(alarm)[:3], not alarm.is_unacknowledged), default=None)
+        active, waiting = alarm_counts(
+            sum(alarm.facts.active for alarm in found), sum(alarm.is_unacknowledged for alarm in found)
+        )
         return {
             "mark": first.mark if first else "",
-            "place": self._alarms.place(first.definition.bus, first.definition.unit) if first else "",
-            "text": translator.t(first.definition.name) if first else "",
-            "acknowledge": first.id if first and first.is_unacknowledged else "",
-            **_state(first, len(found), translator, now),
+            "active": translator.t(active),
+            "waiting": translator.t(waiting) if waiting else "",
             "changed": str(self._changed),
             **self._sound(),
         }
@@ -409,6 +408,16 @@ class AlarmBanner:
         return {"alarm": first.mark if first else "", "alarm_text": name} | {
             f"alarm_{field}": text for field, text in fields.items()
         }
+
+
+def alarm_counts(active: int, waiting: int) -> tuple[Message, Message | None]:
+    """Return how many alarms are active, and how many wait for an acknowledgement, whether active or not;
+    None if none does. Each surface shows these two counts."""
+    if active:
+        counted = Message.of("alarms_active", n=active)
+    else:
+        counted = Message("no_alarm_active" if waiting else "no_alarms")
+    return counted, Message.of("alarms_waiting", n=waiting) if waiting else None
 
 
 def _state(alarm: Alarm | None, count: int, translator: Translator, now: UnixTime) -> Fields:

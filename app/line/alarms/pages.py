@@ -300,16 +300,13 @@ async def acknowledge_shown(
     shown: Annotated[ShownKeys, Form(max_length=MAX_ROWS)] = (),
 ) -> Response:
     """Acknowledge the alarms that the person saw. An alarm that has changed since is left as it is, and the
-    page reports it. A list keeps the places of its rows; the head of a page, which follows the alarms by
-    itself, needs no response."""
+    page reports it. A list keeps the places of its rows."""
     left_out = 0
     for alarm_id in id:
         try:
             await alarms.act(person, ACKNOWLEDGE, alarm_id)
         except Problem:
             left_out += 1
-    if not shown and "HX-Request" in request.headers:
-        return Response(status_code=204)
     if shown:
         response = _list(request, alarms, chosen, shown, left_out)
         response.headers["HX-Retarget"], response.headers["HX-Reswap"] = "#alarms", "innerMorph"

@@ -206,7 +206,6 @@ class Broadcast:
 log = structlog.get_logger()
 
 HEARTBEAT_S = 1.0
-MINUTE_S = 60.0
 ALARM_PAUSE_S = 0.05
 """Delay from an alarm to the pages, which bounds the cost of a flood of alarms."""
 WATCH_UPDATES_A_SECOND = 5.0
@@ -242,7 +241,6 @@ class Hub:
         self._watch_limit = Bucket(WATCH_UPDATES_A_SECOND, MAX_WATCH_BURST)
         self._watched_is_due = False
         self._alarms_due: asyncio.TimerHandle | None = None
-        self._minute = 0.0
         self._has_warned_of_proxy = False
         self._alarmed_units: set[tuple[str, int]] = set()
         for name, bus in live.buses.items():
@@ -279,7 +277,7 @@ class Hub:
             screen.refresh(now)
             screen.put(LINE_GROUP, {"memory": self._sources.notice(screen.translator, now)})
             self._control(screen)
-            screen.put(ALARM_GROUP, self._sources.banner(screen.translator, now))
+            screen.put(ALARM_GROUP, self._sources.banner(screen.translator))
         return screen
 
     def _new_screen(self, language: str) -> Screen:
@@ -340,7 +338,7 @@ class Hub:
         now = self._clock()
         for broadcast in self._with_pages():
             screen = broadcast.screen
-            groups = screen.put(ALARM_GROUP, self._sources.banner(screen.translator, now))
+            groups = screen.put(ALARM_GROUP, self._sources.banner(screen.translator))
             for bus, unit in units:
                 fields = self._sources.unit_alarm(bus, unit, screen.translator, now)
                 groups |= screen.put(unit_key(bus, unit), fields)
@@ -374,11 +372,6 @@ class Hub:
         now = self._clock()
         if self._watched_is_due:
             self._notify_watchers()
-        minute = float(now) // MINUTE_S
-        if minute != self._minute:
-            # The time of an alarm is shown with its date once the day has ended.
-            self._minute = minute
-            self._show_alarms()
         for broadcast in self._with_pages():
             screen = broadcast.screen
             faults = screen.put(LINE_GROUP, {"memory": self._sources.notice(screen.translator, now)})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from decimal import Decimal
 from itertools import groupby
 from typing import Annotated, Any, Literal
 
@@ -20,8 +21,7 @@ from app.line.live.bus_live import BusLive, UnitLive
 from app.line.live.fields import unit_key
 from app.line.live.hub import Hub
 from app.line.live.requests import bus_or_404
-from app.line.live.screen import strip_of
-from bus.catalogue.parameters import DECIMALS, MAX_DISPLAY
+from bus.catalogue.parameters import AT_SPEED_WINDOW, DECIMALS, MAX_DISPLAY
 from bus.settings import UnitLabels
 
 FirstStep = Literal["worker", "port", "scan"]
@@ -53,7 +53,8 @@ YEAR_S = 365 * 24 * 3600
 
 @dataclass(frozen=True, slots=True)
 class UnitOnLine:
-    """What does not change of a unit while a page is open. ``pad``: places that align the decimals."""
+    """What does not change of a unit while a page is open. ``pad``: places that align the decimals;
+    ``window``: its at-speed window in the unit of its speed, empty if that is not known."""
 
     key: str
     id: int
@@ -62,6 +63,7 @@ class UnitOnLine:
     digits: int
     pad: int
     labels: UnitLabels
+    window: str
 
     @property
     def href(self) -> str:
@@ -100,10 +102,10 @@ async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Res
         request,
         "line/page.html",
         fields=screen.flat(),
-        entries=strip_of(screen.entries),
         first_steps=[guide for bus in hub.live.buses.values() if (guide := _first_steps(bus))["step"]],
         buses=buses,
         unit_count=count,
+        most_tiles=MAX_TILES,
         view=view_for(count) if chosen == "auto" else chosen,
         chosen=chosen,
     )
@@ -133,7 +135,7 @@ def view_for(units: int) -> View:
 def unit_on_line(bus: str, unit: UnitLive, most_decimals: int = 0) -> UnitOnLine:
     """Return a unit as the templates show it."""
     settings = unit.settings
-    decimals = unit.parameter_raw(DECIMALS) or 0
+    decimals, window = unit.parameter_raw(DECIMALS) or 0, unit.parameter_raw(AT_SPEED_WINDOW)
     return UnitOnLine(
         key=unit_key(bus, settings.id),
         id=settings.id,
@@ -142,6 +144,7 @@ def unit_on_line(bus: str, unit: UnitLive, most_decimals: int = 0) -> UnitOnLine
         digits=digits_of(unit),
         pad=max(0, most_decimals - decimals),
         labels=settings.labels,
+        window="" if window is None else f"{Decimal(window).scaleb(-decimals)}",
     )
 
 

@@ -9,11 +9,21 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from decimal import Decimal
 from typing import NamedTuple
 
 from app.core.web.formats import UNKNOWN
 from app.line.conditions.condition import PRIORITIES
-from app.line.live.bus_live import BusLive, LiveState, UnitLive, draw_of, figures_now, unit_link_now
+from app.line.live.bus_live import (
+    BusLive,
+    LiveState,
+    UnitLive,
+    draw_of,
+    figures_now,
+    follower,
+    speed_decimals,
+    unit_link_now,
+)
 from app.line.live.diagnosis import (
     Cause,
     Level,
@@ -43,33 +53,12 @@ from app.line.live.fields import (
 )
 from app.line.live.sources import Sources
 from bus.instants import UnixTime
-from bus.messages import Message, listed
+from bus.messages import NUMBER, Message, listed
 
 LEVELS: tuple[Level, ...] = (*PRIORITIES, "")
-MAX_ENTRIES = 30
-"""Items in the strip; the verdict has the number of all."""
 NO_BREAK = "\u00a0"
 Views = Mapping[str, UnitView]
 """The presentation of each unit, by the group of its fields."""
-
-
-@dataclass(frozen=True, slots=True)
-class AbnormalItem:
-    """One item of the strip. ``key``: the group of its unit or bus."""
-
-    key: str
-    name: str
-    level: Level
-    text: str
-    since: str
-    """``since 05:20``; empty if that is not known."""
-    line: str
-    """Text and time in one."""
-
-    @property
-    def href(self) -> str:
-        """The page of the unit or bus."""
-        return f"/units/{self.key}" if "/" in self.key else f"/bus/{self.key}"
 
 
 class NamedCause(NamedTuple):
@@ -78,6 +67,11 @@ class NamedCause(NamedTuple):
     key: str
     name: str
     cause: Cause
+
+    @property
+    def href(self) -> str:
+        """The page of the unit or bus."""
+        return f"/units/{self.key}" if "/" in self.key else f"/bus/{self.key}"
 
 
 def abnormal_of(buses: Mapping[str, BusLive], views: Views, now: UnixTime) -> list[NamedCause]:
@@ -96,61 +90,67 @@ def abnormal_of(buses: Mapping[str, BusLive], views: Views, now: UnixTime) -> li
     return found
 
 
-def entries_of(found: Sequence[NamedCause], translator: Translator, now: UnixTime) -> list[AbnormalItem]:
-    """Return the worst of what was found, for the verdict, and those that the strip has room for. No page
-    shows the texts of the others."""
-    return [
-        AbnormalItem(key, name, cause.level, *cause_texts(cause, translator, now))
-        for key, name, cause in found[: 1 + MAX_ENTRIES]
-    ]
-
-
-def verdict_of(entries: Sequence[AbnormalItem]) -> AbnormalItem | None:
-    """Return the item that the verdict names: the worst. A condition of low priority is no verdict on a line,
-    which runs as well as without it; it stands beside."""
-    return entries[0] if entries and entries[0].level != "low" else None
-
-
-def strip_of(entries: list[AbnormalItem]) -> list[AbnormalItem]:
-    """Return the items beside the verdict."""
-    return entries[1:] if verdict_of(entries) else entries[:MAX_ENTRIES]
+def verdict_of(found: Sequence[NamedCause]) -> NamedCause | None:
+    """Return what the verdict names: the worst. A condition of low priority is no verdict on a line, which
+    runs as well as without it."""
+    return found[0] if found and found[0].cause.level != "low" else None
 
 
 def line_fields(
     buses: Mapping[str, BusLive],
     views: Views,
     found: Sequence[NamedCause],
-    entries: list[AbnormalItem],
     translator: Translator,
     now: UnixTime,
 ) -> Fields:
-    """Return the fields of the line. ``entries``: the items of what was ``found``. The verdict is the worst
-    cause (``cause``) after the name of its unit (``name``)."""
+    """Return the fields of the line. ``found``: everything abnormal, the worst first. The verdict is the
+    worst cause (``cause``) after the name of its unit (``name``)."""
     counts = state_counts(views.values())
-    worst = verdict_of(entries)
-    name, cause = (
-        (f"{translator.isolated(worst.name)} ·", worst.line)
-        if worst
-        else ("", translator.t(all_well(len(views), counts)))
-    )
+    worst = verdict_of(found)
+    if worst is not None:
+        name, cause = translator.isolated(worst.name), verdict_line(worst.cause, translator, now)
+    else:
+        name, cause = "", translator.t(all_well(len(views), counts, _running_at(buses)))
     return {
-        "level": worst.level if worst else "",
-        "verdict": f"{name} {cause}".strip(),
+        "level": worst.cause.level if worst else "",
+        "verdict": f"{name} · {cause}" if name else cause,
         "name": name,
         "cause": cause,
         "at": worst.href if worst else "",
         "counts": translator.t(Message.of("line_abnormal", n=len(found))) if found else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
-        "strip": [
-            [entry.key, entry.level, entry.name, entry.text, entry.since] for entry in strip_of(entries)
-        ],
         "abnormal": f"{len(found)}",
         "named": _named(found, worst.key if worst else "", views, translator, now),
     } | _figures(buses, translator, now)
 
 
-def all_well(units: int, counts: Counter[str]) -> Message:
-    """Return the verdict while nothing is abnormal."""
+def verdict_line(cause: Cause, translator: Translator, now: UnixTime) -> str:
+    """Return a cause with its time as the verdict names it: with the reason where it is no alarm."""
+    line = cause_texts(cause, translator, now).line
+    return f"{line} · {translator.t('no alarm: an input stopped it')}" if cause.code == "run_off" else line
+
+
+def running_at(bus: BusLive) -> Message | None:
+    """Return the speed of a line: that of its first unit as commanded, such as ``120.0 m/min``; None if that
+    is not known, or is a ratio to another unit."""
+    first = next(iter(bus.units.values()), None)
+    if first is None or first.reading is None or follower(first):
+        return None
+    commanded, decimals = first.reading.commanded, speed_decimals(bus, first)
+    if commanded is None or decimals is None:
+        return None
+    value = Message.of(NUMBER, value=f"{Decimal(commanded).scaleb(-decimals)}")
+    measure = first.settings.labels.unit
+    return Message.of("line_speed", value=value, unit=measure) if measure else value
+
+
+def _running_at(buses: Mapping[str, BusLive]) -> Message | None:
+    """Return the speed of the only line; None of several, which may have different speeds."""
+    return running_at(next(iter(buses.values()))) if len(buses) == 1 else None
+
+
+def all_well(units: int, counts: Counter[str], speed: Message | None) -> Message:
+    """Return the verdict while nothing is abnormal. ``speed``: that of the line."""
     if units == 0:
         return Message("line_no_units")
     if counts["at_zero"] == units:
@@ -158,7 +158,9 @@ def all_well(units: int, counts: Counter[str]) -> Message:
     if counts["ramping"]:
         return Message.of("line_ramping", n=counts["ramping"], units=units)
     if counts["at_speed"] == units:
-        return Message.of("line_at_speed", n=units)
+        if speed is None:
+            return Message.of("line_at_speed", n=units)
+        return Message.of("line_running", n=units, speed=speed)
     return Message.of("line_partly_at_speed", n=counts["at_speed"], units=units)
 
 
@@ -182,8 +184,8 @@ def holders(held_by: Mapping[str, str], translator: Translator) -> str:
 def _named(
     found: Sequence[NamedCause], worst: str, views: Views, translator: Translator, now: UnixTime
 ) -> str:
-    """Return what pages without the strip name beside the verdict: each abnormal bus, each block. ``worst``:
-    the key of what the verdict names."""
+    """Return what stands beside the verdict: each abnormal bus, each block. ``worst``: the key of what the
+    verdict names."""
     buses = [
         f"{translator.isolated(name)}: {cause_texts(cause, translator, now).line}"
         for key, name, cause in found
@@ -213,7 +215,7 @@ LINE_GROUP = "line_summary"
 """The group of the totals: a name that no bus can have, as a slug has no underscore."""
 ALARM_GROUP = "alarms_present"
 _DECIDES = {"link", "state", "level", "cause"}
-"""Fields of a unit whose change may change the strip and the totals of the line."""
+"""Fields of a unit whose change may change the verdict and the totals of the line."""
 MAX_DEPARTED = 3
 """Units that differ from a recipe and are named; of more there is a number, and the page of recipes."""
 
@@ -226,8 +228,6 @@ class Screen:
     translator: Translator
     sources: Sources
     shown: Groups = field(default_factory=dict)
-    entries: list[AbnormalItem] = field(default_factory=list)
-    """The worst of what is abnormal, and the items of the strip."""
     _views: dict[str, UnitView] = field(default_factory=dict)
 
     def render(self, bus_name: str, units: Iterable[int], now: UnixTime, *, include_bus: bool) -> Groups:
@@ -310,6 +310,4 @@ class Screen:
 
     def _line(self, now: UnixTime) -> Fields:
         buses, views = self.live.buses, self._views
-        found = abnormal_of(buses, views, now)
-        self.entries = entries_of(found, self.translator, now)
-        return line_fields(buses, views, found, self.entries, self.translator, now)
+        return line_fields(buses, views, abnormal_of(buses, views, now), self.translator, now)

@@ -96,8 +96,8 @@ class LineFields(Protocol):
         """Forget what pages in a language have, as none follows the lines in it."""
 
 
-AlarmBanner = Callable[[Translator, UnixTime], Fields]
-"""Returns the first alarm with its state, in the reader's language, at a Unix time."""
+AlarmBanner = Callable[[Translator], Fields]
+"""Returns the mark of the first alarm and the counts of all, in the reader's language."""
 UnitAlarm = Callable[[str, int, Translator, UnixTime], Fields]
 """Returns the first alarm of a unit of a bus in the reader's language, all empty without one: ``alarm``, its
 priority, whether it has cleared and whether it waits for an acknowledgement; ``alarm_text``, its name;

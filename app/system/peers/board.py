@@ -14,11 +14,13 @@ from typing import Annotated
 
 from app.core.web.formats import UNKNOWN
 from app.core.web.services import service
+from app.line.alarms.line_alarms import alarm_counts
 from app.line.conditions.condition import PRIORITIES
 from app.line.live.diagnosis import Level
-from app.line.live.fields import Fields, Groups, Translator, cause_texts, put_fields
+from app.line.live.fields import Fields, Groups, Translator, put_fields
+from app.line.live.screen import verdict_line
 from app.system.peers.settings import PeerSettings
-from app.system.peers.summary import MAX_POINTS, Counts, LineSummary
+from app.system.peers.summary import MAX_POINTS, LineSummary
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now
 from bus.messages import Message
 
@@ -162,7 +164,7 @@ _NO_REPORT: tuple[tuple[float, str, int], ...] = (
 )
 """Up to which age, the text that nothing was reported for so long, and in what."""
 _NEVER: Fields = {
-    **dict.fromkeys(("place", "last", "counts", "alarm", "alarm_mark", "alarms", "spark"), ""),
+    **dict.fromkeys(("place", "last", "counts", "alarm_mark", "alarms", "spark"), ""),
     **dict.fromkeys(("recipe", "event", "event_at"), ""),
     "speed": UNKNOWN,
     "scan": UNKNOWN,
@@ -194,8 +196,7 @@ def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fie
 def _figures(summary: LineSummary, translator: Translator, now: UnixTime) -> Fields:
     return {
         "counts": _counts(summary, translator),
-        "alarm": translator.t(summary.alarm) if summary.alarm is not None else "",
-        "alarm_mark": summary.alarm_priority,
+        "alarm_mark": _mark(summary),
         "alarms": _alarms(summary, translator),
         "scan": translator.formats.number(summary.scan_hz, 1) if summary.scan_hz is not None else UNKNOWN,
         "speed": _speed(summary, translator),
@@ -229,7 +230,7 @@ def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTi
     if summary.cause is None:
         return "", translator.t(summary.verdict)
     place = "" if summary.place == summary.bus else summary.place
-    return place, cause_texts(summary.cause.cause(summary.level), translator, now).line
+    return place, verdict_line(summary.cause.cause(summary.level), translator, now)
 
 
 def no_report(line: LineOnBoard) -> Message:
@@ -273,16 +274,17 @@ def _counts(summary: LineSummary, translator: Translator) -> str:
     return " · ".join(map(translator.t, parts))
 
 
+def _mark(summary: LineSummary) -> str:
+    """Return the mark of the first alarm. A list has active alarms before cleared ones, so without an active
+    alarm the first has cleared."""
+    cleared = summary.alarm_priority and not summary.active
+    return f"{summary.alarm_priority} cleared" if cleared else summary.alarm_priority
+
+
 def _alarms(summary: LineSummary, translator: Translator) -> str:
-    """Return how many alarms are active, by priority, and how many wait for an acknowledgement."""
-    parts = _by_priority(summary.active, translator)
-    if waiting := sum(summary.waiting.values()):
-        parts.append(translator.t(Message.of("line_alarms_waiting", n=waiting)))
-    return " · ".join(parts) or translator.t(Message("line_no_alarms"))
-
-
-def _by_priority(counts: Counts, translator: Translator) -> list[str]:
-    return [f"{counts[name]} {translator.t(name)}" for name in PRIORITIES if counts.get(name)]
+    """Return how many alarms are active, and how many wait for an acknowledgement."""
+    counts = alarm_counts(sum(summary.active.values()), sum(summary.waiting.values()))
+    return " · ".join(translator.t(count) for count in counts if count is not None)
 
 
 def _speed(summary: LineSummary, translator: Translator) -> str:

@@ -12,7 +12,6 @@ import httpx
 import pytest
 
 from app.core.web.access import Role
-from app.core.web.templating import Templates
 from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
 from app.line.alarms.performance import ObservedSpan
@@ -220,32 +219,27 @@ async def test_the_journal_is_found_by_unit_priority_state_day_and_the_names_peo
 
 
 HEAD = re.compile(
-    r'class="top__alarm-link alarm-priority".*?data-is="([^"]*)".*?"alarms_present.place"[^>]*>([^<]*)<'
-    r'.*?"alarms_present.text"[^>]*>([^<]*)<.*?"alarms_present.state"[^>]*>([^<]*)<.*?"alarms_present.more"[^>]*>([^<]*)<',
+    r'class="button top__alarm alarm-priority".*?data-is="([^"]*)".*?"alarms_present.active"[^>]*>([^<]*)<'
+    r'.*?"alarms_present.waiting"[^>]*>([^<]*)<',
     re.S,
 )
 
 
 def head(text: str) -> tuple[str, ...]:
-    """The mark, the place, the name, the state and the rest of the alarms in the head of a page."""
+    """The mark of the first alarm in the head of a page, and how many are active and wait."""
     found = HEAD.search(text)
     assert found is not None
     return found.groups()
 
 
-async def test_every_page_has_the_alarm_with_its_state_before_a_script_runs(house: House) -> None:
+async def test_every_page_counts_the_alarms_before_a_script_runs(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
-    assert head(await page(viewer, "/events")) == ("", "", "", "", "")
+    assert head(await page(viewer, "/events")) == ("", "No alarms", "")
     estop(house.services, active=True)
-    name = house.services[LineAlarms].place(BUS, 1)
-    came = facts_of(house).came or unix_now()
-    since = house.services[Templates].formats("en").since(came, came)
     for path in ("/", "/events", "/alarms"):
-        mark, place, text, state, more = head(await page(viewer, path))
-        assert (mark, place, text, more) == ("urgent waiting", name, "Emergency stop", "")
-        assert state == f"active since {since}"
+        assert head(await page(viewer, path)) == ("urgent waiting", "1 alarm", "1 to acknowledge")
     viewer.headers["Accept-Language"] = "de"
-    assert head(await page(viewer, "/events"))[1:4] == (name, "Not-Halt", f"aktiv seit {since}")
+    assert head(await page(viewer, "/events"))[1:] == ("1 Alarm", "1 zu quittieren")
     assert f'data-live-is="{BUS}/1.alarm" data-is="urgent waiting"' in await page(viewer, "/")
 
 
@@ -256,15 +250,14 @@ def facts_of(house: House, unit: int = 1) -> AlarmFacts:
 async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_priority(house: House) -> None:
     banner, now = AlarmBanner(house.services[LineAlarms]), unix_now()
     operator = await house.signed_in(Role.OPERATOR)
+
+    def shown() -> tuple[str, ...]:
+        return tuple(banner.banner(translator())[field] for field in ("mark", "active", "waiting"))
+
     estop(house.services, active=True)
     estop(house.services, active=False)
-    cleared = banner.banner(translator(), now)
-    assert (cleared["mark"], cleared["more"], cleared["acknowledge"]) == (
-        *("urgent cleared waiting", ""),
-        f"{ESTOP}.1",
-    )
+    assert shown() == ("urgent cleared waiting", "No alarm active", "1 to acknowledge")
     at = translator().formats.since(facts_of(house).cleared or now, now)
-    assert cleared["state"] == f"cleared {at}"
     assert banner.unit_fields(BUS, 1, translator(), now) == {
         "alarm": "urgent cleared waiting",
         "alarm_text": "Emergency stop",
@@ -273,19 +266,24 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
         "alarm_at": f"/alarms/{ESTOP}.1",
     }
     remote_off(house, unit=2)
-    active = banner.banner(translator(), now)
-    assert (active["mark"], active["more"]) == ("low waiting", " · 1 more")
-    assert active["state"].startswith("active since")
-    in_the_head = {"HX-Request": "true"}
-    response = await operator.post(
-        "/alarms/acknowledge", data={"id": active["acknowledge"]}, headers=in_the_head
-    )
-    assert response.status_code == 204
-    acknowledged = banner.banner(translator(), now)
-    assert (acknowledged["mark"], acknowledged["acknowledge"]) == ("low", "")
+    assert shown() == ("low waiting", "1 alarm", "2 to acknowledge")
+    await operator.post("/alarms/acknowledge", data={"id": f"{BUS}.2.not_in_remote.1"})
+    assert shown() == ("low", "1 alarm", "1 to acknowledge")
     await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
-    assert banner.banner(translator(), now)["more"] == ""
+    assert shown() == ("low", "1 alarm", "")
     assert set(banner.unit_fields(BUS, 1, translator(), now).values()) == {""}
+
+
+async def test_an_acknowledged_emergency_stop_stays_first_and_does_not_blink(house: House) -> None:
+    banner = AlarmBanner(house.services[LineAlarms])
+    operator = await house.signed_in(Role.OPERATOR)
+    estop(house.services, active=True)
+    remote_off(house, unit=2)
+    assert banner.banner(translator())["mark"] == "urgent waiting"
+    await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
+    assert banner.banner(translator())["mark"] == "urgent"
+    text = await page(operator, "/alarms")
+    assert text.index(">Emergency stop</a>") < text.index(">Not in REMOTE</a>")
 
 
 def remote_off(house: House, unit: int) -> None:
@@ -299,16 +297,17 @@ async def test_an_unknown_condition_is_not_shown_as_active(house: House) -> None
     estop(house.services, active=True)
     alarm = house.services[LineAlarms].buses[BUS].list.alarms[ESTOP]
     alarm.facts = replace(alarm.facts, unknown_since=unix_now())
-    state = AlarmBanner(house.services[LineAlarms]).banner(translator(), unix_now())["state"]
-    assert state.startswith("unknown since")
+    fields = AlarmBanner(house.services[LineAlarms]).unit_fields(BUS, 1, translator(), unix_now())
+    assert fields["alarm_state"].startswith("unknown since")
 
 
-async def test_an_alarm_of_another_day_shows_its_date_from_midnight_on(house: House) -> None:
+async def test_an_alarm_of_another_day_shows_its_date(house: House) -> None:
     estop(house.services, active=True)
     banner, came = AlarmBanner(house.services[LineAlarms]), facts_of(house).came or unix_now()
-    later = banner.banner(translator(), UnixTime(came + 3 * 86_400.0))["state"]
-    assert later == f"active since {translator().formats.since(came, UnixTime(came + 3 * 86_400.0))}"
-    assert "," in later
+    later = UnixTime(came + 3 * 86_400.0)
+    state = banner.unit_fields(BUS, 1, translator(), later)["alarm_state"]
+    assert state == f"active since {translator().formats.since(came, later)}"
+    assert "," in state
 
 
 async def test_an_open_page_gets_the_alarm_without_a_request(house: House) -> None:

@@ -366,18 +366,6 @@ async def test_who_holds_control_is_on_every_page(world: World) -> None:
     assert (changed["line_summary"]["holder"], changed["dry"]["held_by"]) == ("ben", "ben")
 
 
-async def test_the_time_of_an_alarm_is_that_of_the_day_on_which_it_is_read() -> None:
-    world = World()
-    world.sources.show_alarms(lambda _, now: {"state": f"day {now // 86_400:.0f}"}, lambda *_: {})
-    browser = world.join()
-    first, _people = await sent(browser)
-    assert first["f"]["alarms_present"]["state"] == "day 0"
-    world.now = 86_460.0
-    world.hub.tick()
-    messages = await sent(browser)
-    assert {"state": "day 1"} in [message["f"].get("alarms_present") for message in messages]
-
-
 def test_an_account_has_so_many_pages_and_another_has_its_own() -> None:
     admission = Admission()
     assert all(admission.enter("ann", f"a{n}") for n in range(MAX_OF_ACCOUNT))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from app.line.conditions.catalogue import TILES
 from app.line.live.diagnosis import abnormal
 from app.line.live.fields import (
     Groups,
@@ -15,7 +16,8 @@ from app.line.live.fields import (
     put_fields,
     unit_fields,
 )
-from app.line.live.screen import MAX_ENTRIES, NamedCause, entries_of, holders, line_fields
+from app.line.live.screen import NamedCause, holders, line_fields
+from app.line.live.unit_status import Onset
 from bus.contract import MAX_MEANING, BusFigures, BusLink, Frame, ParameterValue, UnitFigures
 from bus.instants import UnixTime
 from bus.messages import Message, term
@@ -227,26 +229,34 @@ def test_a_unit_is_named_with_its_bus_where_there_are_several() -> None:
     assert name_on_site("wet", "Nip", ["wet", "dry"]) == "wet · Nip"
 
 
-def test_what_the_strip_has_no_room_for_is_counted_and_a_bus_is_named() -> None:
-    now, english = UnixTime(1_000_000.0), translator("en")
+def test_what_is_abnormal_is_counted_and_a_bus_is_named() -> None:
     units = [NamedCause(f"dry/{n}", f"Unit {n}", abnormal("estop_active")) for n in range(1, 41)]
     found = [*units, NamedCause("wet", "wet", abnormal("no_unit_yet"))]
-    entries = entries_of(found, english, now)
-    assert [entry.key for entry in entries] == [each.key for each in units[: 1 + MAX_ENTRIES]]
-    fields = line_fields({}, {}, found, entries, english, now)
-    assert (fields["abnormal"], len(fields["strip"])) == ("41", MAX_ENTRIES)
-    assert fields["counts"] == "41 abnormal"
+    fields = line_fields({}, {}, found, translator("en"), UnixTime(1_000_000.0))
+    assert (fields["abnormal"], fields["counts"], fields["name"]) == ("41", "41 abnormal", "Unit 1")
     assert fields["named"] == "wet: No unit has responded yet"
 
 
-def test_a_condition_of_low_priority_stands_beside_the_verdict() -> None:
-    now, english = UnixTime(1_000_000.0), translator("en")
+def test_a_condition_of_low_priority_is_no_verdict() -> None:
     found = [NamedCause("dry/1", "Nip", abnormal("drift", params={"why": "#3 differs"}))]
-    entries = entries_of(found, english, now)
-    fields = line_fields({}, {}, found, entries, english, now)
+    fields = line_fields({}, {}, found, translator("en"), UnixTime(1_000_000.0))
     assert (fields["level"], fields["name"], fields["at"]) == ("", "", "")
-    assert [item[0] for item in fields["strip"]] == ["dry/1"]
     assert (fields["abnormal"], fields["counts"]) == ("1", "1 abnormal")
+
+
+@pytest.mark.parametrize(
+    ("tag", "verdict"),
+    [
+        ("en", "Stopped: run input off since 12:00 · no alarm: an input stopped it"),
+        ("de", "Steht: Eingang Lauf aus seit 12:00 · kein Alarm: durch einen Eingang gestoppt"),
+    ],
+)
+def test_the_verdict_gives_the_reason_where_its_cause_is_no_alarm(tag: str, verdict: str) -> None:
+    no_alarms = [code for code in TILES if not TILES[code].is_alarm]
+    assert [code for code in no_alarms if TILES[code].priority != "low"] == ["run_off"]
+    cause = abnormal("run_off", Onset(UnixTime(43_200.0)), {"motion": "stopped"})
+    fields = line_fields({}, {}, [NamedCause("dry/1", "Nip", cause)], translator(tag), UnixTime(43_260.0))
+    assert fields["cause"] == verdict
 
 
 def figures(scan_s: float = 0.3) -> BusFigures:
@@ -279,10 +289,10 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     assert changed["dry/2"]["status"] == "Still turning: emergency stop active since 00:01"
     live.buses["dry"].apply([reading(2, at=100.4)])
     well = shown.render("dry", [2], 100.4, include_bus=False)["line_summary"]
-    assert (well["verdict"], well["at"], well["counts"]) == ("All 2 units at speed", "", "")
+    assert (well["verdict"], well["at"], well["counts"]) == ("Running 120.0 m/min · all 2 at speed", "", "")
 
 
-def test_the_strip_has_abnormal_units_beside_the_worst() -> None:
+def test_the_worst_cause_comes_before_an_earlier_one() -> None:
     live = line(3)
     shown = screen(live)
     for unit, at, inputs in ((1, 115.0, 2), (2, 135.0, 1), (3, 150.0, 2)):
@@ -292,10 +302,7 @@ def test_the_strip_has_abnormal_units_beside_the_worst() -> None:
     )
     changed = shown.render("dry", [1, 2, 3], 150.2, include_bus=False)["line_summary"]
     assert changed["verdict"] == "Unit 2 · Stopped: emergency stop active since 00:02"
-    assert changed["strip"] == [
-        ["dry/1", "high", "Unit 1", "Stopped: run input off", "since 00:01"],
-        ["dry/3", "high", "Unit 3", "Stopped: run input off", "since 00:02"],
-    ]
+    assert changed["abnormal"] == "3"
 
 
 def test_a_unit_does_not_repeat_the_lost_cable_of_its_bus() -> None:
@@ -348,16 +355,7 @@ def test_a_block_is_shown_with_its_reason() -> None:
 def test_the_first_paint_has_the_same_texts() -> None:
     shown = screen(line(), "de")
     assert shown.flat()["dry/1.actual"] == "120,0"
-    assert shown.flat()["line_summary.verdict"] == "Alle 2 Regler auf Sollwert"
-
-
-def test_the_strip_has_an_end() -> None:
-    live = line(60)
-    shown = screen(live)
-    live.buses["dry"].apply([reading(n, at=100.2, inputs=1) for n in range(1, 61)])
-    changed = shown.render("dry", list(range(1, 61)), 100.2, include_bus=False)
-    assert len(changed["line_summary"]["strip"]) == 30
-    assert changed["line_summary"]["abnormal"] == "60"
+    assert shown.flat()["line_summary.verdict"] == "Läuft mit 120,0 m/min · alle 2 auf Sollwert"
 
 
 def test_a_bus_without_any_response_is_one_entry() -> None:
@@ -371,7 +369,11 @@ def test_a_bus_without_any_response_is_one_entry() -> None:
 @pytest.mark.parametrize(
     ("readings", "verdict", "german"),
     [
-        ([{}, {}], "All 2 units at speed", "Alle 2 Regler auf Sollwert"),
+        (
+            [{}, {}],
+            "Running 120.0 m/min · all 2 at speed",
+            "Läuft mit 120,0 m/min · alle 2 auf Sollwert",
+        ),
         ([{"commanded": 0, "actual": 0}] * 2, "All 2 units at zero", "Alle 2 Regler auf null"),
         ([{}, {"outputs": 0x40, "actual": 900}], "1 of 2 ramping", "1 von 2 in Rampe"),
         (
@@ -394,7 +396,7 @@ def test_the_verdict_of_a_normal_line_is_one_text(
 @pytest.mark.parametrize(
     ("changes", "verdict", "german"),
     [
-        ({}, "1 unit at speed", "1 Regler auf Sollwert"),
+        ({}, "Running 120.0 m/min · 1 unit at speed", "Läuft mit 120,0 m/min · 1 Regler auf Sollwert"),
         ({"commanded": 0, "actual": 0}, "1 unit at zero", "1 Regler auf null"),
     ],
 )

@@ -87,7 +87,7 @@ def test_a_peer_that_is_away_says_why_and_shows_no_old_figures() -> None:
     fields = tile(LineOnBoard("a", summary("a", waiting=1), 70.0, away))
     assert fields["verdict"] == "No report from Mill 2 for 70 s: Connection refused"
     assert fields["last"] == "Last reported: All 8 units at speed"
-    assert (fields["speed"], fields["alarm"], fields["counts"]) == (UNKNOWN, "", "")
+    assert (fields["speed"], fields["alarms"], fields["counts"]) == (UNKNOWN, "", "")
     never = tile(LineOnBoard("", None, None, away))
     assert never["verdict"] == "Mill 2 is not read: Connection refused"
     away.fault, away.reported_at = None, Monotonic(1.0)
@@ -133,9 +133,15 @@ def test_the_words_of_a_line() -> None:
     assert fields["place"] == "Nip"
     assert fields["verdict"].startswith("Keine Antwort seit")
     assert fields["counts"] == "8/8 aktuell · 7 auf Sollwert · 1 in Rampe"
-    assert fields["alarm"] == "Nip · Slow"
-    assert (fields["alarm_mark"], fields["alarms"]) == ("high", "1 hoch · 1 zu quittieren")
+    assert (fields["alarm_mark"], fields["alarms"]) == ("high", "1 Alarm · 1 zu quittieren")
     assert (fields["scan"], fields["speed"]) == ("4,6", "110,5")
+
+
+def test_a_cleared_alarm_is_never_drawn_as_one_that_is_active() -> None:
+    cleared = msgspec.structs.replace(summary("a", waiting=1), active={})
+    fields = tile(LineOnBoard("a", cleared))
+    assert (fields["alarm_mark"], fields["alarms"]) == ("high cleared", "No alarm active · 1 to acknowledge")
+    assert tile(LineOnBoard("a", summary("a")))["alarms"] == "No alarms"
 
 
 def test_the_outline_of_a_speed() -> None:

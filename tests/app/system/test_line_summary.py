@@ -26,7 +26,8 @@ def test_a_line_at_speed() -> None:
     bus.apply([BusFigures(at=100.0, scan_hz=4.5, scan_s=0.2, scan_s_with_one_more=0.3, wire_utilisation=0.9)])
     found = summarized(bus, 100.5)
     assert (found.bus, found.site) == ("dry", "Mill 7")
-    assert (found.level, found.cause, str(found.verdict)) == ("", None, "All 2 units at speed")
+    assert (found.level, found.cause) == ("", None)
+    assert str(found.verdict) == "Running 120.0 m/min · all 2 at speed"
     assert (found.units, found.states) == (2, {"online": 2, "at_speed": 2})
     assert found.scan_hz == 4.5
 

@@ -1,0 +1,157 @@
+"""The line while its story of faults runs: nothing moves, and what is read aloud is in order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
+from tests.e2e.site import AT_REST, Site, eventually
+from tests.sizes import in_turn
+
+PANEL = {"width": 1280, "height": 800}
+PHONE = {"width": 360, "height": 740}
+COUNT_SHIFTS = """() => {
+  window.shifted = [];
+  new PerformanceObserver((list) => {
+    for (const entry of list.getEntries())
+      for (const { node, previousRect: from, currentRect: to } of entry.sources)
+        window.shifted.push([node?.outerHTML?.slice(0, 160), from.toJSON(), to.toJSON()]);
+  }).observe({ type: "layout-shift" });
+}"""
+"""Every part that the browser itself saw moving, also just after a press."""
+SPOKEN = """root => {
+  const seen = { visibilityProperty: true };
+  const hidden = (each) => each.closest("[aria-hidden=true]") || !each.checkVisibility(seen);
+  const texts = [];
+  const walk = document.createTreeWalker(document.querySelector(root), NodeFilter.SHOW_TEXT);
+  while (walk.nextNode()) {
+    const text = walk.currentNode.data.replace(/\\s+/g, " ").trim();
+    if (text && !hidden(walk.currentNode.parentElement)) texts.push(text);
+  }
+  return texts;
+}"""
+"""What a screen reader reads of a part of the page, in this order."""
+EMPTY_STOPS = """() => [...document.querySelectorAll(
+  "a[href], button, input, select, textarea, summary, [tabindex]")]
+  .filter((each) => each.tabIndex >= 0 && each.checkVisibility({ visibilityProperty: true }))
+  .filter((each) => !(each.ariaLabel || each.title || each.innerText?.trim() || each.labels?.length
+    || each.querySelector(".visually-hidden")))
+  .map((each) => each.outerHTML.slice(0, 160))"""
+COUNTED_DOWN = """() => [...document.querySelectorAll(
+  ":is([aria-live=polite], [role=status], [role=alert]) :is([data-until], [data-age], [data-clock])"
+)].map((each) => each.outerHTML.slice(0, 160))"""
+"""What changes by time alone, inside of what is announced."""
+
+
+@pytest.fixture(scope="module")
+def site(line_server: Callable[..., Site]) -> Site:
+    """Eight units that only the test operates."""
+    return line_server(8, line_options=AT_REST)
+
+
+def opened(page: Page, path: str) -> Page:
+    page.goto(path)
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    return page
+
+
+def is_shown(page: Page, unit: int, level: str) -> None:
+    expect(page.locator(f'[data-unit="line/{unit}"]').first).to_have_attribute("data-is", level)
+
+
+@pytest.mark.parametrize(("size", "locale"), in_turn([PANEL, PHONE], (ENGLISH, GERMAN)))
+def test_nothing_moves_while_the_story_runs(
+    site: Site, browser_page: OpensPages, size: Any, locale: str
+) -> None:
+    site.end_alarms()
+    page = opened(browser_page("operator", viewport=size, locale=locale), "/")
+    page.wait_for_load_state("networkidle")
+    page.evaluate(COUNT_SHIFTS)
+    remote = site.line.remote
+    try:
+        remote.do("input", unit=2, input="estop", on=True)
+        is_shown(page, 2, "urgent")
+        remote.do("input", unit=5, input="run", on=False)
+        is_shown(page, 5, "high")
+        remote.do("mode", unit=7, to="local")
+        is_shown(page, 7, "low")
+        expect(page.locator(".top__alarm")).to_have_attribute("data-is", "urgent waiting")
+        site.acknowledge_all()
+        expect(page.locator(".top__alarm")).to_have_attribute("data-is", "urgent")
+        if size == PANEL:
+            page.locator('[data-unit="line/4"] [data-faceplate]').click()
+            expect(page.locator("#faceplate-name")).to_be_visible()
+            rest(page)
+            page.keyboard.press("Escape")
+            expect(page.locator("#faceplate")).to_be_hidden()
+    finally:
+        remote.do("input", unit=2, input="estop", on=False)
+        remote.do("input", unit=5, input="run", on=True)
+        remote.do("mode", unit=7, to="remote")
+    for unit in (2, 5, 7):
+        is_shown(page, unit, "")
+    assert page.evaluate("window.shifted") == []
+
+
+def test_eight_units_and_the_verdict_are_in_the_first_screen_of_a_phone(
+    site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(
+        browser_page("operator", viewport=PHONE, locale=GERMAN, has_touch=True, is_mobile=True), "/"
+    )
+    site.line.remote.do("input", unit=2, input="estop", on=True)
+    try:
+        is_shown(page, 2, "urgent")
+        verdict = page.locator(".well__verdict > a")
+        expect(verdict).to_contain_text(re.compile(r"\d\d:\d\d"))
+        lines = verdict.evaluate(
+            "each => each.getBoundingClientRect().height / parseFloat(getComputedStyle(each).lineHeight)"
+        )
+        assert round(lines) <= 2
+        for tile in page.locator(".tile").all():
+            expect(tile).to_be_in_viewport(ratio=1)
+        page.locator('[data-unit="line/1"] [data-faceplate]').click()
+        expect(page.locator(".faceplate .setter__now")).to_be_in_viewport(ratio=1)
+    finally:
+        site.line.remote.do("input", unit=2, input="estop", on=False)
+        site.end_alarms()
+
+
+def test_what_is_read_aloud_of_the_line_and_the_alarms_is_in_order(
+    site: Site, browser_page: OpensPages
+) -> None:
+    site.end_alarms()
+    site.line.remote.do("input", unit=2, input="estop", on=True)
+    try:
+        page = opened(browser_page("operator", viewport=PANEL), "/?view=tiles")
+        is_shown(page, 2, "urgent")
+        head = page.evaluate(SPOKEN, ".top")
+        assert head[1:3] == ["1 alarm", "1 to acknowledge"]
+        overview = page.evaluate(SPOKEN, ".overview")
+        assert overview[0] == "Infeed nip"
+        assert re.fullmatch(r"Stopped: emergency stop active since \d\d:\d\d", overview[1])
+        assert [text for text in overview if not text.isdigit()][2:7] == [
+            *("abnormal", "/8", "live", "at speed", "ramping"),
+        ]
+        tile = page.evaluate(SPOKEN, '.tile[data-unit="line/2"]')
+        assert tile[:6] == ["2", "Infeed nip", "REMOTE", "actual", "0.0", overview[1]]
+        assert tile[6:9] == ["setpoint", "119.8", "m/min"]
+        link = page.locator('.tile[data-unit="line/2"] .tile__alarm')
+        expect(link).to_have_accessible_name(re.compile("Infeed nip: Alarms"))
+        assert page.evaluate(EMPTY_STOPS) == []
+        assert page.evaluate(COUNTED_DOWN) == []
+        opened(page, "/alarms")
+        row = page.evaluate(SPOKEN, "#alarms tbody tr")
+        assert row[:4] == ["urgent", "Emergency stop", "Infeed nip", "active, not acknowledged"]
+        assert row[-1] == "Acknowledge"
+        assert page.evaluate(EMPTY_STOPS) == []
+        assert page.evaluate(COUNTED_DOWN) == []
+    finally:
+        site.line.remote.do("input", unit=2, input="estop", on=False)
+        eventually(lambda: site.unit(2)["inputs"]["estop"] is False, "the end of the e-stop")
+        site.end_alarms()
