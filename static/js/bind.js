@@ -1,7 +1,8 @@
 // Shows the values from the server in the page: a Map from field to bound nodes, and no element is ever
 // measured, so a change costs one write. When it is written: see pace.js, and for hidden units, visibility.js.
 // Attributes, each naming a field as GROUP.FIELD:
-//   data-live="dry-end/1.actual"          the text
+//   data-live="dry-end/1.actual"          the text; with data-fresh in a node of its own each time, as what follows a
+//                                         name of any length has not moved where both are other words
 //   data-live-is="dry-end/1.state"        data-is, for CSS; "dry-end/1.inputs@2" takes one place of the text
 //   data-live-var="off=dry-end/1.off …"   custom properties of its style, here --off; for bars
 //   data-live-title="dry-end/1.cause"     the text that a pointer at rest shows
@@ -34,7 +35,7 @@ const FIGURE_SPACE = "\u2007";
 
 /** @param {HTMLElement} element @returns {Write} */
 function textOf(element) {
-  const text = document.createTextNode(element.textContent);
+  let text = document.createTextNode(element.textContent);
   element.replaceChildren(text);
   const empty = element.dataset.empty ?? UNKNOWN;
   const width = Number(element.dataset.width ?? 0);
@@ -45,7 +46,9 @@ function textOf(element) {
       element.replaceChildren(text);
     }
     written = (value === "" ? empty : value).padStart(width, FIGURE_SPACE);
-    if (text.data !== written) text.data = written;
+    if (text.data === written) return;
+    if ("fresh" in element.dataset) element.replaceChildren((text = document.createTextNode(written)));
+    else text.data = written;
   };
 }
 

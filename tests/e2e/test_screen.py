@@ -152,7 +152,7 @@ def test_a_line_with_faults_is_accessible_and_names_them(
     site.line.remote.do("mode", unit=3, to="local")
     try:
         expect(page.locator("h1")).to_have_text(
-            re.compile(r"Infeed nip Stopped: emergency stop active since \d\d:\d\d")
+            re.compile(r"Infeed nip · Stopped: emergency stop active since \d\d:\d\d")
         )
         expect(page.locator("h1 a")).to_have_attribute("href", "/units/line/2")
         expect(page.locator('[data-unit="line/3"] .status')).to_contain_text("In LOCAL")

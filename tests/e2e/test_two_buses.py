@@ -61,7 +61,7 @@ def test_an_abnormal_unit_is_named_with_its_bus(site: Site, shared_page: OpensPa
     wet(site).remote.do("input", unit=2, input="estop", on=True)
     try:
         page = opened(shared_page(viewport=PANEL), "/")
-        expect(page.locator("h1")).to_contain_text("wet · Infeed nip Stopped: emergency stop active")
+        expect(page.locator("h1")).to_contain_text("wet · Infeed nip · Stopped: emergency stop active")
         expect(page.locator(".top__alarm")).to_contain_text("to acknowledge")
         page.locator('[data-unit="wet/2"] [data-faceplate]').click()
         expect(page.locator("#faceplate-name")).to_have_text(re.compile(r"wet ·\s+Infeed nip"))

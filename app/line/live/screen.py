@@ -104,7 +104,7 @@ def line_fields(
     now: UnixTime,
 ) -> Fields:
     """Return the fields of the line. ``found``: everything abnormal, the worst first. The verdict is the
-    worst cause (``cause``) after the name of its unit (``name``)."""
+    worst cause (``cause``) after the name of its unit (``name``), which may give way."""
     counts = state_counts(views.values())
     worst = verdict_of(found)
     if worst is not None:
@@ -115,7 +115,7 @@ def line_fields(
         "level": worst.cause.level if worst else "",
         "verdict": f"{name} · {cause}" if name else cause,
         "name": name,
-        "cause": cause,
+        "cause": f"· {cause}" if name else cause,
         "at": worst.href if worst else "",
         "counts": translator.t(Message.of("line_abnormal", n=len(found))) if found else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},

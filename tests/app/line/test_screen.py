@@ -256,7 +256,7 @@ def test_the_verdict_gives_the_reason_where_its_cause_is_no_alarm(tag: str, verd
     assert [code for code in no_alarms if TILES[code].priority != "low"] == ["run_off"]
     cause = abnormal("run_off", Onset(UnixTime(43_200.0)), {"motion": "stopped"})
     fields = line_fields({}, {}, [NamedCause("dry/1", "Nip", cause)], translator(tag), UnixTime(43_260.0))
-    assert fields["cause"] == verdict
+    assert fields["cause"] == f"· {verdict}"
 
 
 def figures(scan_s: float = 0.3) -> BusFigures:
