@@ -131,7 +131,7 @@ def test_what_is_read_aloud_of_the_line_and_the_alarms_is_in_order(
     site.line.remote.do("input", unit=2, input="estop", on=True)
     try:
         page = opened(browser_page("operator", viewport=PANEL), "/?view=tiles")
-        is_shown(page, 2, "urgent")
+        expect(page.locator(".well__verdict")).to_contain_text("Stopped")
         head = page.evaluate(SPOKEN, ".top")
         assert head[1:3] == ["1 alarm", "1 to acknowledge"]
         overview = page.evaluate(SPOKEN, ".overview")
