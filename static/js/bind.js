@@ -47,8 +47,10 @@ function textOf(element) {
     }
     written = (value === "" ? empty : value).padStart(width, FIGURE_SPACE);
     if (text.data === written) return;
-    if ("fresh" in element.dataset) element.replaceChildren((text = document.createTextNode(written)));
-    else text.data = written;
+    if ("fresh" in element.dataset) {
+      text = document.createTextNode(written);
+      element.replaceChildren(text);
+    } else text.data = written;
   };
 }
 
