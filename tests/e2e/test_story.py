@@ -11,6 +11,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.site import AT_REST, Site, eventually
+from tests.e2e.test_alarm_list import NO_TENSION_ALARM
 from tests.sizes import in_turn
 
 PANEL = {"width": 1280, "height": 800}
@@ -52,8 +53,8 @@ COUNTED_DOWN = """() => [...document.querySelectorAll(
 
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
-    """Eight units that only the test operates."""
-    return line_server(8, line_options=AT_REST)
+    """Eight units whose only alarms are those of the test."""
+    return line_server(8, line_options=AT_REST, toml=NO_TENSION_ALARM)
 
 
 def opened(page: Page, path: str) -> Page:
