@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.line.conditions.catalogue import TILES
+from app.line.live.bus_live import Onset
 from app.line.live.diagnosis import abnormal
 from app.line.live.fields import (
     Groups,
@@ -17,7 +18,6 @@ from app.line.live.fields import (
     unit_fields,
 )
 from app.line.live.screen import NamedCause, holders, line_fields
-from app.line.live.unit_status import Onset
 from bus.contract import MAX_MEANING, BusFigures, BusLink, Frame, ParameterValue, UnitFigures
 from bus.instants import UnixTime
 from bus.messages import Message, term
