@@ -18,6 +18,9 @@ T = TypeVar("T")
 StoreConnection = sqlite3.Connection
 StoreRow = sqlite3.Row
 Synchronous = Literal["FULL", "NORMAL"]
+CACHE_KIB = 256
+"""What a connection that reads keeps of its store. There are a dozen; SQLite would give each 2 MiB, and the
+system has the pages of the file in memory anyway."""
 STEPS = 20_000
 """Steps of SQLite between two checks of the clock: a few milliseconds."""
 BUSY_S = 5.0
@@ -66,6 +69,7 @@ def _opened(path: Path, how: str) -> sqlite3.Connection:
     uri = f"{path.absolute().as_uri()}?{how}"
     connection = sqlite3.connect(uri, uri=True, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
     connection.row_factory = sqlite3.Row
+    connection.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
     # SQLite stores any bytes as text: one row that is no UTF-8 must not make all others unreadable.
     connection.text_factory = partial(str, encoding="utf-8", errors="replace")
     return connection

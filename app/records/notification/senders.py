@@ -13,7 +13,6 @@ import ssl
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from email.message import EmailMessage
-from email.policy import SMTP as SMTP_POLICY
 from email.utils import format_datetime
 from importlib import import_module
 from pathlib import Path
@@ -189,7 +188,10 @@ def _password(path: Path | None) -> str:
 def _mail_message(sender: str, to: str, letter: Letter) -> EmailMessage:
     """Make the mail of a letter. Raises ValueError for a header with a line break, which the policy refuses:
     the texts of a letter are made of one line."""
-    message = EmailMessage(policy=SMTP_POLICY)
+    # Its parser of headers has half a MiB, and few servers send mail.
+    from email.policy import SMTP
+
+    message = EmailMessage(policy=SMTP)
     message["From"] = sender
     message["To"] = to
     message["Subject"] = letter.subject
