@@ -7,17 +7,16 @@ import shlex
 import shutil
 import subprocess
 import sys
-import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from configparser import ConfigParser
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
 
+from tests.e2e.site import eventually
 from tests.free_port import free_port
 from tests.test_architecture import ROOT, text_of
 
@@ -165,13 +164,6 @@ def below(root: Path, text: str) -> str:
     for folder in (CONFIGURATION, f"{STATE}/lineside"):
         text = text.replace(folder, f"{root}{folder}")
     return text
-
-
-def eventually(condition: Callable[[], Any], what: str) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, f"never: {what}"
-        time.sleep(0.05)
 
 
 def test_the_service_serves_and_keeps_its_data_as_configured(root: Path) -> None:

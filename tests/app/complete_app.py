@@ -8,15 +8,17 @@ up to the commands, three units, a worker that the test plays (`tests.app.fake_w
 from __future__ import annotations
 
 import sqlite3
+import threading
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import asynccontextmanager, closing
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+import uvicorn
 from fastapi import FastAPI
 
 import app.main
@@ -272,3 +274,39 @@ async def commands_app(folder: Path, *, control: bool = False) -> AsyncIterator[
 
 
 EVERY_ROLE = (*PEOPLE_ROLES, Role.WORKER)
+
+
+@dataclass
+class Api:
+    """A served app and the token of an engineer."""
+
+    url: str
+    token: str
+
+    @property
+    def headers(self) -> dict[str, str]:
+        return {"Authorization": f"Bearer {self.token}"}
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[Api]:
+    """Serve until the end of the context."""
+    made = app.main.create_app(settings_in(folder))
+    services: Services = made.state.services
+    token = rules.new_secret()
+    key = Token(0, "test", Role.ENGINEER, "test", 0.0, None)
+    services[Database].write_now(lambda c: store.add_token(c, rules.secret_hash(token), key))
+    server = uvicorn.Server(
+        uvicorn.Config(made, port=0, log_level="warning", lifespan="on", ws="websockets-sansio")
+    )
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    while not server.started:
+        thread.join(0.02)
+        assert thread.is_alive(), "the server did not start"
+    port = server.servers[0].sockets[0].getsockname()[1]
+    try:
+        yield Api(f"http://127.0.0.1:{port}", token)
+    finally:
+        server.should_exit = True
+        thread.join()

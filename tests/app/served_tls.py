@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import shutil
 import ssl
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import httpx
 
 from tests import fork_server
 from tests.certificates import certificates
-from tests.e2e.site import end, people
+from tests.e2e.site import end, eventually, people
 from tests.fork_server import ForkedProcess
 from tests.free_port import free_port
 
@@ -35,15 +33,6 @@ port = "/nowhere/tty"
 id = 1
 name = "Unwind"
 """
-
-
-def eventually(find: Callable[[], Any], what: str) -> Any:
-    deadline = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        if found := find():
-            return found
-        time.sleep(0.05)
-    raise AssertionError(f"never: {what}")
 
 
 def seen(log: Path, *texts: str) -> None:

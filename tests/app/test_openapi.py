@@ -12,7 +12,7 @@ from schemathesis import Case
 from schemathesis.schemas import BaseSchema
 from schemathesis.specs.openapi.checks import positive_data_acceptance
 
-from tests.app.served_app import Api, served
+from tests.app.complete_app import Api, served
 
 ENDLESS = "GET /api/v1/stream"
 """Its own test reads it."""

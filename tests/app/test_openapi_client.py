@@ -18,9 +18,8 @@ from app.core.database import Database
 from app.core.web.api import openapi_document, with_published_names
 from app.main import create_app
 from bus.contract import UnitOutcome
-from tests.app.complete_app import House, settings_in
+from tests.app.complete_app import House, served, settings_in
 from tests.app.fake_worker import PlayedWorker, responding
-from tests.app.served_app import served
 
 PACKAGE = "lineside_client"
 NAMES = Path(__file__).parent / "openapi_names.txt"

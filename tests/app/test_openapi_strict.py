@@ -15,9 +15,8 @@ from jsonschema_rs import Draft202012Validator
 from app.core.web.access import Role
 from app.core.web.api import openapi_document
 from app.line.live.bus_live import LiveState
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import Api, House, complete_app, served
 from tests.app.fake_worker import snapshot
-from tests.app.served_app import Api, served
 from tests.app.strict_schema import strict
 from tests.app.typescript_client import client_of
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
-from pathlib import Path
 
 import pytest
 from starlette.types import Message, Receive, Scope, Send
@@ -18,7 +16,7 @@ from app.core.web.routes import (
     AnonymousLimiter,
 )
 from app.people.auth import sign_in as signin
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House
 
 
 class Slow:
@@ -145,12 +143,6 @@ async def test_a_body_beyond_any_form_is_refused_while_it_arrives() -> None:
         client.part(b"x" * 16384, more=True)
     await task
     assert (slow.bodies, client.status) == ([], 413)
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 @pytest.mark.parametrize("form", [{}, {"name": "ann"}, {"password": "a long enough secret"}])

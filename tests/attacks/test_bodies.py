@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import AsyncIterator
-from pathlib import Path
 
 import httpx
 import pytest
@@ -20,19 +18,13 @@ from app.core.web.request_rules import (
     MAX_QUERY,
 )
 from app.engineering.sets.store import MAX_KEY_STEPS, MAX_LINES, MAX_VALUES, DocumentError, read_document
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"
 RESTORES = "/api/v1/buses/dry-end/units/1/restores"
 CPU_S = 1.0
 """Of this thread, many times what any of these takes; the attack took seconds to minutes."""
 JSON = {"content-type": "application/json"}
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 async def cpu_s(client: httpx.AsyncClient, status: int, path: str, content: bytes, **headers: str) -> float:

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from app.core.web import api as schema
 from app.core.web.access import Role
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House
 
 PATH = "/api/v1/openapi.json"
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 async def test_it_is_made_once_for_all_who_request_it(house: House, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from app.core.web.access import Role
 from app.core.web.arrival import SAFE_METHODS
 from app.engineering.recipes.book import RecipeBook
 from app.line.live.bus_live import LiveState
-from tests.app.complete_app import House, commands_app, complete_app
+from tests.app.complete_app import House, commands_app
 from tests.app.fake_worker import PlayedWorker, responding
 from tests.app.played_commands import ANNA
 from tests.app.played_commands import responding as responding_units
@@ -168,12 +168,6 @@ async def test_other_writes_are_late_too(site: House) -> None:
         response = await site.request(method, path, body, headers=sent(LATE_S))
         assert (response.status_code, response.json()["code"]) == (503, "not_sent")
     assert (await site.request("GET", "/units/1/block")).json()["blocked"] is False
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 async def test_a_long_body_makes_no_write_late(house: House, monkeypatch: pytest.MonkeyPatch) -> None:

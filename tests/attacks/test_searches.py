@@ -27,6 +27,7 @@ from app.line.history.service import History
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
 from tests.app.complete_app import House, complete_app
+from tests.app.gated import until
 
 PATIENCE_S = 30.0
 SEARCHES = (
@@ -47,12 +48,6 @@ async def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterato
     monkeypatch.setattr("app.line.history.feature.AFTER_S", inf)
     async with complete_app(tmp_path) as house:
         yield house
-
-
-async def until(holds: Callable[[], object]) -> None:
-    async with asyncio.timeout(PATIENCE_S):
-        while not holds():  # noqa: ASYNC110
-            await asyncio.sleep(0.001)
 
 
 @pytest.mark.parametrize("path", SEARCHES)

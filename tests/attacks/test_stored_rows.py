@@ -7,7 +7,6 @@ from __future__ import annotations
 import csv
 import io
 import sqlite3
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -46,12 +45,6 @@ HOSTILE: dict[str, dict[str, Any]] = {
 
 
 SHOWN_AS_CODES = {"a message that there is not", "a message without its values"}
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 async def put(house: House, *rows: dict[str, Any]) -> list[int]:

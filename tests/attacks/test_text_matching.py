@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import string
 import time
-from collections.abc import AsyncIterator, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 from urllib.parse import quote
 
@@ -17,7 +16,7 @@ from app.core.messages import Language, Languages
 from app.core.web.access import Role
 from app.core.web.formats import Formats
 from app.core.web.request_rules import MAX_QUERY
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House
 from tests.sizes import sizes
 
 MARK = "zq7"
@@ -28,12 +27,6 @@ ADDRESS_TEXTS = [
     *("\0", "\ufffd", "..", "../../etc/passwd", "%s%n", "{0.__class__}", "{", "'\""),
     *("-1", "1e9", "9" * 300),
 ]
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with complete_app(tmp_path) as house:
-        yield house
 
 
 @pytest.fixture

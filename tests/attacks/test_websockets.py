@@ -13,7 +13,7 @@ import pytest
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from app.core.server.connections import STALL_S, client_connection
+from app.core.server.connections import client_connection
 from app.core.server.gate import CLOSING_S, MAX_HELD_BYTES, MAX_MESSAGE_BYTES, Gate
 from tests.app.gated import PATIENCE_S, Port, everything, gated, until
 
@@ -196,30 +196,6 @@ async def test_a_client_that_sends_and_does_not_read_is_read_no_more(site: Site)
     for _ in range(100):
         await asyncio.sleep(0)
     assert site.gate.transport.get_write_buffer_size() <= written
-
-
-async def test_a_client_that_reads_nothing_is_dropped(site: Site) -> None:
-    await site.connect()
-    await site.accepted.wait()
-    site.gate.transport.write(b"x" * 10_000_000)
-    now = asyncio.get_running_loop().time()
-    site.gate.check(now)
-    site.gate.check(now + STALL_S - 1)
-    assert not site.gate.transport.is_closing()
-    site.gate.check(now + STALL_S + 1)
-    assert site.gate.transport.is_closing()
-
-
-async def test_a_client_that_has_read_everything_has_its_time_again(site: Site) -> None:
-    reader = await site.connect()
-    await site.accepted.wait()
-    now = asyncio.get_running_loop().time()
-    site.gate.transport.write(b"x" * 10_000_000)
-    site.gate.check(now)
-    await asyncio.wait_for(reader.readexactly(10_000_000), PATIENCE_S)
-    site.gate.transport.write(b"x" * 20_000_000)
-    site.gate.check(now + STALL_S + 1)
-    assert not site.gate.transport.is_closing()
 
 
 async def test_who_does_not_read_the_end_of_a_connection_is_not_waited_for(site: Site) -> None:

@@ -8,9 +8,10 @@ from urllib.parse import parse_qs, urlsplit
 from zoneinfo import ZoneInfo
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from tests.e2e.conftest import OpensPages
+from tests.e2e.pages import opened
 from tests.e2e.site import AT_REST, Site
 from tests.e2e.site import site as one_site
 
@@ -36,12 +37,6 @@ def far_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     folder = tmp_path_factory.mktemp("far")
     with one_site(folder, 2, line_options=AT_REST, environment={"TZ": "Asia/Kolkata"}) as made:
         yield made
-
-
-def opened(page: Page, path: str) -> Page:
-    page.goto(path)
-    expect(page.locator("body[data-link=live]")).to_be_attached()
-    return page
 
 
 def is_now_there(shown: time) -> bool:

@@ -12,11 +12,11 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect
 
 from tests.e2e.conftest import OpensPages, focus, rest
+from tests.e2e.pages import LIVE
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
 
 PANEL: ViewportSize = {"width": 1280, "height": 800}
-LIVE = "body[data-link=live]"
 HOME = "/units/line/2"
 PIN = "471193"
 FAKE_LOCK = """

@@ -6,9 +6,10 @@ import re
 from collections.abc import Callable
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from tests.e2e.conftest import GERMAN, OpensPages
+from tests.e2e.pages import opened
 from tests.e2e.site import AT_REST, Site
 
 
@@ -24,12 +25,6 @@ def site(line_server: Callable[..., Site], peer: Site, tmp_path_factory: pytest.
     token.write_text(peer.tokens["viewer"])
     toml = f'[[peer]]\nname = "Werk 2"\nurl = "{peer.url}"\ntoken_file = "{token}"\n'
     return line_server(2, line_options=AT_REST, toml=toml)
-
-
-def opened(page: Page, path: str) -> Page:
-    page.goto(path)
-    expect(page.locator("body[data-link=live]")).to_be_attached()
-    return page
 
 
 def test_a_peer_that_dies_costs_its_tile_and_returns(

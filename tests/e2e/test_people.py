@@ -13,12 +13,12 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus, rest
 from tests.e2e.limits import CALL_S, PROCEDURE_S
+from tests.e2e.pages import LIVE, opened
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
 from tests.sizes import sizes
 
 PANEL = {"width": 1280, "height": 800}
-LIVE = "body[data-link=live]"
 WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
 
 
@@ -77,12 +77,6 @@ def received_writes(site: Site) -> list[str]:
 def setpoint(site: Site, unit: int) -> int:
     found: int = site.line.remote.do("state", unit=unit)["setpoint"]
     return found
-
-
-def opened(page: Page, path: str) -> Page:
-    page.goto(path)
-    expect(page.locator(LIVE)).to_be_attached()
-    return page
 
 
 # --- control --------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import OpensPages
+from tests.e2e.pages import opened
 from tests.e2e.site import AT_REST, Site
 from tests.sizes import sizes
 
@@ -70,12 +71,6 @@ def site(line_server: Callable[..., Site]) -> Site:
     with made.api("operator") as client:
         client.post("/buses/line/speeds", json={"setpoints": setpoints}).raise_for_status()
     return made
-
-
-def opened(page: Page, path: str) -> Page:
-    page.goto(path)
-    expect(page.locator("body[data-link=live]")).to_be_attached()
-    return page
 
 
 @pytest.mark.parametrize("path", sizes(*PAGES))

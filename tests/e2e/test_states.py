@@ -11,6 +11,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
+from tests.e2e.pages import opened
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.sizes import sizes
 
@@ -56,12 +57,6 @@ def site(line_server: Callable[..., Site]) -> Site:
         client.post("/buses/line/units/4/block", json={"reason": REASON}).raise_for_status()
     eventually(lambda: made.unit(2)["inputs"]["estop"] and not made.unit(3)["remote"], "the states are seen")
     return made
-
-
-def opened(page: Page, path: str) -> Page:
-    page.goto(path)
-    expect(page.locator("body[data-link=live]")).to_be_attached()
-    return page
 
 
 def judged(page: Page, axe: Axe) -> list[str]:

@@ -13,17 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import START_MS
+from tests.e2e.pages import LIVE, opened
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
 from tests.sizes import sizes
 
 PANEL = {"width": 1280, "height": 800}
 LOST = "body[data-link=lost]"
-LIVE = "body[data-link=live]"
 
 
 @pytest.fixture(scope="module")
@@ -31,12 +31,6 @@ def own_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units, for tests that hurt the server."""
     with one_site(tmp_path_factory.mktemp("truth"), 3, line_options=AT_REST, turnaround_ms=250) as made:
         yield made
-
-
-def opened(page: Page, path: str) -> Page:
-    page.goto(path)
-    expect(page.locator(LIVE)).to_be_attached()
-    return page
 
 
 def received_writes(site: Site) -> int:

@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import GERMAN, OpensPages, rest
+from tests.e2e.pages import opened
 from tests.e2e.site import AT_REST, Line, Site, eventually
 
 PANEL = {"width": 1280, "height": 800}
@@ -48,12 +49,6 @@ def wet(site: Site) -> Line:
 def state(line: Line, unit: int) -> dict[str, Any]:
     found: dict[str, Any] = line.remote.do("state", unit=unit)
     return found
-
-
-def opened(page: Page, path: str) -> Page:
-    page.goto(path)
-    expect(page.locator("body[data-link=live]")).to_be_attached()
-    return page
 
 
 def test_an_abnormal_unit_is_named_with_its_bus(site: Site, shared_page: OpensPages) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from tests.e2e.conftest import OpensPages
+from tests.e2e.pages import opened
 from tests.e2e.site import Site
 from tests.sizes import sizes
 
@@ -26,12 +27,6 @@ COVERED = """part => {
   return part.contains(hit) ? "" : hit?.outerHTML.slice(0, 90);
 }"""
 """What lies over the end of a part, or how far it is out of the window; empty where it is seen to its end."""
-
-
-def opened(page: Page, path: str) -> Page:
-    page.goto(path)
-    expect(page.locator("body[data-link=live]")).to_be_attached()
-    return page
 
 
 @pytest.mark.parametrize("size", [PANEL, PHONE], ids=["panel", "phone"])

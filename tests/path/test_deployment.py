@@ -18,7 +18,8 @@ import pytest
 from bus.settings import Dialect
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from tests import unpacked
-from tests.app.served_tls import PATIENCE_S, eventually
+from tests.app.served_tls import PATIENCE_S
+from tests.e2e.site import eventually
 from tests.free_port import free_port
 from tests.test_architecture import ROOT, text_of
 from tests.test_service_unit import INSTALLED, LINESIDE, UNITS

@@ -20,9 +20,9 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from tests import fork_server, unpacked
-from tests.app.served_tls import PATIENCE_S, eventually
+from tests.app.served_tls import PATIENCE_S
 from tests.certificates import certificates
-from tests.e2e.site import PASSWORD, end, people
+from tests.e2e.site import PASSWORD, end, eventually, people
 from tests.free_port import free_port
 
 ROOT = Path(__file__).resolve().parents[2]

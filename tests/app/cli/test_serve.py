@@ -12,8 +12,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,7 @@ from app.core.server.service_manager import ServiceManager
 from app.settings import load
 from bus.instants import monotonic_now
 from tests import fork_server
+from tests.e2e.site import eventually
 from tests.fork_server import ForkedProcess
 from tests.sizes import sizes
 
@@ -50,16 +50,6 @@ port = "{port}"
 id = 1
 name = "Unwind"
 """
-
-
-def eventually(condition: Callable[[], Any], what: str) -> Any:
-    end = time.monotonic() + PATIENCE_S
-    while time.monotonic() < end:
-        result = condition()
-        if result:
-            return result
-        time.sleep(0.05)
-    raise AssertionError(f"never: {what}")
 
 
 def children_of(pid: int) -> list[int]:

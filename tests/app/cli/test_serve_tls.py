@@ -17,9 +17,9 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.sync.client import connect as plain_connect
 
 from tests import fork_server
-from tests.app.served_tls import CONFIG, PATIENCE_S, Served, eventually, seen, served
+from tests.app.served_tls import CONFIG, PATIENCE_S, Served, seen, served
 from tests.certificates import certificates, renew
-from tests.e2e.site import end, people
+from tests.e2e.site import end, eventually, people
 from tests.free_port import free_port
 
 SOCKETS = 200

@@ -53,17 +53,6 @@ async def test_what_was_open_at_the_restart_is_unverified_and_not_sent_again(
     assert len(worker.commands) == 1
 
 
-async def test_an_id_of_another_command_is_refused_after_a_restart_too(
-    site: House, worker: PlayedWorker
-) -> None:
-    worker.play = responding("verified")
-    await site.commands.send(ANNA, COMMAND, id="mine")
-    with pytest.raises(Problem) as refused:
-        await restarted(site).send(ANNA, SetSpeed(unit=1, raw=6), id="mine")
-    assert (refused.value.status, refused.value.code) == (422, "invalid")
-    assert len(worker.commands) == 1
-
-
 async def test_a_command_refused_before_sending_may_be_repeated(site: House, worker: PlayedWorker) -> None:
     dangerous = WriteParameter(unit=1, number=19, raw=0)
 

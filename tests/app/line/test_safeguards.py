@@ -419,19 +419,6 @@ async def test_control_is_requested_declined_requested_again_and_granted(control
     ]
 
 
-async def test_requests_for_control_are_bounded(controlled: House) -> None:
-    await step(controlled, "POST", "/take", "anna")
-    statuses, remaining = [], []
-    for _ in range(service.MAX_REQUESTS + 1):
-        response = await controlled.request("POST", "/control/request", role="operator", name="ben")
-        statuses.append(response.status_code)
-        remaining.append(int(response.headers["ratelimit-remaining"]))
-        await step(controlled, "DELETE", "/request", "ben")
-    assert statuses == [200] * service.MAX_REQUESTS + [429]
-    assert remaining == [*reversed(range(service.MAX_REQUESTS)), 0]
-    assert int(response.headers["retry-after"]) > 0
-
-
 async def test_reading_needs_no_control(controlled: House) -> None:
     worker = await obeying(controlled)
     await controlled.request("GET", "/units/1/parameters?refresh=true", role="viewer")

@@ -22,10 +22,9 @@ from app.line.alarms.api import AlarmShown, alarm_json
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.live.api.routes import AlarmType, LineStream, stream_document
 from app.line.live.bus_live import LiveState
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import Api, House, complete_app, served
 from tests.app.fake_worker import snapshot
 from tests.app.line.test_stream_route import streaming
-from tests.app.served_app import Api, served
 from tests.app.strict_schema import strict
 
 ALARM = AlarmType(AlarmShown)

@@ -14,9 +14,10 @@ from app.core.web.access import Role
 from app.system.configuration import service as restart_module
 from app.system.configuration.service import Restart
 from tests import fork_server
-from tests.app.cli.test_serve import CONFIG, eventually, only_child, started
+from tests.app.cli.test_serve import CONFIG, only_child, started
 from tests.app.complete_app import House
 from tests.app.configuration_file import TEXT, PlantFile, house_with_file, plant_file
+from tests.e2e.site import eventually
 from tests.free_port import free_port
 
 API = "/api/v1/configuration"

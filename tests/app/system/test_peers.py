@@ -24,8 +24,7 @@ from app.system.peers.client import fault_of, read_report
 from app.system.peers.settings import PeerSettings
 from app.version import VERSION
 from bus.messages import TEXTS
-from tests.app.complete_app import House, complete_app
-from tests.app.served_app import served
+from tests.app.complete_app import House, complete_app, served
 from tests.app.served_tls import served as served_with_tls
 
 PATIENCE_S = 60.0
