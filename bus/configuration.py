@@ -117,7 +117,7 @@ class LineNumbers:
     def __init__(self, text: str) -> None:
         self._places = {path: each.first for each in statements(text) for path in each.paths}
 
-    def of(self, path: KeyPath) -> int:
+    def line_of(self, path: KeyPath) -> int:
         """Return the line (from 1) of a key, or of what it would stand in."""
         for length in range(len(path), 0, -1):
             if path[:length] in self._places:
@@ -200,7 +200,7 @@ def _keys_in(table: dict[str, Any]) -> Iterator[KeyPath]:
 def _fault(path: Path, lines: LineNumbers, model: type[BaseModel], details: ErrorDetails) -> Message:
     place = tuple(details["loc"]) + tuple(details.get("ctx", {}).get("at", ()))
     fault = _fault_message(model, place, details)
-    return Message.of("configuration_fault", file=str(path), line=lines.of(place), fault=fault)
+    return Message.of("configuration_fault", file=str(path), line=lines.line_of(place), fault=fault)
 
 
 def _fault_message(model: type[BaseModel], place: KeyPath, details: ErrorDetails) -> Message:

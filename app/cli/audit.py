@@ -73,11 +73,11 @@ def rotate_key(config: Path) -> None:
 
 def proof_of(settings: Settings, anchor: Path | None = None, archive: Path | None = None) -> list[Message]:
     """Verify the log of a site; return what is proven. Raises StoreError if it is not intact."""
-    verdict, anchors, archived = _verdict(settings, anchor, archive or settings.audit.archive)
-    if verdict.broken is not None:
-        fault = in_english(verdict.fault)
-        raise StoreError(Message.of("audit_broken", entry=verdict.broken, fault=fault))
-    return [Message.of("audit_whole", n=verdict.entries), *_remarks(verdict, anchors, archived)]
+    proof, anchors, archived = _proof(settings, anchor, archive or settings.audit.archive)
+    if proof.broken is not None:
+        fault = in_english(proof.fault)
+        raise StoreError(Message.of("audit_broken", entry=proof.broken, fault=fault))
+    return [Message.of("audit_whole", n=proof.entries), *_remarks(proof, anchors, archived)]
 
 
 def _compared(settings: Settings, config: Path) -> list[Message]:
@@ -99,7 +99,7 @@ def _compared(settings: Settings, config: Path) -> list[Message]:
     return remarks
 
 
-def _verdict(
+def _proof(
     settings: Settings, anchor: Path | None, archive: Path | None
 ) -> tuple[AuditVerification, Anchors, ArchiveProof]:
     """Verify the files as they are: nothing is migrated or written."""
@@ -109,15 +109,15 @@ def _verdict(
     with examining(settings.server.store) as connection:
         ring = _ring(settings.key_files, settings.server.store, heads_of(connection))
         anchors = _anchors(settings, anchor, ring)
-        verdict = prove(connection, ring, anchors.hashes)
-        if verdict.broken is None:
+        proof = prove(connection, ring, anchors.hashes)
+        if proof.broken is None:
             for each in missing_signatures(connection):
                 raise StoreError(
                     Message.of("audit_signature_missing", entry=each.event, who=each.who, start=each.start)
                 )
         with in_words(archive or settings.server.data):
             archived = prove_archive(cuts_of(connection), archive, ring, anchors.hashes)
-        return verdict, anchors, archived
+        return proof, anchors, archived
 
 
 def _anchors(settings: Settings, named: Path | None, ring: KeyRing) -> Anchors:
@@ -136,17 +136,17 @@ def _ring(paths: Sequence[Path], store: Path | None, heads: Ends) -> KeyRing:
     return ring or KeyRing((), origin_of(heads))
 
 
-def _remarks(verdict: AuditVerification, anchors: Anchors, archived: ArchiveProof) -> list[Message]:
+def _remarks(proof: AuditVerification, anchors: Anchors, archived: ArchiveProof) -> list[Message]:
     """Return what the proof covers beside the store, and what it does not."""
     remarks = []
     if archived.entries:
         remarks.append(Message.of("audit_archive_intact", n=archived.entries))
     if archived.absent:
         remarks.append(Message.of("audit_archive_absent", files=", ".join(archived.absent)))
-    if verdict.unsealed:
-        remarks.append(Message.of("audit_unsealed", last=verdict.unsealed))
+    if proof.unsealed:
+        remarks.append(Message.of("audit_unsealed", last=proof.unsealed))
     if anchors.hashes:
-        remarks.append(Message.of("anchors_hold", n=len(anchors.hashes), newest=verdict.anchored))
+        remarks.append(Message.of("anchors_hold", n=len(anchors.hashes), newest=proof.anchored))
     if anchors.unreadable:
         remarks.append(Message.of("anchor_lines_unreadable", n=anchors.unreadable))
     return remarks

@@ -298,8 +298,8 @@ def _prove(store: Path, file: Path) -> None:
         raise _unsound(file, store.name, fault)
 
 
-def _unsound(file: Path, store: str, verdict: str | Message) -> StoreError:
-    return StoreError(Message.of("backup_unsound", file=str(file), store=store, verdict=verdict))
+def _unsound(file: Path, store: str, fault: str | Message) -> StoreError:
+    return StoreError(Message.of("backup_unsound", file=str(file), store=store, verdict=fault))
 
 
 def _refuse_while_open(store: Path) -> None:

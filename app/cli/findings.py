@@ -397,13 +397,13 @@ def _store(store: Path) -> Finding:
             refuse_unfinished(connection, store)
             if store.name == STORE_FILE and is_store(connection):
                 refuse_newer(connection, store)
-            (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+            (result,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     except TooCostlyError:
-        verdict = "ok"
+        result = "ok"
     except (StoreError, OSError) as error:
         return _store_refused(error)
-    if verdict != "ok":
-        return fault("check_store_damaged", path=str(store), verdict=verdict)
+    if result != "ok":
+        return fault("check_store_damaged", path=str(store), verdict=result)
     return info("check_store", path=str(store), size=number(f"{size_of(store) / MB:.1f}"))
 
 

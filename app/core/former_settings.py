@@ -39,7 +39,7 @@ def former_notices(text: str, file: str, folder: Path) -> list[Message]:
     now."""
     lines = LineNumbers(text)
     notices = [
-        Message.of("ignored_key", file=file, line=lines.of(path), key=_name(path))
+        Message.of("ignored_key", file=file, line=lines.line_of(path), key=_name(path))
         for path in former_keys(tomllib.loads(text))
     ]
     # Whether the folder can be used at all is judged by `check` and by the start.

@@ -245,5 +245,6 @@ def longest_stage_s(baud: int, turnaround_s: float, reads: int = 0) -> float:
 
 
 def change_s(units: int, baud: int) -> float:
-    """Stage each of ``units``, one broadcast, read each back at best, seconds."""
+    """Return the seconds that it takes at best to stage each of ``units``, broadcast once and read each
+    back."""
     return units * stage_s(baud) + wire_seconds(_EXECUTE_BYTES + units * POLL_BYTES, baud)

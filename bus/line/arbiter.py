@@ -166,7 +166,7 @@ class Arbiter:
         return self._command_request(now) or self._routine_request(now)
 
     def foresee(self, under_way: NextRequest, now: Monotonic) -> NextRequest | None:
-        """What follows ``under_way`` if its response is an ordinary one; None where that decides it.
+        """Return what follows ``under_way`` if its response is an ordinary one; None where that decides it.
 
         An ordinary response to a poll changes nothing about whose request is next. Only a command does, and
         then what was foreseen has its turn after it.

@@ -73,7 +73,7 @@ class TcpPort:
         self._transport.write(data)
 
     def listen(self, *, now: bool) -> None:
-        """A packet is no single byte: it is received when it comes."""
+        """Do nothing: TCP delivers complete segments."""
 
     def drop_output(self) -> None:
         """Do nothing, because the kernel's buffer cannot be emptied; a server that takes nothing is lost by

@@ -103,7 +103,7 @@ class Figures:
     def __init__(self) -> None:
         self._marks: deque[_Mark] = deque()
 
-    def take(
+    def measure(
         self, now: Monotonic, at: UnixTime, counts: WireCounts, roster: Roster, schedule: PollSchedule
     ) -> BusFigures:
         """Return the figures of this moment: ``now`` on the line's clock, ``at`` since the epoch."""

@@ -353,7 +353,7 @@ class LineLoop:
     def figures(self) -> BusFigures:
         now = self.clock.now()
         at = self.clock.epoch(now)
-        figures = self._figures.take(now, at, self.link.counts, self.roster, self.schedule)
+        figures = self._figures.measure(now, at, self.link.counts, self.roster, self.schedule)
         other = self.link.second_master
         return msgspec.structs.replace(
             figures,

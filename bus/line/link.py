@@ -245,7 +245,7 @@ class Link:
     # --- one exchange --------------------------------------------------------------------------
 
     def prepare(self, request: Request, dialect: Dialect | None = None) -> Exchange:
-        """An exchange to ``send``, in ``dialect`` where it is not the bus's own.
+        """Return an exchange to ``send``, in ``dialect`` where it is not the bus's own.
 
         While another one is under way, with another unit, it is the one after that. Raises CallerError for a
         request that no frame can carry.
@@ -328,7 +328,7 @@ class Link:
             self._end(current, now)
 
     def _is_ordinary(self, current: CurrentExchange, events: list[ExchangeEvent], now: Monotonic) -> bool:
-        """Whether ``events`` are the response, when it is expected, and nothing else has come."""
+        """Return whether ``events`` are the response, when it is expected, and nothing else has come."""
         if len(events) != 1 or type(events[0]) is not Responded or current.has_noise or self._overdue:
             return False
         current.is_ordinary = self._pace.on_time(now - current.began, self._least_s(current.exchange))
@@ -438,7 +438,8 @@ class Link:
     # --- waiting -------------------------------------------------------------------------------
 
     def _listen_at(self, exchange: Exchange, began: Monotonic, window_ends: Monotonic) -> Monotonic | None:
-        """Shortly before the response can be complete, on a port that is as slow as its baud rate."""
+        """Return the moment shortly before the response can be complete, on a port that is as slow as its
+        baud rate."""
         if not self.is_paced or exchange.request.unit == 0:
             return None
         least_bytes = len(exchange.sent) + least_reply_bytes(exchange.request, exchange.dialect)

@@ -321,7 +321,7 @@ class PollOrder:
         self._watched = frozenset(units)
         self._weigh()
 
-    def take(self) -> int | None:
+    def next_unit(self) -> int | None:
         """Return the unit whose turn it is; None when no unit takes part."""
         if not self._passes:
             return None
@@ -474,7 +474,7 @@ class PollSchedule:
 
     def next_poll(self, now: Monotonic) -> Task | None:
         """Return the unit whose turn it is, whatever else would be due."""
-        unit = self.poll_order.take()
+        unit = self.poll_order.next_unit()
         if unit is None:
             return None
         apart_s = self._least_scan_s / len(self.poll_order)

@@ -105,13 +105,13 @@ class Window:
         self._quiet_at = Monotonic(0.0)
 
     def attach(self, port: OpenPort | None, byte_s: float) -> None:
-        """Another port, or none; ``byte_s``: what a byte takes on it."""
+        """Use another port, or none; ``byte_s``: what a byte takes on it."""
         self._port = port
         self._ends = self._listen_at = None
         self._quiet_s = max(QUIET_BYTES * byte_s, MIN_QUIET_S)
 
     def open(self, ends: Monotonic, last_moment: Monotonic, listen_at: Monotonic | None = None) -> None:
-        """An exchange began. Until ``listen_at`` bytes may gather."""
+        """Note that an exchange began. Until ``listen_at`` bytes may gather."""
         self._ends, self._last_moment, self._looked = ends, last_moment, False
         self._listen_from(listen_at)
         self._ring_at(ends if listen_at is None else listen_at)
@@ -183,7 +183,7 @@ class PortPace:
         self._against = 0
 
     def on_time(self, took_s: float, least_s: float) -> bool:
-        """Whether a response on a port that is known to be slow is taken whatever came before."""
+        """Return whether a response on a port that is known to be slow is taken whatever came before."""
         return self.paced is True and took_s >= least_s * EARLY
 
     def believes(self, took_s: float, least_s: float) -> bool:

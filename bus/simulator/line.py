@@ -259,7 +259,7 @@ class SimulatedLine:
                     self._arriving.append(arriving)
 
     def advance(self, now: float) -> bytes:
-        """Let everything happen that is due by ``now``; the bytes that reach the host with it."""
+        """Let everything happen that is due by ``now``, and return the bytes that reach the host with it."""
         if self._physics_at == math.inf:
             self._physics_at = now + STEP_S
         while self._arriving and self._arriving[0].at <= now:

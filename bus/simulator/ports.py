@@ -137,7 +137,7 @@ class PtyPort:
         return str(self._link or self.device)
 
     def descriptors(self) -> list[int]:
-        """File descriptors that become readable when the host did something."""
+        """Return the file descriptors that become readable when the host did something."""
         return [self._master] if self._master >= 0 else []
 
     def read(self) -> bytes:

@@ -78,7 +78,7 @@ class DoubledChecksum(msgspec.Struct, frozen=True):
 Received = ReceivedFrame | Noise | DoubledChecksum
 
 
-class _Verdict(NamedTuple):
+class _CandidateEnd(NamedTuple):
     """What a candidate turned out to be; ``end`` is one past the byte that decided."""
 
     end: int
@@ -144,13 +144,13 @@ class FrameDecoder:
             yield from self._noise_before(start)
             if start < 0:
                 return
-            verdict = _judge(self._buffer)
-            if verdict is None:
+            ended = _judge(self._buffer)
+            if ended is None:
                 return
-            if verdict.fault is None:
-                yield self._accept(verdict)
+            if ended.fault is None:
+                yield self._accept(ended)
             else:
-                yield self._give_up(verdict.end, verdict.fault, verdict.body)
+                yield self._give_up(ended.end, ended.fault, ended.body)
 
     def _noise_before(self, start: int) -> Iterator[Noise]:
         """Yield the noise before ``start``; without a start (-1) only what exceeds one piece."""
@@ -160,9 +160,9 @@ class FrameDecoder:
             known -= piece
             yield Noise(self._take(piece), Fault.OUTSIDE)
 
-    def _accept(self, verdict: _Verdict) -> ReceivedFrame:
-        self._after_checksum_10h = self._buffer[verdict.end - 1] == DLE
-        return ReceivedFrame(verdict.body, self._take(verdict.end))
+    def _accept(self, ended: _CandidateEnd) -> ReceivedFrame:
+        self._after_checksum_10h = self._buffer[ended.end - 1] == DLE
+        return ReceivedFrame(ended.body, self._take(ended.end))
 
     def _give_up(self, end: int, fault: Fault, body: bytes) -> Noise:
         """Keep (rule 3) all from the next possible start on, which may be a lone 10h at the end."""
@@ -186,7 +186,7 @@ class FrameDecoder:
         return taken
 
 
-def _judge(buffer: bytearray) -> _Verdict | None:
+def _judge(buffer: bytearray) -> _CandidateEnd | None:
     """Read the candidate at the head of ``buffer``; None while it may still become a frame."""
     body = bytearray()
     at = len(_START)
@@ -196,7 +196,7 @@ def _judge(buffer: bytearray) -> _Verdict | None:
         plain_ends = dle if dle >= 0 else min(at + room, len(buffer))
         body += buffer[at:plain_ends]
         if len(body) > MAX_BODY:
-            return _Verdict(plain_ends, Fault.TOO_LONG)
+            return _CandidateEnd(plain_ends, Fault.TOO_LONG)
         at = plain_ends + 2
         if at > len(buffer):
             return None
@@ -204,16 +204,16 @@ def _judge(buffer: bytearray) -> _Verdict | None:
         if follower == ETX:
             return _judge_end(buffer, at, bytes(body))
         if follower != DLE:
-            return _Verdict(at, Fault.RESTART if follower == STX else Fault.ESCAPE)
+            return _CandidateEnd(at, Fault.RESTART if follower == STX else Fault.ESCAPE)
         body.append(DLE)
         if len(body) > MAX_BODY:
-            return _Verdict(at, Fault.TOO_LONG)
+            return _CandidateEnd(at, Fault.TOO_LONG)
 
 
-def _judge_end(buffer: bytearray, at: int, body: bytes) -> _Verdict | None:
+def _judge_end(buffer: bytearray, at: int, body: bytes) -> _CandidateEnd | None:
     if len(body) < MIN_BODY:
-        return _Verdict(at, Fault.TOO_SHORT)
+        return _CandidateEnd(at, Fault.TOO_SHORT)
     if at == len(buffer):
         return None
     fault = None if buffer[at] == checksum(body) else Fault.CHECKSUM
-    return _Verdict(at + 1, fault, body)
+    return _CandidateEnd(at + 1, fault, body)

@@ -37,7 +37,7 @@ async def _write(config: Path, turns: int | None = None) -> None:
     start = time.time() - 4 * 3600
     while turns is None or turns:
         turns = None if turns is None else turns - 1
-        history.take((BUS.name, polls(start, start + 240)))
+        history.enqueue((BUS.name, polls(start, start + 240)))
         start += 240
         await events.record(kind="unit", what="offline", bus=BUS.name, unit=1)
         row = (secrets.token_hex(32), "image/png", secrets.token_bytes(3000))

@@ -182,12 +182,12 @@ def test_lines_are_found_in_arrays_dotted_keys_and_long_values() -> None:
     lines = LineNumbers(
         'a.b = 1\nlist = [\n  1,\n  2,\n]\n[[x]]\n[[x.y]]\n[[x.y]]\nk = 1\n[[x]]\n[x."q r"]\nz = 3\n'
     )
-    assert lines.of(("a", "b")) == 1
-    assert lines.of(("list", 1)) == 2
-    assert lines.of(("x", 0, "y", 1, "k")) == 9
-    assert lines.of(("x", 1, "q r", "z")) == 12
-    assert lines.of(("x", 1, "y", 5)) == 10
-    assert lines.of(("nowhere",)) == 1
+    assert lines.line_of(("a", "b")) == 1
+    assert lines.line_of(("list", 1)) == 2
+    assert lines.line_of(("x", 0, "y", 1, "k")) == 9
+    assert lines.line_of(("x", 1, "q r", "z")) == 12
+    assert lines.line_of(("x", 1, "y", 5)) == 10
+    assert lines.line_of(("nowhere",)) == 1
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,7 @@ def test_a_watched_unit_never_takes_more_than_its_share(units: int, watched: int
     for unit in range(1, units + 1):
         turns.join(unit)
     turns.watch(chosen)
-    counts = Counter(turns.take() for _ in range(units * 60))
+    counts = Counter(turns.next_unit() for _ in range(units * 60))
     equal = 60
     for unit in range(1, units + 1):
         count = counts[unit]
@@ -149,9 +149,9 @@ def test_a_unit_with_an_open_page_is_polled_at_once_and_steadily(opened: int) ->
     for unit in range(1, 256):
         turns.join(unit)
     for _ in range(255 + 200):
-        turns.take()
+        turns.next_unit()
     turns.watch({opened})
-    taken = [turns.take() for _ in range(1000)]
+    taken = [turns.next_unit() for _ in range(1000)]
     places = [-1, *(place for place, unit in enumerate(taken) if unit == opened)]
     steps = [later - earlier for earlier, later in pairwise(places)]
     assert max(steps) <= 5
@@ -168,7 +168,7 @@ def test_units_added_and_removed_take_no_other_turn() -> None:
         turns.leave(40)
         turns.join(40)
         turns.watch(() if turn % 2 else {2})
-        taken += [turns.take() for _ in range(3)]
+        taken += [turns.next_unit() for _ in range(3)]
     counts = Counter(taken)
     assert min(counts[unit] for unit in range(1, 40)) >= 10
 
@@ -189,9 +189,9 @@ def test_a_unit_that_joins_late_does_not_make_up_for_what_it_missed() -> None:
     turns.join(1)
     turns.join(2)
     for _ in range(1000):
-        turns.take()
+        turns.next_unit()
     turns.join(3)
-    assert Counter(turns.take() for _ in range(30)) == {1: 10, 2: 10, 3: 10}
+    assert Counter(turns.next_unit() for _ in range(30)) == {1: 10, 2: 10, 3: 10}
 
 
 def test_a_unit_that_leaves_has_no_more_turns() -> None:
@@ -199,9 +199,9 @@ def test_a_unit_that_leaves_has_no_more_turns() -> None:
     turns.join(1)
     turns.join(2)
     turns.leave(1)
-    assert {turns.take() for _ in range(10)} == {2}
+    assert {turns.next_unit() for _ in range(10)} == {2}
     turns.leave(2)
-    assert turns.take() is None
+    assert turns.next_unit() is None
 
 
 def test_a_dead_unit_costs_one_timeout_for_each_step() -> None:

@@ -229,7 +229,7 @@ def _sections(chapter: Chapter, tokens: Sequence[Any], anchors: Iterator[str]) -
 
 
 def _lead(token: Any, folder: str) -> None:
-    """A link to a chapter leads to its page, one to another file nowhere: a wheel does not have it."""
+    """Lead a link to a chapter to its page, one to another file nowhere: a wheel does not have it."""
     href = str(token.attrGet("href"))
     parts = urlsplit(href)
     if parts.scheme or parts.netloc:

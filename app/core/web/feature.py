@@ -36,7 +36,7 @@ async def static_file(request: Request, version: str, name: str) -> Response:
 
 @router.get("/healthz")
 async def health() -> dict[str, str]:
-    """Responds once the app serves."""
+    """Respond once the app serves."""
     return {"status": "ok"}
 
 

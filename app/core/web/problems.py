@@ -222,7 +222,7 @@ async def _on_error(request: Request | WebSocket, error: Exception) -> Response 
 
 
 def install(app: FastAPI) -> None:
-    """Responds to every kind of failure."""
+    """Respond to every kind of failure."""
     refusals = (Problem, CallerError, StoreError, TooManyWaitingError, HTTPException, RequestValidationError)
     for kind in (*refusals, UnicodeDecodeError, json.JSONDecodeError, Exception):
         app.exception_handler(kind)(_on_error)

@@ -80,7 +80,7 @@ def _ranges(live: LiveState, bus: str, units: Iterable[int]) -> str:
 
 
 @router.post("/sets/take")
-async def take(
+async def begin_reading(
     request: Request,
     person: Annotated[Person, SAVE.permitted],
     live: Live,

@@ -153,7 +153,7 @@ def _rank(write: Write, mode: int | None) -> tuple[_Step, int]:
 
 
 def _widen_first(ordered: list[Write], low: int, high: int) -> None:
-    """Exchange the two where low would be above high between them."""
+    """Exchange two writes where low would be above high between them."""
     at = {write.number: index for index, write in enumerate(ordered) if write.number in (low, high)}
     if len(at) < 2:
         return

@@ -124,7 +124,7 @@ class AlarmList:
             self.apply(alarm, rules.advance(alarm.facts, alarm.definition.attributes, now))
 
     def clock_stepped(self, step_s: float) -> None:
-        """Shift every running time with the clock, which was set, so that it keeps its length."""
+        """Shift every running time with the clock, because that was set, so that it keeps its length."""
         for key, alarm in self.alarms.items():
             facts = shifted(alarm.facts, step_s)
             if facts != alarm.facts:

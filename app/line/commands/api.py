@@ -396,7 +396,7 @@ async def _no_frames() -> bool:
 async def set_speed(
     call: Annotated[CommandCall, calling(SET_SPEED)], unit: int, body: SpeedRequest
 ) -> Response:
-    """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
+    """Send 84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
     deadline = call.deadline(body)
     raw, scales = await call.setpoint(unit, body, deadline)
     action = SetSpeed(unit=unit, raw=raw, execute=body.execute)
@@ -407,7 +407,7 @@ async def set_speed(
 async def execute_speed(
     call: Annotated[CommandCall, calling(EXECUTE_SPEED)], unit: int, body: CommandRequestBody | None = None
 ) -> Response:
-    """83h to one unit: its staged speed becomes its commanded speed."""
+    """Send 83h to one unit: its staged speed becomes its commanded speed."""
     return await call.send(ExecuteSpeed(unit=unit), body or CommandRequestBody(), unit)
 
 
@@ -415,7 +415,7 @@ async def execute_speed(
 async def execute_all_speeds(
     call: Annotated[CommandCall, calling(EXECUTE_ALL)], body: CommandRequestBody | None = None
 ) -> Response:
-    """83h to all; each unit is read back."""
+    """Send 83h to all units and read each back."""
     return await call.send(ExecuteAll(), body or CommandRequestBody())
 
 
@@ -436,7 +436,7 @@ async def set_speeds(call: Annotated[CommandCall, calling(SET_LINE)], body: Spee
 async def write_output(
     call: Annotated[CommandCall, calling(WRITE_OUTPUT)], unit: int, number: int, body: OutputRequest
 ) -> Response:
-    """87h, verified by the bit in ST2."""
+    """Send 87h, verified by the bit in ST2."""
     unit_of_bus_or_404(call.bus, unit)
     if number not in OUTPUT_NUMBERS:
         raise Problem(404, "unknown_output", Message("no_such_output"), unit=unit)
@@ -447,7 +447,7 @@ async def write_output(
 async def write_analog_output(
     call: Annotated[CommandCall, calling(WRITE_ANALOG_OUTPUT)], unit: int, body: AnalogOutputRequest
 ) -> Response:
-    """88h. The best outcome is acknowledged: there is nothing to read back."""
+    """Send 88h. The best outcome is acknowledged: there is nothing to read back."""
     return await call.send(WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
 
 
@@ -464,7 +464,7 @@ async def get_parameters(
     refresh: bool = False,
     gaps: bool = False,
 ) -> list[dict[str, Any]]:
-    """All 40 parameters as last read, or with ``refresh`` read now. #21 is masked.
+    """List all 40 parameters as last read, or with ``refresh`` read now. #21 is masked.
 
     With ``gaps`` only the gaps of the scan are used: slower, and polling keeps its rate. A parameter that
     was never read is read now if the unit responds.
@@ -490,7 +490,7 @@ async def _read(call: CommandCall, unit: int, numbers: list[int], *, gaps: bool)
 async def write_parameter(
     call: Annotated[CommandCall, calling(WRITE_PARAMETER)], unit: int, number: int, body: ParameterRequest
 ) -> Response:
-    """86h, read back with 85h. A parameter that can interrupt the link needs ``confirm``."""
+    """Send 86h, read back with 85h. A parameter that can interrupt the link needs ``confirm``."""
     deadline = call.deadline(body)
     unit_of_bus_or_404(call.bus, unit)
     if number not in PARAMETERS:

@@ -144,7 +144,7 @@ Guards = Annotated[Safeguards, bus_service(Safeguards)]
 
 @router.get("/units/{unit:int}/limits")
 async def get_speed_limits(_: Viewer, guards: Guards, unit: UnitInPath) -> SpeedLimits:
-    """Limits of the setpoint of this unit, set by an engineer."""
+    """Return the limits of the setpoint of this unit, set by an engineer."""
     limits = guards.limits(unit.settings.id)
     return SpeedLimits(**{name: getattr(limits, name) for name in SpeedLimits.model_fields})
 
@@ -160,7 +160,7 @@ async def set_speed_limits(
 
 @router.get("/units/{unit:int}/block")
 async def get_command_block(_: Viewer, guards: Guards, unit: UnitInPath) -> CommandBlockShown:
-    """Whether commands to this unit are blocked, the reason and the user."""
+    """Return whether commands to this unit are blocked, the reason and the user."""
     return _block_json(guards, unit.settings.id)
 
 
@@ -184,7 +184,7 @@ async def unblock_commands(
 
 @router.get("/read-only")
 async def get_read_only(_: Viewer, guards: Guards) -> ReadOnlyShown:
-    """Whether commands to the units of this bus are refused, the reason and the user."""
+    """Return whether commands to the units of this bus are refused, the reason and the user."""
     return _read_only_json(guards)
 
 
@@ -202,7 +202,7 @@ async def set_read_only(
 
 @router.get("/control")
 async def get_control(_: Viewer, guards: Guards) -> ControlShown:
-    """The user who has control of this line, if the site requires control."""
+    """Return the user who has control of this line, if the site requires control."""
     return _control_json(guards)
 
 
@@ -306,7 +306,7 @@ class SetpointRangeShown(StrictBody):
 
 @router.get("/units/{unit:int}/setpoint-range")
 async def get_setpoint_range(_: Viewer, guards: Guards, unit: UnitInPath) -> SetpointRangeShown:
-    """Range of the setpoints of this unit, as on every page and for every write."""
+    """Return the range of the setpoints of this unit, as on every page and for every write."""
     allowed = setpoint_range(unit, guards.limits(unit.settings.id))
     return SetpointRangeShown(
         kind=allowed.kind,

@@ -55,7 +55,7 @@ async def get_trace(
     seconds: Annotated[float | None, Query(gt=0, le=HOUR_S)] = None,
     limit: Annotated[int, Query(ge=1, le=PIECE)] = 200,
 ) -> Response:
-    """The last ``limit`` frames as JSON; with ``seconds`` all of that time as a text file, one frame a
+    """Return the last ``limit`` frames as JSON; with ``seconds`` all of that time as a text file, one frame a
     line, which ``lineside decode`` reads back."""
     now = unix_now()
     if seconds is None:

@@ -200,7 +200,7 @@ class Wording:
 
 
 def output_wording(action: WriteOutput, bus: BusLive) -> Wording:
-    """Word 87h."""
+    """Describe 87h in words."""
     reading = bus.units[action.unit].reading
     was: bool | None = None
     if reading is not None and action.number in OUTPUT_NUMBERS:
@@ -216,7 +216,7 @@ def output_wording(action: WriteOutput, bus: BusLive) -> Wording:
 
 
 def parameter_wording(action: WriteParameter, bus: BusLive) -> Wording:
-    """Word 86h, without the value of a secret."""
+    """Describe 86h in words, without the value of a secret."""
     parameter, live = PARAMETERS.get(action.number), bus.units[action.unit]
     if parameter is None:
         return Wording(Message.of("event_write_unknown_parameter", number=action.number), new_raw=action.raw)

@@ -331,7 +331,7 @@ async def get_history(
     value: str,
     times: TimeFormat = "iso",
 ) -> Response:
-    """One value of one unit over a span, in at most ``points`` (1 to 20 000, else 1000) points.
+    """Return one value of one unit over a span, in at most ``points`` (1 to 20 000, else 1000) points.
 
     Columns ``t``, ``min``, ``max``, ``avg`` in display units, with the decimals (#3) and the analog
     scale (#22, #23) as they were known at that time. Every reading itself (``bucket_s`` 0) where that
@@ -352,7 +352,8 @@ async def get_history_series(
     series: Annotated[list[str], Query()],
     times: TimeFormat = "iso",
 ) -> Response:
-    """Several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history gives."""
+    """Return several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history
+    gives."""
     requested = series_queries(history, series, span, points)
     found = await history.query(requested)
     return await json_response(lambda: [shown(q, a, times) for q, a in zip(requested, found, strict=True)])
@@ -366,8 +367,8 @@ async def get_sparklines(
     series: Annotated[list[str], Query()],
     times: TimeFormat = "iso",
 ) -> Response:
-    """Sparklines of many units (up to 255): for each ``bus/unit/value`` the columns ``t`` and ``avg``, about
-    120 points."""
+    """Return the sparklines of many units (up to 255): for each ``bus/unit/value`` the columns ``t`` and
+    ``avg``, about 120 points."""
     if len(series) > MAX_SPARKS:
         raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MAX_SPARKS, count=len(series)))
     requested = [named_series_query(history, name, span, SPARK_POINTS) for name in series]
@@ -389,9 +390,9 @@ async def get_history_marks(
     unit: Annotated[list[str] | None, Query()] = None,
     times: TimeFormat = "iso",
 ) -> Response:
-    """Events of a span, oldest first: events (setpoint changes too) of the site and of each
-    ``bus/unit`` named, and the spans of readings that came late. At most the newest 500; ``more``: there
-    were more. ``shown``: ``what``, ``old`` and ``new`` in the reader's language."""
+    """List the events of a span, oldest first: events (setpoint changes too) of the site and of each
+    ``bus/unit`` named, and the spans of readings that came late. At most the newest 500; ``more``: there were
+    more. ``shown``: ``what``, ``old`` and ``new`` in the reader's language."""
     language = templates_of(request).language_of(request)
     found, more = await marks_of(events, seconds(span.start), seconds(span.end), unit)
     return await json_response(
@@ -419,8 +420,8 @@ async def export_history(
     *,
     form: WantedCsv,
 ) -> StreamingResponse:
-    """CSV or Parquet of any span, streamed: ``series`` may be repeated, each ``bus/unit/value``. Of a draw
-    the file has the two speeds that it is made of.
+    """Export any span as CSV or Parquet, streamed: ``series`` may be repeated, each ``bus/unit/value``. Of a
+    draw the file has the two speeds that it is made of.
 
     ``resolution`` auto: values if they are stored for the complete span, else minutes. ``layout=table``, of
     CSV: one row a time (a second, or longer over a long span) with every value in force then, in local time,

@@ -74,7 +74,7 @@ class History:
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
         """Take in updates of a worker, without waiting."""
-        self._writer.take((bus, updates))
+        self._writer.enqueue((bus, updates))
 
     @property
     def status(self) -> HistoryStatus:

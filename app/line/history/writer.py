@@ -195,7 +195,7 @@ class Writer:
         self._ending.set()
         self._thread.join()
 
-    def take(self, delivery: Delivery) -> None:
+    def enqueue(self, delivery: Delivery) -> None:
         """Queue a delivery without waiting; only the event loop may call it."""
         self._queue.append(delivery)
         self._waiting += len(delivery[1])

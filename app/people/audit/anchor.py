@@ -266,10 +266,10 @@ class Anchoring:
         is_noted = (newest.id, newest.hash) == (known.id, known.hash)
         if is_noted and self._anchored is not None:
             return True
-        verdict = await self._events.proof.since(known)
+        proof = await self._events.proof.since(known)
         self._anchored = known
-        if verdict.fault is not None:
-            await self._found_altered(verdict.fault)
+        if proof.fault is not None:
+            await self._found_altered(proof.fault)
             return False
         if is_noted:
             return True

@@ -131,7 +131,8 @@ def shown(event: Event) -> dict[str, Any]:
 async def list_events(
     _: Viewer, events: Events, wanted: Wanted, limit: Annotated[int, Query(ge=1, le=MAX_EVENTS)] = 100
 ) -> Response:
-    """Events newest first: at most 1000 a page; ``next`` is ``before`` of the next page. Times with zone."""
+    """List events, newest first: at most 1000 a page; ``next`` is ``before`` of the next page. Times with
+    zone."""
     found, after = await events.page(wanted, limit)
     return await json_response(lambda: {"events": [shown(event) for event in found], "next": after})
 
@@ -146,7 +147,7 @@ async def verify_audit_log(
 
 @router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])
 async def export_events(_: Viewer, events: Events, wanted: Wanted, form: WantedCsv) -> StreamingResponse:
-    """Every event of the filter of GET /events, as CSV with a line of headings."""
+    """Export every event of the filter of GET /events, as CSV with a line of headings."""
     headers = {"Content-Disposition": 'attachment; filename="events.csv"'}
     return StreamingResponse(
         _csv(events, wanted, form), headers=headers, media_type="text/csv; charset=utf-8"

@@ -253,9 +253,9 @@ def prove(
     again from the new cut."""
     while True:
         cuts = cuts_of(connection)
-        verdict = _followed(connection, ring, anchors, known)
-        if verdict.fault is None or cuts_of(connection) == cuts:
-            return verdict
+        proof = _followed(connection, ring, anchors, known)
+        if proof.fault is None or cuts_of(connection) == cuts:
+            return proof
 
 
 def _followed(

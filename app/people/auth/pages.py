@@ -548,6 +548,6 @@ class CurrentUser(TypedDict):
 
 @api_router.get("/me")
 async def get_current_user(person: Viewer) -> CurrentUser:
-    """The current user: name and role."""
+    """Return the current user: name and role."""
     assert person.via != "console"
     return {"name": person.name, "role": person.role, "via": person.via}

@@ -106,7 +106,7 @@ async def get_shifts(
     before: ZonedTime | None = None,
     limit: Annotated[int, Query(ge=1, le=MAX_SHIFTS)] = 30,
 ) -> ShiftsShown:
-    """The shift under way and those before it."""
+    """List the shift under way and those before it."""
     found = await shifts.summaries(before, limit)
     return {"shifts": found, "next": iso(found[-1].start)}
 
@@ -133,8 +133,8 @@ async def get_notes_of_span(
     span: SpanOf,
     unit: Annotated[list[str] | None, Query(max_length=MAX_UNITS)] = None,
 ) -> NotesOfSpan:
-    """The notes about a time of the span: of the site, and of each ``bus/unit`` named with its bus, or all.
-    At most the newest 200."""
+    """List the notes about a time of the span: of the site, and of each ``bus/unit`` named with its bus, or
+    all. At most the newest 200."""
     found = await shifts.notes_between(seconds(span.start), seconds(span.end), unit or [])
     return {"notes": notes_json(found)}
 
@@ -157,7 +157,7 @@ async def write_note(
 
 @router.get("/{start}", response_model=ShiftSheet, dependencies=[SEARCH])
 async def get_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Response:
-    """The sheet of a shift, made from the store; of the one under way, up to now; as it was signed."""
+    """Return the sheet of a shift, made from the store; of the one under way, up to now; as it was signed."""
     found = await shifts.sheet(shift)
     more: SignaturesOfSheet = {
         "signed": signed_json(found.signed),
@@ -170,7 +170,7 @@ async def get_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Resp
 
 @router.get("/{start}/sheet.json", response_class=Response, responses=SIGNED_JSON, dependencies=[SEARCH])
 async def get_signed_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Response:
-    """The signed sheet byte by byte, of which ``digest`` is the SHA-256."""
+    """Return the signed sheet byte by byte, of which ``digest`` is the SHA-256."""
     signed = (await shifts.sheet(shift)).signed
     if signed is None:
         raise Problem(409, "not_signed", Message("shift_not_signed_over"))
@@ -179,7 +179,7 @@ async def get_signed_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) 
 
 @router.get("/{start}/sheet.html", response_class=Response, responses=HTML, dependencies=[SEARCH])
 async def get_shift_document(_: Viewer, shifts: Shifts, documents: Documents, shift: ShiftOfPath) -> Response:
-    """The sheet with its signatures as one HTML file, in the language of the site; signed or not."""
+    """Return the sheet with its signatures as one HTML file, in the language of the site; signed or not."""
     found = await shifts.sheet(shift)
     name = f"shift-{iso(found.shift.start)[:16].replace(':', '')}Z.html"
     headers = {**APART, "Content-Disposition": f'attachment; filename="{name}"'}

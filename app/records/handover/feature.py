@@ -61,7 +61,7 @@ FormWord = Annotated[OneLine, Form(max_length=300)]
 async def shifts_page(
     request: Request, _: Viewer, shifts: Shifts, before: ZonedTime | None = None
 ) -> Response:
-    """The shift under way, and those before it."""
+    """Show the shift under way, and those before it."""
     found = await shifts.summaries(before, ON_A_PAGE)
     return render(
         request,
@@ -77,8 +77,8 @@ async def shifts_page(
 async def present_page(
     _: Viewer, shifts: Shifts, place: PinnedPlace = "", alarm: PinnedAlarm = ""
 ) -> Response:
-    """A link to the sheet of the shift under way, whenever it is opened; with what a note is to be about, to
-    its form."""
+    """Redirect to the sheet of the shift under way, whenever it is opened; with what a note is to be about,
+    to its form."""
     pinned = urlencode({name: value for name, value in (("place", place), ("alarm", alarm)) if value})
     path = _path(shifts.present().start)
     return RedirectResponse(f"{path}/note?{pinned}" if pinned else path, SEE_OTHER)
@@ -88,7 +88,7 @@ async def present_page(
 async def picture(
     _: Viewer, pictures: Pictures, digest: Annotated[str, Path(pattern="^[0-9a-f]{64}$")]
 ) -> Response:
-    """A picture of a note by its SHA-256. It never changes, and is no page whatever it holds."""
+    """Send a picture of a note by its SHA-256. It never changes, and is no page whatever it holds."""
     found = await pictures.find(digest)
     headers = {**APART, "Cache-Control": "private, max-age=31536000, immutable"}
     return Response(found.content, media_type=found.media_type, headers=headers)
@@ -98,7 +98,7 @@ async def picture(
 async def sheet_page(
     request: Request, person: Viewer, shifts: Shifts, signing: Sign, alarms: Alarms, shift: ShiftOfPath
 ) -> Response:
-    """The sheet of a shift, its signatures, and what signs it."""
+    """Show the sheet of a shift, its signatures, and what signs it."""
     found = await shifts.sheet(shift)
     return render(
         request,
@@ -128,8 +128,8 @@ async def note_page(
     place: PinnedPlace = "",
     alarm: PinnedAlarm = "",
 ) -> Response:
-    """The form for a note. ``correct``: the note that it corrects; ``place`` and ``alarm``: what a new one is
-    about, as long as the person chooses nothing else."""
+    """Show the form for a note. ``correct``: the note that it corrects; ``place`` and ``alarm``: what a new
+    one is about, as long as the person chooses nothing else."""
     shifts.check_place(*_place(place))
     pinned_alarm = await shifts.occurrence(alarm) if alarm else None
     found = await shifts.sheet(shift)

@@ -60,7 +60,7 @@ class Quota:
         if free_bytes(self._folder) < MIN_FREE_OF_OTHERS:
             raise Problem(503, "store", Message("shift_disk_full"))
 
-    def take(self, sender: str, parts: int) -> None:
+    def count_note(self, sender: str, parts: int) -> None:
         """Count a note with its pictures. Raises Problem 429 after too many of one sender."""
         bucket, now = self._taken[sender], self._monotonic()
         if not bucket.take(now, parts):

@@ -108,7 +108,7 @@ class Scope(NamedTuple):
         )
 
     def conditions(self, table: str = "") -> tuple[str, list[object]]:
-        """SQL to append to a query of a table with these columns, and its values."""
+        """Return SQL to append to a query of a table with these columns, and its values."""
         named = [(name, value) for name, value in self._asdict().items() if value is not None]
         return "".join(f" AND {table}{name} = ?" for name, _ in named), [value for _, value in named]
 
@@ -126,7 +126,7 @@ _ENTRY_BYTES = 12
 
 
 def orientation_of(exif: bytes) -> int:
-    """1 (upright) to 8; upright for what is no Exif data or states no orientation. At most the 65,535
+    """Return 1 (upright) to 8; upright for what is no Exif data or states no orientation. At most the 65,535
     entries of one directory are read."""
     order = _ORDERS.get(exif[:4])
     if order is None:
@@ -144,12 +144,12 @@ def orientation_of(exif: bytes) -> int:
 
 
 def exif_of(orientation: int) -> bytes:
-    """Exif data with this entry and nothing else: 26 bytes."""
+    """Return Exif data with this entry and nothing else: 26 bytes."""
     return b"MM\0*" + pack(">IHHHIHHI", 8, 1, _ORIENTATION, _SHORT, 1, orientation, 0, 0)
 
 
 def plain_exif(exif: bytes) -> bytes:
-    """Exif data with its orientation alone; empty for a picture that is upright."""
+    """Return Exif data with its orientation alone; empty for a picture that is upright."""
     orientation = orientation_of(exif)
     return exif_of(orientation) if orientation in TURNED else b""
 

@@ -219,7 +219,7 @@ class Handover:
         )
         try:
             await self._database.read(lambda connection: notes.check(connection, note, shift))
-            self.quota.take(person.sender, 1 + len(pictures))
+            self.quota.count_note(person.sender, 1 + len(pictures))
             await self._pictures.add(pictures)
             return await self._store(person, shift, note)
         except RepeatedNoteError as repeated:
@@ -440,7 +440,7 @@ class Signing:
         await self._store(signer, part, signed, request.reason.strip())
 
     def early_until(self, shift: Shift) -> UnixTime | None:
-        """Until when only a reason lets a shift be handed over; None: its end is near."""
+        """Return until when only a reason lets a shift be handed over; None: its end is near."""
         earliest = shift.end - EARLIEST_S
         return earliest if self._clock() < earliest else None
 

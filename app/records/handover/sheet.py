@@ -78,7 +78,7 @@ class ShiftEvents:
         self._first, self._last = connection.execute(_EXTENT, (shift.start, shift.end)).fetchone()
         self._counted = self._count()
 
-    def of(self, kinds: Sequence[str]) -> ShiftEventsShown:
+    def shown(self, kinds: Sequence[str]) -> ShiftEventsShown:
         """Return the events of some kinds. A change of several units is one event."""
         found = [event for kind in kinds for event in self._newest(kind)]
         found.sort(key=lambda event: event["id"])
@@ -155,7 +155,8 @@ def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> lis
 
 
 def first_gap(connection: StoreConnection, shift: Shift) -> tuple[UnixTime, UnixTime] | None:
-    """From the last record before a start of the server up to that start, where it reaches into a shift."""
+    """Return the time from the last record before a start of the server up to that start, where it reaches
+    into a shift."""
     start = connection.execute(_NEXT_START, (shift.start,)).fetchone()
     if start is None:
         return None
@@ -289,7 +290,7 @@ def write_sheet(
         **{state: [alarm_json(entry) for entry in alarms if entry.after == state] for state in HIDDEN},
         "drift": [alarm_json(entry) for entry in alarms if entry.code == DRIFT],
         "blocked": [event_json(each) for each in blocked],
-        **{name: events.of(kinds) for name, kinds in SECTIONS.items()},
+        **{name: events.shown(kinds) for name, kinds in SECTIONS.items()},
         "control_before": [event_json(each) for each in before],
         "notes": notes_json(notes),
         "omissions": [*map(message_shown, _omissions(connection, settings, seen, alarms))],
@@ -329,7 +330,7 @@ def signed_json(signed: SignedSheet | None) -> ShiftSignatures | None:
 
 
 def notes_json(notes: Sequence[Note]) -> list[ShiftNote]:
-    """Notes as the API has them."""
+    """Return notes as the API has them."""
     corrected_by = {note.corrects: note.id for note in notes}
     return [
         {

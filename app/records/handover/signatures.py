@@ -122,7 +122,7 @@ def add(connection: StoreConnection, start: UnixTime, part: SignedPart, who: str
 def check_turn(
     signatures: Mapping[SignedPart, ShiftSignature], part: SignedPart, who: str, zone: ZoneInfo
 ) -> None:
-    """Whether a person may sign this part now. Raises Problem 409."""
+    """Check that a person may sign this part now. Raises Problem 409."""
     earlier = signatures.get(part)
     if earlier is not None:
         at = site_time(earlier.at, zone)

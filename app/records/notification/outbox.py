@@ -188,7 +188,8 @@ class NotificationOutbox:
         await self._database.write(lambda connection: _put(connection, several))
 
     async def interrupted(self, endpoints: Iterable[str], now: UnixTime, gone: Message) -> None:
-        """At start: have what was being sent tried again, and cancel what is for no configured address."""
+        """Have, at the start, what was being sent tried again, and cancel what is for no configured
+        address."""
         known = ["", *endpoints]  # `IN ()` is not valid SQL
         marks = ", ".join("?" * len(known))
 

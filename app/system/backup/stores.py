@@ -204,8 +204,8 @@ def copy_store(store: Path, copy: Path) -> None:
 
 def fault_of(store: sqlite3.Connection) -> str:
     """Return the first fault that SQLite finds; empty: the store is sound."""
-    (verdict,) = store.execute("PRAGMA quick_check(1)").fetchone()
-    return "" if verdict == "ok" else str(verdict)
+    (result,) = store.execute("PRAGMA quick_check(1)").fetchone()
+    return "" if result == "ok" else str(result)
 
 
 def site_of(store: sqlite3.Connection) -> str | None:

@@ -54,8 +54,9 @@ def act_on(place: TablePlace) -> Act:
 
 
 def edit_of(place: TablePlace, kind: str, texts: Mapping[str, str]) -> Edit:
-    """``kind``: ``change`` sets keys to what was typed, ``remove`` removes the table, ``up`` exchanges it
-    with the one before it. Raises Problem 422 for what cannot be done with the table."""
+    """Return the edit of a request by its ``kind``: ``change`` sets keys to what was typed, ``remove``
+    removes the table, ``up`` exchanges it with the one before it. Raises Problem 422 for what cannot be done
+    with the table."""
     if kind == "change":
         return lambda text: _changed(text, place, texts)
     if kind == "remove" and place.form.is_listed:
@@ -149,7 +150,7 @@ class ConfigurationChangeRequest(ConfigurationRollBackRequest):
 
 @router.get("")
 async def get_configuration(_: Engineer, file: FileOfServer) -> ConfigurationShown:
-    """The tables of the file that can be changed here."""
+    """List the tables of the file that can be changed here."""
     present = await file.present()
     return {
         "file": str(file.path),
@@ -179,7 +180,7 @@ async def change_configuration(
 
 @router.get("/versions")
 async def get_configuration_versions(_: Engineer, file: FileOfServer) -> ConfigurationVersions:
-    """The versions of the file, with who wrote them and when."""
+    """List the versions of the file, with who wrote them and when."""
     return {"versions": await file.versions(), "next": None}
 
 
@@ -187,7 +188,7 @@ async def get_configuration_versions(_: Engineer, file: FileOfServer) -> Configu
 async def get_configuration_version(
     _: Engineer, file: FileOfServer, version_number: VersionNumber
 ) -> ConfigurationSince:
-    """A version, and how the file differs from it by now. Secrets are masked."""
+    """Return a version, and how the file differs from it by now. Secrets are masked."""
     stored, present = await file.version(version_number), await file.present()
     return {"version": stored.version, "difference": difference(stored.text, present.text)}
 

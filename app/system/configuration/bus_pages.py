@@ -39,7 +39,7 @@ Index = Annotated[int, Path(ge=0, le=999)]
 
 @router.get("/{index}")
 async def bus_page(request: Request, _: Changer, file: FileOfServer, scan: Scan, index: Index) -> Response:
-    """The form of a bus; the index behind the last one is that of a new one."""
+    """Show the form of a bus; the index behind the last one is that of a new one."""
     present = await file.present()
     return _form(request, present, scan, index, _texts_of(present, scan, index))
 

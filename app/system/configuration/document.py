@@ -123,7 +123,7 @@ def _checked(text: str, wanted: Any) -> str:
 
 
 def _without_empty(value: Any) -> Any:
-    """Without tables in which nothing is: a header is as good as none."""
+    """Leave out tables in which nothing is: a header is as good as none."""
     if isinstance(value, dict):
         inner = {key: _without_empty(each) for key, each in value.items()}
         return {key: each for key, each in inner.items() if each != {}}

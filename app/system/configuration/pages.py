@@ -83,7 +83,7 @@ async def configuration_page(
     done: int = 0,
     restarting: bool = False,
 ) -> Response:
-    """The tables of the file, what it lacks, and its newest versions."""
+    """Show the tables of the file, what it lacks, and its newest versions."""
     try:
         present = await file.present()
     except Problem as problem:
@@ -114,7 +114,7 @@ async def configuration_page(
 async def configuration_table_page(
     request: Request, _: ConfigurationChanger, file: FileOfServer, name: str
 ) -> Response:
-    """One table to change, or a new one."""
+    """Show one table to change, or a new one."""
     present = await file.present()
     place = place_or_404(name, present.data)
     return _form(request, place, present, texts_of(place, present.data))
@@ -168,7 +168,7 @@ async def _changed(
 async def configuration_version_page(
     request: Request, _: ConfigurationChanger, file: FileOfServer, number: int
 ) -> Response:
-    """What was changed since a version, until now."""
+    """Show what was changed since a version, until now."""
     stored, present = await file.version(number), await file.present()
     return render(
         request,

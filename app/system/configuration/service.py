@@ -116,13 +116,13 @@ class ConfigurationFile:
             return await self._present()
 
     async def begin(self) -> None:
-        """At the start: what was changed since the last version becomes one."""
+        """Make what was changed since the last version a version, at the start."""
         if self._settings._file is not None:
             with suppress(Problem):
                 await self.present()
 
     async def versions(self) -> list[ConfigurationVersion]:
-        """Newest first."""
+        """List the versions, newest first."""
         return [each.version for each in await asyncio.to_thread(self._store.every)]
 
     def waiting(self, present: PresentFile) -> list[DifferenceLine]:
@@ -190,7 +190,7 @@ class ConfigurationFile:
         return await asyncio.to_thread(self._judged, path, text)
 
     async def _adopt(self, text: str) -> None:
-        """Where the text is none that was written here, make a version of it."""
+        """Make a version of the text where it is none that was written here."""
         newest = await asyncio.to_thread(self._store.newest)
         digest = digest_of(text)
         if newest is not None and newest.version.digest == digest:
@@ -257,7 +257,7 @@ class ConfigurationFile:
 
 
 def digest_of(text: str) -> str:
-    """Identifies a text of the file."""
+    """Return what identifies a text of the file."""
     return sha256(text.encode()).hexdigest()[:16]
 
 
@@ -301,7 +301,8 @@ class Restart:
         return self._requested is not None
 
     def offer(self) -> asyncio.Event:
-        """From now on a person may restart the server: what is returned is set a moment after that."""
+        """Let a person restart the server from now on, and return the event that is set a moment after one
+        has."""
         self._requested = asyncio.Event()
         return self._requested
 

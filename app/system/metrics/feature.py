@@ -38,7 +38,7 @@ class CommandCounts:
 
 @router.get("/metrics")
 async def metrics(request: Request, _: Viewer) -> Response:
-    """Prometheus text."""
+    """Return the metrics as Prometheus text."""
     # Imported with the first request, as the start does not need them.
     from prometheus_client import CONTENT_TYPE_LATEST
 

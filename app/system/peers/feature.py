@@ -45,8 +45,8 @@ three rows; in more."""
 async def get_sites(
     _: Viewer, tiles: LineTilesService, templates: TemplatesService, own: Own = False, site: str | None = None
 ) -> LinesOfSites:
-    """Every line of this server and its peers, the worst first. ``site``: only those of the site of
-    this name."""
+    """List every line of this server and its peers, the worst first. ``site``: only those of the site of this
+    name."""
     english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
     report = board_json(tiles.board, english, unix_now(), own=own)
     if site is not None:
@@ -56,7 +56,7 @@ async def get_sites(
 
 @router.get("/lines")
 async def lines_page(request: Request, _: Viewer, tiles: LineTilesService, site: str = "") -> Response:
-    """Every line, the worst first; ``site``: only of this one, where there is one of its name."""
+    """Show every line, the worst first; ``site``: only of this one, where there is one of its name."""
     lines = tiles.board.lines()
     sites = sorted({line.site for line in lines})
     chosen = site if site in sites else ""
@@ -101,7 +101,7 @@ class LineOnWall:
 async def wallboard_page(
     request: Request, _: Viewer, tiles: LineTilesService, bus: str = "", peer: str = ""
 ) -> Response:
-    """Every line in turn, or only that of ``bus``, of this server or of ``peer``. Raises Problem 404."""
+    """Show every line in turn, or only that of ``bus``, of this server or of ``peer``. Raises Problem 404."""
     hub = service_of(request, Hub)
     reported = tiles.board.lines()
     order = [*hub.live.buses]

@@ -53,7 +53,7 @@ class CauseSummary(msgspec.Struct, frozen=True):
     why: Message | None = None
 
     @classmethod
-    def of(cls, cause: Cause) -> CauseSummary:
+    def from_cause(cls, cause: Cause) -> CauseSummary:
         params, onset = cause.params, cause.onset
         why = params.get("why")
         return cls(
@@ -157,7 +157,7 @@ def summary_of(
         _by_priority(alarm for alarm, _ in known if alarm.facts.active),
         _by_priority(alarm for alarm, _ in known if alarm.is_unacknowledged),
         place=place,
-        cause=CauseSummary.of(cause) if cause else None,
+        cause=CauseSummary.from_cause(cause) if cause else None,
         alarm=first[1] if first else None,
         alarm_priority=first[0].definition.priority if first else "",
         scan_hz=None if figures is None else figures.scan_hz,
@@ -219,7 +219,7 @@ class LastEvents:
         self._changed |= set(self.live.buses)
         self.events.subscribe(self._note)
 
-    def of(self, bus: str) -> EventSummary | None:
+    def newest_of(self, bus: str) -> EventSummary | None:
         """Return the last event of a line, None where there is none yet."""
         return self._last.get(bus)
 
@@ -321,7 +321,7 @@ class OwnLines:
         trace = self._traces.setdefault(name, SpeedTrace())
         trace.note(bus, now)
         found = summary_of(bus, views, self._alarms_of(name), trace.points, self.site, now)
-        return replace(found, recipe=self._recipe(name), event=self.events.of(name))
+        return replace(found, recipe=self._recipe(name), event=self.events.newest_of(name))
 
     def _recipe(self, bus: str) -> Message | None:
         loaded = self.sources.recipes[bus]()

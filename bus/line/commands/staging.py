@@ -231,7 +231,7 @@ def _why_stopped(member: Member, sent: SendResult) -> Failure:
 
 
 def _stage_present(record: UnitRecord, context: CommandContext) -> Subprocedure[int | None]:
-    """Stage the present speed; that speed, or None where the unit did not take it."""
+    """Stage the present speed, and return it, or None where the unit did not take it."""
     present = yield from present_setpoint(record, context.dialect)
     if present is None:
         return None

@@ -73,10 +73,10 @@ def test_a_copy_taken_while_it_is_written_holds_what_was_there(tmp_path: Path) -
     data.mkdir()
     Database(data / "lineside.db").close()
     writer = opened(data)
-    writer.take((BUS.name, polls(NOON, NOON + 30)))
+    writer.enqueue((BUS.name, polls(NOON, NOON + 30)))
     until(lambda: writer.status.waiting == 0)
     assert write_backup(data, tmp_path / "one.tar").stores == ["history.db", "lineside.db"]
-    writer.take((BUS.name, polls(NOON + 30, NOON + 60)))
+    writer.enqueue((BUS.name, polls(NOON + 30, NOON + 60)))
     writer.close()
     assert seen(data) == 300
     assert read_backup(tmp_path / "one.tar", data, keys_in(tmp_path)).names == [

@@ -84,7 +84,7 @@ def test_folding_goes_on_past_it(shelf: Shelf, table: str, late: bool) -> None:
 def test_a_damaged_block_is_set_aside_and_reported_once(tmp_path: Path, table: StoredTier) -> None:
     words: list[str] = []
     writer = opened(tmp_path)
-    writer.take((BUS.name, polls(NOON, NOON + 150)))
+    writer.enqueue((BUS.name, polls(NOON, NOON + 150)))
     writer.close()
     if table != "raw":
         shelf = Shelf(tmp_path / FILE)
@@ -95,7 +95,7 @@ def test_a_damaged_block_is_set_aside_and_reported_once(tmp_path: Path, table: S
     damaged = BlockKey(table, unit_key(tmp_path), place)
     writer = opened(tmp_path, on_damage=lambda what: words.append(str(what)))
     writer.report([damaged, damaged, BlockKey("raw", damaged.unit, START + MINUTE)])
-    writer.take((BUS.name, polls(NOON + 200, NOON + 210)))
+    writer.enqueue((BUS.name, polls(NOON + 200, NOON + 210)))
     until(lambda: writer.status.waiting == 0 and not writer._reported)
     writer.close()
     assert ["it is missing" in text for text in words] == [True]
@@ -151,7 +151,7 @@ async def test_a_damaged_block_that_is_read_is_a_gap_and_reported_once(
 async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: Path, seed: int) -> None:
     """Half of the store is overwritten at once; recording continues, in a new store where it has to."""
     writer = opened(tmp_path)
-    writer.take((BUS.name, polls(NOON, NOON + 900, NOISE.__getitem__)))
+    writer.enqueue((BUS.name, polls(NOON, NOON + 900, NOISE.__getitem__)))
     writer.close()
     history = History(tmp_path, [BUS])
     history.start()
@@ -194,7 +194,7 @@ def readings_of(writer: Writer) -> int:
 def torn(folder: Path) -> int:
     """Store half an hour, and damage it; return the size."""
     writer = opened(folder)
-    writer.take((BUS.name, polls(NOON, NOON + 1800, NOISE.__getitem__)))
+    writer.enqueue((BUS.name, polls(NOON, NOON + 1800, NOISE.__getitem__)))
     writer.close()
     tear(folder / FILE)
     return (folder / FILE).stat().st_size
@@ -221,7 +221,7 @@ def test_a_torn_store_is_put_aside_and_history_begins_again(
     assert f"History before {formats.since(status.begun, unix_now())} is not shown" in shown
     assert aside.name in shown
     assert aside.name in str(status.message)
-    writer.take((BUS.name, polls(NOON + 2400, NOON + 2460)))
+    writer.enqueue((BUS.name, polls(NOON + 2400, NOON + 2460)))
     until(lambda: writer.status.waiting == 0)
     assert readings_of(writer) == 300
     writer.close()
@@ -240,7 +240,7 @@ def test_a_store_that_is_torn_again_within_a_day_is_not_replaced(
     until(lambda: bool(list(tmp_path.glob(f"{FILE}.damaged-*Z"))) and writer.status.state == "ok")
     with monkeypatch.context() as damaged:
         damaged.setattr(Recorder, "commit", fail_damaged)
-        writer.take((BUS.name, polls(NOON + 2400, NOON + 2460)))
+        writer.enqueue((BUS.name, polls(NOON + 2400, NOON + 2460)))
         until(lambda: writer.status.state == "failed")
     until(lambda: writer.status.waiting == 0)
     assert readings_of(writer) == 300
@@ -255,7 +255,7 @@ def test_a_store_that_proves_intact_is_not_put_aside(tmp_path: Path, monkeypatch
     before = writer._open
     with monkeypatch.context() as damaged:
         damaged.setattr(Recorder, "commit", fail_damaged)
-        writer.take((BUS.name, polls(NOON, NOON + 60)))
+        writer.enqueue((BUS.name, polls(NOON, NOON + 60)))
         until(lambda: writer._open not in (None, before))
     until(lambda: writer.status.waiting == 0)
     assert readings_of(writer) == 300
@@ -269,21 +269,21 @@ def fail_damaged(*_: object) -> None:
 
 def meet_damage(writer: Writer) -> None:
     """Store late readings of the minute that lies on the page that :func:`tear` overwrites."""
-    writer.take((BUS.name, polls(NOON + 900, NOON + 930)))
+    writer.enqueue((BUS.name, polls(NOON + 900, NOON + 930)))
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.001, 0.3, 0.9])
 def test_a_store_that_was_cut_short_is_begun_again(tmp_path: Path, kept: float) -> None:
     """As after a copy that was broken off: by so much of its length."""
     writer = opened(tmp_path)
-    writer.take((BUS.name, polls(NOON, NOON + 1800, NOISE.__getitem__)))
+    writer.enqueue((BUS.name, polls(NOON, NOON + 1800, NOISE.__getitem__)))
     writer.close()
     size = (tmp_path / FILE).stat().st_size
     os.truncate(tmp_path / FILE, int(kept * size))
     words: list[str] = []
     writer = opened(tmp_path, on_damage=lambda what: words.append(str(what)))
     until(lambda: writer.status.state == "ok")
-    writer.take((BUS.name, polls(NOON + 2400, NOON + 2460)))
+    writer.enqueue((BUS.name, polls(NOON + 2400, NOON + 2460)))
     until(lambda: writer.status.waiting == 0)
     assert readings_of(writer) >= 300
     writer.close()

@@ -23,7 +23,7 @@ LONG_AGO = NOON - 1000 * 86_400
 
 def test_what_was_taken_in_is_there_after_the_end(tmp_path: Path) -> None:
     writer = opened(tmp_path)
-    writer.take((BUS.name, [parameter(3, 0), *polls(NOON, NOON + 90)]))
+    writer.enqueue((BUS.name, [parameter(3, 0), *polls(NOON, NOON + 90)]))
     writer.close()
     shelf = Shelf(tmp_path / "history.db")
     assert shelf.tail.everything() == []
@@ -33,7 +33,7 @@ def test_what_was_taken_in_is_there_after_the_end(tmp_path: Path) -> None:
 
 def test_readers_see_readings_soon(tmp_path: Path) -> None:
     writer = opened(tmp_path)
-    writer.take((BUS.name, polls(NOON, NOON + 10)))
+    writer.enqueue((BUS.name, polls(NOON, NOON + 10)))
     until(lambda: writer.status.waiting == 0)
     assert readings_of(writer) == 50
     writer.close()
@@ -46,7 +46,7 @@ def test_what_cannot_be_written_waits_and_the_oldest_is_lost(
     (tmp_path / "history.db").mkdir()
     writer = opened(tmp_path)
     for second in range(40):
-        writer.take((BUS.name, polls(NOON + second, NOON + second + 1)))
+        writer.enqueue((BUS.name, polls(NOON + second, NOON + second + 1)))
     assert (writer.status.waiting, writer.status.lost) == (100, 100)
     assert writer.status.state == "failed"
     writer.close()
@@ -72,7 +72,7 @@ def test_a_nearly_full_disk_is_announced_and_the_oldest_readings_go_first(tmp_pa
 def test_a_full_disk_pauses_history_for_the_sake_of_events(tmp_path: Path) -> None:
     writer = opened(tmp_path, DiskReserve(ENDLESS, ENDLESS, ENDLESS))
     until(lambda: writer.status.state == "paused")
-    writer.take((BUS.name, polls(NOON, NOON + 10)))
+    writer.enqueue((BUS.name, polls(NOON, NOON + 10)))
     until(lambda: writer.status.free_bytes > 0)
     assert (writer.status.waiting, writer.tail.everything()) == (50, [])
     writer.close()
@@ -83,12 +83,12 @@ def test_a_disk_that_fails_while_running_is_reported_and_stored_values_stay_read
 ) -> None:
     monkeypatch.setattr("app.line.history.writer.RETRY_S", 0.0)
     writer = opened(tmp_path)
-    writer.take((BUS.name, polls(NOON, NOON + 10)))
+    writer.enqueue((BUS.name, polls(NOON, NOON + 10)))
     until(lambda: writer.status.waiting == 0)
     with monkeypatch.context() as failing:
         failing.setattr(tables, "write_journal", _full)
         failing.setattr(tables, "write_raw_from", _full)
-        writer.take((BUS.name, polls(NOON + 10, NOON + 20)))
+        writer.enqueue((BUS.name, polls(NOON + 10, NOON + 20)))
         until(lambda: writer.status.state == "failed")
         assert "the disk is full" in str(writer.status.cause)
         assert writer.status.waiting == 50
@@ -121,7 +121,7 @@ def test_a_damaged_store_is_reported_and_nothing_else_fails(
     writer = opened(tmp_path)
     assert writer.status.state == "failed"
     assert "history.db" in str(writer.status.message)
-    writer.take((BUS.name, polls(NOON, NOON + 10)))
+    writer.enqueue((BUS.name, polls(NOON, NOON + 10)))
     with pytest.raises(StoreError, match="no history is stored"):
         _ = writer.database
     writer.close()

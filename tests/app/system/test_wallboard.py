@@ -50,16 +50,16 @@ async def test_the_last_event_names_unit_change_and_result(tmp_path: Path) -> No
         await log.record(kind="control", what="taken", bus="dry-end")
         await log.record(kind="run", what="of another line")
         await last.read()
-        found = last.of("dry-end")
+        found = last.newest_of("dry-end")
         assert found is not None
         assert str(found.text) == "Unwind · mode: 1.0 → 2.0 · refused"
         await log.record(kind="command", outcome="verified", what="Set line", bus="dry-end")
         await last.read()
-        assert str(last.of("dry-end").text) == "Set line"  # type: ignore[union-attr]
+        assert str(last.newest_of("dry-end").text) == "Set line"  # type: ignore[union-attr]
         late = Message.of("event_readings_late", count=1, since="", until="")
         await log.record(kind="worker", what=late, bus="dry-end")
         await last.read()
-        assert str(last.of("dry-end").text) == "Set line"  # type: ignore[union-attr]
+        assert str(last.newest_of("dry-end").text) == "Set line"  # type: ignore[union-attr]
 
 
 async def test_the_last_event_is_beside_its_line(tmp_path: Path) -> None:

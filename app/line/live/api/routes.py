@@ -413,27 +413,28 @@ LineViewService = Annotated[LineView, service(LineView)]
 
 @router.get("/line", response_model=Line)
 async def get_line(_: Viewer, view: LineViewService) -> dict[str, Any]:
-    """Current state of every bus and unit. ``history``: why no values are stored, null while they are."""
+    """Return the current state of every bus and unit. ``history``: why no values are stored, null while they
+    are."""
     return view.line(unix_now())
 
 
 @router.get("/buses/{bus}", response_model=BusShown)
 async def get_bus(_: Viewer, view: LineViewService, bus: str) -> dict[str, Any]:
-    """One bus with its units."""
+    """Return one bus with its units."""
     bus_or_404(view.live, bus)
     return view.bus(bus, unix_now())
 
 
 @router.get("/buses/{bus}/units/{unit:int}", response_model=UnitShown)
 async def get_unit(_: Viewer, view: LineViewService, bus: str, unit: int) -> dict[str, Any]:
-    """One unit, with the age of its values."""
+    """Return one unit, with the age of its values."""
     unit_or_404(view.live, bus, unit)
     return view.unit(bus, unit, unix_now())
 
 
 @router.get("/buses/{bus}/figures", response_model=BusStatistics)
 async def get_bus_statistics(_: Viewer, live: Live, bus: str) -> dict[str, Any]:
-    """Wire load of a bus, and the counters of each unit since its worker started."""
+    """Return the wire load of a bus, and the counters of each unit since its worker started."""
     return figures_json(bus, bus_or_404(live, bus).figures)
 
 
@@ -487,11 +488,10 @@ async def get_stream(
     seconds: Annotated[int | None, Query(ge=1, le=MAX_SECONDS, include_in_schema=False)] = None,
     last_event_id: Annotated[str, Header(description="Resumes after this event.")] = "",
 ) -> StreamingResponse:
-    """Server-Sent Events, without end unless ``seconds`` are given: a ``snapshot`` (as GET /line), then each
-    ``change`` (``bus``, ``unit`` and its fields that changed; ``unit`` null: of the bus itself), ``alarm``
-    (as in GET /alarms) and, every 5 s, a ``heartbeat``. A client that cannot resume, or reads too slowly,
-    gets a ``snapshot`` in place of what it missed. ``bus``: only of this bus and of the site.
-    """
+    """Stream Server-Sent Events, without end unless ``seconds`` are given: a ``snapshot`` (as GET /line),
+    then each ``change`` (``bus``, ``unit`` and its fields that changed; ``unit`` null: of the bus itself),
+    ``alarm`` (as in GET /alarms) and, every 5 s, a ``heartbeat``. A client that cannot resume, or reads too
+    slowly, gets a ``snapshot`` in place of what it missed. ``bus``: only of this bus and of the site."""
     if bus is not None:
         bus_or_404(live, bus)
     # A proxy would collect a response before it passes it on.
