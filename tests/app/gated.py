@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from uvicorn.server import ServerState
 
 from app.cli.server import MAX_MESSAGE_BYTES
 from app.core.server.connections import Connections
-from app.core.server.gate import Gate, Gates, LoopWatch, Stages
+from app.core.server.gate import RECEIVE_BUFFER_BYTES, Gate, Gates, LoopWatch, Stages
 from app.core.server.refusal_log import RefusalLog
 from app.core.server.tls import ChooseContext
 from bus.instants import monotonic_now
@@ -99,8 +100,10 @@ async def gated(
     def make() -> Gate:
         return Counted(port.gates, HttpToolsProtocol, **options)  # type: ignore[arg-type]
 
-    server = await asyncio.get_running_loop().create_server(make, "127.0.0.1", 0)
-    port.number = server.sockets[0].getsockname()[1]
+    listening = socket.create_server(("127.0.0.1", 0))
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+    server = await asyncio.get_running_loop().create_server(make, sock=listening)
+    port.number = listening.getsockname()[1]
     watched.start()
     try:
         yield port
