@@ -149,13 +149,21 @@ type View = import("../static/js/trends-view.js").View;
 /** The time at a place of the window, in pixels from its left edge. */
 type TimeAt = (clientX: number) => number;
 
-/** How the alarms of a priority are drawn; `shape`: corners as parts of the size, none: a disc. Colours by name. */
+/** How the alarms of a priority are drawn; `shape`: the path of an outline within 1 × 1. Colours by name. */
 interface AlarmLook {
   number: string;
   fill: string;
   ink: string;
-  line: string;
-  shape: [number, number][];
+  shape: string;
+}
+
+/** An alarm where it is drawn, in pixels of the canvas; `label`: whose it is and what, where there is room. */
+interface PlacedAlarm extends AlarmLook {
+  row: number;
+  x: number;
+  until: number;
+  place: string;
+  label: string;
 }
 
 /** An alarm of the API: ISO times. */

@@ -216,6 +216,8 @@ interface PartsById {
   "trend-summary": HTMLElement;
   "trend-unread": HTMLElement;
   "trend-values": HTMLTableSectionElement;
+  "trend-copied": HTMLElement;
+  "trend-link": HTMLInputElement;
   "trend-words": HTMLTemplateElement & { dataset: TrendWords };
   "time-a": HTMLElement;
   "time-b": HTMLElement;
@@ -231,6 +233,10 @@ interface NoteFields {
 
 /** The texts of the page, data-… of its template. */
 interface TrendWords extends DOMStringMap {
+  copied: string;
+  only: string;
+  onlyThis: string;
+  pastEmpty: string;
   active: string;
   alarms: string;
   backwards: string;

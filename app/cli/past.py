@@ -62,14 +62,10 @@ OPERATOR, ENGINEER = (Person(f"demo-{role.value}", role, "demo") for role in (Ro
 GOLDEN_HOURS_AGO, DRIFTED = 20.0, 3
 """The set is older than the change of the ramp of this unit, which was made at its keypad."""
 DRIFT_TENTHS = 30
+NOTED_AFTER_S = 360.0
 MAX_GOLDEN = 16
 """How many units have a golden set: each is read completely soon after the start."""
-_NOTES: tuple[tuple[float, int | None, str], ...] = (
-    (19.2, 3, "Simulated: web break at the coater, threaded again. Blade checked, no damage."),
-    (13.3, None, "Simulated: changed from primer 90 to coating 120."),
-    (9.0, 5, "Simulated: dryer 2 did not respond for two minutes, connector tightened."),
-    (0.6, 4, "Simulated: emergency stop at dryer 1 is still to be explained."),
-)
+_CHANGED_HOURS_AGO, _CHANGED = 13.3, "Simulated: changed from primer 90 to coating 120."
 _Record = tuple[UnixTime, Callable[[], Awaitable[None]]]
 
 
@@ -86,13 +82,15 @@ PHASES = (Phase(24.0, 0.75), Phase(13.6, 0.0), Phase(13.2, 1.0))
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """An event that stopped a unit or its link, acknowledged after so many seconds, or not at all."""
+    """An event that stopped a unit or its link, acknowledged after so many seconds, or not at all; ``note``:
+    what the operator wrote about it."""
 
     code: Literal["estop_active", "unit_offline"]
     unit: int
     began: UnixTime
     lasted_s: float
     acknowledged_after_s: float | None
+    note: str
 
     @property
     def ended(self) -> UnixTime:
@@ -107,15 +105,25 @@ class Incident:
         return self.began <= at < self.ended
 
 
-_INCIDENTS: tuple[tuple[Literal["estop_active", "unit_offline"], int, float, float, float | None], ...] = (
-    ("estop_active", 3, 19.3, 240.0, 42.0),
-    ("estop_active", 1, 16.8, 35.0, 20.0),
-    ("unit_offline", 5, 9.1, 130.0, 75.0),
-    ("estop_active", 8, 6.4, 95.0, 30.0),
-    ("estop_active", 3, 5.7, 60.0, 25.0),
-    ("unit_offline", 2, 2.6, 48.0, 90.0),
-    ("estop_active", 4, 0.7, 50.0, None),
+_INCIDENTS: tuple[
+    tuple[Literal["estop_active", "unit_offline"], int, float, float, float | None, str], ...
+] = (
+    (
+        "estop_active",
+        3,
+        19.3,
+        240.0,
+        42.0,
+        "Web break at the coater, threaded again. Blade checked, no damage.",
+    ),
+    ("estop_active", 1, 16.8, 35.0, 20.0, "Splice at the unwind."),
+    ("unit_offline", 5, 9.1, 130.0, 75.0, "Dryer 2 did not respond for two minutes, connector tightened."),
+    ("estop_active", 8, 6.4, 95.0, 30.0, "Roll change at the rewind."),
+    ("estop_active", 3, 5.7, 60.0, 25.0, "Blade of the coater cleaned."),
+    ("unit_offline", 2, 2.6, 48.0, 90.0, "Infeed nip did not respond for 48 seconds, cable to be looked at."),
+    ("estop_active", 4, 0.7, 50.0, None, "Emergency stop at dryer 1 is still to be explained."),
 )
+"""Each is told once: the same unit and time are in the history, the alarms, the events and the note."""
 
 
 class Stretch(NamedTuple):
@@ -159,8 +167,8 @@ class Past:
 def past_of(line: DemoLine, now: UnixTime) -> Past:
     """Return the past of a line; incidents of units that it does not have are left out."""
     incidents = (
-        Incident(code, unit, now - hours * HOUR_S, lasted, acknowledged)
-        for code, unit, hours, lasted, acknowledged in _INCIDENTS
+        Incident(code, unit, now - hours * HOUR_S, lasted, acknowledged, f"Simulated: {note}")
+        for code, unit, hours, lasted, acknowledged, note in _INCIDENTS
         if unit <= len(line.settings)
     )
     return Past(now, tuple(line.plant.units), tuple(unit.name for unit in line.settings), tuple(incidents))
@@ -277,9 +285,8 @@ class _Records:
         yield ago(22.5), partial(self._recipe, "Coating 120", 1.0, loaded=False)
         yield ago(13.2), partial(self._recipe, "Coating 120", 1.0, loaded=True)
         yield ago(GOLDEN_HOURS_AGO), self._golden_set
-        for hours, unit, text in _NOTES:
-            if unit is None or unit <= len(self._past.units):
-                yield ago(hours), partial(self._note, unit, text)
+        changed = ago(_CHANGED_HOURS_AGO)
+        yield changed, partial(self._note, None, _CHANGED, changed)
         for incident in self._past.incidents:
             yield from self._changes(incident)
 
@@ -288,6 +295,8 @@ class _Records:
         alarm = built_in(incident.code, self._bus, incident.unit)
         yield incident.began, partial(self._changed, incident, alarm, partial(observe, holds=True))
         yield incident.ended, partial(self._changed, incident, alarm, partial(observe, holds=False))
+        written = incident.began + NOTED_AFTER_S
+        yield written, partial(self._note, incident.unit, incident.note, incident.began)
         if incident.acknowledged_at is not None:
             yield incident.acknowledged_at, partial(self._changed, incident, alarm, acknowledge)
 
@@ -363,10 +372,11 @@ class _Records:
             raws[numbers.ACCELERATION] = memory[numbers.ACCELERATION] - DRIFT_TENTHS
         return {number: ParameterRow(number, raw, read_at=self._now) for number, raw in raws.items()}
 
-    async def _note(self, unit: int | None, text: str) -> None:
-        shift = shift_at(self._now, self._shifts, self._zone)
+    async def _note(self, unit: int | None, text: str, about: UnixTime) -> None:
+        """Write a note into the shift of what it is about."""
+        shift = shift_at(about, self._shifts, self._zone)
         note = Note(
-            at=self._now,
+            at=about,
             written_at=self._now,
             who=OPERATOR.name,
             text=text,

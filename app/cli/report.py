@@ -20,9 +20,10 @@ from app.core.web.csv_file import FOR_PROGRAMS
 from app.core.web.formats import lasting
 from app.core.web.shape import iso
 from app.line.history.unit_report import UnitReport, stored_tail
+from app.records.handover.figures import reported_buses
 from app.records.handover.rules import EVERYTHING, Shift, shift_at, site_time
 from app.records.handover.signatures import signed_between
-from app.records.reports.report import ReportedUnit, reported_buses, span_report
+from app.records.reports.report import ReportedUnit, span_report
 from app.records.reports.rules import DAY_S, MAX_DAYS
 from app.records.reports.service import stops_text, units_text
 from app.settings import Settings, load

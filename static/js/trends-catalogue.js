@@ -36,6 +36,17 @@ export class Catalogue {
     return names.map((name) => (isSame ? (this.split(name)[0]?.name ?? name) : this.title(name)));
   }
 
+  /** The values, and one of each unit beside theirs on its line: what happens there is seen here.
+   * @param {string[]} names */
+  withNeighbors(names) {
+    const keys = [...this.units.keys()];
+    /** @param {string} key */
+    const bus = (key) => key.slice(0, key.lastIndexOf("/"));
+    const shown = new Set(names.map((name) => name.slice(0, name.lastIndexOf("/"))));
+    const beside = keys.filter((key, i) => [keys[i - 1], keys[i + 1]].some((other) => shown.has(other) && bus(other) === bus(key)));
+    return [...names, ...beside.map((key) => `${key}/actual`)];
+  }
+
   /** A unit by its name, or a bus. @param {string} bus @param {number | null} unit */
   place(bus, unit) {
     return unit === null ? bus : (this.units.get(`${bus}/${unit}`)?.name ?? `${bus}/${unit}`);

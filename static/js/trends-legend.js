@@ -1,4 +1,4 @@
-// The legend: what each line is, and what it reads at the cursor or last; a press dims a line.
+// The legend: what each line is, and what it reads at the cursor or last; a press dims a line, or all others.
 import { formatTime } from "./site-time.js";
 import { valueAt } from "./trends-data.js";
 import { lastValue } from "./trends-labels.js";
@@ -6,9 +6,10 @@ import { swatch } from "./trends-look.js";
 import { shownValue } from "./trends-values.js";
 
 export class Legend {
-  /** `toggle` dims the line of a series, or ends that.
-   * @param {HTMLElement} list @param {HTMLElement} time @param {TrendWords} words @param {(key: string) => void} toggle */
-  constructor(list, time, words, toggle) {
+  /** `toggle` dims the line of a series, or ends that; `only` dims all others.
+   * @param {HTMLElement} list @param {HTMLElement} time @param {TrendWords} words
+   * @param {{ toggle: (key: string) => void, only: (key: string) => void }} on */
+  constructor(list, time, words, { toggle, only }) {
     this.list = list;
     this.time = time;
     this.words = words;
@@ -18,6 +19,7 @@ export class Legend {
     list.addEventListener("click", ({ target }) => {
       const button = target.closest("button");
       if (button?.dataset.key) toggle(button.dataset.key);
+      else if (button?.dataset.only) only(button.dataset.only);
     });
   }
 
@@ -49,12 +51,18 @@ export class Legend {
         const name = part("bdi");
         name.textContent = `${curve.place + 1} ${curve.name}`;
         button.append(swatch(curve.place, curve.value), name, value, before);
+        const only = document.createElement("button");
+        only.type = "button";
+        only.dataset.only = curve.key;
+        only.textContent = this.words.only;
+        only.setAttribute("aria-label", `${this.words.onlyThis}: ${curve.name}`);
         const item = document.createElement("li");
-        item.append(button);
+        item.append(button, only);
         return item;
       }),
     );
-    if (focused) [...this.list.querySelectorAll("button")].find(({ dataset }) => dataset.key === focused.dataset.key)?.focus();
+    const buttons = [...this.list.querySelectorAll("button")];
+    buttons.find(({ dataset }) => focused && dataset.key === focused.dataset.key && dataset.only === focused.dataset.only)?.focus();
   }
 
   /** What all read at a time, or last within a span. @param {number | null} at @param {Span} range */

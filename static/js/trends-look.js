@@ -6,8 +6,8 @@ const DASHES = [[], [12, 4], [5, 3], [14, 4, 3, 4], [24, 5], [14, 4, 3, 4, 3, 4]
 const COMMANDED = [9, 9];
 /** Of an earlier time: narrow, dotted and lighter. */
 export const PAST = { dash: [1, 3], percent: 70, width: 1.5 };
-/** How much is left of the color of a dimmed line, percent. */
-export const DIMMED = 18;
+/** How much is left of a dimmed line. */
+export const DIMMED = 0.18;
 const NUMBERS = ["commanded", "actual", "analog", "draw"];
 
 /** Whether it is shown as a lane and not as a curve. @param {{ value: string }} result */

@@ -56,7 +56,7 @@ export class TrendsPage {
     this.pending = null;
     this.settling = 0;
     const [list, time] = [document.getElementById("trend-legend"), document.getElementById("trend-at")];
-    this.legend = new Legend(list, time, this.words, (key) => this.dim(key));
+    this.legend = new Legend(list, time, this.words, { toggle: (key) => this.dim(key), only: (key) => this.dimOthers(key) });
     this.picture = new Picture(
       document.getElementById("trend-plot"),
       document.getElementById("trend-lanes"),
@@ -71,6 +71,7 @@ export class TrendsPage {
     const { root, view } = this;
     view.addEventListener("change", (event) => this.changed(/** @type {CustomEvent<string[]>} */ (event).detail));
     bindControls(root, view, this.words, (fault) => this.explain(fault));
+    bindLegendButtons(this);
     bindNotes(this.words, () => view.a ?? this.cursor.at ?? now(), () => this.fetchEvents(), (error) => this.why(error));
     for (const media of MEDIA) matchMedia(media).addEventListener("change", () => this.recolour());
     new MutationObserver(() => this.recolour()).observe(document.documentElement, { attributeFilter: ["data-theme"] });
@@ -119,7 +120,7 @@ export class TrendsPage {
       const range = view.range();
       const [found, active, notes] = await Promise.all([
         fetchMarks(view.series, range),
-        fetchAlarms(view.series, range),
+        fetchAlarms(this.catalogue.withNeighbors(view.series), range),
         fetchNotes(view.series, range),
         this.fetchPast(range),
       ]);
@@ -212,6 +213,18 @@ export class TrendsPage {
   /** Dim the line of a series, or end that. @param {string} key */
   dim(key) {
     if (!this.dimmed.delete(key)) this.dimmed.add(key);
+    this.dimmedChanged();
+  }
+
+  /** Dim all lines but one, or none where they are. @param {string} key */
+  dimOthers(key) {
+    const others = this.view.series.filter((other) => other !== key);
+    const areDimmed = !this.dimmed.has(key) && others.every((other) => this.dimmed.has(other));
+    this.dimmed = new Set(areDimmed ? [] : others);
+    this.dimmedChanged();
+  }
+
+  dimmedChanged() {
     for (const curve of [...this.results, ...this.past]) curve.dimmed = this.dimmed.has(curve.key);
     this.drawAll();
   }
@@ -249,9 +262,17 @@ export class TrendsPage {
     this.moved(this.cursor.at);
     this.describe();
     this.writeUnread(empty, range);
-    document.getElementById("trend-past").textContent = this.compared?.name ?? "";
+    document.getElementById("trend-past").textContent = this.pastText();
+    for (const button of document.querySelectorAll("[data-dimmed]")) /** @type {HTMLButtonElement} */ (button).disabled = !this.dimmed.size;
     document.getElementById("trend-summary").textContent = summaryText(this.results);
     requestAnimationFrame(() => this.shownToPeople());
+  }
+
+  /** What the dotted lines are, and that there are none where that time has no readings. */
+  pastText() {
+    const { compared, past, words } = this;
+    const isEmpty = past.length > 0 && past.every(({ avg }) => avg.every((value) => value === null));
+    return [compared?.name, isEmpty ? words.pastEmpty : ""].filter(Boolean).join(". ");
   }
 
   /** The curves are on their way to the screen. The first time is what benchmarks/history.py measures. */
@@ -306,6 +327,26 @@ export class TrendsPage {
   explain(fault) {
     this.fault.textContent = fault;
   }
+}
+
+/** Below the legend: what is dimmed is shown again or removed, and the view as a link is copied. @param {TrendsPage} page */
+function bindLegendButtons(page) {
+  const { root, view, words } = page;
+  root.addEventListener("click", ({ target }) => {
+    const dimmed = target.closest("[data-dimmed]")?.dataset.dimmed;
+    if (dimmed === "remove") view.remove(...page.dimmed);
+    if (dimmed) page.dimmed.clear();
+    if (dimmed) page.dimmedChanged();
+    if (!target.closest("#trend-copy")) return;
+    // Without https a browser has no clipboard but the selection of a field.
+    const link = document.getElementById("trend-link");
+    link.value = view.link();
+    link.hidden = false;
+    link.select();
+    const isCopied = document.execCommand("copy");
+    link.hidden = isCopied;
+    document.getElementById("trend-copied").textContent = isCopied ? words.copied : "";
+  });
 }
 
 /** @param {"events" | "alarms" | "notes"} name @returns {[list: HTMLElement, count: HTMLElement]} */

@@ -42,6 +42,8 @@ export class Picture {
     this.above = 0;
     /** @type {Curve[]} */
     this.numbers = [];
+    /** The curves of each plot, three series each. @type {Curve[][]} */
+    this.drawn = [];
     /** @type {uPlot | null} */
     this.curves = null;
     /** @type {uPlot | null} */
@@ -56,7 +58,7 @@ export class Picture {
     this.numbers = results.filter((result) => !isBit(result));
     const bits = results.filter((result) => isBit(result) && !result.past);
     const shape = JSON.stringify([
-      results.map((a) => [a.bus, a.unit, a.value, a.measure, a.name, a.past, a.dimmed]),
+      results.map((a) => [a.bus, a.unit, a.value, a.measure, a.name, a.past]),
       bound,
       chosen,
       this.isNarrow(),
@@ -67,9 +69,20 @@ export class Picture {
     this.shape = shape;
     /** @param {number} value @param {number} i */
     const lift = (value, i) => bits.length - 1 - i + value * LANE_FILL;
+    this.drawn = [this.numbers, bits];
+    this.dim();
     this.curves?.setData(joined(this.numbers), false);
     this.lanes?.setData(joined(bits, lift), false);
     this.move(range);
+  }
+
+  /** Dim the lines of the curves that are to be dimmed. */
+  dim() {
+    [this.curves, this.lanes].forEach((plot, which) => {
+      plot?.series.forEach((series, i) => {
+        if (i) series.alpha = this.drawn[which][Math.floor((i - 1) / 3)]?.dimmed ? DIMMED : 1;
+      });
+    });
   }
 
   isNarrow() {
@@ -156,7 +169,7 @@ export class Picture {
       if (!result.past)
         bands.push({
           series: [series.length + 2, series.length + 1],
-          fill: colour(look(result.place).name, result.dimmed ? 0 : BAND),
+          fill: colour(look(result.place).name, BAND),
         });
       series.push(...strokes(result, scaleOf(result), lanes > 0));
     }
@@ -262,15 +275,15 @@ export class Picture {
 
 /** The line of a result, and the edges of its band.
  * @param {Curve} result @param {string} scale @param {boolean} isLane @returns {uPlot.Series[]} */
-function strokes({ place, value, past, dimmed }, scale, isLane) {
+function strokes({ place, value, past }, scale, isLane) {
   const { name, dash } = look(place, value);
   const paths = isLane ? uPlot.paths.stepped?.({ align: 1 }) : undefined;
   const common = { scale, spanGaps: false, paths };
   const edge = { ...common, stroke: INVISIBLE, width: 1, points: { show: false } };
   const line = past
-    ? { stroke: colour(name, dimmed ? DIMMED : PAST.percent), dash: PAST.dash, width: PAST.width, points: { show: false } }
+    ? { stroke: colour(name, PAST.percent), dash: PAST.dash, width: PAST.width, points: { show: false } }
     : {
-        stroke: colour(name, dimmed ? DIMMED : 100),
+        stroke: colour(name),
         dash: isLane ? [] : dash,
         width: 2,
         points: isLane ? { show: false } : { size: 5, show: true, filter: dots },

@@ -34,6 +34,13 @@ function instant(wallSeconds) {
  * @param {number} at */
 export const dayBefore = (at) => instant(wall(at) - DAY);
 
+/** When the day of a moment began at the site.
+ * @param {number} at */
+export function dayStart(at) {
+  const clock = wall(at);
+  return instant(clock - (clock % DAY));
+}
+
 /** The shift that a moment is in. `starts`: minutes after midnight at the site.
  * @param {number} at @param {number[]} starts @returns {Span} */
 export function shiftAt(at, starts) {

@@ -1,17 +1,18 @@
 // The view: which values over which span. It is the page's address, so a link reopens the same view.
 import { now } from "./clock.js";
 import { iso } from "./history-requests.js";
-import { shiftAt } from "./trends-time.js";
+import { dayStart, shiftAt } from "./trends-time.js";
 
 const MIN_SPAN = 1;
 const MAX_SPAN = 12 * 365 * 86400;
 const DEFAULT_SPAN = 3600;
 const DEFAULT_VALUES = 8;
 export const MAX_VALUES = 32;
-/** The shift that is under way, up to now, and the one before it. @type {Record<string, Preset>} */
+/** The shift that is under way, up to now, the one before it, and the day before. @type {Record<string, Preset>} */
 const PRESETS = {
   shift: (now, starts) => [shiftAt(now, starts)[0], null],
   before: (now, starts) => shiftAt(shiftAt(now, starts)[0] - 1, starts),
+  yesterday: (now) => [dayStart(dayStart(now) - 1), dayStart(now)],
 };
 /** What a view can be compared with. */
 const COMPARISONS = ["day", "shift", "recipe"];
@@ -106,9 +107,9 @@ export class View extends EventTarget {
       this.change({ series: [...this.series, name] });
   }
 
-  /** @param {string} name */
-  remove(name) {
-    this.change({ series: this.series.filter((other) => other !== name) });
+  /** @param {string[]} names */
+  remove(...names) {
+    this.change({ series: this.series.filter((name) => !names.includes(name)) });
   }
 
   /** @param {Partial<View>} what */
@@ -116,6 +117,16 @@ export class View extends EventTarget {
     Object.assign(this, what);
     history.replaceState(null, "", `?${this.query()}`);
     this.dispatchEvent(new CustomEvent("change", { detail: Object.keys(what) }));
+  }
+
+  /** The address that shows the same times whenever it is opened. */
+  link() {
+    const query = this.query();
+    for (const name of ["preset", "span"]) query.delete(name);
+    const [from, to] = this.range();
+    query.set("from", iso(from));
+    query.set("to", iso(to));
+    return `${location.origin}${location.pathname}?${query}`;
   }
 
   query() {

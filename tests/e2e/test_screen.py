@@ -117,7 +117,7 @@ def test_an_engineer_simulates_an_alarm_before_it_goes_live(shared_page: OpensPa
     expect(page.get_by_text("deadband is wider than the limits leave room for")).to_be_visible()
     page.get_by_label("Deadband", exact=True).fill("0.5")
     page.get_by_role("button", name="Simulate alarm").press("Enter")
-    expect(page.locator("#simulation strong")).to_have_text(re.compile(r"The alarm would have come \d+ time"))
+    expect(page.locator("#simulation strong")).to_have_text(re.compile(r"would have come (once|\d+ times)"))
     expect(page.locator("#simulation pre")).to_contain_text('name = "Too fast"')
 
 

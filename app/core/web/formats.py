@@ -27,6 +27,12 @@ def lasting(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{rest:02}"
 
 
+def length_shown(length: float, measure: str) -> tuple[str, str]:
+    """Return a length with one decimal, with a point, and its measure: metres from a kilometre on as
+    kilometres."""
+    return (f"{length / 1000:.1f}", "km") if measure == "m" and length >= 1000 else (f"{length:.1f}", measure)
+
+
 class Formats:
     """Formatting for one locale and one time zone."""
 
@@ -94,6 +100,11 @@ class Formats:
     def lasting(self, seconds: float | None) -> str:
         """Format a duration as :func:`lasting` does."""
         return UNKNOWN if seconds is None else lasting(seconds)
+
+    def length(self, length: float, measure: str) -> str:
+        """Format a length with its measure."""
+        figure, shown = length_shown(length, measure)
+        return f"{self.point(figure)} {shown}"
 
     def span(self, start: UnixTime | datetime, end: UnixTime | datetime) -> str:
         """Format two moments to the minute, the second with its date if they are a day or more apart."""

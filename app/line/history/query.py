@@ -18,6 +18,7 @@ from app.line.history.series.figures import (
     STORED_DECIMALS,
     Points,
     Series,
+    SpeedMinute,
     downsample,
     draw_series,
     grid,
@@ -252,10 +253,10 @@ def estimate(source: StoredUnit, start: int, end: int) -> int:
 def readings(source: StoredUnit, value: Value, start: int, end: int) -> Points:
     """Return the readings between two times, µs: of each run the first and, if it lasted, the last one."""
     rows: list[RawRow] = []
-    unpack = partial(unpack_columns, names=("at", "until", "readings", value.column))
-    for _, (at, until, count, values) in source.blocks("raw", start, end, unpack):
-        first, last = bisect_left(at, start - MINUTE), bisect_left(at, end)
-        rows += list(zip(at, until, count, values, strict=True))[first:last]
+    names = ("at", "until", "readings", value.column)
+    unpack = partial(unpack_columns, names=names, within=(start - MINUTE, end))
+    for _, table in source.blocks("raw", start, end, unpack):
+        rows += zip(*table, strict=True)
     rows += [(run.at, run.until, run.readings, getattr(run, value.column)) for run in source.tail]
     is_rising = not source.tail or all(a[0] <= b[0] for a, b in pairwise(rows))
     ordered = rows if is_rising else sorted(set(rows))
@@ -318,6 +319,21 @@ def minutes_of(source: StoredUnit, start: int, end: int) -> list[Rollup]:
     since = start - start % MINUTE
     newer = chain(_unpacked(source, since, end, MINUTE), _tail_rollups(source, MINUTE))
     return [row for row in replace_rows(rows, newer) if start <= row.start < end]
+
+
+def speed_minutes(source: StoredUnit, start: int, end: int) -> list[SpeedMinute]:
+    """Return what the minutes of a span, µs, show of the speed, in order of time."""
+    wanted = [FIELDS[name] for name in SpeedMinute._fields]
+    since = start - start % MINUTE
+    found: dict[int, SpeedMinute] = {}
+    for begin, (starts, *rest) in source.blocks(
+        "minutes", start, end, lambda data, _: unpack_integers(data, wanted)
+    ):
+        at = [begin + each for each in starts]
+        found.update(zip(at, map(SpeedMinute, at, *rest), strict=True))
+    for row in chain(_unpacked(source, since, end, MINUTE), _tail_rollups(source, MINUTE)):
+        found[row.start] = SpeedMinute._make(getattr(row, name) for name in SpeedMinute._fields)
+    return [found[at] for at in sorted(found) if since <= at < end]
 
 
 def _unpacked(source: StoredUnit, since: int, end: int, step: int) -> list[Rollup]:
@@ -387,7 +403,7 @@ def usual_of(source: StoredUnit, end: int) -> int:
 def runs_between(source: StoredUnit, start: int, end: int) -> list[Run]:
     """Return the runs that begin within a span, µs, in order of time."""
     found: list[PlainRun] = []
-    for _, table in source.blocks("raw", start, end, partial(unpack_columns, names=Run._fields)):
-        first, last = bisect_left(table[0], start), bisect_left(table[0], end)
-        found += zip(*(column[first:last] for column in table), strict=True)
+    unpack = partial(unpack_columns, names=Run._fields, within=(start, end))
+    for _, table in source.blocks("raw", start, end, unpack):
+        found += zip(*table, strict=True)
     return merge(found, (run for run in source.tail if start <= run.at < end))

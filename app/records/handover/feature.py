@@ -25,11 +25,14 @@ from app.core.web.templating import Templates, render
 from app.feature import Feature, Services
 from app.line.alarms.api import Alarms, transition_json
 from app.line.alarms.line_alarms import LineAlarms
+from app.line.history.service import History
 from app.people.audit.log import EventLog
 from app.people.auth.sign_in import SignIn
 from app.records.handover import api
 from app.records.handover.api import MAX_NOTE_LENGTH, ShiftOfPath, Shifts, Sign
+from app.records.handover.figures import SpanFigures
 from app.records.handover.notes import MAX_OF_NOTE, PictureStore
+from app.records.handover.rules import Shift
 from app.records.handover.service import (
     APART,
     Handover,
@@ -66,7 +69,8 @@ async def shifts_page(
     return render(
         request,
         "handover/page.html",
-        rows=[(each, _path(each.start)) for each in found],
+        rows=[(each, _path(each.start), shifts.figures.known(Shift(each.start, each.end))) for each in found],
+        address=request.url.path + (f"?{request.url.query}" if request.url.query else ""),
         present=shifts.present(),
         older=_stamp(found[-1].start),
         before=before,
@@ -222,7 +226,9 @@ def make(services: Services) -> None:
     settings, database, events = services.settings, services[Database], services[EventLog]
     pictures = services.add(PictureStore(settings.server.data, settings.shift.pictures_mb))
     services.lifespan.add("pictures", end=partial(asyncio.to_thread, pictures.close))
-    handover = services.add(Handover(settings, database, events, pictures))
+    figures = services.add(SpanFigures(settings, database, services[History]))
+    services.lifespan.add("figures of shifts", figures.follow)
+    handover = services.add(Handover(settings, database, events, pictures, figures))
     templates, assets = services[Templates], services[Assets]
     documents = services.add(SheetDocuments(templates, assets, services[LineAlarms], pictures))
     services.add(Signing(handover, database, events, services[SignIn], documents.page))

@@ -16,6 +16,7 @@ from typing import Annotated, Any
 from zoneinfo import ZoneInfo
 
 import msgspec
+import structlog
 from pydantic import Field
 
 from app.core.database import Database, StoreConnection
@@ -26,12 +27,13 @@ from app.core.web.request_rules import refuse_year
 from app.core.web.services import unknown_bus, unknown_unit
 from app.core.web.shape import InstantObject, StrictBody, iso
 from app.core.web.templating import Templates
-from app.errors import Problem
+from app.errors import Problem, StoreError
 from app.line.alarms.journal import JournalEntry
 from app.line.alarms.line_alarms import LineAlarms
 from app.people.audit.log import EventLog
 from app.people.auth.sign_in import SignIn, WrongSecretError
 from app.records.handover import notes, signatures
+from app.records.handover.figures import LineFigures, SpanFigures
 from app.records.handover.notes import Note, PictureStore, Quota, RepeatedNoteError, judged
 from app.records.handover.rules import PlainPicture, Shift, instant_of, shift_at, shifts_until, site_time
 from app.records.handover.sheet import write_sheet
@@ -55,6 +57,7 @@ from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 from bus.validation import OneLine, TypedText
 
+log = structlog.get_logger()
 CLOCK_SKEW_S = 5.0
 """By which the clock of a client may be ahead."""
 
@@ -106,8 +109,10 @@ class Handover:
         database: Database,
         events: EventLog,
         pictures: PictureStore,
+        figures: SpanFigures,
         clock: Clock = unix_now,
     ) -> None:
+        self.figures = figures
         self.quota = Quota(settings.server.data, clock)
         self.zone = ZoneInfo(settings.site.zone)
         self._units = {bus.name: [unit.id for unit in bus.unit] for bus in settings.bus}
@@ -154,18 +159,32 @@ class Handover:
 
     async def sheet(self, shift: Shift) -> SheetOfShift:
         """Return the sheet of a shift, as it was signed or as it would be now; read at one instant."""
-        now = self._clock()
+        now, line = self._clock(), await self.line(shift)
 
         def read(connection: StoreConnection) -> SheetOfShift:
             with snapshot(connection):
-                return self._sheet(connection, shift, now)
+                return self._sheet(connection, shift, now, line)
 
         return await self._database.read_costly(read)
 
-    def _sheet(self, connection: StoreConnection, shift: Shift, now: UnixTime) -> SheetOfShift:
+    async def line(self, shift: Shift) -> LineFigures | None:
+        """Return what the line did in a shift; None where the history cannot be read."""
+        try:
+            return await self.figures.shift(shift)
+        except StoreError as error:
+            log.warning(
+                "the figures of a shift cannot be read", shift=self.local(shift.start), why=str(error)
+            )
+            return None
+
+    def _sheet(
+        self, connection: StoreConnection, shift: Shift, now: UnixTime, line: LineFigures | None
+    ) -> SheetOfShift:
         signed, missing = self._signed(connection, shift)
         if signed is None:
             sheet = write_sheet(connection, self._settings, shift, now)
+            if line is not None:
+                sheet["line"] = line
             return SheetOfShift(shift, msgspec.json.encode(sheet), None, [], missing)
         known = {note["id"] for note in msgspec.json.decode(signed.sheet)["notes"]}
         later = [note for note in notes.notes_of(connection, shift) if note.id not in known]

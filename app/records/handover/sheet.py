@@ -23,6 +23,7 @@ from app.line.alarms.rules import AlarmState
 from app.people.audit import log
 from app.people.audit.api import EventShown, shown
 from app.people.audit.log import Event, Filter
+from app.records.handover.figures import LineFigures
 from app.records.handover.notes import Note, notes_of
 from app.records.handover.rules import EVERYTHING, Scope, Shift, site_time
 from app.records.handover.signatures import MissingSignature, ShiftSignature, SignedSheet
@@ -206,6 +207,15 @@ class SignedShiftSheet(TypedDict):
     end: Instant
     until: Annotated[Instant, Field(description="End of the shift, or before it when the sheet was made.")]
     made_at: Instant
+    line: NotRequired[
+        Annotated[
+            LineFigures,
+            Field(
+                description="What the line did; absent from sheets that an earlier version signed, and "
+                "where the history cannot be read."
+            ),
+        ]
+    ]
     site: str
     time_zone: Annotated[str, Field(description="IANA name.")]
     standing: Annotated[

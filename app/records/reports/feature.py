@@ -26,8 +26,9 @@ from app.feature import Feature, Services
 from app.line.alarms.api import Alarms
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.history.api import SpanOf
-from app.line.history.service import History, seconds
+from app.line.history.service import seconds
 from app.records.handover.api import HTML
+from app.records.handover.figures import SpanFigures
 from app.records.handover.rules import EVERYTHING, Scope, Shift
 from app.records.handover.service import APART
 from app.records.notification.outbox import ReportAttachments
@@ -185,7 +186,7 @@ def _files(span: Shift, place: str) -> dict[str, str]:
 
 def make(services: Services) -> None:
     settings, database = services.settings, services[Database]
-    reports = services.add(Reports(settings, database, services[History]))
+    reports = services.add(Reports(settings, database, services[SpanFigures]))
     templates, assets = services[Templates], services[Assets]
     documents = services.add(ReportDocuments(reports, templates, assets, services[LineAlarms]))
     services.add(ReportAttachments(documents.attachment))

@@ -3,7 +3,6 @@ hand-over sheet."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import fields
 from typing import Annotated, Any, NamedTuple, NotRequired
 
@@ -15,8 +14,16 @@ from app.core.web.shape import Instant, iso
 from app.line.alarms.api import AlarmStateShown, AlarmTransition, transition_json
 from app.line.alarms.journal import JournalEntry
 from app.line.history.series.figures import DrawFigures, RunFigures, StopCause
-from app.line.history.series.runs import SECOND, micros
-from app.line.history.unit_report import MAX_READINGS, BusReport, UnitReport
+from app.line.history.series.runs import SECOND
+from app.line.history.unit_report import UnitReport
+from app.records.handover.figures import (
+    DIGITS,
+    RISEN,
+    FoundUnits,
+    count_alarms,
+    length_of,
+    line_figures,
+)
 from app.records.handover.notes import MAX_OF_SPAN
 from app.records.handover.rules import Scope, Shift
 from app.records.handover.sheet import ShiftSignatures, SignedShiftSheet, signed_json, write_sheet
@@ -26,9 +33,6 @@ from bus.instants import UnixTime
 from bus.settings import BusSettings, UnitSettings
 
 _MAX_ALARMS = 200
-PER_S = {"s": 1, "sec": 1, "min": 60, "h": 3600}
-"""Seconds in the time of a unit of speed, such as m/min."""
-_DIGITS = 3
 _COLUMNS = ", ".join(field.name for field in fields(JournalEntry))
 _AT_END = """(
     SELECT l.after FROM alarm_journal l WHERE l.alarm = j.alarm AND l.at < ? AND l.id < COALESCE((
@@ -37,7 +41,6 @@ _AT_END = """(
     ), 9223372036854775807) ORDER BY l.id DESC LIMIT 1
 )"""
 """Selects the state of an alarm at the end of a span."""
-_RISEN = "FROM alarm_journal j WHERE trigger = 'rise' AND at >= ? AND at < ?"
 _COMMANDS = "FROM events WHERE about IS NULL AND kind = 'command' AND time >= ? AND time < ?"
 
 
@@ -116,43 +119,29 @@ class CountsByUnit(NamedTuple):
     commands: dict[tuple[str, int], int]
 
 
-class ReportedBus(NamedTuple):
-    """A bus that a report is about, and the reader of its units."""
-
-    settings: BusSettings
-    figures: BusReport
-
-
-def reported_buses(settings: Settings, scope: Scope, span: Shift, now: UnixTime) -> list[ReportedBus]:
-    """Return each bus of a scope with the reader of its units."""
-    buses = [bus for bus in settings.bus if scope.bus in (None, bus.name)]
-    wanted = micros(span.start), micros(min(span.end, now))
-    share = MAX_READINGS // max(1, len(buses))
-    return [ReportedBus(bus, BusReport(bus, scope.unit, wanted, share)) for bus in buses]
-
-
 def span_report(
     connection: StoreConnection,
     settings: Settings,
     span: Shift,
     now: UnixTime,
     scope: Scope,
-    found: Sequence[tuple[BusSettings, UnitReport]],
+    found: FoundUnits,
 ) -> dict[str, Any]:
     """Read a report from the stores, in a transaction. ``found``: what the units did, in floor order."""
     until, signed = min(span.end, now), signed_sheet(connection, span.start)
     where, values = scope.conditions()
     came = connection.execute(
-        f"SELECT {_AT_END}, {_COLUMNS} {_RISEN}{where} ORDER BY at, id LIMIT ?",
+        f"SELECT {_AT_END}, {_COLUMNS} {RISEN}{where} ORDER BY at, id LIMIT ?",
         (until, span.start, until, *values, _MAX_ALARMS),
     )
-    counts = CountsByUnit(*(_counts(connection, what, span.start, until) for what in (_RISEN, _COMMANDS)))
+    counts = CountsByUnit(*(_counts(connection, what, span.start, until) for what in (RISEN, _COMMANDS)))
     sheet = write_sheet(connection, settings, span, now, scope)
     return {
         **sheet,
+        "line": line_figures(found, count_alarms(connection, Shift(span.start, until), scope)),
         "notes": sheet["notes"][-MAX_OF_SPAN:],
         "signed": signed_json(signed if signed and signed.shift == span and not scope.bus else None),
-        "units": [_unit(bus, each, counts, round(until - span.start, _DIGITS)) for bus, each in found],
+        "units": [_unit(bus, each, counts, round(until - span.start, DIGITS)) for bus, each in found],
         "alarms": [{**transition_json(JournalEntry(*entry)), "at_end": at_end} for at_end, *entry in came],
     }
 
@@ -185,18 +174,18 @@ def _unit(bus: BusSettings, found: UnitReport, counts: CountsByUnit, lasts_s: fl
 
 
 def _draw_shown(draw: DrawFigures) -> ReportedDraw:
-    average, least, greatest = (round(each, _DIGITS) for each in draw)
+    average, least, greatest = (round(each, DIGITS) for each in draw)
     return {"average": average, "least": least, "greatest": greatest}
 
 
 def _add_runs(shown: ReportedUnit, figures: RunFigures, unit: UnitSettings, lasts_s: float) -> None:
     ran = figures.running
     shown["known_s"] = figures.known / SECOND
-    shown["unread_s"] = round(max(0.0, lasts_s - figures.known / SECOND), _DIGITS)
+    shown["unread_s"] = round(max(0.0, lasts_s - figures.known / SECOND), DIGITS)
     shown["running_s"] = ran / SECOND
     shown["at_speed_s"] = figures.at_speed / SECOND
     shown["by_minute"] = figures.by_minute
-    shown["speed_average"] = round(figures.travel / ran, _DIGITS) if ran else None
+    shown["speed_average"] = round(figures.travel / ran, DIGITS) if ran else None
     shown["speed_greatest"] = figures.fastest if ran else None
     shown["speed_unit"] = unit.labels.unit
     shown["stops"] = [
@@ -208,7 +197,4 @@ def _add_runs(shown: ReportedUnit, figures: RunFigures, unit: UnitSettings, last
         }
         for stop in figures.stops
     ]
-    length_unit, _, per = unit.labels.unit.strip().partition("/")
-    if length_unit and per.strip() in PER_S:
-        shown["length"] = round(figures.travel / SECOND / PER_S[per.strip()], _DIGITS)
-        shown["length_unit"] = length_unit.strip()
+    shown["length"], shown["length_unit"] = length_of(figures, unit)

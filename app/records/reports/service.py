@@ -15,25 +15,23 @@ from app.core.database import Database, StoreConnection
 from app.core.database.connection import snapshot
 from app.core.web.assets import Assets
 from app.core.web.csv_file import Cell, Column, CsvForm
-from app.core.web.formats import lasting
+from app.core.web.formats import lasting, length_shown
 from app.core.web.request_rules import refuse_year
 from app.core.web.services import unknown_bus, unknown_unit
 from app.core.web.shape import parse_integer
 from app.core.web.templating import Templates
 from app.errors import Problem, StoreError
 from app.line.alarms.line_alarms import LineAlarms
-from app.line.history.service import History
-from app.line.history.unit_report import UnitReport
+from app.records.handover.figures import LineFigures, SpanFigures
 from app.records.handover.rules import EVERYTHING, Scope, Shift, site_time
 from app.records.handover.service import readable
 from app.records.notification.outbox import Attachment, OutboxItem, ReportNotice
 from app.records.notification.plan import NotificationEndpoint
-from app.records.reports.report import reported_buses, span_report
+from app.records.reports.report import span_report
 from app.records.reports.rules import SpanName, last_due, named_span, span_fault
 from app.settings import Settings
 from bus.instants import UnixTime, unix_now
-from bus.messages import Message, term
-from bus.settings import BusSettings
+from bus.messages import Message, number, term
 
 CHECK_S = 20.0
 Send = Callable[[list[OutboxItem]], Awaitable[None]]
@@ -89,11 +87,11 @@ class ReportSchedule:
 class Reports:
     """Reads a report from the stores of the running server."""
 
-    def __init__(self, settings: Settings, database: Database, history: History) -> None:
+    def __init__(self, settings: Settings, database: Database, figures: SpanFigures) -> None:
         self.settings = settings
         self.zone = ZoneInfo(settings.site.zone)
         self._database = database
-        self._history = history
+        self._figures = figures
 
     def named(self, name: SpanName) -> Shift:
         """Return the span of a name, as of now."""
@@ -130,28 +128,13 @@ class Reports:
         fault = span_fault(span, now, self._count(scope))
         if fault is not None:
             raise Problem(422, "invalid", fault)
-        found = await self._figures(span, scope, now)
+        found = await self._figures.units(span, scope, now)
 
         def read(connection: StoreConnection) -> dict[str, Any]:
             with snapshot(connection):
                 return span_report(connection, self.settings, span, now, scope, found)
 
         return await self._database.read_costly(read)
-
-    async def _figures(
-        self, span: Shift, scope: Scope, now: UnixTime
-    ) -> list[tuple[BusSettings, UnitReport]]:
-        """Read what each unit did, one by one, so that other reads come in between."""
-        found = []
-        for bus, figures in reported_buses(self.settings, scope, span, now):
-            for unit in figures.units:
-                read = await self._history.read(
-                    lambda connection, tail, figures=figures, unit=unit: figures.read(connection, tail, unit),  # type: ignore[misc]
-                    costly=True,
-                )
-                if read is not None:
-                    found.append((bus, read))
-        return found
 
     def _count(self, scope: Scope) -> int:
         """Count the units of a scope, at least one."""
@@ -278,14 +261,27 @@ def shown(report: Mapping[str, Any]) -> dict[str, Any]:
 
 def summary(report: Mapping[str, Any]) -> tuple[Message, ...]:
     """Summarize a report in a few words."""
-    stops = [stop["seconds"] for unit in report["units"] for stop in unit.get("stops", ())]
-    stopped = Message.of("report_stops", n=len(stops), lasting=lasting(sum(stops)))
+    line = report["line"]
     return (
-        stopped if _is_read(report) else Message("report_no_readings"),
-        Message.of("report_alarms", n=len(report["alarms"])),
+        *_stops(line),
+        Message.of("report_alarms", n=line["alarms"]),
+        *_length(line),
         Message.of("report_drift", n=len(report["drift"])),
         Message.of("report_notes", n=len(report["notes"])),
     )
+
+
+def _stops(line: LineFigures) -> Iterator[Message]:
+    if line["stops"] is None or line["stopped_s"] is None:
+        yield Message("report_no_readings")
+    else:
+        yield Message.of("report_stops", n=line["stops"], lasting=lasting(line["stopped_s"]))
+
+
+def _length(line: LineFigures) -> Iterator[Message]:
+    if line["length"] is not None:
+        figure, measure = length_shown(line["length"], line["length_unit"] or "")
+        yield Message.of("report_length", length=number(figure), measure=measure)
 
 
 def _is_read(report: Mapping[str, Any]) -> bool:

@@ -14,7 +14,7 @@ from app.line.history.series.figures import RunFigures, Series
 from app.line.history.series.runs import SECOND, Run
 from app.line.history.series.values import VALUES, Scaling
 from app.people.audit.entry import is_moment
-from app.records.reports.report import PER_S
+from app.records.handover.figures import PER_S
 from bus.settings import BusSettings, UnitSettings
 
 Row = tuple[Any, ...]

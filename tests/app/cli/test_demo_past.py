@@ -55,7 +55,7 @@ def test_the_log_of_the_past_is_intact_and_in_order_of_time(settings: Settings) 
     assert {event["origin"] for event in found} <= {"", "demo"}, "nothing of it passes for a person"
     kinds = Counter(event["kind"] for event in found)
     assert kinds["recipe"] == 4
-    assert kinds["shift"] == notes == 4
+    assert kinds["shift"] == notes == 8, "one about each incident, at its time, and one about the recipe"
     assert kinds["alarm"] == 6, "one of seven waits"
     for (alarm, occurrence, *_, after), (same, next_one, before, _) in pairwise(journal):
         assert (alarm, occurrence) != (same, next_one) or after == before

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.cli import cli
@@ -28,14 +28,15 @@ from app.line.history.series.figures import (
     runs_of_minutes,
     stretches,
 )
-from app.line.history.series.runs import MINUTE, SECOND, Run, rollup
+from app.line.history.series.runs import MINUTE, SECOND, Run, merge, plain_run, rollup
 from app.line.history.series.values import LinearScale, Marks, Scaling
+from app.line.history.unit_report import BusReport
 from app.records.handover.notes import Note
 from app.records.handover.notes import add as add_note
 from app.records.handover.rules import Shift
 from bus.contract import Reading
 from bus.instants import UnixTime
-from tests.app.history_line import NOON, Shelf
+from tests.app.history_line import BUS, NOON, Shelf
 from tests.e2e.site import add_people
 
 SHIFT = "2026-11-21T06:00"
@@ -191,6 +192,52 @@ def test_minutes_whose_readings_are_given_up_count_as_minutes() -> None:
     found = figures(runs, end=120)
     assert (found.known, found.running) == (120 * SECOND, 60 * SECOND)
     assert [stop.cause for stop in found.stops] == ["run_off"]
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(1, 200),
+            st.sampled_from([0, 0, 55, 100]),
+            st.sampled_from([ON, RUN]),
+            st.integers(0, 40),
+        ),
+        min_size=1,
+        max_size=12,
+    ),
+    st.integers(0, 200),
+    st.integers(200, 1000),
+    st.booleans(),
+)
+def test_steady_minutes_and_readings_of_the_others_give_the_figures_of_all_readings(
+    tmp_path_factory: pytest.TempPathFactory,
+    parts: list[tuple[int, int, int, int]],
+    begin: int,
+    end: int,
+    is_packed: bool,
+) -> None:
+    shelf, kept, at = Shelf(tmp_path_factory.mktemp("history") / "history.db"), [], NOON
+    for lasting, actual, inputs, gap in parts:
+        for step in range(lasting * 4):
+            outputs = 0xC0 if actual == 100 else 0x40
+            kept.append(Reading(1, UnixTime(at + step / 4), 100, actual, 0, outputs, inputs))
+        at += lasting + gap
+    shelf.keep(kept)
+    span = round(NOON + begin) * SECOND, round(NOON + end) * SECOND
+    runs = merge((), (plain_run(each) for each in kept))
+    counted = stretches(runs, *span, Marks())
+    exact = run_figures(counted, 1, lambda _, raw: raw)
+    shelf.fold()
+    if is_packed:
+        shelf.pack()
+    found = shelf.database.read_now(lambda store: BusReport(BUS, None, span).read(store, shelf.tail, 1))
+    shelf.close()
+    assert found is not None
+    assert found.runs is not None
+    for name in ("known", "running", "at_speed", "fastest", "stops", "by_minute"):
+        assert getattr(found.runs, name) == getattr(exact, name), name
+    assert found.runs.travel == pytest.approx(exact.travel)
 
 
 CONFIGURATION = """\

@@ -93,6 +93,26 @@ async def test_a_report_has_the_figures_of_each_unit(house: House) -> None:
     assert of_one["units"] == [nip]
 
 
+async def test_report_sheet_and_list_of_a_shift_begin_with_the_same_figures(house: House) -> None:
+    """Units that stand at the same time are one stop, and the length is that of the last unit."""
+    client = await house.program(Role.VIEWER)
+    shifts = (await client.get("/api/v1/shifts")).json()["shifts"]
+    shift = next(each for each in shifts if _time(each["start"]) <= BEGIN < _time(each["end"]))
+    span = {"from": shift["start"], "to": shift["end"]}
+    line = (await client.get("/api/v1/report", params=span)).json()["line"]
+    assert line == {"stops": 1, "stopped_s": 29.0, "alarms": 0, "length": 120.19, "length_unit": "m"}
+    sheet = (await client.get(f"/api/v1/shifts/{shift['start']}")).json()
+    assert sheet["line"] == line
+    browser = await house.signed_in(Role.VIEWER)
+    shown = "1 stop, 0:00:29 · 0 alarms · 120.2 m"
+    assert shown in (await browser.get(f"/shifts/{shift['start']}")).text
+    assert shown in (await browser.get("/shifts")).text, "the sheet has read them"
+
+
+def _time(text: str) -> float:
+    return datetime.fromisoformat(text).timestamp()
+
+
 async def test_the_stops_are_rows_of_csv_and_no_name_is_a_formula(house: House) -> None:
     client = await house.program(Role.VIEWER)
     response = await client.get("/api/v1/report/stops.csv", params=SPAN)
@@ -214,7 +234,7 @@ async def test_a_day_is_sent_once_to_each_address_as_a_page(tmp_path: Path, mail
     first = next(each for each in received if each["Subject"] == of_site)
     body = first.get_body(("plain",))
     assert body is not None
-    assert "2 stops, 0:00:58 in all" in body.get_content()
+    assert "1 stop, 0:00:29" in body.get_content()
     [page] = first.iter_attachments()
     assert (page.get_content_type(), page.get_filename()) == (
         "text/html",

@@ -142,7 +142,7 @@ def in_order(points: Points) -> Points:
 
 
 StopCause = Literal["estop", "run_off", "speed_zero", "unknown"]
-SpeedOf = Callable[[int, int], float]
+SpeedOf = Callable[[int, float], float]
 """The speed that a raw value stood for at a time, µs."""
 _AT_SPEED = 1 << VALUES["at_speed"].bit
 
@@ -160,7 +160,7 @@ class Stop:
 class RunFigures:
     """The figures of a unit. ``known``: the time with readings; ``running``: of it the time in which it ran;
     ``at_speed``: of that the time at speed, all µs; ``travel``: speed times µs; ``fastest``: the greatest
-    speed; ``by_minute``: whether they are made of averages of minutes instead of readings."""
+    speed; ``by_minute``: whether a minute in which the unit started or stopped is in it by its averages."""
 
     known: int = 0
     running: int = 0
@@ -172,18 +172,53 @@ class RunFigures:
 
 
 class RunStretch(NamedTuple):
-    """A run, and from when until when it counts, µs."""
+    """What a unit did from one time until another, µs, as raw values; ``actual`` is the average of the
+    time."""
 
     at: int
     until: int
-    run: Run
+    commanded: int
+    actual: float
+    greatest: int
+    word: int
 
     @property
     def is_at_speed(self) -> bool:
-        return _is_at_speed(self.run)
+        return _is_at_speed(self)
 
 
-def _is_at_speed(run: Run) -> bool:
+class SpeedMinute(NamedTuple):
+    """The part of the summary of a minute (:class:`app.line.history.series.runs.Rollup`) that shows whether a
+    unit ran and was at speed."""
+
+    start: int
+    readings: int
+    commanded_min: int
+    commanded_max: int
+    actual_min: int
+    actual_max: int
+    actual_sum: int
+    word_and: int
+    word_or: int
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether every reading of it is a run at speed, or a run off speed, or a standstill with the same
+        bits."""
+        if self.actual_min <= 0 <= self.actual_max:
+            return self.actual_min == self.actual_max and self.word_and == self.word_or
+        is_commanded = self.commanded_min > 0 or self.commanded_max <= 0
+        return is_commanded and not (self.word_and ^ self.word_or) & _AT_SPEED
+
+    def stretch(self, start: int, end: int) -> RunStretch:
+        """Return it between two times, µs, by its average: a unit that moved at all ran, and one that was at
+        speed in every reading was at speed."""
+        at, until = max(start, self.start), min(end, self.start + MINUTE)
+        average = self.actual_sum / self.readings
+        return RunStretch(at, until, self.commanded_min, average, self.actual_max, self.word_and)
+
+
+def _is_at_speed(run: Run | RunStretch) -> bool:
     return bool(run.actual and run.commanded > 0 and run.word & _AT_SPEED)
 
 
@@ -192,17 +227,18 @@ def run_figures(stretches: Iterable[RunStretch], estop_healthy: int, speed_of: S
     figures = RunFigures()
     stop: Stop | None = None
     for stretch in stretches:
-        at, until, run = stretch
+        at, until = stretch.at, stretch.until
         figures.known += until - at
-        if run.actual:
-            speed = speed_of(at, run.actual)
+        if stretch.actual:
+            speed = speed_of(at, stretch.actual)
             figures.running += until - at
             figures.travel += speed * (until - at)
-            figures.fastest = max(figures.fastest, speed)
+            greatest = speed if stretch.greatest == stretch.actual else speed_of(at, stretch.greatest)
+            figures.fastest = max(figures.fastest, greatest)
             figures.at_speed += until - at if stretch.is_at_speed else 0
             stop = None
         elif stop is None:
-            stop = Stop(at, until, _cause(run, estop_healthy))
+            stop = Stop(at, until, _cause(stretch, estop_healthy))
             figures.stops.append(stop)
         else:
             stop.until = until
@@ -233,7 +269,7 @@ def stretches(runs: Sequence[Run], start: int, end: int, marks: Marks) -> list[R
     for run, until in zip(runs, _ends(runs, marks), strict=True):
         at, until = max(run.at, start), min(until, end)
         if until > at:
-            found.append(RunStretch(at, until, run))
+            found.append(RunStretch(at, until, run.commanded, run.actual, run.actual, run.word))
     return found
 
 
@@ -270,7 +306,7 @@ def minute_figures(runs: Sequence[Run], marks: Marks, scales: Scaling) -> dict[i
     return found
 
 
-def _cause(run: Run, estop_healthy: int) -> StopCause:
+def _cause(run: RunStretch, estop_healthy: int) -> StopCause:
     bits = status_bits(run.word >> 8, run.word & 255, estop_healthy)
     if bits.estop_active:
         return "estop"

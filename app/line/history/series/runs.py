@@ -51,8 +51,12 @@ def pack_integers(columns: Sequence[Sequence[int]], level: int = LEVEL) -> bytes
     return zlib.compress(head + b"".join(planes), level)
 
 
-def unpack_integers(blob: bytes, wanted: Iterable[int] | None = None) -> list[list[int]]:
-    """Return all columns, or the ``wanted`` ones by position. Raises ValueError for damaged bytes."""
+def unpack_integers(
+    blob: bytes, wanted: Iterable[int] | None = None, within: tuple[int, int] | None = None
+) -> list[list[int]]:
+    """Return all columns, or the ``wanted`` ones by position; only the rows whose value in the first column,
+    which then has to rise, is at least the first of ``within`` and below the second. Raises ValueError for
+    damaged bytes."""
     try:
         data = zlib.decompress(blob)
         rows, count = _HEAD.unpack_from(data)
@@ -64,7 +68,11 @@ def unpack_integers(blob: bytes, wanted: Iterable[int] | None = None) -> list[li
     if starts[-1] != len(data):
         raise ValueError("a block of history is damaged: its length is wrong")
     positions = range(count) if wanted is None else wanted
-    return [_column(data[starts[i] : starts[i + 1]], codes[i], rows) for i in positions]
+    part = slice(0, rows)
+    if within is not None:
+        first = _column(data[starts[0] : starts[1]], codes[0], rows, part)
+        part = slice(*(bisect_left(first, edge) for edge in within))
+    return [_column(data[starts[i] : starts[i + 1]], codes[i], rows, part) for i in positions]
 
 
 def _planes(column: Sequence[int]) -> tuple[str, bytes]:
@@ -96,16 +104,19 @@ def _narrowest(values: Sequence[int]) -> str:
     return _CODES[-1]
 
 
-def _column(planes: bytes, code: str, rows: int) -> list[int]:
+def _column(planes: bytes, code: str, rows: int, part: slice) -> list[int]:
+    """Return the values of the rows ``part`` of a column."""
     if len(planes) == rows and not planes[1:].strip(b"\0"):
-        return [*array(code, planes[:1])] * rows
+        return [*array(code, planes[:1])] * (part.stop - part.start)
     column = array(code)
     data = bytearray(len(planes))
     for i in range(column.itemsize):
         data[i :: column.itemsize] = planes[i * rows : (i + 1) * rows]
     column.frombytes(data)
     _little(column)
-    return list(accumulate(column))
+    if part.start == part.stop:
+        return []
+    return list(accumulate(column[part.start + 1 : part.stop], initial=sum(column[: part.start + 1])))
 
 
 def _little(values: array[int]) -> None:
@@ -201,9 +212,13 @@ def unpack_runs(blob: bytes, start: int) -> list[Run]:
     return runs_of(zip(*unpack_columns(blob, start, Run._fields), strict=True))
 
 
-def unpack_columns(blob: bytes, start: int, names: Sequence[str]) -> list[list[int]]:
-    """Unpack some columns of a block; ``until`` needs ``at``. Raises ValueError if it is damaged."""
-    found = unpack_integers(blob, [COLUMNS[name] for name in names])
+def unpack_columns(
+    blob: bytes, start: int, names: Sequence[str], within: tuple[int, int] | None = None
+) -> list[list[int]]:
+    """Unpack some columns of a block; ``until`` needs ``at``. ``within``: only the runs that begin between
+    two times, µs. Raises ValueError if it is damaged."""
+    part = None if within is None else (within[0] - start, within[1] - start)
+    found = unpack_integers(blob, [COLUMNS[name] for name in names], part)
     by_name = dict(zip(names, found, strict=True))
     if "at" in by_name:
         by_name["at"] = [t + start for t in by_name["at"]]

@@ -1,0 +1,187 @@
+"""What a line did in a shift or any other span, in a few figures for its first line: how often and how long
+it stood, how many alarms came, and the length of its web."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Sequence
+from typing import Annotated, NamedTuple
+
+import structlog
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from app.core.database import Database, StoreConnection
+from app.errors import StoreError
+from app.line.history.series.figures import RunFigures
+from app.line.history.series.runs import SECOND, micros
+from app.line.history.service import History
+from app.line.history.unit_report import MAX_READINGS, BusReport, UnitReport
+from app.records.handover.rules import EVERYTHING, Scope, Shift
+from app.settings import Settings
+from bus.instants import Clock, UnixTime, unix_now
+from bus.settings import BusSettings, UnitSettings
+
+PER_S = {"s": 1, "sec": 1, "min": 60, "h": 3600}
+"""Seconds in the time of a unit of speed, such as m/min."""
+DIGITS = 3
+RISEN = "FROM alarm_journal j WHERE trigger = 'rise' AND at >= ? AND at < ?"
+"""Selects the alarms that came."""
+LATE_S, PRESENT_S = 3600.0, 30.0
+"""Readings of a shift may come so long after its end; until then its figures are read anew after half a
+minute."""
+REMEMBERED = 100
+"""Shifts whose figures are remembered."""
+log = structlog.get_logger()
+FoundUnits = Sequence[tuple[BusSettings, UnitReport]]
+"""What each unit did, with its bus, in floor order."""
+
+
+class LineFigures(TypedDict):
+    """What the line did in a span."""
+
+    stops: Annotated[int | None, Field(description="Times in which any unit stood; null: no unit was read.")]
+    stopped_s: Annotated[float | None, Field(description="How long those lasted; null: no unit was read.")]
+    alarms: Annotated[int, Field(description="How many came.")]
+    length: Annotated[
+        float | None, Field(description="Of the web at the last unit; null where its speed has no length.")
+    ]
+    length_unit: Annotated[str | None, Field(description="The measure of the length; null without one.")]
+
+
+class Length(NamedTuple):
+    """How much web passed a unit, in the measure of its label; both None where that has none."""
+
+    length: float | None = None
+    measure: str | None = None
+
+
+def length_of(figures: RunFigures, unit: UnitSettings) -> Length:
+    """Return the length of the web that passed a unit."""
+    measure, _, per = unit.labels.unit.strip().partition("/")
+    if not measure or per.strip() not in PER_S:
+        return Length()
+    return Length(round(figures.travel / SECOND / PER_S[per.strip()], DIGITS), measure.strip())
+
+
+def line_figures(found: FoundUnits, alarms: int) -> LineFigures:
+    """Return the figures of a line. Units that stand at the same time are one stop."""
+    read = [(bus, each.unit, each.runs) for bus, each in found if each.runs is not None and each.runs.known]
+    standing = _united((stop.at, stop.until) for _, _, runs in read for stop in runs.stops)
+    length = Length()
+    if read and len({bus.name for bus, _, _ in read}) == 1:
+        bus, last, runs = read[-1]
+        length = length_of(runs, next(unit for unit in bus.unit if unit.id == last))
+    return {
+        "stops": len(standing) if read else None,
+        "stopped_s": sum(until - at for at, until in standing) / SECOND if read else None,
+        "alarms": alarms,
+        "length": length.length,
+        "length_unit": length.measure,
+    }
+
+
+def _united(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return spans of time, of which those that touch are one."""
+    united: list[tuple[int, int]] = []
+    for at, until in sorted(spans):
+        if united and at <= united[-1][1]:
+            united[-1] = (united[-1][0], max(until, united[-1][1]))
+        else:
+            united.append((at, until))
+    return united
+
+
+def count_alarms(connection: StoreConnection, span: Shift, scope: Scope) -> int:
+    """Return how many alarms came in a span."""
+    where, values = scope.conditions()
+    [count] = connection.execute(
+        f"SELECT count(*) {RISEN}{where}", (span.start, span.end, *values)
+    ).fetchone()
+    return int(count)
+
+
+class ReportedBus(NamedTuple):
+    """A bus that a report is about, and the reader of its units."""
+
+    settings: BusSettings
+    figures: BusReport
+
+
+def reported_buses(settings: Settings, scope: Scope, span: Shift, now: UnixTime) -> list[ReportedBus]:
+    """Return each bus of a scope with the reader of its units."""
+    buses = [bus for bus in settings.bus if scope.bus in (None, bus.name)]
+    wanted = micros(span.start), micros(min(span.end, now))
+    share = MAX_READINGS // max(1, len(buses))
+    return [ReportedBus(bus, BusReport(bus, scope.unit, wanted, share)) for bus in buses]
+
+
+class SpanFigures:
+    """Reads what units and lines did from the history of the running server."""
+
+    def __init__(
+        self, settings: Settings, database: Database, history: History, clock: Clock = unix_now
+    ) -> None:
+        self._settings = settings
+        self._database = database
+        self._history = history
+        self._clock = clock
+        self._remembered: dict[Shift, tuple[UnixTime, LineFigures]] = {}
+        self._wanted: dict[Shift, None] = {}
+        self._is_wanted = asyncio.Event()
+
+    async def units(self, span: Shift, scope: Scope, now: UnixTime) -> list[tuple[BusSettings, UnitReport]]:
+        """Read what each unit did, one by one, so that other reads come in between. Raises StoreError."""
+        found = []
+        for bus, figures in reported_buses(self._settings, scope, span, now):
+            for unit in figures.units:
+                read = await self._history.read(
+                    lambda connection, tail, figures=figures, unit=unit: figures.read(connection, tail, unit),  # type: ignore[misc]
+                    costly=True,
+                )
+                if read is not None:
+                    found.append((bus, read))
+        return found
+
+    async def shift(self, shift: Shift) -> LineFigures:
+        """Return the figures of a shift, up to now if it is under way. Raises StoreError."""
+        found = self._known(shift)
+        if found is None:
+            now = self._clock()
+            units = await self.units(shift, EVERYTHING, now)
+            alarms = await self._database.read(lambda store: count_alarms(store, shift, EVERYTHING))
+            found = line_figures(units, alarms)
+            self._remember(shift, now, found)
+        return found
+
+    def known(self, shift: Shift) -> LineFigures | None:
+        """Return the figures of a shift if they are remembered; if not, :meth:`follow` will read them."""
+        found = self._known(shift)
+        if found is None and len(self._wanted) < REMEMBERED:
+            self._wanted[shift] = None
+            self._is_wanted.set()
+        return found
+
+    async def follow(self) -> None:
+        """Read the figures that were wanted, one shift after the other, indefinitely."""
+        while True:
+            await self._is_wanted.wait()
+            while self._wanted:
+                shift = next(iter(self._wanted))
+                try:
+                    await self.shift(shift)
+                except StoreError as error:
+                    log.warning("figures of a shift not read", shift=float(shift.start), why=str(error))
+                del self._wanted[shift]
+            self._is_wanted.clear()
+
+    def _known(self, shift: Shift) -> LineFigures | None:
+        read_at, figures = self._remembered.get(shift, (UnixTime(0.0), None))
+        is_over = read_at > shift.end + LATE_S
+        return figures if is_over or self._clock() - read_at < PRESENT_S else None
+
+    def _remember(self, shift: Shift, now: UnixTime, figures: LineFigures) -> None:
+        self._remembered.pop(shift, None)
+        while len(self._remembered) >= REMEMBERED:
+            del self._remembered[next(iter(self._remembered))]
+        self._remembered[shift] = now, figures
