@@ -48,8 +48,8 @@ MIN_STEP_S = 1.0
 
 
 class ClockWatch:
-    """Notices when the wall clock was set, by comparing it with the clock that only runs. A slow correction
-    is no step."""
+    """A watch that notices when the wall clock was set, by comparing it with the clock that only runs. A slow
+    correction is no step."""
 
     def __init__(self, wall: UnixTime, running: Monotonic) -> None:
         self._difference = float(wall) - float(running)

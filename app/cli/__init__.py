@@ -56,8 +56,8 @@ def loading() -> Iterator[None]:
 
 
 class Lazy(click.Group):
-    """Lists commands by their lines of `COMMANDS`, and imports the module of the one that is called. Errors
-    of a command end in one line and an exit code."""
+    """The group of all commands, which lists them by their lines of `COMMANDS`, and imports the module of the
+    one that is called. Errors of a command end in one line and an exit code."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return list(self.commands)  # in this order; click sorts them

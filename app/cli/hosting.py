@@ -307,8 +307,8 @@ async def end(process: Process, grace_s: float) -> None:
 
 @dataclass(slots=True)
 class Watchdog:
-    """Decides when a process that does not respond is given up. It counts looks, not seconds, so that a stall
-    of the one who looks does not count as a stall of the process. Pure."""
+    """A watchdog that decides when a process that does not respond is given up. It counts looks, not seconds,
+    so that a stall of the one who looks does not count as a stall of the process. Pure."""
 
     missed: int = 0
     limit: int = MAX_MISSED_AT_START

@@ -261,7 +261,7 @@ def _values(commanded: int, stretch: Stretch, noise: random.Random) -> tuple[int
 
 
 class _Records:
-    """Writes each record at its time."""
+    """The records of the past, each written at its time."""
 
     def __init__(self, settings: Settings, database: Database, past: Past) -> None:
         self._past, self._database, self._bus = past, database, settings.bus[0].name

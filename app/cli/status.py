@@ -222,8 +222,8 @@ def verification(tls: TlsSettings | None) -> tuple[ssl.SSLContext | None, Messag
 
 
 def is_serving(url: str, own: ssl.SSLContext | None = None) -> bool:
-    """Return whether a Lineside dashboard serves at ``url``. ``own``: what verifies it by https, if anything
-    can."""
+    """Return whether a Lineside dashboard serves at ``url``. ``own``: what verifies its certificate; None
+    by http, where nothing is verified."""
     try:
         # Without TLS there is nothing to verify: the authorities of the machine are not read.
         response = httpx.get(f"{url}/healthz", timeout=WITHIN_S, trust_env=False, verify=own or False)

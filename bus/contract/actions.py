@@ -75,7 +75,7 @@ FrameBytes = Annotated[bytes, Meta(max_length=MAX_FRAME)]
 
 
 class BusAction(TaggedStruct, frozen=True):
-    """Addresses a bus."""
+    """An action that addresses a bus."""
 
     writes: ClassVar[bool] = True
     """Whether it can change anything in a unit."""
@@ -101,7 +101,7 @@ class BusAction(TaggedStruct, frozen=True):
 
 
 class UnitAction(BusAction, frozen=True):
-    """Addresses one unit."""
+    """An action that addresses one unit."""
 
     unit: UnitId
 

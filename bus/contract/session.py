@@ -169,7 +169,8 @@ WINDOW_S = 10.0
 
 
 class ClockOffset:
-    """Estimates what to add to the other machine's times, from messages that carry their time of sending.
+    """An estimate of what to add to the other machine's times, from messages that carry their time of
+    sending.
 
     A message arrives later than it was sent, never earlier, so the least difference between the two clocks is
     the best estimate (the clock filter of NTP, RFC 5905, 10). The least is taken over a time on *this* side's

@@ -15,7 +15,8 @@ from bus.wire.exchange import PendingResponses
 
 
 class CommandQueue:
-    """Writes before reads before what is slow; within a claim the first come first, but for the slow.
+    """The queue of commands: writes before reads before what is slow; within a claim the first come first,
+    but for the slow.
 
     A command waits while an earlier one claims a unit that it claims too, and ends unsent when its time
     is over before its turn has come.

@@ -27,8 +27,8 @@ _TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
 
 
 class TcpProtocol(PortProtocol):
-    """Holds back what begins as a text: no frame does. ser2net sends a second client a text that its port is
-    in use, and closes the connection."""
+    """A protocol that holds back what begins as a text: no frame does. ser2net sends a second client a text
+    that its port is in use, and closes the connection."""
 
     def __init__(self, receiver: Receiver, name: str) -> None:
         super().__init__(receiver, Message.of("connection_closed", port=name))

@@ -34,8 +34,8 @@ times in a minute, so a connection that stood still as long delivers no response
 
 
 class SecondMaster:
-    """Notices another host on the wire: ``note`` each unrequested response; ``is_present`` while this host
-    must not write, but for what stops a unit, because two hosts would set each other's speeds.
+    """The evidence of another host on the wire: ``note`` each unrequested response; ``is_present`` while this
+    host must not write, but for what stops a unit, because two hosts would set each other's speeds.
 
     A host does not receive the requests of another, only what the units respond to them: frames that come
     beside the response to its own request, or while it awaits none. A unit with a wrong address responds in

@@ -354,7 +354,7 @@ def no_response_s(baud: int, turnaround_s: float) -> float:
 
 
 class Passes:
-    """Iterates over addresses; ``note`` is called with the result of each before the next one.
+    """The passes of a scan over addresses; ``note`` is called with the result of each before the next one.
 
     A response may get lost, so addresses without a response get a second request after all had one, and
     further ones as long as that finds a unit.

@@ -97,7 +97,7 @@ async def run_at_once(coroutine: Coroutine[Completion[Any], None, T]) -> T:
 
 
 class CurrentExchange(msgspec.Struct):
-    """Times are the line's own, in seconds."""
+    """The exchange under way. Times are the line's own, in seconds."""
 
     exchange: Exchange
     began: Monotonic
@@ -280,10 +280,8 @@ class Link:
         return ending
 
     def account(self) -> None:
-        """Count and keep the exchange that has ended, unless that is done.
-
-        Its last byte calls for the next request, so what can wait until that has left waits for it.
-        """
+        """Count the exchange that has ended and keep it in the trace, once. It is called after the next
+        request has left, because that must not wait for it."""
         if self._unaccounted is None:
             return
         ended, self._unaccounted = self._unaccounted, None

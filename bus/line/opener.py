@@ -103,7 +103,8 @@ _log = structlog.get_logger("bus.line")
 
 
 class Opener:
-    """Opens the line's port, by its path each time, so a by-id link may point elsewhere by then."""
+    """The opener of the line's port. It opens the path anew each time, so that a by-id link may point to
+    another device."""
 
     def __init__(self, line: LineLoop, open_function: OpenFunction = open_port) -> None:
         self._line = line
@@ -217,7 +218,7 @@ class Opener:
 
 
 class _Opening:
-    """Receives what comes of one opening of the port; what comes of an old one means nothing."""
+    """The receiver of one opening of the port; what an earlier opening still delivers is ignored."""
 
     def __init__(self, opener: Opener, line: LineLoop) -> None:
         self._opener = opener

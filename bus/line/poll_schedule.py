@@ -130,7 +130,7 @@ class ParameterQueue:
 
 
 class WireShare:
-    """Limits a use of the wire to at most ``fraction`` of the time, however long one use is.
+    """A limit on a use of the wire to at most ``fraction`` of the time, however long one use is.
 
     Unused time can be saved up for ``burst_s`` seconds of waiting, so that short uses between long ones of
     others still reach the complete fraction. Pure: ``now`` in seconds is passed in.
@@ -247,7 +247,8 @@ LOOK_ELSEWHERE_S = 3.0
 
 
 class BaudSearch:
-    """Decides at which rate a line without responses is polled: call ``turn`` between two requests.
+    """The search that decides at which rate a line without responses is polled: call ``turn`` between two
+    requests.
 
     Units take a new baud rate (#18) when they are switched off and on, one after the other, without notice.
     Therefore such a line is polled at its old rate and at its new one in turn, until it responds at the new

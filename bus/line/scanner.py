@@ -179,7 +179,8 @@ class SlowUnitError(Exception):
 
 
 class Prober:
-    """Examines addresses over ``line``. ``turnaround_s``: what a unit may take to begin its response."""
+    """The examination of addresses over ``line``. ``turnaround_s``: what a unit may take to begin its
+    response."""
 
     def __init__(self, line: ScanPort, baud: int, turnaround_s: float) -> None:
         self._line = line

@@ -98,7 +98,8 @@ def _unpack(packed: bytes) -> Iterator[TracedFrame]:
 
 
 class Interpreter:
-    """Gives frames their meaning, in their order: a response is read in the context of its request."""
+    """The interpreter that gives frames their meaning, in their order: a response is read in the context of
+    its request."""
 
     def __init__(self, dialect: Dialect) -> None:
         self._dialect = dialect

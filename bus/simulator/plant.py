@@ -161,7 +161,8 @@ DEMO_HABITS: tuple[Habit, ...] = (
 
 
 class Script:
-    """Works one contact of one section at a time for each habit; who and when comes from the seed."""
+    """A script that works one contact of one section at a time for each habit; who and when comes from the
+    seed."""
 
     def __init__(self, units: Sequence[Unit], habits: Sequence[Habit] = DEMO_HABITS, seed: int = 0) -> None:
         self._units = units

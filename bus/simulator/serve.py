@@ -39,7 +39,8 @@ _PR_SET_TIMERSLACK = 29
 
 
 class LineServer:
-    """Serves ``line`` at ``port`` while it is entered; afterwards its units are off and the port is gone."""
+    """A server of ``line`` at ``port`` while it is entered; afterwards its units are off and the port is
+    gone."""
 
     def __init__(self, line: SimulatedLine, port: Port) -> None:
         self.line = line

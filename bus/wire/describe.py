@@ -72,7 +72,7 @@ class DescribedNoise:
 
 
 class Describer:
-    """Describes frames in their order, so that a response is read in the context of its request."""
+    """The describer of frames in their order, so that a response is read in the context of its request."""
 
     def __init__(self, dialect: Dialect) -> None:
         self._dialect = dialect

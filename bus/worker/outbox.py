@@ -152,7 +152,8 @@ FRAMES_AT_A_STRETCH = 25
 
 
 class TraceReports:
-    """Reads and reports the trace, not the wire. ``put`` receives the updates; ``epoch`` is the time now."""
+    """The reports of the trace, which is read, not the wire. ``put`` receives the updates; ``epoch`` is the
+    time now."""
 
     def __init__(
         self, trace: Trace, dialect: Dialect, put: Callable[[list[Update]], None], epoch: Clock

@@ -18,7 +18,8 @@ from bus.validation import escaped
 
 
 class BestEffortStream(io.TextIOBase):
-    """Drops log lines that cannot be written (disk full, pipe closed): the log never stops the line."""
+    """A stream that drops log lines that cannot be written (disk full, pipe closed): the log never stops the
+    line."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

@@ -102,7 +102,8 @@ _NO_TLS = frozenset({"WRONG_VERSION_NUMBER", "HTTP_REQUEST", "RECORD_LAYER_FAILU
 
 
 class _LinkConnection(ClientConnection):
-    """Keeps why it was lost: the library reports an alert during its opening handshake as a mere end."""
+    """A connection that keeps why it was lost: the library reports an alert during its opening handshake as a
+    mere end."""
 
     lost_by: Exception | None = None
 
@@ -210,7 +211,7 @@ _log = structlog.get_logger("bus.uplink")
 
 
 class AppRequests(Protocol):
-    """Takes what the app requests of this worker; every call returns at once."""
+    """The receiver of what the app requests of this worker; every call returns at once."""
 
     def hello(self) -> Hello:
         """Return the first message, which names this worker."""

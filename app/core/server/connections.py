@@ -143,7 +143,8 @@ class Connections:
 
 
 class Handshakes:
-    """Delays the handshakes of an account beyond their rate: clients that are refused retry at once."""
+    """A limit that delays the handshakes of an account beyond their rate: clients that are refused retry at
+    once."""
 
     def __init__(self) -> None:
         self._buckets: dict[str, tuple[Bucket, Bucket]] = {}

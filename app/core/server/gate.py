@@ -58,8 +58,8 @@ ORDINARY_TURN_S = 0.15
 
 
 class LoopWatch:
-    """Notices stalls of the event loop by ticks. ``since``: when the first client can have come, on the
-    monotonic clock ``now``."""
+    """A watch that notices stalls of the event loop by ticks. ``since``: when the first client can have come,
+    on the monotonic clock ``now``."""
 
     def __init__(self, since: Monotonic, now: MonotonicClock = monotonic_now) -> None:
         self.now = now

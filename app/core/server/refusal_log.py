@@ -56,8 +56,8 @@ class _Window(Generic[Item]):
 
 
 class Repeats(Generic[Item]):
-    """Counts what follows the first of each key, a minute at a time. Beyond ``max_keys`` keys all others
-    count as one."""
+    """A counter of what follows the first of each key, a minute at a time. Beyond ``max_keys`` keys all
+    others count as one."""
 
     def __init__(self, max_keys: int = MAX_KEYS) -> None:
         self._max_keys = max_keys
@@ -90,7 +90,7 @@ class Repeats(Generic[Item]):
 
 
 class RefusalLog:
-    """Logs what was refused, by the address of the client."""
+    """The log of what was refused, by the address of the client."""
 
     def __init__(self, now: MonotonicClock = monotonic_now) -> None:
         self._now = now
@@ -110,8 +110,8 @@ class RefusalLog:
 
 
 class ErrorLines(logging.Handler):
-    """Logs the errors that uvicorn and asyncio report, each once a minute: a failure of ours with its
-    traceback, one that a client has caused without."""
+    """The log handler of the errors that uvicorn and asyncio report, each once a minute: a failure of ours
+    with its traceback, one that a client has caused without."""
 
     def __init__(self, now: MonotonicClock = monotonic_now) -> None:
         super().__init__(logging.ERROR)

@@ -25,7 +25,8 @@ MAX_STILL_S = {"bus workers": 12.0, "store": 60.0}
 
 
 class ServiceManager:
-    """Sends to the socket of the environment, which the processes that are started here do not inherit."""
+    """The connection to the service manager by the socket of the environment, which the processes that
+    are started here do not inherit."""
 
     def __init__(self, environment: MutableMapping[str, str] = os.environ) -> None:
         address = environment.pop(NOTIFY_SOCKET, "")
@@ -61,9 +62,9 @@ class ServiceManager:
 
 
 class Liveness:
-    """Feeds the watchdog of systemd while the event loop turns, the store takes what it is given, and every
-    bus has its worker or is about to. A port that is unplugged is no standstill. Call :meth:`tick` once a
-    second on the event loop."""
+    """A task that feeds the watchdog of systemd while the event loop turns, the store takes what it is given,
+    and every bus has its worker or is about to. A port that is unplugged is no standstill. Call :meth:`tick`
+    once a second on the event loop."""
 
     def __init__(
         self,

@@ -15,7 +15,7 @@ MAX_REST_S = 0.05
 
 
 class LoopTurns:
-    """Runs one function in an iteration of the event loop; keys take turns.
+    """A scheduler that runs one function in an iteration of the event loop; keys take turns.
 
     After a turn of a key that has more waiting, the event loop stays free for as long as the turn took, what
     it started included: a command needs the loop some twenty times, and would otherwise wait for another turn
@@ -27,7 +27,8 @@ class LoopTurns:
         self._is_taken = False
 
     def run(self, key: object, start: Callable[[], None]) -> None:
-        """Call ``start``: now, if nothing had a turn in this iteration, else in the turn of ``key``."""
+        """Call ``start`` at once if nothing had a turn in this iteration of the event loop, else in the turn
+        of ``key``."""
         if self._is_taken:
             self._waiting.setdefault(key, deque()).append(start)
         else:

@@ -241,7 +241,7 @@ def openapi_document(app: Any) -> dict[str, Any]:
 
 
 def _complete(operation: dict[str, Any], *, is_write: bool) -> None:
-    """Add to an operation what no signature states."""
+    """Add to an operation of the OpenAPI document what no signature states."""
     for parameter in operation.get("parameters", ()):
         name = parameter["name"] if parameter["in"] != "header" else parameter["name"].lower()
         if name in PARTS["parameters"]:

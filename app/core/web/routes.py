@@ -110,8 +110,8 @@ def refuse_unguarded(app: FastAPI) -> None:
 
 
 class RouteGuard:
-    """Grants the role that a route requires, bounds the body and waits for a turn, before the route reads
-    anything: FastAPI reads and parses a body first and checks the role then.
+    """The guard of a route: it grants the role that a route requires, bounds the body and waits for a turn,
+    before the route reads anything: FastAPI reads and parses a body first and checks the role then.
 
     A route with files declares their size by FastAPI's ``max_body_size``. One that is a `SEARCH` or a
     `DOWNLOAD` has its turn until its response is sent. Every other GET has it until its response is made: to
@@ -200,7 +200,7 @@ without the rest it would wait for another page each time."""
 
 
 class AnonymousLimiter:
-    """Serves a request without a caller in its turn, and only once its body has arrived.
+    """ASGI middleware that serves a request without a caller in its turn, and only once its body has arrived.
 
     Otherwise a burst of them would begin in one iteration of the event loop, before everyone else's requests.
     ``exempt``: paths that cost the loop next to nothing, or have other turns.

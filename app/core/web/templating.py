@@ -56,12 +56,12 @@ PagePart = Callable[[Caller | None, Language], Any]
 
 
 class Templates:
-    """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
-    ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``,
-    ``help_of``, and the filters ``parameter``, which names one by its number, and ``isolated``,
-    for a name beside other text; in a page or fragment of a request also ``person``, ``request``, ``path``,
-    ``has_lines()``, ``page_groups()``, the `parts` of features, and ``may()``, whether the person may send a
-    command or perform an act, by its name. ``kept_in``: where they stay compiled between two starts."""
+    """The templates and their rendering. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``,
+    ``formats``, ``language``, ``languages``, ``site``, ``page_digest``, ``Role``, ``demo``, ``help_of``, and
+    the filters ``parameter``, which names one by its number, and ``isolated``, for a name beside other text;
+    in a page or fragment of a request also ``person``, ``request``, ``path``, ``has_lines()``,
+    ``page_groups()``, the `parts` of features, and ``may()``, whether the person may send a command or
+    perform an act, by its name. ``kept_in``: where they stay compiled between two starts."""
 
     def __init__(
         self,

@@ -231,7 +231,7 @@ def _recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
 
 
 def _unit_setpoints(given: dict[str, int]) -> dict[int, int]:
-    """Convert the keys of JSON to addresses. Raises Problem 422 for a key that is none."""
+    """Convert the keys of JSON to addresses. Raises Problem 422 for a key that is no address."""
     wrong = next((key for key in given if not 1 <= (parse_integer(key) or 0) <= 255), None)
     if wrong is not None:
         raise Problem(422, "invalid", Message.of("not_a_unit_address", text=wrong))

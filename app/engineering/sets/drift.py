@@ -47,7 +47,7 @@ class DriftedParameter:
 
 
 class BusDrift:
-    """Compares the units of one bus with their golden sets as parameters are read."""
+    """The comparison of the units of one bus with their golden sets as parameters are read."""
 
     def __init__(self, live: BusLive, store: SetStore, events: EventLog) -> None:
         self._live = live
@@ -61,7 +61,7 @@ class BusDrift:
         live.subscribe(Audience.DRIFT, self._see)
 
     def on_change(self, subscriber: Callable[[int], None]) -> None:
-        """Call ``subscriber`` when the drift of a unit has changed."""
+        """Have ``subscriber`` called when the drift of a unit has changed."""
         self._subscribers.append(subscriber)
 
     async def load(self) -> None:

@@ -129,7 +129,8 @@ _log = structlog.get_logger(__name__)
 
 
 class RestoreService:
-    """Plans restores, runs them one at a time for each unit, and remembers how they went, also on disk."""
+    """The service that plans restores, runs them one at a time for each unit, and remembers how they went,
+    also on disk."""
 
     def __init__(
         self,

@@ -60,7 +60,7 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterReader:
-    """Reads complete units of one bus through the command service."""
+    """A reader of complete units of one bus through the command service."""
 
     _live: BusLive
     _commands: CommandService
@@ -104,7 +104,7 @@ class ParameterReader:
 
 @dataclass(frozen=True, eq=False)
 class SetKeeper:
-    """Saves the sets of one bus and marks them golden."""
+    """The keeper that saves the sets of one bus and marks them golden."""
 
     _live: BusLive
     reader: ParameterReader
@@ -179,7 +179,8 @@ class SetKeeper:
 
 @dataclass(slots=True)
 class SetReading:
-    """Units that are read, since ``began``, to be saved as one set, and as the ``golden`` set of each or not.
+    """A reading of units that began at ``began``, to be saved as one set; ``golden``: also as the golden set
+    of each unit.
 
     ``missing``: the units that did not respond, with the reason; ``set_id``: the saved set; ``cause``: why
     what was read was not saved or not marked.
@@ -208,7 +209,7 @@ class SetReading:
 
 
 class SetReadings:
-    """Reads units in the background for the page, and remembers how that went."""
+    """Readings of units in the background for the page, and how each went."""
 
     def __init__(self) -> None:
         self._readings: dict[str, SetReading] = {}
@@ -260,7 +261,8 @@ async def _read_and_save(person: Person, keeper: SetKeeper, reading: SetReading)
 
 
 class FirstWrites:
-    """Saves the known values of a unit before the first write to it on a day, which waits for no reading."""
+    """A hook that saves the known values of a unit before the first write to it on a day, which waits for no
+    reading."""
 
     def __init__(self, live: BusLive, commands: CommandService, keeper: SetKeeper, clock: LocalClock) -> None:
         self._live = live
@@ -334,7 +336,8 @@ class OverdueSet:
 
 
 class SetSchedule:
-    """Saves the units of one bus daily; a unit that does not respond then is read when it does."""
+    """The schedule that saves the units of one bus daily; a unit that does not respond then is read when it
+    does."""
 
     def __init__(self, live: BusLive, keeper: SetKeeper, events: EventLog, clock: LocalClock) -> None:
         self._live = live

@@ -188,7 +188,7 @@ def _select(connection: StoreConnection) -> list[tuple[Swap, str | None]]:
 
 
 class SwapService:
-    """Keeps the swap of each unit until it is closed or another one of the unit begins."""
+    """The service that keeps the swap of each unit until it is closed or another one of the unit begins."""
 
     def __init__(
         self,

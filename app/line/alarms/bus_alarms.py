@@ -256,8 +256,8 @@ def control_left_by(
 
 
 class _UnitMonitor:
-    """Observes the conditions of one unit, and only those that a report can have changed. ``alarms``: those
-    of its bus, by key; ``tuned``: the limits that the site set."""
+    """The monitor of one unit's conditions, which observes those that a report can have changed. ``alarms``:
+    those of its bus, by key; ``tuned``: the limits that the site set."""
 
     def __init__(
         self,

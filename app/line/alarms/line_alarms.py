@@ -38,8 +38,8 @@ Expiry = tuple[UnixTime, str]
 
 
 class ExpiryWatch:
-    """Looks every minute for tokens and certificates that have to be replaced. ``token`` and ``certificate``
-    name the one that ends first; False: none has to be replaced, None: not known yet."""
+    """A watch that looks every minute for tokens and certificates that have to be replaced. ``token`` and
+    ``certificate`` name the one that ends first; False: none has to be replaced, None: not known yet."""
 
     def __init__(
         self,

@@ -391,7 +391,7 @@ COUNTED_S = 60.0
 
 @dataclass(slots=True)
 class CountWindow:
-    """Counts a total and its faults in windows of a minute. None until the first window is over."""
+    """A count of a total and its faults in windows of a minute. None until the first window is over."""
 
     total: int | None = None
     faults: int | None = None
@@ -422,7 +422,7 @@ DISTURBANCE_S = 5.0
 
 @dataclass(slots=True)
 class FirstOut:
-    """Finds the first alarm of a disturbance of one bus. An alarm alone is not marked."""
+    """The search for the first alarm of a disturbance of one bus. An alarm alone is not marked."""
 
     _first: str | None = None
     _at: UnixTime = UnixTime(0.0)

@@ -119,7 +119,7 @@ def _known(code: str) -> str:
 
 
 class BuiltInAlarmSettings(StrictModel):
-    """Changes a built-in alarm: everywhere, on one bus, or of one unit."""
+    """A change of a built-in alarm: everywhere, on one bus, or of one unit."""
 
     code: Annotated[str, AfterValidator(_known)]
     bus: str | None = None

@@ -291,7 +291,7 @@ WORK_S = 10.0
 
 
 class Simulator:
-    """Simulates alarms of all buses."""
+    """The simulation of alarms of all buses."""
 
     def __init__(self, history: History, work_s: float = WORK_S) -> None:
         self._history = history
@@ -388,8 +388,8 @@ def _outcome(
 
 
 class StoredHour:
-    """Feeds one hour of a unit from the store, on one connection. ``start`` and ``end``: complete minutes,
-    µs."""
+    """A source that feeds one hour of a unit from the store, on one connection. ``start`` and ``end``:
+    complete minutes, µs."""
 
     def __init__(
         self, connection: tables.StoreConnection, tail: Tail, bus: BusSettings, start: int, end: int

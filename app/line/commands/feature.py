@@ -62,7 +62,8 @@ class _Page(NamedTuple):
 
 
 class ParameterFinder:
-    """Finds parameters by number, name or meaning, of the unit named with them or whose page is open."""
+    """The finder of parameters by number, name or meaning, of the unit named with them or whose page is
+    open."""
 
     def __init__(self, live: LiveState) -> None:
         self._live = live

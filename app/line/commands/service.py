@@ -72,7 +72,7 @@ BeforeWrite = Callable[[Person, Sequence[int], bool], Awaitable[None]]
 
 
 class CommandService:
-    """Takes the commands of people and programs for one bus."""
+    """The service that takes the commands of people and programs for one bus."""
 
     def __init__(
         self,

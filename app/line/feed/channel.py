@@ -51,7 +51,7 @@ class _OpenCommand:
 
 
 class Channel:
-    """Sends commands to one bus over the current connection of its worker."""
+    """The channel that sends commands to one bus over the current connection of its worker."""
 
     def __init__(self, *, patience_s: float = PATIENCE_S, reask_s: float = REASK_WITHIN_S) -> None:
         self._patience_s = patience_s

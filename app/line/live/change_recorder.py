@@ -60,7 +60,7 @@ class LineEvent:
 
 @dataclass(slots=True)
 class ChangeDetector:
-    """Compares each update of a bus with the last state. The first state is no change."""
+    """A detector that compares each update of a bus with the last state. The first state is no change."""
 
     settings: BusSettings
     _port: BusLinkState | None = None
@@ -164,10 +164,10 @@ class _Series:
 
 
 class EventBudget:
-    """Limits how many changes of each series become events. A contact that chatters, or a port that opens and
-    closes, would fill the log and hide everything else. Once a series has had its share, only its last change
-    is recorded, with a count: as soon as the series is quiet, else after pauses that double. ``now`` is
-    monotonic, in seconds."""
+    """A limit on how many changes of each series become events. A contact that chatters, or a port that opens
+    and closes, would fill the log and hide everything else. Once a series has had its share, only its last
+    change is recorded, with a count: as soon as the series is quiet, else after pauses that double. ``now``
+    is monotonic, in seconds."""
 
     def __init__(self) -> None:
         self._series: dict[Hashable, _Series] = {}
@@ -312,8 +312,8 @@ OnsetKey = tuple[str, int, str, Onset]
 
 @dataclass(eq=False)
 class OnsetLookup:
-    """Corrects the onsets of all units. ``_changed`` is called with bus and unit when an onset is
-    corrected."""
+    """The lookup that corrects the onsets of all units. ``_changed`` is called with bus and unit when an
+    onset is corrected."""
 
     _live: LiveState
     _words: StatusWords

@@ -233,7 +233,8 @@ class KeyRing:
         return self._ranks.get(key_id)
 
     def seal(self, purpose: Purpose, *parts: str) -> str:
-        """Seal ``parts`` with the newest key; hex. Only the last part may contain a line feed."""
+        """Return the seal of ``parts`` by the newest key, in hexadecimal. Only the last part may contain a
+        line feed."""
         return _seal(self.keys[-1], purpose, parts)
 
     def confirms(self, seal: str, key_id: str, purpose: Purpose, *parts: str) -> bool:

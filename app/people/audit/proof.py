@@ -213,7 +213,7 @@ def cuts_of(connection: StoreConnection) -> list[Cut]:
 
 def newest_cut(connection: StoreConnection, ring: KeyRing) -> Cut | None:
     """Return the cut at which the log begins, None if nothing was archived. A cut that was not written with
-    the key does not count, so that the entries before it are missing."""
+    the key does not count, and the entries before it are then missing."""
     cuts = cuts_of(connection)
     return cuts[-1] if cuts and cuts[-1].is_sealed(ring) else None
 

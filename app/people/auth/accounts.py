@@ -66,8 +66,8 @@ class Accounts:
             await self._add(User(name, role, False, "/", "", False, self._clock(), None), password)
 
     async def add_first_admin(self, name: str, password: str, *, address: str) -> None:
-        """Add the first user with a password, an admin who acts from ``address``. Raises
-        Problem 409 where there is one, CallerError."""
+        """Add the first user with a password, an admin who acts from ``address``. Raises Problem 409 if there
+        is a user already, and CallerError for a name or password that is refused."""
         by = Person(name, Role.ADMIN, "session", address=address)
         async with self._performing(ADD_FIRST_ADMIN, by, name=name):
             user = User(name, Role.ADMIN, False, "/", "", False, self._clock(), None)

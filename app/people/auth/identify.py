@@ -68,7 +68,8 @@ _Withdrawal = Callable[[], Coroutine[Any, Any, None]]
 
 
 class Identify:
-    """Finds the `Caller` of every request and handshake, or refuses it, and records what was refused.
+    """ASGI middleware that finds the `Caller` of every request and handshake, or refuses it, and records what
+    was refused.
 
     Only public paths are open without a caller. A token that is not valid is refused even where the demo
     needs none. A WebSocket or a response in pieces ends with the rights of its caller.
@@ -385,7 +386,8 @@ class Identity:
 
 
 class ExpiredTokenError(Problem):
-    """The refusal, 401, of an expired token; a stranger does not get it. ``account``: that of the token."""
+    """The refusal (401) of an expired token, given only to a caller who knows the token. ``account``: the
+    token's."""
 
     def __init__(self, token: Token) -> None:
         expired = Message.of("token_expired", called=token.name, day=token.last_day)

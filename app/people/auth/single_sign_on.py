@@ -171,7 +171,7 @@ class SingleSignOn:
             self.provider = provider_of(self.settings)
 
     async def watch(self) -> None:
-        """Run until canceled: know the provider."""
+        """Keep the provider's metadata and keys up to date until canceled."""
         assert self.provider is not None
         await self.provider.watch()
 

@@ -37,7 +37,7 @@ DAY_S, HOUR_S = 86_400.0, 3600.0
 
 
 class Quota:
-    """Bounds what each person stores. ``folder``: where the stores are."""
+    """A bound on what each person stores. ``folder``: where the stores are."""
 
     def __init__(
         self, folder: Path, clock: Clock = unix_now, monotonic: MonotonicClock = monotonic_now

@@ -351,7 +351,7 @@ def _texts_of(transition: Mapping[str, Any]) -> dict[str, str | Message]:
 
 
 class SheetDocuments:
-    """Renders sheets apart from any request."""
+    """The rendering of sheets apart from any request."""
 
     def __init__(
         self, templates: Templates, assets: Assets, alarms: LineAlarms, pictures: PictureStore

@@ -70,7 +70,7 @@ class ShiftEventsShown(TypedDict):
 
 
 class ShiftEvents:
-    """Reads the events of one shift, in one transaction."""
+    """The events of one shift, read in one transaction."""
 
     def __init__(self, connection: StoreConnection, shift: Shift, scope: Scope = EVERYTHING) -> None:
         self._connection = connection

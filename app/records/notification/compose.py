@@ -38,7 +38,8 @@ class Letter:
 
 @dataclass(frozen=True, slots=True)
 class Composer:
-    """Writes letters in the language of the site. ``link``: makes the link to an occurrence, or nothing."""
+    """The composer, which writes letters in the language of the site. ``link``: makes the link to an
+    occurrence, or nothing."""
 
     site: str
     language: Language

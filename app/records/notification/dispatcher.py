@@ -36,7 +36,8 @@ log = structlog.get_logger()
 
 
 class Dispatcher:
-    """Delivers what the outbox has, sends the daily heartbeat, and knows which addresses fail."""
+    """The dispatcher, which delivers what the outbox has, sends the daily heartbeat, and knows which
+    addresses fail."""
 
     def __init__(
         self,

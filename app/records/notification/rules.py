@@ -160,8 +160,8 @@ class Episode:
 
 @dataclass(frozen=True, slots=True)
 class NotificationRule:
-    """Notifies a roster of addresses. ``buses``: empty for all; ``after_s``: of alarms not acknowledged by
-    then."""
+    """A rule that notifies a roster of addresses. ``buses``: empty for all; ``after_s``: of alarms not
+    acknowledged by then."""
 
     priorities: Sequence[AlarmPriority]
     buses: Sequence[str]

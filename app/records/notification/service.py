@@ -266,9 +266,9 @@ STANDING_AFTER_PASSES = 10
 
 
 class AlarmNotifier:
-    """Follows each transition of the journal once: what it led to, and that it was followed, is stored in one
-    transaction. Call :meth:`load` before the first alarm rises: notification that was never on begins with
-    the present."""
+    """The notifier, which follows each transition of the journal once: what it led to, and that it was
+    followed, is stored in one transaction. Call :meth:`load` before the first alarm rises: notification that
+    was never on begins with the present."""
 
     def __init__(
         self,

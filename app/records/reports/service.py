@@ -39,8 +39,8 @@ log = structlog.get_logger()
 
 
 class ReportSchedule:
-    """Puts reports that are due into the outbox. That takes each once for an address: a server that was off
-    sends the report that it missed, and none twice."""
+    """The schedule that puts reports that are due into the outbox. That takes each once for an address: a
+    server that was off sends the report that it missed, and none twice."""
 
     def __init__(self, settings: Settings, send: Send) -> None:
         self._settings = settings
@@ -85,7 +85,7 @@ class ReportSchedule:
 
 
 class Reports:
-    """Reads a report from the stores of the running server."""
+    """The service that reads a report from the stores of the running server."""
 
     def __init__(self, settings: Settings, database: Database, figures: SpanFigures) -> None:
         self.settings = settings
@@ -224,7 +224,7 @@ STYLE = "css/report-document.css"
 
 
 class ReportDocuments:
-    """Renders reports as files, without a request."""
+    """The rendering of reports as files, without a request."""
 
     def __init__(self, reports: Reports, templates: Templates, assets: Assets, alarms: LineAlarms) -> None:
         self._reports = reports

@@ -347,7 +347,7 @@ class StoredVersion:
 
 
 class VersionStore:
-    """Raises OSError where one cannot be written."""
+    """The versions of the file, in a folder. Its methods raise OSError where one cannot be written."""
 
     def __init__(self, data: Path) -> None:
         self._folder = data / FOLDER

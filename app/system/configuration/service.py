@@ -288,8 +288,8 @@ DELAY_S = 1.0
 
 
 class Restart:
-    """Restarts the server where what runs it offers that: a demonstration does not, nor does a server that
-    was started with rights or at a port that it would not get again."""
+    """The restart of the server where what runs it offers that: a demonstration does not, nor does a server
+    that was started with rights or at a port that it would not get again."""
 
     def __init__(self, file: ConfigurationFile, events: EventLog) -> None:
         self._file = file

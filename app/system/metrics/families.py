@@ -59,7 +59,7 @@ class Measured:
 
 
 class LineCollector(Collector):
-    """Collects every family at one moment."""
+    """The collector of every family at one moment."""
 
     def __init__(self, measured: Measured) -> None:
         self._measured = measured

@@ -208,7 +208,7 @@ TRACE_S = 1.0
 
 @dataclass(eq=False, repr=False)
 class LastEvents:
-    """Reads the event log where a line has a new event."""
+    """The last event of each line: reads the event log where a line has a new event."""
 
     live: LiveState
     events: EventLog

@@ -145,7 +145,7 @@ RETRY = b"retry: 2000\n"
 
 @dataclass(eq=False, repr=False)
 class LineStream:
-    """Notes changes while someone reads. ``clock``: Unix time in seconds."""
+    """The stream of the line, which notes changes while someone reads. ``clock``: Unix time in seconds."""
 
     _view: LineView
     clock: Clock
