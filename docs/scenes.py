@@ -174,6 +174,7 @@ PAGES = (
     Scene("recipe-review", "/recipes/1", press_all("main .button--act", shows="[data-review-act]")),
     Scene("users", "/users", role="admin", whole=True),
     Scene("user-menu", "/", press_all("[popovertarget=user-menu]", shows="#user-menu:popover-open")),
+    Scene("legend", "/help/legend", whole=True),
     Scene("system", "/system", role="admin", whole=True),
     Scene("account", "/account", whole=True),
     Scene("login", "/login", role=""),

@@ -5,6 +5,8 @@ const dialog = /** @type {HTMLDialogElement | null} */ (document.getElementById(
 export function start() {
   if (!document.getElementById("find-typed")) return;
   addEventListener("keydown", (event) => {
+    const typing = /** @type {Element} */ (event.target).matches("input, textarea, select, [contenteditable]");
+    if (event.key === "?" && !typing) document.getElementById("legend")?.togglePopover();
     if (event.key.toLowerCase() !== "k" || !(event.ctrlKey || event.metaKey) || event.altKey || event.shiftKey) return;
     event.preventDefault();
     open();

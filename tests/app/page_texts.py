@@ -12,7 +12,7 @@ PAGES = [
     *("/units/dry-end/1/restore", "/units/dry-end/1/drift", "/units/dry-end/99", "/bus/dry-end"),
     *("/bus/dry-end/units", "/bus/dry-end/control", "/bus/dry-end/baud", "/trends", "/sets"),
     *("/sets/compare", "/batch/dry-end?parameter=6", "/swap/dry-end/1", "/recipes", "/users", "/account"),
-    *("/users/the-admin/remove", "/events", "/login", "/offline", "/nowhere", "/system"),
+    *("/users/the-admin/remove", "/events", "/login", "/offline", "/nowhere", "/system", "/help/legend"),
 ]
 SHOWN = {"aria-label", "title", "placeholder", "alt"}
 NO_TEXT = {"data-is", "data-live-var", "data-catalogue", "data-value-words"}

@@ -39,3 +39,11 @@ def test_a_phone_has_the_other_pages_one_press_away(
     assert flaws(page, ENGLISH) == []
     recipes.click()
     page.wait_for_url("**/recipes", timeout=PAGE_MS)
+
+
+def test_the_legend_is_one_key_away(shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=PANEL, locale=ENGLISH), "/")
+    page.keyboard.press("?")
+    expect(page.locator("#legend")).to_contain_text("Only an outline")
+    page.keyboard.press("Escape")
+    expect(page.locator("#legend")).to_be_hidden()

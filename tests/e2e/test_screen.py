@@ -25,6 +25,8 @@ PAGES = [
     "/?view=rows",
     "/help",
     "/system",
+    "/account",
+    "/help/legend",
     # The others are walked by ``make soak``.
     "/?view=matrix",
     "/alarms/journal",
@@ -56,7 +58,7 @@ def too_wide(page: Page) -> int:
 @pytest.mark.parametrize(
     ("path", "locale"),
     # Thousands of elements, of which axe judges each six times.
-    [*in_turn(PAGES, (ENGLISH, GERMAN), first=10), pytest.param("/docs", ENGLISH, marks=pytest.mark.soak)],
+    [*in_turn(PAGES, (ENGLISH, GERMAN), first=12), pytest.param("/docs", ENGLISH, marks=pytest.mark.soak)],
 )
 def test_a_page_is_accessible_and_fits_its_window(
     shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str
@@ -104,6 +106,8 @@ def test_response_figures_are_cards_on_a_phone_with_links_large_enough_for_glove
 def test_at_twice_the_size_nothing_is_lost(shared_page: OpensPages, path: str) -> None:
     page = opened(shared_page(viewport={"width": 640, "height": 400}), path)
     assert too_wide(page) <= 0
+    bars = [page.locator(bar).bounding_box() for bar in (".top", ".rail")]
+    assert sum(bar["height"] for bar in bars if bar) <= 400 / 3, "the page keeps two thirds of the height"
 
 
 @pytest.mark.soak

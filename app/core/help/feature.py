@@ -182,6 +182,12 @@ async def picture(request: Request, _: Viewer, name: str) -> Response:
     return FileResponse(path, media_type="image/png")
 
 
+@router.get("/help/legend")
+async def legend(request: Request, _: Viewer, part: bool = False) -> Response:
+    """Show what the marks mean. ``part``: only the content of the drawer."""
+    return render(request, "help/legend.html", part=part)
+
+
 @router.get("/help/{name:path}")
 async def chapter_page(request: Request, _: Viewer, name: str) -> Response:
     """Show one chapter, in the language of the reader if it is written in it."""
