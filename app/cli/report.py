@@ -19,7 +19,7 @@ from app.core.database.connection import snapshot
 from app.core.web.csv_file import FOR_PROGRAMS
 from app.core.web.formats import lasting
 from app.core.web.shape import iso
-from app.line.history.unit_report import UnitReport, stored_tail
+from app.line.history.query import UnitReport, stored_tail
 from app.records.handover.figures import reported_buses
 from app.records.handover.rules import EVERYTHING, Shift, shift_at, site_time
 from app.records.handover.signatures import signed_between

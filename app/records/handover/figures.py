@@ -13,10 +13,10 @@ from typing_extensions import TypedDict
 
 from app.core.database import Database, StoreConnection
 from app.errors import StoreError
+from app.line.history.query import MAX_REPORT_READINGS, BusReport, UnitReport
 from app.line.history.series.figures import RunFigures
 from app.line.history.series.runs import SECOND, micros
 from app.line.history.service import History
-from app.line.history.unit_report import MAX_READINGS, BusReport, UnitReport
 from app.records.handover.rules import EVERYTHING, Scope, Shift
 from app.settings import Settings
 from bus.instants import Clock, UnixTime, unix_now
@@ -112,7 +112,7 @@ def reported_buses(settings: Settings, scope: Scope, span: Shift, now: UnixTime)
     """Return each bus of a scope with the reader of its units."""
     buses = [bus for bus in settings.bus if scope.bus in (None, bus.name)]
     wanted = micros(span.start), micros(min(span.end, now))
-    share = MAX_READINGS // max(1, len(buses))
+    share = MAX_REPORT_READINGS // max(1, len(buses))
     return [ReportedBus(bus, BusReport(bus, scope.unit, wanted, share)) for bus in buses]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from app.feature import Feature, Services
 from app.people.audit.log import EventLog
-from app.system.configuration import api, bus_pages, pages
+from app.system.configuration import api, pages
 from app.system.configuration.document import VersionStore
 from app.system.configuration.port_scan import PortScan
 from app.system.configuration.service import ACTS, ConfigurationFile, Restart, SystemsBeside
@@ -20,4 +20,4 @@ def make(services: Services) -> None:
     services.lifespan.add("configuration", start=file.begin, end=scan.stop)
 
 
-FEATURE = Feature(make, (api.router, pages.router, bus_pages.router), ACTS)
+FEATURE = Feature(make, (api.router, pages.router, pages.bus_router), ACTS)

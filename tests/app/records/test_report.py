@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from app.cli import cli
 from app.core.database import Database
 from app.line.alarms.journal import JournalEntry, alarm_writer
+from app.line.history.query import BusReport
 from app.line.history.series.figures import (
     RunFigures,
     SpeedStretch,
@@ -30,7 +31,6 @@ from app.line.history.series.figures import (
 )
 from app.line.history.series.runs import MINUTE, SECOND, Run, merge, plain_run, rollup
 from app.line.history.series.values import LinearScale, Marks, Scaling
-from app.line.history.unit_report import BusReport
 from app.records.handover.notes import Note
 from app.records.handover.notes import add as add_note
 from app.records.handover.rules import Shift
