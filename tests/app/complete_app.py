@@ -15,6 +15,7 @@ from contextlib import asynccontextmanager, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from unittest.mock import AsyncMock
 
 import httpx
 import pytest
@@ -31,6 +32,7 @@ from app.line.commands.safeguards import Safeguards
 from app.line.commands.service import CommandService
 from app.line.feed.bus_feed import BusFeed
 from app.line.feed.channel import Channel
+from app.line.history.service import History
 from app.line.live.bus_live import BusLive
 from app.line.live.change_recorder import ChangeRecorder
 from app.line.pipeline import Pipeline
@@ -86,7 +88,7 @@ class House:
     address: str = "192.0.2.7"
     rights: PlayedRights = field(default_factory=PlayedRights)
     """What `commands_app` permits: everything that a test does not withdraw."""
-    _browsers: dict[str, httpx.AsyncClient] = field(default_factory=dict)
+    _browsers: dict[str, tuple[str, httpx.AsyncClient]] = field(default_factory=dict)
     _tokens: list[str] = field(default_factory=list)
     _workers: list[PlayedWorker] = field(default_factory=list)
 
@@ -163,20 +165,23 @@ class House:
         on. No event tells of them. Without a role: a stranger's browser."""
         if role in ("", Role.WORKER):
             return self.client(**self._bearer(role, role, BUS))
-        name, secret = name or role, rules.secret_hash
-        known = self._browsers.get(name)
+        name = name or role
+        had, client = self._browsers.get(name, ("", None))
+        if had == role and client is not None:
+            return client
 
         def sign_in(connection: sqlite3.Connection) -> None:
-            if known is None:
+            if client is None:
                 now = time.time()
                 store.add_user(connection, User(name, Role(role), False, "", "", False, now, None), "")
-                store.begin_session(connection, secret(name), name, now, now + 3600, weak_secret=False)
+                secret = rules.secret_hash(name)
+                store.begin_session(connection, secret, name, now, now + 3600, weak_secret=False)
             store.set_role(connection, name, Role(role))
 
         self._write(sign_in)
-        if known is None:
-            known = self._browsers[name] = self.client(Cookie=f"{SESSION}={name}")
-        return known
+        client = client or self.client(Cookie=f"{SESSION}={name}")
+        self._browsers[name] = role, client
+        return client
 
     async def request(
         self, method: str, path: str, body: Any = None, role: str = "admin", name: str = "", **more: Any
@@ -266,11 +271,17 @@ async def complete_app(
 @asynccontextmanager
 async def commands_app(folder: Path, *, control: bool = False) -> AsyncIterator[House]:
     """Run the features up to the commands, with three units. Any person may do what their role allows,
-    also without an account, and a worker may be silent for as long as a test takes."""
-    async with complete_app(folder, bus=bus_settings(), features=UP_TO_COMMANDS, control=control) as house:
-        house.services[Rights].check = house.rights.check  # type: ignore[method-assign]
-        house.feed.timeout_ticks = 1000
-        yield house
+    also without an account; a worker may be silent for as long as a test takes; history stores nothing."""
+    with pytest.MonkeyPatch.context() as patch:
+        # Opening its store is a third of what such an app costs.
+        for name in ("start", "append", "close"):
+            patch.setattr(History, name, lambda *_: None)
+        patch.setattr(History, "newest", AsyncMock(return_value=None))
+        options: dict[str, Any] = {"bus": bus_settings(), "features": UP_TO_COMMANDS, "control": control}
+        async with complete_app(folder, **options) as house:
+            house.services[Rights].check = house.rights.check  # type: ignore[method-assign]
+            house.feed.timeout_ticks = 1000
+            yield house
 
 
 EVERY_ROLE = (*PEOPLE_ROLES, Role.WORKER)
