@@ -240,7 +240,12 @@ async def test_every_page_counts_the_alarms_before_a_script_runs(house: House) -
         assert head(await page(viewer, path)) == ("urgent waiting", "1 alarm", "1 to acknowledge")
     viewer.headers["Accept-Language"] = "de"
     assert head(await page(viewer, "/events"))[1:] == ("1 Alarm", "1 zu quittieren")
-    assert f'data-live-is="{BUS}/1.alarm" data-is="urgent waiting"' in await page(viewer, "/")
+    line = await page(viewer, "/?view=tiles")
+    assert f'data-live-is="{BUS}/1.alarm" data-is="urgent waiting"' in line
+    words = re.search(r'class="tile__why"><b[^>]*>([^<]*)</b>\s*<span[^>]*>([^<]*)<', line)
+    assert words is not None
+    assert words[1] == "Not-Halt"
+    assert words[2].startswith("aktiv seit")
 
 
 def facts_of(house: House, unit: int = 1) -> AlarmFacts:
