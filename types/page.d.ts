@@ -128,6 +128,7 @@ interface DocumentEventMap {
   "htmx:before:request": CustomEvent<{ ctx: HtmxRequest }>;
   "htmx:config:request": CustomEvent<{ ctx: HtmxRequest }>;
   "htmx:error": CustomEvent<{ ctx?: HtmxRequest }>;
+  "htmx:finally:request": CustomEvent<{ ctx: HtmxRequest }>;
 }
 interface HTMLElementEventMap {
   click: On<PointerEvent>;

@@ -79,6 +79,7 @@ document.addEventListener("click", (event) => {
   event.preventDefault();
   if (!leave()) return;
   wanted = link;
+  link.setAttribute("aria-busy", "true");
   plate.dispatchEvent(new CustomEvent("lineside:faceplate"));
 });
 document.addEventListener("htmx:config:request", ({ detail: { ctx } }) => {

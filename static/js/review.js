@@ -150,7 +150,7 @@ function lock(form) {
   for (const button of form.querySelectorAll("button")) button.disabled = true;
   form.querySelector("[data-lapse]")?.parentElement?.remove();
   // What undo offers was the value before another command.
-  for (const undo of document.querySelectorAll("[data-undo]")) undo.remove();
+  for (const undo of document.querySelectorAll("[data-undo]")) undo.dataset.over = "";
 }
 
 /** Show that the request got no response, so the outcome is unknown.
@@ -167,6 +167,15 @@ function unanswered(form) {
 function added(source) {
   document.dispatchEvent(new CustomEvent("lineside:added", { detail: source.closest("form") }));
   if (content.contains(source)) dismiss("good");
+}
+
+/** Show on the button that was pressed that its request is on its way, until there is a response.
+ * @param {Element} source @param {boolean} isBusy */
+function mark(source, isBusy) {
+  const pressed = document.activeElement?.closest("button, a");
+  const button = source.matches("form") ? (pressed && source.contains(pressed) ? pressed : null) : source;
+  if (!isBusy) for (const busy of document.querySelectorAll(":is(.button, a)[aria-busy]")) busy.removeAttribute("aria-busy");
+  else if (button?.matches(".button")) button.setAttribute("aria-busy", "true");
 }
 
 /** @param {HTMLElement | null} strip @param {string} reason */
@@ -268,8 +277,10 @@ export function start() {
       if (request.method === "GET" && document.body.dataset.link !== "lost") early = source;
       return event.preventDefault();
     }
+    if (!isAutomatic(source)) mark(source, true);
     if (source.matches("[data-review]")) lock(source);
   });
+  document.addEventListener("htmx:finally:request", ({ detail }) => mark(detail.ctx.sourceElement, false));
   document.addEventListener("htmx:after:swap", (event) => {
     rebind();
     document.dispatchEvent(new CustomEvent("lineside:changed"));

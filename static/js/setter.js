@@ -149,6 +149,60 @@ function step(form, percent) {
   }
 }
 
+// --- draw, as it becomes by what is typed ---------------------------------------------------------------
+
+/** What is entered for a unit, as a number; NaN for nothing.
+ * @param {string} unit */
+function enteredFor(unit) {
+  const field = /** @type {HTMLInputElement | null} */ (
+    document.querySelector(`[data-new="${unit}"], [data-follows="${unit}.commanded"][data-touched]`)
+  );
+  return numberOf(field?.value ?? "");
+}
+
+/** The present setpoint of a unit; 0 while it stands, NaN while it is not known.
+ * @param {string} unit */
+function presentOf(unit) {
+  if (numberOf((value(`${unit}.actual`) ?? "").trim()) === 0) return 0;
+  return numberOf(changed("offset", value(`${unit}.setpoint`)) ?? "");
+}
+
+/** The draw in tenths of a percent, rounded as the server rounds it; NaN for none.
+ * @param {number} before @param {number} section */
+export function drawTenths(before, section) {
+  if (!(before > 0 && section > 0)) return Number.NaN;
+  const tenths = (1000 * (section - before)) / before;
+  return Math.sign(tenths) * Math.round(Math.abs(tenths));
+}
+
+/** @param {HTMLElement} place */
+function showDraw(place) {
+  const units = (place.dataset.draw ?? "").split(" ");
+  const entered = units.map(enteredFor);
+  const [before, section] = units.map((unit, at) => (Number.isNaN(entered[at]) ? presentOf(unit) : entered[at]));
+  const tenths = entered.every(Number.isNaN) ? Number.NaN : drawTenths(before, section);
+  const [low, high] = (place.dataset.band ?? "-Infinity Infinity").split(" ").map(Number);
+  const sign = tenths > 0 ? "+" : tenths < 0 ? "−" : "±";
+  const text = `${sign}${(Math.abs(tenths) / 10).toFixed(1).replace(".", DECIMAL_SIGN)} %`;
+  const shown = place.querySelector(".draw-typed__new");
+  const known = Number.isNaN(tenths) ? "" : text;
+  if (shown && shown.textContent !== known) shown.textContent = known;
+  place.toggleAttribute("data-out", tenths / 10 < low || tenths / 10 > high);
+}
+
+function showDraws() {
+  for (const place of document.querySelectorAll("[data-draw]")) showDraw(place);
+}
+
+function followDraws() {
+  const places = /** @type {HTMLElement[]} */ ([...document.querySelectorAll("[data-draw]")]);
+  const units = new Set(places.flatMap(({ dataset }) => (dataset.draw ?? "").split(" ")));
+  for (const unit of units) listen(unit, (_, changed) => ("setpoint" in changed || "actual" in changed) && showDraws());
+  document.addEventListener("input", showDraws);
+  for (const event of ["lineside:done", "lineside:added"])
+    document.addEventListener(event, () => setTimeout(showDraws));
+}
+
 /** @param {HTMLElement} form @param {HTMLElement} button */
 function together(form, { dataset: { togetherDo: what, by = "" } }) {
   if (what === "enter") return enter(form);
@@ -186,13 +240,17 @@ const fieldOf = (key) =>
 export function start() {
   forgetDone();
   followUnits();
+  followDraws();
   document.addEventListener("lineside:changed", followUnits);
   document.addEventListener("click", (event) => {
     const button = event.target.closest("[data-pad], [data-use], [data-together-do]");
     if (!button) return;
     const { pad, togetherDo } = button.dataset;
     if (pad) press(fieldOf(button), pad);
-    else if (togetherDo) together(/** @type {HTMLFormElement} */ (button.closest("form")), button);
+    else if (togetherDo) {
+      together(/** @type {HTMLFormElement} */ (button.closest("form")), button);
+      showDraws();
+    }
     else {
       const input = (button.closest("form, td") ?? document).querySelector(
         "input:not([type=hidden], [type=checkbox])",

@@ -1,5 +1,5 @@
 // Counts down to a moment of the server's clock: data-until="Unix seconds", or the field that data-until-live names.
-// What has data-ends goes at the end.
+// What has data-ends is hidden at the end.
 import { value } from "./bind.js";
 import * as clock from "./clock.js";
 import { word } from "./words.js";
@@ -17,7 +17,8 @@ function count() {
     const seconds = Math.round(Number((untilLive && value(untilLive)) || until) - clock.now());
     const words = left(Math.max(0, seconds));
     if (text.textContent !== words) text.textContent = words;
-    if (seconds <= 0) text.closest("[data-ends]")?.remove();
+    const ended = seconds <= 0 && text.closest("[data-ends]");
+    if (ended) ended.dataset.over = "";
   }
 }
 

@@ -67,6 +67,7 @@ NEEDS_MORE = {
     "/sets/taking/{taking_id}": "a reading that has been started",
     "/bus/{bus}/undo/{id}": "a command that can be undone",
     "/bus/{bus}/tray/review": "a change in the tray",
+    "/bus/{bus}/staged/review": "a staged setpoint",
     "/configuration/versions/{number}": "a change of the configuration",
     "/notifications/acknowledge": "the link of a mail",
     "/offline": "no link: the service worker",

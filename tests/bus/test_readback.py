@@ -15,7 +15,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.line.commands.procedure import CommandContext, Procedure, Wait
+from bus.line.commands.procedure import CommandContext, Procedure, Unstage, Wait
 from bus.line.commands.writes import write_to_unit
 from bus.line.roster import Roster, UnitRecord
 from bus.line.send import ExchangeResult, Send, SendAttempts, SendResult, SendStatus
@@ -41,8 +41,10 @@ TAKEN = Ack(1)
 Brain = Callable[[Request], Reply | SendStatus]
 
 
-def play(procedure: Procedure, brain: Brain) -> tuple[Result, list[Request]]:
-    """Run it against ``brain``; return the result and the requests."""
+def play(
+    procedure: Procedure, brain: Brain, effects: list[object] | None = None
+) -> tuple[Result, list[Request]]:
+    """Run it against ``brain``; return the result and the requests. ``effects`` takes what else it does."""
     requests: list[Request] = []
     sent: SendResult | None = None
     try:
@@ -52,6 +54,8 @@ def play(procedure: Procedure, brain: Brain) -> tuple[Result, list[Request]]:
             if isinstance(step, Send):
                 requests.append(step.request)
                 sent = send_result_of(brain(step.request), float(len(requests)))
+            elif effects is not None:
+                effects.append(step)
     except StopIteration as end:
         return end.value, requests
 
@@ -225,6 +229,17 @@ def test_a_staged_speed_is_acknowledged_at_best(record: UnitRecord) -> None:
         write_to_unit(record, SetSpeed(1, 640, execute=False), CONTEXT), brain_of(reads=[])
     )
     assert (result.outcome, len(requests)) == ("acknowledged", 1)
+
+
+@pytest.mark.parametrize(("shown", "withdraws"), [(100, True), (110, False)])
+def test_staging_the_present_speed_withdraws_what_was_staged(
+    record: UnitRecord, shown: int, withdraws: bool
+) -> None:
+    effects: list[object] = []
+    stage = write_to_unit(record, SetSpeed(1, 100, execute=False), CONTEXT)
+    result, _ = play(stage, brain_of(reads=[status(shown)]), effects)
+    assert result.outcome == "acknowledged"
+    assert (Unstage(1) in effects) is withdraws
 
 
 def test_execute_is_verified_only_where_it_is_known_what_was_staged(record: UnitRecord) -> None:

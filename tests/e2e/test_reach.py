@@ -110,8 +110,9 @@ def test_a_group_change_opens_at_its_head_and_its_result_at_the_verdict(
     expect(act).to_be_in_viewport(ratio=1)
     expect(page.locator("[data-review-cancel]")).to_be_focused()
     act.click()
-    expect(page.locator("[data-review-done] .outcome--final")).to_be_in_viewport(ratio=1)
-    expect(page.locator("[data-review-done] [data-review-cancel]")).to_be_in_viewport(ratio=1)
+    expect(page.locator("dialog[open]")).to_have_count(0)
+    expect(page.locator("#change-line [data-review-done]")).to_be_in_viewport(ratio=1)
+    expect(page.locator("#change-line [data-undo] button")).to_be_in_viewport(ratio=1)
 
 
 @pytest.mark.parametrize("width", sizes(360, 820, 1280, 1920))

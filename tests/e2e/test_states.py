@@ -139,7 +139,6 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     page.get_by_role("button", name="Review the change").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("verified at each of 2 units")
-    page.get_by_role("button", name="Close").click()
     expect(page.locator(".setpoints__new[name=new-1]")).to_have_value("")
     expect(page.locator("[data-tick]:checked")).to_have_count(0)
 

@@ -149,8 +149,8 @@ async def load(
             scales=scales,
         )
     except Problem as problem:
-        return page.refused(problem, recipe.name)
-    return proven(of_bus, recipe.name, setpoints, result, confirmed.id, left_out)
+        return of_bus.not_sent(problem)
+    return proven(of_bus, setpoints, result, confirmed.id, left_out)
 
 
 @router.post("/recipes/retire")

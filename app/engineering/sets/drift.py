@@ -83,6 +83,10 @@ class BusDrift:
         """Return the parameters in which a unit, as last read, differs from its golden set."""
         return list(self._found.get(unit, {}).values())
 
+    def golden_values(self, unit: int) -> dict[int, Message]:
+        """Return what the golden set has for each parameter that differs from it, by number."""
+        return {one.row.number: one.row.left for one in self.differing(unit)}
+
     async def traced(self, unit: int) -> list[DriftedParameter]:
         """Return the drift of a unit once the events have been searched for each change."""
         await self._trace(unit, self.differing(unit))

@@ -16,6 +16,7 @@ from app.core.web.services import bus_service_of, service
 from app.core.web.shape import UnitAddresses
 from app.core.web.templating import render
 from app.engineering.sets.api import Drift
+from app.engineering.sets.drift import BusDrift
 from app.engineering.sets.lookup import (
     FILE_FORM,
     Chosen,
@@ -43,6 +44,7 @@ from bus.validation import Lines, OneLine
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 Readings = Annotated[SetReadings, service(SetReadings)]
 
+DIFFERENT = ("differs", "unavailable")
 MAX_LISTED = 100
 """Sets on one page of the list; each day of a line with a schedule adds some."""
 
@@ -142,9 +144,11 @@ async def compare_page(
     everything: bool = False,
 ) -> Response:
     """Compare two sides row by row, with equal rows on request, and offer the sides."""
+    left = left or _golden_beside(request, live, right)
     one = await side(left, sets, live) if left else None
     other = await side(right, sets, live) if right else None
     rows = compare(one.rows, other.rows, max(0, tolerance)) if one and other else []
+    operating = [row for row in rows if row.number in OPERATING_VALUES and row.kind in DIFFERENT]
     return render(
         request,
         "sets/compare.html",
@@ -155,10 +159,20 @@ async def compare_page(
         choices=choices(live, await sets.summaries()),
         tolerance=tolerance,
         everything=everything,
-        equal=sum(row.kind == "equal" for row in rows),
-        rows=[row for row in rows if everything or row.kind != "equal"],
-        PARAMETERS=PARAMETERS,
+        differing=[row for row in rows if row.kind in DIFFERENT and row not in operating],
+        operating=operating,
+        unknown=[row for row in rows if row.kind == "unknown"],
+        equal=[row for row in rows if row.kind == "equal"],
     )
+
+
+def _golden_beside(request: Request, live: LiveState, right: str) -> str:
+    """Return the golden set of the unit whose present values are one side; empty without one."""
+    kind, _, place = right.partition(":")
+    bus, _, unit = place.rpartition(":")
+    if kind != "live" or bus not in live.buses or not unit.isdecimal():
+        return ""
+    return f"golden:{place}" if bus_service_of(request, bus, BusDrift).has_golden(int(unit)) else ""
 
 
 @router.get("/sets/{set_id}")
@@ -190,16 +204,17 @@ async def golden(
 
 @router.get("/units/{bus}/{unit}/drift")
 async def drift_fragment(
-    request: Request, _: Viewer, drift: Drift, live: Live, bus: str, unit: int
+    request: Request, _: Viewer, drift: Drift, sets: Sets, live: Live, bus: str, unit: int
 ) -> Response:
     """Show where the unit differs from its golden set, and who changed it."""
     unit_or_404(live, bus, unit)
+    marked = (one for one in await sets.summaries(bus, unit) if unit in one.golden_for)
     return render(
         request,
         "sets/_drift.html",
         bus=bus,
         unit=unit,
-        golden=drift.has_golden(unit),
+        golden=next(marked, None) if drift.has_golden(unit) else None,
         departures=await drift.traced(unit),
         unread=drift.unread(unit),
         PARAMETERS=PARAMETERS,

@@ -327,7 +327,7 @@ async def add_setpoints(request: Request, page: PageOfBus) -> Response:
         setpoints, scales = await typed_setpoints(page, await request.form())
         return await _added(page, _setpoints(setpoints), page.deadline(len(setpoints)), scales)
     except (CallerError, Problem) as error:
-        return page.explain(error, f"#setpoints-error-{page.name}")
+        return page.explain(error, f"#change-{page.name}")
 
 
 @router.post("/recipes/{recipe_id}/tray", dependencies=[permitted(SET_LINE)])
@@ -343,7 +343,7 @@ async def add_recipe(page: Page, recipe: KnownRecipe) -> Response:
         scales = {each.unit: parse_scale(each.scale) for each in recipe.setpoints if each.scale}
         return await _added(of_bus, _setpoints(setpoints), of_bus.deadline(len(setpoints)), scales)
     except Problem as problem:
-        return page.explain(problem, "#recipe-error")
+        return page.explain(problem, f"#change-{of_bus.name}")
 
 
 @router.post("/batch/{bus}/tray")

@@ -28,13 +28,13 @@ from app.feature import Feature, Services
 from app.line.commands import api, safeguards_api
 from app.line.commands.api import FrameShown, frame_json
 from app.line.commands.catalogue import READ_TRACE, ROLES_BY_COMMAND
-from app.line.commands.pages import bus, line, parameters, speed, unit
+from app.line.commands.pages import bus, line, parameters, speed, staged, unit
 from app.line.commands.record import CommandRecord
 from app.line.commands.safeguards import ACTS, Safeguards
 from app.line.commands.service import Commands, CommandService, permitted
 from app.line.commands.trace_file import trace_line
 from app.line.feed.channel import Channel
-from app.line.live.bus_live import BusLive, LiveState, UnitLive
+from app.line.live.bus_live import BusLive, LiveState, UnitLive, units_staged
 from app.line.live.fields import unit_key
 from app.line.live.hub import Hub
 from app.line.live.sources import Sources
@@ -143,7 +143,18 @@ def make(services: Services) -> None:
         live, channel = of_bus[BusLive], of_bus[Channel]
         of_bus.add(CommandService(live, channel, record, guards, rights))
     all_guards = services.of_buses(Safeguards).values()
+    lives = services.of_buses(BusLive)
+    services[Templates].parts["staged"] = lambda *_: [
+        StagedCount(name, n) for name, live in lives.items() if (n := units_staged(live))
+    ]
     services[Templates].parts["controls"] = lambda *_: [guards.bus_control() for guards in all_guards]
+
+
+class StagedCount(NamedTuple):
+    """How many units of a bus hold a setpoint that is not executed."""
+
+    bus: str
+    units: int
 
 
 class _Page(NamedTuple):
@@ -199,6 +210,7 @@ FEATURE = Feature(
         router,
         line.router,
         speed.router,
+        staged.router,
         parameters.router,
         bus.router,
         unit.router,

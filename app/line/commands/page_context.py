@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -40,6 +40,7 @@ from app.line.live.fields import Fields, Translator
 from app.line.live.hub import Hub
 from app.line.live.pages import UnitOnLine, unit_on_line
 from app.line.live.requests import unit_of_bus_or_404
+from app.line.live.sources import Sources
 from bus.contract import Action, Result, UnitOutcome, UnitScale
 from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
@@ -231,6 +232,17 @@ class BusPage(PageContext):
         """Word the result of a setpoint; what was read back is in the decimals of ``unit``."""
         return outcome_text(result, lambda raw: setpoint_message(raw, self.bus.units[unit]))
 
+    def result(self, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
+        """Render the result of a command, in place. ``setpoint``: the requested value, its live field, its
+        undo."""
+        context = _RESULT | setpoint
+        return self.render("unit/_result.html", outcome=outcome, status=status, **context)
+
+    def not_sent(self, problem: Problem) -> Response:
+        """Render the result of a confirmed review that sent nothing."""
+        outcome = OutcomeText("bad", problem.message)
+        return self.result(outcome, status=problem.status, controlled=_controlled(problem))
+
     def change(self, unit: int, raw: int, typed_with: UnitScale | None = None) -> SetpointChange:
         """Describe a new setpoint of a unit; ``typed_with``: its scale, if it was typed."""
         block = self.guards.block_reason(unit, slows=slows_all({unit: raw}, self.bus))
@@ -285,16 +297,10 @@ class UnitPage(BusPage):
         at = units.index(self.id) + step
         return self.shown(units[at]) if 0 <= at < len(units) else None
 
-    def result(self, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
-        """Render the result of a command, in place. ``setpoint``: the requested value, its live field, its
-        undo."""
-        context = _RESULT | setpoint
-        return self.render("unit/_result.html", outcome=outcome, status=status, **context)
-
-    def not_sent(self, problem: Problem) -> Response:
-        """Render the result of a confirmed review that sent nothing."""
-        outcome = OutcomeText("bad", problem.message)
-        return self.result(outcome, status=problem.status, controlled=_controlled(problem))
+    def golden_values(self) -> Mapping[int, Message]:
+        """Return what the golden set of the unit has for each parameter that differs from it, by number."""
+        drift = service_of(self.request, Sources).drift.get(self.name)
+        return {} if drift is None else drift.golden_values(self.id)
 
     def setpoint(self, raw: int | None) -> str:
         """Return a setpoint as the unit shows it, in the reader's language; empty for None."""

@@ -37,7 +37,7 @@ from bus.contract import Outcome, Result, UnitOutcome, UnitScale
 from bus.errors import unit_error
 from bus.instants import UnixTime
 from bus.messages import Message, number
-from bus.settings import Seam
+from bus.settings import DrawBand, Seam
 
 REVIEW_LASTS_S = 45.0
 """Thirty seconds on the screen, and some time for the way to the server."""
@@ -261,6 +261,27 @@ def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]
             text = Message.of("draw_and_band", text=text, low=low, high=high)
         changes.append(DrawChange(text, is_out))
     return changes
+
+
+class DrawSeam(NamedTuple):
+    """Two sections whose setpoints have a draw: their addresses, and its band in percent, empty for none."""
+
+    before: int
+    unit: int
+    band: DrawBand
+
+
+def draw_seam(bus: BusLive, unit: int) -> DrawSeam | None:
+    """Return between which setpoints the draw of a unit is; None if one of them is a ratio or has another
+    quantity."""
+    seam = bus.seams.get(unit)
+    if seam is None:
+        return None
+    pair = bus.units[seam.before], bus.units[unit]
+    quantities = {quantity_of(bus, each) for each in pair}
+    if any(map(follower, pair)) or None in quantities or len(quantities) > 1:
+        return None
+    return DrawSeam(seam.before, unit, seam.band)
 
 
 def _draw(bus: BusLive, pair: tuple[UnitLive, UnitLive], seam: Seam, setpoints: Mapping[int, int]) -> Draw:

@@ -17,12 +17,14 @@ from app.errors import Problem
 from app.line.commands.catalogue import kind_of_command
 from app.line.commands.record import CommandRequest
 from app.line.commands.review import REVIEW_LASTS_S, present_setpoint
+from app.line.commands.rules import staged_setpoints
 from app.line.commands.values import Scales, parameter_message, scales_of, setpoint_message
 from app.line.live.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import output_is_on
 from bus.contract import (
     Action,
+    ExecuteAll,
     ExecuteSpeed,
     Result,
     SetLine,
@@ -60,6 +62,8 @@ def values_set(action: Action, bus: BusLive) -> Values | None:
             return None if staged is None else {ValuePlace("setpoint", unit): staged}
         case SetLine(setpoints=setpoints):
             return {ValuePlace("setpoint", unit): raw for unit, raw in setpoints.items()}
+        case ExecuteAll():
+            return {ValuePlace("setpoint", unit): raw for unit, raw in staged_setpoints(bus).items()} or None
         case WriteOutput(unit=unit, number=number, on=on):
             return {ValuePlace("output", unit, number): int(on)}
         case WriteAnalogOutput(unit=unit, raw=raw):

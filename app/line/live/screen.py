@@ -23,6 +23,7 @@ from app.line.live.bus_live import (
     follower,
     speed_decimals,
     unit_link_now,
+    units_staged,
 )
 from app.line.live.diagnosis import (
     Cause,
@@ -120,6 +121,7 @@ def line_fields(
         "counts": translator.t(Message.of("line_abnormal", n=len(found))) if found else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
         "abnormal": f"{len(found)}",
+        "staged": f"{sum(map(units_staged, buses.values())) or ''}",
         "named": _named(found, worst.key if worst else "", views, translator, now),
     } | _figures(buses, translator, now)
 
@@ -214,7 +216,7 @@ def _figures(buses: Mapping[str, BusLive], translator: Translator, now: UnixTime
 LINE_GROUP = "line_summary"
 """The group of the totals: a name that no bus can have, as a slug has no underscore."""
 ALARM_GROUP = "alarms_present"
-_DECIDES = {"link", "state", "level", "cause"}
+_DECIDES = {"link", "state", "level", "cause", "staged"}
 """Fields of a unit whose change may change the verdict and the totals of the line."""
 MAX_DEPARTED = 3
 """Units that differ from a recipe and are named; of more there is a number, and the page of recipes."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, Protocol
 
@@ -78,6 +78,9 @@ class GoldenDrift(Protocol):
 
     def differing(self, unit: int) -> Sequence[object]:
         """Return the parameters of a unit that differ."""
+
+    def golden_values(self, unit: int) -> Mapping[int, Message]:
+        """Return what the golden set has for each parameter that differs from it, by number."""
 
     def summary(self, unit: int, translator: Translator, now: UnixTime) -> Drifted:
         """Return the differences of a unit in the reader's language. ``now``: Unix time in seconds."""

@@ -283,8 +283,11 @@ def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext
         return _result_of_one(outcome_before_write(unit, before.difference))
     after = ScaleReading(unit, scale if guarded else dict(reversed(scale.items())))
     outcome = yield from _write_unscaled(record, action, context, after)
-    if isinstance(action, SetSpeed) and not action.execute and outcome.outcome == "acknowledged" and guarded:
-        yield NoteStagedScale(unit, scale)
+    if isinstance(action, SetSpeed) and not action.execute and outcome.outcome == "acknowledged":
+        if (yield from _is_present(record, action.raw, context)):
+            yield Unstage(unit)
+        elif guarded:
+            yield NoteStagedScale(unit, scale)
     if isinstance(action, SetSpeed | ExecuteSpeed) and outcome.outcome == "verified":
         yield Unstage(unit)  # also where its acknowledgement was lost
     if not guarded and _shows_mode(record, scale, outcome):
@@ -292,6 +295,11 @@ def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext
     if outcome.outcome in SUCCEEDED:
         yield from after.read_all()
     return _result_of_one(outcome_in_scale(outcome, after, guarded=guarded))
+
+
+def _is_present(record: UnitRecord, raw: int, context: CommandContext) -> Subprocedure[bool]:
+    """Return whether a unit has this setpoint already, so that executing it would change nothing."""
+    return record.commanded == raw and (yield from present_setpoint(record, context.dialect)) == raw
 
 
 SUCCEEDED = ("verified", "acknowledged")

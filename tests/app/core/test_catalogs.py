@@ -202,7 +202,7 @@ def test_each_text_is_of_a_message() -> None:
 def test_the_extraction_finds_texts_at_all() -> None:
     assert "Set line to zero" in in_templates()
     assert ("{n} row differs", "{n} rows differ") in in_templates()
-    assert "Setpoints" in in_code()
+    assert "Staged setpoints" in in_code()
 
 
 def test_a_text_with_a_count_has_a_singular() -> None:

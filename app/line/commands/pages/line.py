@@ -30,6 +30,7 @@ from app.line.commands.review import (
     ZeroPlan,
     by_remark,
     draw_changes,
+    draw_seam,
     obstacle_of,
     outcome_text,
     plan_zero,
@@ -52,7 +53,6 @@ from bus.instants import unix_now
 from bus.messages import Message, joined, term
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
-TITLE = term("Setpoints")
 
 
 @router.get("/setpoints")
@@ -71,6 +71,7 @@ def _line_of(page: BusPage, number: int) -> dict[str, object]:
         "measure": measure_of_setpoint(live),
         "limits": {"low": page.translator.t(low), "high": page.translator.t(high)},
         "follower": bool(follower(live)),
+        "draw": draw_seam(page.bus, number),
     }
 
 
@@ -82,7 +83,7 @@ async def review_setpoints(request: Request, page: Page) -> Response:
     try:
         return await review_change(of_bus, *await typed_setpoints(of_bus, form))
     except (CallerError, Problem) as error:
-        return page.explain(error, f"#setpoints-error-{of_bus.name}")
+        return page.explain(error, f"#change-{of_bus.name}")
 
 
 async def review_change(
@@ -136,7 +137,7 @@ async def set_setpoints(
     request: Request, page: Page, bus: Annotated[str, Form()], confirmed: Confirmed
 ) -> Response:
     """Stage all, require every acknowledgement, broadcast once, read each back: all of them or none."""
-    of_bus, form, title = page.of_bus(bus), await request.form(), page.translator.t(TITLE)
+    of_bus, form = page.of_bus(bus), await request.form()
     try:
         is_sent = await of_bus.has_sent(confirmed.id)
         setpoints, scales = reviewed(of_bus.bus, form, is_sent=is_sent)
@@ -144,8 +145,8 @@ async def set_setpoints(
             _refuse_unable(of_bus, setpoints)
         result = await of_bus.carry_out(SetLine(setpoints=setpoints), confirmed, scales)
     except Problem as problem:
-        return page.refused(problem, title)
-    return proven(of_bus, title, setpoints, result, confirmed.id, left_out_of(form))
+        return of_bus.not_sent(problem)
+    return proven(of_bus, setpoints, result, confirmed.id, left_out_of(form))
 
 
 def _refuse_unable(page: BusPage, units: Iterable[int]) -> None:
@@ -191,12 +192,7 @@ def followers_of(live: BusLive) -> set[int]:
 
 
 def proven(
-    page: BusPage,
-    title: str,
-    setpoints: Mapping[int, int],
-    result: Result,
-    id: str,
-    left_out: Collection[int],
+    page: BusPage, setpoints: Mapping[int, int], result: Result, id: str, left_out: Collection[int] = ()
 ) -> Response:
     """Render the outcome of each unit in floor order, then those that were left out, and the undo of the
     change with this id."""
@@ -212,8 +208,6 @@ def proven(
     proofs += [(page.name_of(unit), "", page.outcome_left_out(unit)) for unit in sorted(left_out)]
     return page.render(
         "setpoints/_done.html",
-        title=title,
-        bus=page.name,
         outcome=_outcome_of_all(result, len(setpoints)),
         proofs=proofs,
         undo=page.undo(id),

@@ -67,6 +67,7 @@ def _row(page: UnitPage, number: int) -> dict[str, Any]:
     shown = {
         "at": None if known is None else known.at,
         "value": None if raw is None else parameter_message(PARAMETERS[number], raw, page.unit),
+        "golden": page.golden_values().get(number),
     }
     return parameter_json(page.unit, number) | {"min": lowest, "max": highest} | shown
 
@@ -132,21 +133,13 @@ async def write_parameter(
         action = WriteParameter(unit=page.id, number=number, raw=raw)
         result = await page.carry_out(action, confirmed, {page.id: scale})
     except Problem as problem:
-        if confirmed.undoes:
-            return page.refused(problem, page.title)
-        response = page.not_sent(problem)
-        response.headers["HX-Retarget"] = f"#parameter-{number}-error"
-        response.headers["HX-Reswap"] = "innerHTML"
-        return response
+        return page.not_sent(problem)
     return page.render(
         "unit/_parameter_done.html",
         outcome=_outcome(page, parameter, result),
         unit=page.on_line,
         row=_row(page, number),
         undo=page.undo(confirmed.id),
-        undoes=confirmed.undoes,
-        requested="",
-        controlled="",
     )
 
 

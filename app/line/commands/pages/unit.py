@@ -17,7 +17,7 @@ from app.line.alarms.line_alarms import LineAlarms
 from app.line.commands.catalogue import WRITE_ANALOG_OUTPUT, WRITE_OUTPUT
 from app.line.commands.limits import HIGHEST_SETPOINT, Limits
 from app.line.commands.page_context import Confirmed, PageOfUnit, ReviewedScale, UnitPage
-from app.line.commands.review import OutcomeText, nudges, outcome_text
+from app.line.commands.review import OutcomeText, draw_seam, nudges, outcome_text
 from app.line.commands.rules import setpoint_range
 from app.line.commands.safeguards import BLOCK, SET_LIMITS, UNBLOCK
 from app.line.commands.service import permitted, permitted_writer
@@ -131,6 +131,8 @@ def setting(page: UnitPage) -> dict[str, Any]:
     """Return the unit, and what its setpoint is set by."""
     allowed = setpoint_range(page.unit, page.guards.limits(page.id))
     fine, coarse = nudges(page.unit)
+    after = page.neighbor(1)
+    seams = [draw_seam(page.bus, unit) for unit in (page.id, after.id if after else page.id)]
     steps = (1, coarse), (1, fine), (-1, fine), (-1, coarse)
     return {
         "fields": page.fields(),
@@ -144,6 +146,7 @@ def setting(page: UnitPage) -> dict[str, Any]:
         "scale": scale_text(setpoint_scale(page.unit, 1)),
         "nudges": [(sign * step, page.setpoint(step), sign) for sign, step in steps],
         "block": page.guards.block_of(page.id),
+        "draws": dict.fromkeys(seam for seam in seams if seam is not None),
     }
 
 
