@@ -61,7 +61,10 @@ def run(commit: str) -> None:
                     figures[name].append(figure)
     old, new = ({name: median(each) for name, each in figures.items()} for figures in found)
     rows = [[name, f"{old[name]:.4g}", f"{new[name]:.4g}", f"{new[name] / old[name]:.2f}"] for name in old]
-    note = f"Medians of {REPEATS}, the trees in turns; CPU and memory are of the app, without its workers."
+    note = (
+        f"Medians of {REPEATS}, the trees in turns; CPU and memory are of the app, without its workers. "
+        "The CPU of a command includes that of the readings until the next one: more on a loaded machine."
+    )
     show(f"This tree against {commit}", ["", commit, "this", "ratio"], rows, note)
 
 

@@ -34,7 +34,7 @@ def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.C
     make_folder(path.parent)
     make_file(path)
     connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
-    connection.row_factory = sqlite3.Row
+    _set_factories(connection)
     # Takes effect in a new store only.
     connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
     connection.execute("PRAGMA journal_mode = WAL")
@@ -68,11 +68,15 @@ def _opened(path: Path, how: str) -> sqlite3.Connection:
     refuse_link(path)
     uri = f"{path.absolute().as_uri()}?{how}"
     connection = sqlite3.connect(uri, uri=True, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
-    connection.row_factory = sqlite3.Row
+    _set_factories(connection)
     connection.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
+    return connection
+
+
+def _set_factories(connection: sqlite3.Connection) -> None:
+    connection.row_factory = sqlite3.Row
     # SQLite stores any bytes as text: one row that is no UTF-8 must not make all others unreadable.
     connection.text_factory = partial(str, encoding="utf-8", errors="replace")
-    return connection
 
 
 @contextmanager

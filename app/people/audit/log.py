@@ -249,9 +249,7 @@ class EventLog:
             self._entry("fate", about=event, outcome=outcome, message=message, **texts.get(event, {}))
             for event, (outcome, message) in outcomes.items()
         ]
-        await self._write_all(entries)
-        for event in outcomes:
-            await self._publish_stored(event)
+        await self._conclude(entries)
 
     async def conclude(
         self,
@@ -265,8 +263,7 @@ class EventLog:
         """Store the outcome of an intent, which ``frames`` carried, in one transaction with ``also``.
         ``texts``: ``old`` and ``new`` if the command has shown that they differ from those of the intent."""
         entry = self._entry("fate", about=event, outcome=outcome, message=message, frames=frames, **texts)
-        await self._write_all([entry], also)
-        await self._publish_stored(event)
+        await self._conclude([entry], also)
 
     async def record(
         self,
@@ -311,30 +308,34 @@ class EventLog:
         return await self._database.read_costly(kinds)
 
     async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
-        numbers = await self._write_all(entries, also)
+        numbers = await self._database.write(lambda connection: self._append(connection, entries, also))
         for number, entry in zip(numbers, entries, strict=True):
             about = {"id": number, "concluded_at": None, "concluded_messages": None}
             self._publish(readable({**entry, **about}))
         return numbers
 
-    async def _write_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
-        def write(connection: StoreConnection) -> list[int]:
-            numbers = append(connection, entries, self.keys)
-            if also is not None:
-                also(connection)
-            return numbers
+    async def _conclude(self, outcomes: Sequence[Event], also: Also | None = None) -> None:
+        """Store outcomes, and publish the events that they conclude as they are then. These are read in the
+        same transaction: the pages are at hand there, and a read apart would need another thread."""
 
-        return await self._database.write(write)
+        def write(connection: StoreConnection) -> list[Event]:
+            self._append(connection, outcomes, also)
+            if not self._subscribers:
+                return []
+            concluded = (one(connection, outcome["about"]) for outcome in outcomes)
+            return [event for event in concluded if event is not None]
+
+        for event in await self._database.write(write):
+            self._publish(event)
+
+    def _append(self, connection: StoreConnection, entries: Sequence[Event], also: Also | None) -> list[int]:
+        numbers = append(connection, entries, self.keys)
+        if also is not None:
+            also(connection)
+        return numbers
 
     def _entry(self, kind: str, **members: Any) -> dict[str, Any]:
         return new_entry(**{"time": self._clock(), "kind": kind, **members})
-
-    async def _publish_stored(self, number: int) -> None:
-        if not self._subscribers:
-            return
-        event = await self._database.read(lambda connection: one(connection, number))
-        if event is not None:
-            self._publish(event)
 
     def _publish(self, event: Event) -> None:
         for subscriber in tuple(self._subscribers):

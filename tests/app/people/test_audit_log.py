@@ -101,6 +101,19 @@ async def test_what_a_dead_server_left_open_is_unverified(log: EventLog) -> None
     assert (events[left]["outcome"], events[left]["message"]) == ("unverified", str(ENDED_BEFORE))
 
 
+async def test_an_open_command_with_an_unreadable_text_stops_no_start(
+    log: EventLog, database: Database
+) -> None:
+    seen = list[Event]()
+    log.subscribe(seen.append)
+    await intent(log, what="x")
+    with closing(sqlite3.connect(database.path)) as other, other:
+        other.execute("DROP TRIGGER events_stay_as_written")
+        other.execute("UPDATE events SET what = CAST(x'ff' AS TEXT)")
+    assert await log.close_open_intents() == 1
+    assert [event["outcome"] for event in seen] == [None, "unverified"]
+
+
 @pytest.mark.parametrize("change", ["UPDATE events SET what = 'x' WHERE id = 1", "DELETE FROM events"])
 async def test_nothing_is_changed_or_removed(log: EventLog, database: Database, change: str) -> None:
     await intent(log)
