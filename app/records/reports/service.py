@@ -274,6 +274,8 @@ def summary(report: Mapping[str, Any]) -> tuple[Message, ...]:
 def _stops(line: LineFigures) -> Iterator[Message]:
     if line["stops"] is None or line["stopped_s"] is None:
         yield Message("report_no_readings")
+    elif not line["stops"]:
+        yield Message("report_no_stops")
     else:
         yield Message.of("report_stops", n=line["stops"], lasting=lasting(line["stopped_s"]))
 
