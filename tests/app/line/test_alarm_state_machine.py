@@ -224,6 +224,15 @@ def test_what_hides_an_alarm_is_named_in_the_order_in_which_a_person_has_to_end_
     assert AlarmFacts(suppressed=True).state == "suppressed"
 
 
+def test_a_shelving_is_ended_before_its_time_and_only_once() -> None:
+    how = AlarmAttributes()
+    facts, _ = rules.shelve(AlarmFacts(), how, UnixTime(1), for_s=60)
+    facts, done = rules.unshelve(facts, how, UnixTime(2))
+    assert ([each.trigger for each in done], facts.shelved_until) == (["unshelve"], None)
+    with pytest.raises(NoTransitionError):
+        rules.unshelve(facts, how, UnixTime(3))
+
+
 def test_running_times_keep_their_length_when_the_clock_is_set() -> None:
     facts = AlarmFacts(shelved_until=UnixTime(100), changing_since=UnixTime(90))
     later = shifted(facts, -50.0)
