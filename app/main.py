@@ -43,6 +43,7 @@ from app.settings import Settings
 from app.system.backup import feature as backup
 from app.system.configuration import feature as configuration
 from app.system.metrics import feature as metrics
+from app.system.mqtt import feature as mqtt
 from app.system.peers import feature as peers
 from app.system.postgresql import feature as postgresql
 from app.system.state import feature as state
@@ -72,6 +73,7 @@ FEATURES = (
     backup.FEATURE,
     peers.FEATURE,
     postgresql.FEATURE,
+    mqtt.FEATURE,
     metrics.FEATURE,
     state.FEATURE,
 )

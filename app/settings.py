@@ -31,6 +31,7 @@ from app.records.handover.settings import ShiftSettings
 from app.records.notification.settings import NotifySettings, refuse_unknown_names
 from app.records.reports.settings import ReportSettings, refuse_unsendable
 from app.system.backup.settings import BackupSettings
+from app.system.mqtt.settings import MqttSettings
 from app.system.peers.settings import PeerSettings, refuse_repeated
 from app.system.postgresql.settings import PostgresqlSettings
 from app.version import VERSION
@@ -158,6 +159,7 @@ class Settings(StrictModel):
     report: Annotated[tuple[ReportSettings, ...], Field(max_length=50)] = ()
     backup: BackupSettings = BackupSettings()
     postgresql: PostgresqlSettings | None = None
+    mqtt: MqttSettings | None = None
     peer: Annotated[tuple[PeerSettings, ...], Field(max_length=200)] = ()
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""

@@ -19,7 +19,6 @@ from app.line.conditions.condition import PRIORITIES
 from app.line.live.diagnosis import Level
 from app.line.live.fields import Fields, Groups, Translator, put_fields
 from app.line.live.screen import verdict_line
-from app.system.peers.settings import PeerSettings
 from app.system.peers.summary import MAX_POINTS, LineSummary
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now
 from bus.messages import Message
@@ -33,12 +32,14 @@ _RANKS = {level: number for number, level in enumerate((*PRIORITIES, ""))}
 
 @dataclass(eq=False, slots=True)
 class Peer:
-    """Another server. ``number``: its place in the configuration, from 1; ``lines``: by bus, as it reported
-    them last, at ``reported_at``, or at ``time`` by its own clock; ``instance``: see `LineBoard`; ``fault``:
-    why it is not read now."""
+    """Another server. ``number``: tells it from others, its place in the configuration from 1 where it stands
+    there; ``url``: under which its pages are reached; ``lines``: by bus, as it reported them last, at
+    ``reported_at``, or at ``time`` by its own clock; ``instance``: see `LineBoard`; ``fault``: why it is not
+    read now."""
 
     number: int
-    settings: PeerSettings
+    name: str
+    url: str
     lines: Mapping[str, LineSummary] = field(default_factory=dict)
     reported_at: Monotonic | None = None
     instance: str = ""
@@ -69,14 +70,14 @@ class LineOnBoard:
     def site(self) -> str:
         """Return where it is: the name of the peer as it is called here, or that of this site."""
         if self.peer is not None:
-            return self.peer.settings.name
+            return self.peer.name
         return "" if self.summary is None else self.summary.site
 
     @property
     def href(self) -> str:
         """Return the address of its page; of a line of a peer, that on its server."""
         own = f"/?bus={self.bus}" if self.bus else "/"
-        return own if self.peer is None else f"{self.peer.settings.url}{own}"
+        return own if self.peer is None else f"{self.peer.url}{own}"
 
     @property
     def is_stale(self) -> bool:
@@ -91,7 +92,7 @@ class LineOnBoard:
     @property
     def rank(self) -> tuple[int, int, int, str, str]:
         """The worst first: by priority, where one that is stale counts as high at least; then alarms."""
-        name = "" if self.peer is None else self.peer.settings.name
+        name = "" if self.peer is None else self.peer.name
         level, waiting, active = "", 0, 0
         if self.summary is not None:
             level = self.summary.level
@@ -106,7 +107,7 @@ class LineBoard:
     run of this server, so that one that finds its own in the report of a peer knows that it reads itself."""
 
     own: Callable[[], Iterable[LineSummary]]
-    peers: tuple[Peer, ...] = ()
+    peers: list[Peer] = field(default_factory=list)
     clock: MonotonicClock = monotonic_now
     instance: str = field(default_factory=lambda: secrets.token_hex(8))
 
@@ -125,7 +126,7 @@ class LineBoard:
             return Message("peer_is_this_server")
         same = next((p for p in self.peers if p is not peer and p.instance == instance and not p.fault), None)
         if same is not None:
-            return Message.of("peer_is_other", name=same.settings.name)
+            return Message.of("peer_is_other", name=same.name)
         if (instance, time) == (peer.instance, peer.time):
             return Message("peer_report_copied")
         peer.lines, peer.time, peer.reported_at, peer.instance, peer.fault = (
@@ -237,7 +238,7 @@ def no_report(line: LineOnBoard) -> Message:
     """Return the text that a peer does not report a line, since when and why."""
     peer = line.peer
     assert peer is not None, "a line of this server is always reported"
-    name = peer.settings.name
+    name = peer.name
     if line.age_s is None or not line.is_stale:
         if peer.fault is None:
             return Message.of("peer_has_no_lines" if peer.reported_at else "peer_awaited", peer=name)

@@ -163,8 +163,8 @@ def board_json(board: LineBoard, english: Translator, now: UnixTime, *, own: boo
 def _peer_json(peer: Peer, now: Monotonic) -> PeerOfSite:
     age_s = peer.age_s(now)
     return {
-        "name": peer.settings.name,
-        "url": peer.settings.url,
+        "name": peer.name,
+        "url": peer.url,
         "age_s": None if age_s is None else round(age_s, 3),
         "fault": maybe_shown(peer.fault),
     }
@@ -175,7 +175,7 @@ def _line_json(line: LineOnBoard, english: Translator, now: UnixTime) -> LineOfS
     given: dict[str, Any] = dict.fromkeys(LineOfSite.__annotations__)
     given |= {
         "bus": line.bus,
-        "peer": None if peer is None else peer.settings.name,
+        "peer": None if peer is None else peer.name,
         "url": None if peer is None else line.href,
         "stale": line.is_stale,
         "age_s": None if line.age_s is None else round(line.age_s, 3),
@@ -327,24 +327,24 @@ class PeerAwayError(PeerError):
     """There is no connection to it now."""
 
 
-async def follow(peer: Peer, board: LineBoard) -> None:
+async def follow(peer: Peer, settings: PeerSettings, board: LineBoard) -> None:
     """Run until canceled: read a peer. The files of its token and its authority are read again after a
     refusal."""
     while True:
         try:
-            async with _client(peer.settings) as client:
+            async with _client(settings) as client:
                 while True:
-                    await _read_onto(board, peer, client)
+                    await _read_onto(board, peer, settings, client)
                     await asyncio.sleep(EVERY_S)
         except PeerError as error:
             _note(peer, error.message)
         await asyncio.sleep(REFUSED_EVERY_S)
 
 
-async def _read_onto(board: LineBoard, peer: Peer, client: httpx.AsyncClient) -> None:
+async def _read_onto(board: LineBoard, peer: Peer, settings: PeerSettings, client: httpx.AsyncClient) -> None:
     """Read one report. A peer that is away is noted. Raises PeerError for one that refuses."""
     try:
-        report = await _read(client, peer.settings)
+        report = await _read(client, settings)
     except PeerAwayError as error:
         _note(peer, error.message)
         return
@@ -352,12 +352,12 @@ async def _read_onto(board: LineBoard, peer: Peer, client: httpx.AsyncClient) ->
     if fault := board.put(peer, *report):
         raise PeerError(fault)
     if before is not None:
-        _log.info("peer read again", peer=peer.settings.name)
+        _log.info("peer read again", peer=peer.name)
 
 
 def _note(peer: Peer, fault: Message) -> None:
     if fault != peer.fault:
-        _log.warning("peer not read", peer=peer.settings.name, why=str(fault))
+        _log.warning("peer not read", peer=peer.name, why=str(fault))
     peer.fault = fault
 
 

@@ -125,7 +125,7 @@ async def wallboard_page(
 def _on_wall(hub: Hub, line: LineOnBoard) -> LineOnWall:
     measure = "" if line.summary is None else line.summary.measure
     if line.peer is not None:
-        return LineOnWall(line.bus, line.peer.settings.name, line.key, [], measure)
+        return LineOnWall(line.bus, line.peer.name, line.key, [], measure)
     units = [unit_on_line(line.bus, unit) for unit in hub.live.buses[line.bus].units.values()]
     return LineOnWall(line.bus, "", line.key, units, measure)
 
@@ -147,13 +147,21 @@ def make(services: Services) -> None:
         events,
         Translator(templates.languages[DEFAULT], templates.formats(DEFAULT)),
     )
-    peers = tuple(Peer(number, peer) for number, peer in enumerate(settings.peer, 1))
+    peers = [Peer(number, peer.name, peer.url) for number, peer in enumerate(settings.peer, 1)]
     board = LineBoard(own.summaries, peers)
+    has_overview = settings.mqtt is not None and settings.mqtt.overview
     services[Hub].show_lines(services.add(LineTiles(board, unix_now)))
-    services.add(PageLines(has_several=len(services.buses) > 1 or bool(peers), has_own=bool(services.buses)))
+    services.add(
+        PageLines(
+            has_several=len(services.buses) > 1 or bool(peers) or has_overview, has_own=bool(services.buses)
+        )
+    )
     services.lifespan.add("speeds of lines", own.trace)
     services.lifespan.add("last events of lines", events.follow)
-    services.lifespan.add("peers", *(partial(follow, peer, board) for peer in peers))
+    services.lifespan.add(
+        "peers",
+        *(partial(follow, peer, each, board) for peer, each in zip(peers, settings.peer, strict=True)),
+    )
 
 
 FEATURE = Feature(make, (api, router))

@@ -147,7 +147,7 @@ def _peers(services: Services, now: UnixTime, monotonic: Monotonic) -> Iterator[
     for peer in services[LineTiles].board.peers:
         age = peer.age_s(monotonic)
         yield SystemRow(
-            Message.of("system_peer", name=peer.settings.name),
+            Message.of("system_peer", name=peer.name),
             peer.fault or Message("system_peer_is_read"),
             None if age is None else now - age,
             Message("system_always"),

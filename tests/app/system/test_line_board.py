@@ -19,7 +19,6 @@ from app.system.peers.board import (
     outline,
     tile_fields,
 )
-from app.system.peers.settings import PeerSettings
 from app.system.peers.summary import CauseSummary, LineSummary
 from bus.instants import Monotonic, UnixTime
 from bus.messages import Message
@@ -58,8 +57,7 @@ def test_the_worst_line_comes_first() -> None:
 
 
 def peer(fault: Message | None = None, number: int = 2) -> Peer:
-    settings = PeerSettings(name="Mill 2", url="https://mill2:8443", token_file=Path("mill2.token"))
-    return Peer(number, settings, fault=fault)
+    return Peer(number, "Mill 2", "https://mill2:8443", fault=fault)
 
 
 def test_a_line_that_is_no_longer_reported_is_never_well() -> None:
@@ -118,7 +116,7 @@ def test_a_line_is_on_the_board_once_and_not_by_way_of_itself() -> None:
 
 def test_a_copy_of_a_report_makes_no_line_younger() -> None:
     now = [5.0]
-    board = LineBoard(list, (peer(),), lambda: Monotonic(now[0]))
+    board = LineBoard(list, [peer()], lambda: Monotonic(now[0]))
     [read] = board.peers
     assert board.put(read, {"a": summary("a")}, "instance", "1") is None
     now[0] += STALE_AFTER_S + 1

@@ -239,7 +239,7 @@ def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: UnixTime)
         "deviation": None if decimals is None or error is None else _signed_text(error, decimals),
         "rpm": _rpm(unit, reading.actual),
         "analog_raw": reading.analog,
-        "analog": _analog(unit, reading.analog),
+        "analog": analog_value(unit, reading.analog),
         "at_speed": bits.at_speed,
         "remote": bits.remote,
         "mode": mode_of(unit, bits).upper(),
@@ -264,7 +264,8 @@ def _rpm(unit: UnitLive, raw: int | None) -> float | None:
     return round(rpm(raw, max_rpm, max_display), 1)
 
 
-def _analog(unit: UnitLive, atd: int) -> float | None:
+def analog_value(unit: UnitLive, atd: int) -> float | None:
+    """Return the value of an analog input in its engineering unit; None while #22 or #23 was not read."""
     low, high = unit.parameter_raw(ANALOG_IN_LOW), unit.parameter_raw(ANALOG_IN_HIGH)
     return None if low is None or high is None else round(analog_input_value(atd, low, high), 6)
 

@@ -1,0 +1,146 @@
+"""The lines of a plant over its broker: each server publishes the summary of each of its lines as a retained
+document, and a server with ``overview = true`` shows those of all others.
+
+The document is that of ``GET /api/v1/sites?own=true`` for one line, with the address of its page. It is
+judged as a peer's report is; nothing of it is kept.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+from hashlib import blake2b
+
+import msgspec
+import structlog
+
+from app.core.server.settings import check_web_url
+from app.line.live.fields import Translator
+from app.system.mqtt.node import Publication
+from app.system.mqtt.session import RETRY_S, BrokerError, connected, identifier_for
+from app.system.mqtt.settings import MqttSettings, identifier_of
+from app.system.peers.board import AWAY_AFTER_S, LineBoard, Peer
+from app.system.peers.client import ReportError, board_json, read_report
+from bus.instants import Clock, Monotonic, UnixTime, unix_now
+from bus.messages import Message, in_english
+
+TOPIC = "lineside/v1/lines"
+MAX_LINES = 1000
+MAX_BYTES = 64 * 1024
+MAX_URL = 300
+log = structlog.get_logger()
+
+
+class _Page(msgspec.Struct):
+    """What a document has beside the report."""
+
+    page: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LineDocuments:
+    """Makes the documents of the lines of this server. ``page``: the address of its pages."""
+
+    board: LineBoard
+    english: Translator
+    group: str
+    page: str
+
+    def document(self, bus: str, now: UnixTime) -> Publication:
+        """Return the document of a line."""
+        report = board_json(self.board, self.english, now, own=True)
+        report["lines"] = [line for line in report["lines"] if line["bus"] == bus]
+        report["instance"] = f"{report['instance']}-{bus}"[:60]
+        payload = msgspec.json.encode({**report, "page": self.page})
+        return Publication(f"{TOPIC}/{self.group}/{identifier_of(bus)}", payload)
+
+
+@dataclass(eq=False, repr=False)
+class BrokerLines:
+    """The lines that others publish on the broker, as peers of a board. ``board``: on which they are shown;
+    ``fault``: why none are read now."""
+
+    settings: MqttSettings
+    board: LineBoard
+    clock: Clock = unix_now
+    fault: Message | None = None
+    _peers: dict[str, Peer] = field(default_factory=dict)
+    _former: dict[str, tuple[str, Monotonic]] = field(default_factory=dict)
+
+    async def follow(self) -> None:
+        """Read documents until canceled; after a failure it waits and connects again."""
+        failures = 0
+        while True:
+            try:
+                await self._connection()
+            except BrokerError as error:
+                if error.message != self.fault:
+                    log.warning("overview lost", why=in_english(error.message))
+                self.fault = error.message
+                for peer in self._peers.values():
+                    peer.fault = error.message
+            await asyncio.sleep(RETRY_S[min(failures, len(RETRY_S) - 1)])
+            failures += 1
+
+    async def _connection(self) -> None:
+        identifier = identifier_for("overview", self.board.instance)
+        async with connected(self.settings, identifier) as client:
+            await client.subscribe(f"{TOPIC}/+/+", 0)
+            self.fault = None
+            async for message in client.messages:
+                if isinstance(message.payload, bytes):
+                    self.take(str(message.topic), message.payload, is_retained=message.retain)
+
+    def take(self, topic: str, payload: bytes, *, is_retained: bool) -> None:
+        """Take over a document. An empty one takes the line away; one that the broker kept shows a line
+        without saying that it is of the present."""
+        if not payload:
+            peer = self._peers.pop(topic, None)
+            if peer is not None:
+                self.board.peers.remove(peer)
+            return
+        peer = self._peers.get(topic)
+        if peer is None and len(self._peers) >= MAX_LINES:
+            self.fault = Message.of("mqtt_too_many_lines", n=MAX_LINES)
+            return
+        try:
+            lines, instance, time = read_report(payload[:MAX_BYTES])
+            page = _page_in(payload)
+        except ReportError:
+            log.debug("no document of a line", topic=topic[:200])
+            return
+        if len(lines) != 1:
+            return
+        (line,) = lines.values()
+        if peer is None:
+            peer = self._peers[topic] = Peer(_number(topic), line.site, page)
+            self.board.peers.append(peer)
+        peer.name, peer.url = line.site, page
+        if self._is_another(topic, peer, instance):
+            peer.fault = Message("mqtt_two_publishers")
+            return
+        peer.fault = self.board.put(peer, lines, instance, time)
+        if is_retained:
+            peer.reported_at = Monotonic(float(self.board.clock()) - AWAY_AFTER_S)
+
+    def _is_another(self, topic: str, peer: Peer, instance: str) -> bool:
+        """Return whether two servers publish this line: the one that had ended is there again."""
+        now = self.board.clock()
+        former, at = self._former.get(topic, ("", now))
+        if peer.instance and instance != peer.instance:
+            self._former[topic] = (peer.instance, now)
+        return instance == former and now - at < AWAY_AFTER_S
+
+
+def _number(topic: str) -> int:
+    """Return a number of a topic that is the same in every copy of this server: pages name tiles by it."""
+    return int.from_bytes(blake2b(topic.encode(), digest_size=6).digest(), "big")
+
+
+def _page_in(payload: bytes) -> str:
+    """Return the address of the page of a line; empty where there is none that a browser may be led to."""
+    try:
+        written = msgspec.json.decode(payload[:MAX_BYTES], type=_Page).page
+        return check_web_url(written[:MAX_URL]).rstrip("/") if written else ""
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return ""

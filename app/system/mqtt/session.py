@@ -1,0 +1,416 @@
+"""The connection of an edge node to the plant's broker: births, changes, what was missed, and reconnection.
+
+Nothing of the server waits for it. The broker confirms one message a second, the summary of the line, and
+with it everything before it on the same connection: after a loss, the readings since the last confirmed one
+are sent again from the history, marked as historical. All others have quality of service 0, as Sparkplug
+wants it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Sequence
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from hashlib import blake2b
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import structlog
+
+from app.core.database import Database
+from app.core.server.settings import SecretFileError, read_secret_text
+from app.errors import StoreError, network_cause, system_error
+from app.line.history.series.runs import DAY, SECOND, micros
+from app.line.history.service import History
+from app.line.live.bus_live import Audience, Silence
+from app.system.mqtt.backlog import Backlog, PastReadings, read_backlog, write_backlog
+from app.system.mqtt.node import NAMESPACE, EdgeNode, Publication
+from app.system.mqtt.settings import MqttSettings
+from bus.contract import Update
+from bus.errors import LinesideError
+from bus.instants import Clock, UnixTime, monotonic_now, unix_now
+from bus.messages import Message, in_english, number
+
+if TYPE_CHECKING:
+    import aiomqtt
+
+KEEP_ALIVE_S = 10
+CONNECT_S = 10.0
+RETRY_S = (1.0, 2.0, 5.0, 10.0, 30.0)
+"""The time between two attempts, of which the last repeats."""
+STEADY_S = 30.0
+"""A connection that lasted this long was a good one."""
+FLUSH_S = 0.05
+"""Changes of this span are sent together."""
+TICK_S = 0.5
+"""How often ages are judged where nothing changes."""
+CONFIRM_S = 1.0
+STORE_EVERY_S = 10.0
+SETTLED_S = 1.0
+"""How long the readings of a moment are awaited in the history."""
+MAX_COMMAND = 64 * 1024
+QUALITY_OF_SERVICE = 1
+log = structlog.get_logger()
+
+
+class BrokerError(LinesideError):
+    """The broker cannot be reached, or ended the connection; the message says why."""
+
+
+def require_package() -> None:
+    """Raise BrokerError if aiomqtt is not installed."""
+    try:
+        import aiomqtt  # noqa: F401
+    except ImportError:
+        raise BrokerError(Message("mqtt_no_package")) from None
+
+
+@asynccontextmanager
+async def connected(
+    settings: MqttSettings, identifier: str, will: Publication | None = None
+) -> AsyncIterator[aiomqtt.Client]:
+    """Connect to the broker, for the time of the context. Raises BrokerError, also for what is raised of the
+    connection within it."""
+    require_package()
+    import aiomqtt
+
+    last = None if will is None else aiomqtt.Will(will.topic, will.payload, QUALITY_OF_SERVICE)
+    try:
+        password = read_secret_text(settings.password_file) if settings.password_file else None
+        async with aiomqtt.Client(
+            settings.host,
+            settings.port,
+            identifier=identifier,
+            username=settings.username or None,
+            password=password,
+            will=last,
+            clean_session=True,
+            protocol=aiomqtt.ProtocolVersion.V311,
+            keepalive=KEEP_ALIVE_S,
+            timeout=CONNECT_S,
+            tls_context=_tls(settings),
+            max_queued_incoming_messages=1000,
+        ) as client:
+            yield client
+    except SecretFileError as error:
+        raise BrokerError(error.message) from None
+    except aiomqtt.MqttCodeError as error:
+        reason = str(error).removeprefix("[code:").strip()
+        raise BrokerError(Message.of("mqtt_refused", place=settings.place, reason=reason)) from None
+    except (aiomqtt.MqttError, OSError, ssl.SSLError) as error:
+        cause = error.__cause__ or error
+        reason = network_cause(cause) if isinstance(cause, OSError) else str(error)
+        raise BrokerError(Message.of("mqtt_not_reached", place=settings.place, reason=reason)) from None
+
+
+def _tls(settings: MqttSettings) -> ssl.SSLContext | None:
+    """Return what the broker is trusted by, and what this server shows. Raises BrokerError."""
+    if not settings.uses_tls:
+        return None
+    try:
+        context = ssl.create_default_context(cafile=settings.ca_file)
+        if settings.certificate is not None:
+            context.load_cert_chain(settings.certificate, settings.key)
+    except OSError as error:
+        raise BrokerError(Message.of("mqtt_files", reason=system_error(error))) from None
+    return context
+
+
+def identifier_for(*parts: str) -> str:
+    """Return the client id of a connection: 23 characters, which every broker takes (MQTT 3.1.1, 3.1.3)."""
+    return "lineside" + blake2b("\0".join(parts).encode(), digest_size=7).hexdigest()
+
+
+@dataclass(slots=True)
+class NodeStatus:
+    """The state of a node. ``fault``: why it is not connected; ``waits``: for its primary host; ``sent``:
+    messages since the start."""
+
+    is_connected: bool = False
+    fault: Message | None = None
+    waits: bool = False
+    sent: int = 0
+
+
+class Nodes(tuple["NodeSession", ...]):
+    """The sessions of all nodes; empty where no broker is configured."""
+
+
+class NodeSession:
+    """Publishes one node as long as it runs. ``summary``: makes the document of the line."""
+
+    def __init__(
+        self,
+        settings: MqttSettings,
+        node: EdgeNode,
+        database: Database,
+        history: History,
+        summary: Callable[[], Publication],
+        raw_days: int,
+        clock: Clock = unix_now,
+    ) -> None:
+        self.node = node
+        self.status = NodeStatus()
+        self._settings, self._database, self._history = settings, database, history
+        self._summary, self._raw_days, self._clock = summary, raw_days, clock
+        self._past = PastReadings(node.bus.settings)
+        self.backlog: Backlog | None = None
+        self._wake = asyncio.Event()
+        self._sending = asyncio.Lock()
+        self._silence: Silence | None = None
+        self._host_is_online: bool | None = None
+        self._host_time = 0
+        node.bus.subscribe(Audience.STREAM, self._note)
+
+    # --- what the line reports ---
+
+    def _note(self, updates: Sequence[Update]) -> None:
+        self.node.note(updates)
+        self._wake.set()
+
+    def note_unit(self, unit: int) -> None:
+        """Note that an alarm of a unit changed."""
+        self.node.note_unit(unit)
+        self._wake.set()
+
+    # --- connections, one after the other ---
+
+    async def follow(self) -> None:
+        """Publish until canceled; after a failure it waits and connects again."""
+        failures = 0
+        while True:
+            began = monotonic_now()
+            try:
+                await self._connection()
+            except StoreError as error:
+                self._fail(error.message)
+            except BrokerError as error:
+                self._fail(error.message)
+            failures = 0 if monotonic_now() - began > STEADY_S else failures + 1
+            await asyncio.sleep(RETRY_S[min(failures, len(RETRY_S)) - 1] if failures else 0)
+
+    def _fail(self, message: Message) -> None:
+        if message != self.status.fault:
+            log.warning("broker lost", node=self.node.name, why=in_english(message))
+        self.status.fault, self.status.is_connected = message, False
+
+    async def end(self) -> None:
+        """Store what is not sent yet as the server ends."""
+        if self.backlog is not None:
+            await self._store(self.backlog)
+
+    async def _connection(self) -> None:
+        """Publish over one connection. Raises BrokerError, StoreError."""
+        backlog = self.backlog
+        if backlog is None:
+            bus = self.node.bus.settings
+            backlog = await self._database.read(lambda connection: read_backlog(connection, bus))
+            self.backlog = backlog
+        bd_seq = backlog.connect()
+        await self._store(backlog)
+        self._host_is_online = None
+        will = self.node.death(bd_seq, self._clock())
+        identifier = identifier_for(self.node.group, self.node.name)
+        try:
+            async with connected(self._settings, identifier, will) as client:
+                await self._subscribe(client)
+                try:
+                    await _first_of(self._receive(client), self._publish(client, backlog, bd_seq))
+                finally:
+                    await self._say_goodbye(client, bd_seq)
+        finally:
+            self.node.end()
+            self.status.is_connected = False
+
+    async def _subscribe(self, client: aiomqtt.Client) -> None:
+        for topic in self.node.subscriptions:
+            await client.subscribe(topic, QUALITY_OF_SERVICE)
+        if self._settings.primary_host:
+            await client.subscribe(self._state_topic, QUALITY_OF_SERVICE)
+
+    @property
+    def _state_topic(self) -> str:
+        return f"{NAMESPACE}/STATE/{self._settings.primary_host}"
+
+    async def _say_goodbye(self, client: aiomqtt.Client, bd_seq: int) -> None:
+        """Publish the death of the node: a connection that is ended on purpose leaves no will (Sparkplug 3.0,
+        6.4.22)."""
+        import aiomqtt
+
+        with suppress(aiomqtt.MqttError, TimeoutError):
+            async with asyncio.timeout(1):
+                death = self.node.death(bd_seq, self._clock())
+                await client.publish(death.topic, death.payload, QUALITY_OF_SERVICE)
+
+    # --- what others send ---
+
+    async def _receive(self, client: aiomqtt.Client) -> None:
+        async for message in client.messages:
+            topic = str(message.topic)
+            payload = message.payload if isinstance(message.payload, bytes) else b""
+            if topic == self._state_topic:
+                self._take_state(payload)
+                continue
+            refused = self.node.refused
+            command = partial(self.node.take_command, topic, payload[:MAX_COMMAND], self._clock())
+            await self._send(client, command)
+            if self.node.refused == 1 > refused:
+                log.warning("command by MQTT refused: nothing is commanded that way", topic=topic[:200])
+
+    def _take_state(self, payload: bytes) -> None:
+        """Take over the state of the primary host; an older one does not count (Sparkplug 3.0, 6.4.27)."""
+        try:
+            state = msgspec.json.decode(payload[:MAX_COMMAND], type=_HostState)
+        except (msgspec.MsgspecError, ValueError):
+            return
+        if state.timestamp >= self._host_time:
+            self._host_time, self._host_is_online = state.timestamp, state.online
+            self._wake.set()
+
+    # --- what is sent ---
+
+    async def _publish(self, client: aiomqtt.Client, backlog: Backlog, bd_seq: int) -> None:
+        await self._await_host()
+        if self.status.fault is not None:
+            log.info("broker reached again", node=self.node.name)
+        self.status.fault, self.status.is_connected = None, True
+        await self._send(client, lambda: self.node.begin(bd_seq, self._clock()))
+        self._add_missed(backlog)
+        await _first_of(self._send_changes(client, backlog), self._confirm_and_catch_up(client, backlog))
+
+    async def _await_host(self) -> None:
+        """Wait until the primary host is online, where one is configured."""
+        self.status.waits = bool(self._settings.primary_host)
+        while self.status.waits and not self._host_is_online:
+            self._wake.clear()
+            await self._wake.wait()
+        self.status.waits = False
+
+    def _add_missed(self, backlog: Backlog) -> None:
+        """Note what was read while there was no connection, up to what each birth has given."""
+        now = micros(self._clock())
+        ends = {
+            number: micros(device.sent_until) if device.sent is not None else now
+            for number, device in self.node.devices.items()
+        }
+        if backlog.received:
+            # The reading of that moment was received.
+            backlog.add(backlog.received + 1, ends, now - self._raw_days * DAY)
+        self._silence = self.node.bus.silence
+
+    async def _send_changes(self, client: aiomqtt.Client, backlog: Backlog) -> None:
+        while True:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(TICK_S):
+                    await self._wake.wait()
+            self._wake.clear()
+            if self._host_is_online is False:
+                raise BrokerError(Message.of("mqtt_host_away", host=self._settings.primary_host))
+            if self.node.is_behind:
+                raise BrokerError(Message.of("mqtt_too_slow", place=self._settings.place))
+            self._note_silence(backlog)
+            await self._send(client, lambda: self.node.changes(self._clock()))
+            await asyncio.sleep(FLUSH_S)
+
+    def _note_silence(self, backlog: Backlog) -> None:
+        """After a silence the worker hands over what it read meanwhile, to the history only."""
+        silence = self.node.bus.silence
+        if silence is not None and silence != self._silence:
+            self._silence = silence
+            ends = dict.fromkeys(self.node.devices, micros(silence.until))
+            now = micros(self._clock())
+            backlog.add(micros(silence.since) + 1, ends, now - self._raw_days * DAY)
+
+    async def _send(self, client: aiomqtt.Client, made: Callable[[], Iterable[Publication]]) -> None:
+        """Make messages and send them. No others are made meanwhile: their sequence numbers would not be
+        those of the order in which they are sent."""
+        async with self._sending:
+            for topic, payload in made():
+                await client.publish(topic, payload, qos=0)
+                self.status.sent += 1
+
+    async def _confirm_and_catch_up(self, client: aiomqtt.Client, backlog: Backlog) -> None:
+        """Have everything confirmed once a second, and send what was missed, a piece at a time."""
+        store_at = monotonic_now() + STORE_EVERY_S
+        while True:
+            await asyncio.sleep(SETTLED_S)
+            received = max((each.sent_until for each in self.node.devices.values()), default=UnixTime(0.0))
+            await self._confirm(client)
+            backlog.received = max(backlog.received, micros(received))
+            while (piece := backlog.next_piece(self._born())) is not None:
+                await self._send_piece(client, backlog, *piece)
+            if monotonic_now() >= store_at:
+                store_at = monotonic_now() + STORE_EVERY_S
+                await self._store(backlog)
+
+    def _born(self) -> set[int]:
+        return {number for number in self.node.devices if self.node.is_born(number)}
+
+    async def _send_piece(
+        self, client: aiomqtt.Client, backlog: Backlog, unit: int, span: tuple[int, int]
+    ) -> None:
+        """Send the readings of a unit over a span, and note it once they were received."""
+        rows = await self._history.read(partial(self._past.read, unit=unit, span=span))
+        was_born = False
+
+        def make() -> Iterable[Publication]:
+            nonlocal was_born
+            was_born = self.node.is_born(unit)
+            return self.node.historical(unit, rows, self._clock())
+
+        await self._send(client, make)
+        await self._confirm(client)
+        if was_born:
+            backlog.sent(unit, span[1])
+
+    async def _confirm(self, client: aiomqtt.Client) -> None:
+        """Publish the summary of the line, and wait until the broker has it: it then has what was sent
+        before."""
+        summary = self._summary()
+        await client.publish(summary.topic, summary.payload, QUALITY_OF_SERVICE, retain=True)
+
+    async def _store(self, backlog: Backlog) -> None:
+        await self._database.write(lambda connection: write_backlog(connection, backlog))
+
+    def lag_s(self) -> float:
+        """Return for how many seconds readings were not received."""
+        if self.backlog is None or not self.backlog.received:
+            return 0.0
+        waiting = self.backlog.waiting_s()
+        if self.status.is_connected:
+            return waiting
+        return waiting + max(0.0, float(self._clock()) - self.backlog.received / SECOND)
+
+    def state(self) -> Message:
+        """State in a sentence how the node is connected."""
+        place, node = self._settings.place, self.node.name
+        if self.status.fault is not None:
+            return Message.of(
+                "mqtt_lacks", node=node, reason=self.status.fault, seconds=number(f"{self.lag_s():.0f}")
+            )
+        if self.status.waits:
+            return Message.of("mqtt_waits", node=node, host=self._settings.primary_host)
+        return Message.of("mqtt_has", place=place, node=node, refused=number(str(self.node.refused)))
+
+
+class _HostState(msgspec.Struct):
+    """The state of a host application (Sparkplug 3.0, 6.4.27)."""
+
+    online: bool
+    timestamp: int
+
+
+async def _first_of(*works: Coroutine[Any, Any, None]) -> None:
+    """Run works together until the first ends, end the others, and raise what it raised."""
+    tasks = [asyncio.create_task(work) for work in works]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    for task in done:
+        task.result()
