@@ -197,7 +197,7 @@ def parameter_message(
         return term(parameter.choices[raw])
     if parameter.scale is Scale.BAUD:
         return number(str(raw * 100))
-    return speed_message(raw, _decimals(parameter, decimals, follower))
+    return speed_message(raw, parameter_decimals(parameter, decimals, follower))
 
 
 def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, follower: bool = False) -> int:
@@ -213,7 +213,7 @@ def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, foll
     if parameter.secret and not (typed.isascii() and typed.isdecimal()):
         # An ordinary refusal repeats what was typed.
         raise CallerError(Message("not_a_number_plain"))
-    places = _decimals(parameter, decimals, follower)
+    places = parameter_decimals(parameter, decimals, follower)
     if places is None:
         raise CallerError(Message("decimals_not_read"))
     raw = speed_raw(text, places)
@@ -224,7 +224,9 @@ def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, foll
     return raw // 100
 
 
-def _decimals(parameter: Parameter, decimals: int | None, follower: bool) -> int | None:
+def parameter_decimals(parameter: Parameter, decimals: int | None, follower: bool = False) -> int | None:
+    """Return the decimals of a raw value; None while those of a speed are not known. Arguments as for
+    `parameter_message`."""
     match parameter.scale:
         case Scale.RATIO:
             return RATIO_DECIMALS

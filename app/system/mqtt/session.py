@@ -21,6 +21,7 @@ import msgspec
 import structlog
 
 from app.core.database import Database
+from app.core.lifespan import cancel
 from app.core.server.settings import SecretFileError, read_secret_text
 from app.errors import StoreError, network_cause, system_error
 from app.line.history.series.runs import DAY, SECOND, micros
@@ -409,8 +410,6 @@ async def _first_of(*works: Coroutine[Any, Any, None]) -> None:
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await cancel(tasks)
     for task in done:
         task.result()
