@@ -127,8 +127,12 @@ def _value(datatype: DataType, value: Value) -> bytes:
             return _text(15, str(value))
 
 
+_TAGS = [[bytes([number << 3 | kind]) for kind in range(6)] for number in range(16)]
+"""The key of each field that is written, which is one byte."""
+
+
 def _tag(number: int, kind: int) -> bytes:
-    return _varint(number << 3 | kind)
+    return _TAGS[number][kind]
 
 
 def _number(number: int, value: int) -> bytes:
