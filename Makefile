@@ -5,8 +5,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 VENDOR := static/vendor/made-from.sha256
 CHROMIUM := /usr/bin/chromium-headless-shell
-# ser2net is the device server of tests/campaign, libfaketime moves its clocks; the rest is what ser2net needs.
-PROXY_PACKAGES := nginx caddy ser2net libgensio4 libsctp1 libwrap0 libyaml-0-2 libfaketime
+# ser2net is the device server of tests/campaign, libfaketime moves its clocks, mosquitto is the broker of the plant;
+# the rest is what these need.
+PROXY_PACKAGES := nginx caddy ser2net libgensio4 libsctp1 libwrap0 libyaml-0-2 libfaketime mosquitto libcjson1 libdlt2
 PROXIES := $(VENV)/proxies/.unpacked-$(words $(PROXY_PACKAGES))
 POSTGRESQL := $(VENV)/.postgresql
 NODE_TOOLS := node_modules/.package-lock.json

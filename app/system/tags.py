@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from app.line.live.api.view import analog_value
-from app.line.live.bus_live import BusLive, UnitLive, quantity_of, speed_decimals
-from app.line.live.unit_status import bits_of
+from app.line.live.bus_live import BusLive, UnitLive, bits_of, quantity_of, speed_decimals
 from bus.catalogue.parameters import ANALOG_IN_HIGH, ANALOG_IN_LOW, MAX_DISPLAY, PARAMETERS, Parameter
 from bus.catalogue.values import (
     HIGHEST_SPEED,

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from app.core.database import StoreConnection
 from app.core.database.connection import upsert
 from app.line.history.query import runs_between, stored_unit
+from app.line.history.recorder import Tail
 from app.line.history.series.runs import MINUTE, SECOND
-from app.line.history.tail import Tail
 from app.system.postgresql.outbox import HistoryRows
 from app.system.postgresql.rows import READING, points_of, reading_rows
 from app.system.tags import Value
