@@ -117,6 +117,7 @@ def _nothing() -> Measured:
         "history": HistoryStatus(),
         "newest_backup": UnixTime(0.0),
         "publisher": PublisherStatus("", UnixTime(0.0)),
+        "nodes": (),
         "data": GUIDE,
     }
     return Measured(**cast(dict[str, Any], sources))

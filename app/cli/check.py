@@ -49,6 +49,8 @@ from app.records.notification.rules import NotDeliveredError
 from app.records.notification.senders import apprise_service, reach_hook, reach_mail_server
 from app.records.notification.settings import AppriseSettings, NotifySettings, WebhookSettings
 from app.settings import LOCK_FILE, ServerSettings, Settings, load
+from app.system.mqtt.session import connected, identifier_for
+from app.system.mqtt.settings import MqttSettings
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.outbox import read_identity
 from app.system.postgresql.publisher import PublisherStatus
@@ -277,6 +279,7 @@ def _found_of(settings: Settings, config: Path, *, live: bool) -> Iterator[Findi
         yield from live_findings(settings, users)
         yield from postgresql(settings)
         yield from peers(settings)
+        yield from mqtt(settings)
 
 
 def _open_secrets(*files: Path | None) -> Iterator[Finding]:
@@ -392,6 +395,29 @@ def _identity(settings: Settings) -> str:
     except StoreError:
         pass  # found by the check of the stores
     return token_hex(16)
+
+
+def mqtt(settings: Settings) -> Iterator[Finding]:
+    """Try the plant's broker, and look at the files of the password and the key."""
+    to = settings.mqtt
+    if to is None:
+        return
+    yield from _open_secrets(to.password_file)
+    yield from _open_secrets(to.key)
+    if to.is_in_clear:
+        yield info("check_mqtt_in_clear", place=to.place)
+    try:
+        asyncio.run(_try_broker(to))
+    except LinesideError as error:
+        yield Finding(error.message, is_fault=True)
+    else:
+        yield info("check_mqtt", place=to.place)
+
+
+async def _try_broker(to: MqttSettings) -> None:
+    """Connect to the broker under a name of its own. Raises BrokerError."""
+    async with connected(to, identifier_for(token_hex(8))):
+        pass
 
 
 def peers(settings: Settings) -> Iterator[Finding]:

@@ -20,6 +20,7 @@ from app.line.conditions.condition import PRIORITIES, percent_of
 from app.line.history.status import HistoryStatus
 from app.line.live.bus_live import BusLive, LiveState, draw_of, speed_decimals, unit_link_now
 from app.people.audit.anchor import AnchorStatus
+from app.system.mqtt.session import NodeSession
 from app.system.postgresql.publisher import PublisherStatus
 from app.version import VERSION
 from bus.catalogue.values import OUTPUT_NUMBERS, output_is_on
@@ -45,7 +46,7 @@ _ALARM_FACTS: dict[str, tuple[str, Callable[[Alarm], bool]]] = {
 class Measured:
     """What the metrics are made of, at one moment. ``pages``: how many are open; ``commands``: how many had
     which outcome; ``newest_backup``: when it was begun, None where there are to be none; ``publisher``: None
-    without a plant's database; ``data``: the folder of the stores."""
+    without a plant's database; ``nodes``: None without a broker; ``data``: the folder of the stores."""
 
     live: LiveState
     pages: int
@@ -55,6 +56,7 @@ class Measured:
     history: HistoryStatus
     newest_backup: UnixTime | None
     publisher: PublisherStatus | None
+    nodes: Iterable[NodeSession] | None
     data: Path
 
 
@@ -87,6 +89,8 @@ class LineCollector(Collector):
             yield GaugeMetricFamily("lineside_backup_timestamp_seconds", words, value=float(newest))
         if (publisher := measured.publisher) is not None:
             yield from _publisher_metrics(publisher, unix_now())
+        if measured.nodes is not None:
+            yield from _node_metrics(measured.nodes)
         degraded = 1 if measured.anchor.altered or measured.anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
         yield GaugeMetricFamily("lineside_audit_degraded", words, value=degraded)
@@ -138,6 +142,25 @@ def _publisher_metrics(status: PublisherStatus, now: UnixTime) -> Iterator[Metri
     yield GaugeMetricFamily("lineside_publisher_up", words, value=0 if status.fault else 1)
     words = "Rows that were sent to the plant's database"
     yield CounterMetricFamily("lineside_publisher_rows", words, value=status.rows)
+
+
+def _node_metrics(nodes: Iterable[NodeSession]) -> Iterator[Metric]:
+    """Yield the metrics of the edge nodes, one sample for each bus."""
+    up = GaugeMetricFamily(
+        "lineside_mqtt_up", "0 while a line is not published on the broker", labels=("bus",)
+    )
+    lag = GaugeMetricFamily(
+        "lineside_mqtt_lag_seconds", "For how long readings of a line were not received", labels=("bus",)
+    )
+    sent = CounterMetricFamily("lineside_mqtt_messages", "Messages sent to the broker", labels=("bus",))
+    refused = CounterMetricFamily("lineside_mqtt_refused", "Commands by MQTT, all refused", labels=("bus",))
+    for node in nodes:
+        bus = node.node.name
+        up.add_metric([bus], float(node.status.is_connected))
+        lag.add_metric([bus], node.lag_s())
+        sent.add_metric([bus], node.status.sent)
+        refused.add_metric([bus], node.node.refused)
+    yield from (up, lag, sent, refused)
 
 
 def _readings(buses: Iterable[tuple[str, BusLive]], now: UnixTime) -> Iterator[Metric]:

@@ -18,6 +18,7 @@ from app.line.live.hub import Hub
 from app.people.audit.anchor import Anchoring
 from app.people.audit.log import Event, EventLog
 from app.system.backup.service import Backups
+from app.system.mqtt.session import Nodes
 from app.system.postgresql.publisher import Publisher
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
@@ -54,6 +55,7 @@ async def metrics(request: Request, _: Viewer) -> Response:
         history=services[History].status,
         newest_backup=services[Backups].newest,
         publisher=services[Publisher].status if services.settings.postgresql else None,
+        nodes=services[Nodes] if services.settings.mqtt else None,
         data=services.settings.server.data,
     )
     return Response(text(measured), media_type=CONTENT_TYPE_LATEST)

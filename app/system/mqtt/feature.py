@@ -72,10 +72,10 @@ def _note_alarm(nodes: dict[str, NodeSession], alarm: Alarm) -> None:
 
 
 def _page(settings: Settings) -> str:
-    """Return the address under which people reach the pages of this server."""
-    assert settings.mqtt is not None
-    if settings.mqtt.page is not None:
-        return settings.mqtt.page
+    """Return the address under which people reach the pages of this server: that of its messages, else by
+    the name of the machine."""
+    if settings.notify.dashboard_url:
+        return settings.notify.dashboard_url.rstrip("/")
     scheme = "http" if settings.server.tls is None else "https"
     return f"{scheme}://{socket.gethostname()}:{settings.server.port}"
 

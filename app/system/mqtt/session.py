@@ -9,6 +9,7 @@ wants it.
 from __future__ import annotations
 
 import asyncio
+import re
 import ssl
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Sequence
 from contextlib import asynccontextmanager, suppress
@@ -23,7 +24,7 @@ import structlog
 from app.core.database import Database
 from app.core.lifespan import cancel
 from app.core.server.settings import SecretFileError, read_secret_text
-from app.errors import StoreError, network_cause, system_error
+from app.errors import StoreError, system_error
 from app.line.history.series.runs import DAY, SECOND, micros
 from app.line.history.service import History
 from app.line.live.bus_live import Audience, Silence
@@ -57,6 +58,7 @@ SETTLED_S = 1.0
 """How long the readings of a moment are awaited in the history."""
 MAX_COMMAND = 64 * 1024
 QUALITY_OF_SERVICE = 1
+_ERRNO = re.compile(r"^\[Errno -?\d+\] ")
 log = structlog.get_logger()
 
 
@@ -82,6 +84,7 @@ async def connected(
     import aiomqtt
 
     last = None if will is None else aiomqtt.Will(will.topic, will.payload, QUALITY_OF_SERVICE)
+    place, was_connected = settings.place, False
     try:
         password = read_secret_text(settings.password_file) if settings.password_file else None
         async with aiomqtt.Client(
@@ -98,16 +101,17 @@ async def connected(
             tls_context=_tls(settings),
             max_queued_incoming_messages=1000,
         ) as client:
+            was_connected = True
             yield client
     except SecretFileError as error:
         raise BrokerError(error.message) from None
-    except aiomqtt.MqttCodeError as error:
-        reason = str(error).removeprefix("[code:").strip()
-        raise BrokerError(Message.of("mqtt_refused", place=settings.place, reason=reason)) from None
-    except (aiomqtt.MqttError, OSError, ssl.SSLError) as error:
-        cause = error.__cause__ or error
-        reason = network_cause(cause) if isinstance(cause, OSError) else str(error)
-        raise BrokerError(Message.of("mqtt_not_reached", place=settings.place, reason=reason)) from None
+    except aiomqtt.MqttError as error:
+        if was_connected:
+            raise BrokerError(Message.of("mqtt_dropped", place=place)) from None
+        if isinstance(error, aiomqtt.MqttCodeError):
+            raise BrokerError(Message.of("mqtt_refused", place=place, reason=str(error.rc))) from None
+        reason = _ERRNO.sub("", str(error))
+        raise BrokerError(Message.of("mqtt_not_reached", place=place, reason=reason)) from None
 
 
 def _tls(settings: MqttSettings) -> ssl.SSLContext | None:

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 from pydantic_core import PydanticCustomError
 
-from app.core.server.settings import WebUrl, is_loopback
+from app.core.server.settings import is_loopback
 from bus.messages import Message
 from bus.settings import StrictModel
 from bus.validation import OneLine
@@ -74,8 +74,6 @@ class MqttSettings(StrictModel):
     primary_host: Identifier = ""
     """The host application whose absence makes the nodes wait; empty: none."""
     deadband: Deadbands = Deadbands()
-    page: WebUrl | None = None
-    """Under which people reach the pages of this server; None: by the name of the machine."""
     overview: StrictBool = False
     """Show the lines that other servers publish on this broker."""
 

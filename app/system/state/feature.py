@@ -21,6 +21,7 @@ from app.line.alarms.line_alarms import SiteAlarms
 from app.line.history.status import MAX_DAYS
 from app.people.audit.anchor import EVERY_S, Anchoring
 from app.system.backup.service import Backups
+from app.system.mqtt.session import Nodes
 from app.system.peers.board import LineTiles
 from app.system.postgresql.publisher import Publisher
 from app.system.state.disk import forecast, store_sizes
@@ -54,6 +55,7 @@ async def system_rows(services: Services, now: UnixTime, monotonic: Monotonic) -
         _alarmed(services, await _disk(services, now), "history_degraded", "disk_low"),
         _alarmed(services, _plant_database(services, now), "publisher_day_behind", "publisher_behind"),
         _alarmed(services, _certificate(services), "certificate_expiring"),
+        *_nodes(services, now),
         *_peers(services, now, monotonic),
     ]
     shown = {row.alarm for row in rows}
@@ -131,6 +133,18 @@ def _plant_database(services: Services, now: UnixTime) -> SystemRow:
         )
     status = services[Publisher].status
     return SystemRow(name, status.state(now), status.until, Message("system_always"), help=chapter)
+
+
+def _nodes(services: Services, now: UnixTime) -> Iterator[SystemRow]:
+    for node in services[Nodes]:
+        yield SystemRow(
+            Message.of("system_broker", node=node.node.name),
+            node.state(),
+            now - node.lag_s(),
+            Message("system_always"),
+            Message("system_check_broker") if node.status.fault else None,
+            "mqtt",
+        )
 
 
 def _certificate(services: Services) -> SystemRow:

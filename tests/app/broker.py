@@ -1,0 +1,102 @@
+"""A real broker (mosquitto) for tests, which may be killed and started again, and a host that listens."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import aiomqtt
+
+from tests.app.fake_worker import until
+from tests.app.sparkplug import Host
+from tests.free_port import free_port
+from tests.unpacked import environment, program
+
+
+@dataclass
+class Broker:
+    """``more``: lines of its configuration; it listens on this machine only and keeps nothing."""
+
+    folder: Path
+    more: str = "allow_anonymous true"
+    port: int = field(default_factory=free_port)
+    _process: subprocess.Popen[bytes] | None = None
+
+    def __post_init__(self) -> None:
+        self.executable = program("mosquitto")
+
+    def _begin(self) -> None:
+        config = self.folder / "mosquitto.conf"
+        config.write_text(f"listener {self.port} 127.0.0.1\npersistence false\nuser root\n{self.more}\n")
+        self._process = subprocess.Popen(
+            [self.executable, "-c", str(config)],
+            env=environment("mosquitto"),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    async def start(self) -> None:
+        """Start it, and wait until it listens."""
+        self._begin()
+        while True:
+            try:
+                _, writer = await asyncio.open_connection("127.0.0.1", self.port)
+            except OSError:
+                await asyncio.sleep(0.05)
+            else:
+                writer.close()
+                return
+
+    def kill(self) -> None:
+        """End it without a word to anyone."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    def client(self, **more: object) -> aiomqtt.Client:
+        """A client of it."""
+        return aiomqtt.Client("127.0.0.1", self.port, protocol=aiomqtt.ProtocolVersion.V311, **more)  # type: ignore[arg-type]
+
+
+@asynccontextmanager
+async def running(folder: Path, more: str = "allow_anonymous true") -> AsyncIterator[Broker]:
+    broker = Broker(folder, more)
+    await broker.start()
+    try:
+        yield broker
+    finally:
+        broker.kill()
+
+
+@asynccontextmanager
+async def listening(broker: Broker, host: Host) -> AsyncIterator[None]:
+    """Let a host take what the broker has, from before the first message on, also of a broker that is started
+    again."""
+    ready = asyncio.Event()
+
+    async def follow() -> None:
+        while True:
+            try:
+                async with broker.client() as client:
+                    await client.subscribe("spBv1.0/#", 1)
+                    ready.set()
+                    async for message in client.messages:
+                        topic = str(message.topic)
+                        if "/STATE/" not in topic and "CMD/" not in topic:
+                            assert isinstance(message.payload, bytes)
+                            host.take(topic, message.payload)
+            except aiomqtt.MqttError:
+                await asyncio.sleep(0.05)
+
+    task = asyncio.create_task(follow())
+    await until(ready.is_set, "the host listens")
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)

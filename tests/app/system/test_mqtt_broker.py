@@ -1,0 +1,279 @@
+"""The lines of a site on a real broker: born, followed, cut off, and shown elsewhere."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from app.cli.check import mqtt
+from app.line.history.service import History
+from app.settings import ConfigurationError, load
+from app.system.mqtt.overview import TOPIC
+from app.system.mqtt.session import Nodes, NodeSession, identifier_for
+from app.system.peers.board import LineTiles
+from bus.contract import BusLink
+from bus.messages import in_english
+from tests.app.broker import Broker, listening, running
+from tests.app.complete_app import House, complete_app
+from tests.app.fake_worker import PlayedWorker, reading, until
+from tests.app.sparkplug import Host
+from tests.app.system.test_mqtt_node import command
+
+UNITS = "".join(f'[[bus.unit]]\nid = {n}\nname = "Unit {n}"\n' for n in (1, 2, 16))
+
+
+def configuration(folder: Path, url: str, more: str = "", name: str = "Mill 7", bus: bool = True) -> Path:
+    folder.mkdir(exist_ok=True)
+    config = folder / "lineside.toml"
+    line = f'[[bus]]\nname = "dry-end"\nport = "/dev/null"\nworker = "remote"\n{UNITS}' if bus else ""
+    config.write_text(
+        f'[site]\nname = "{name}"\n[server]\ndata = "data"\n[mqtt]\nurl = "{url}"\n{more}\n{line}'
+    )
+    return config
+
+
+@asynccontextmanager
+async def site(folder: Path, broker: Broker, more: str = "") -> AsyncIterator[House]:
+    """A site with a line of three units that respond."""
+    config = configuration(folder, f"mqtt://127.0.0.1:{broker.port}", more)
+    async with complete_app(folder, config=config) as house:
+        yield house
+
+
+@asynccontextmanager
+async def responding(worker: PlayedWorker) -> AsyncIterator[None]:
+    """Let the first unit respond all the time."""
+
+    async def respond() -> None:
+        while True:
+            await worker.update(reading(1, actual=3000))
+            await asyncio.sleep(0.2)
+
+    task = asyncio.create_task(respond())
+    yield
+    task.cancel()
+
+
+def node_of(house: House) -> NodeSession:
+    (node,) = house.services[Nodes]
+    return node
+
+
+async def connected(house: House) -> None:
+    await until(lambda: node_of(house).status.is_connected, "the node is published")
+
+
+async def test_a_line_is_born_followed_and_leaves_its_death(tmp_path: Path) -> None:
+    host = Host("dry-end", "Mill 7")
+    async with running(tmp_path) as broker, listening(broker, host):
+        async with site(tmp_path / "site", broker) as house:
+            worker = await house.worker()
+            await until(lambda: len(host.values) == 3, "every unit is born")
+            assert host.values["Unit 1"]["Speed/Actual"] == 100.0
+            await worker.update(reading(1, actual=1011))
+            await until(lambda: host.values["Unit 1"]["Speed/Actual"] == 101.1, "a reading is sent")
+            await worker.update(BusLink(time.time(), "closed"))
+            await until(lambda: not host.values, "units that are silent are dead")
+            assert host.is_alive
+        await until(lambda: not host.is_alive, "the node is dead")
+    assert host.faults == []
+
+
+async def test_what_a_broker_missed_comes_later_once_and_in_order(tmp_path: Path) -> None:
+    host = Host("dry-end", "Mill 7")
+    async with running(tmp_path) as broker, listening(broker, host), site(tmp_path / "site", broker) as house:
+        worker = await house.worker()
+        await until(lambda: len(host.values) == 3, "every unit is born")
+        node = node_of(house)
+        await until(lambda: node.backlog is not None and node.backlog.received > 0, "it was confirmed")
+        broker.kill()
+        await until(lambda: node.status.fault is not None, "the broker is away")
+        missed = [reading(1, actual=2000 + step) for step in range(40)]
+        for each in missed:
+            await worker.update(each)
+            await asyncio.sleep(0.01)
+        await until(lambda: house.services[History].status.waiting == 0, "stored")
+        assert node.lag_s() > 0
+        await broker.start()
+
+        def past() -> list[tuple[int, object]]:
+            return [(at, value) for at, value, old in host.readings["Unit 1", "Speed/Actual"] if old]
+
+        expected = [(round(float(each.at) * 1000), (each.actual or 0) / 10) for each in missed]
+        # Only what is sent of a unit that responds is of a device that is born.
+        async with responding(worker):
+            await until(lambda: len(past()) >= len(expected), "what was missed is sent")
+        assert [each for each in past() if each in expected] == expected
+        assert past() == sorted(past())
+    assert host.faults == []
+
+
+async def test_the_number_of_a_connection_survives_a_restart(tmp_path: Path) -> None:
+    host = Host("dry-end", "Mill 7")
+    found = []
+    async with running(tmp_path) as broker, listening(broker, host):
+        for _ in range(2):
+            async with site(tmp_path / "site", broker) as house:
+                await connected(house)
+                await until(lambda: host.is_alive, "the node is born")
+                found.append(host.bd_seq)
+            await until(lambda: not host.is_alive, "the node is dead")
+    assert found == [0, 1]
+    assert host.faults == []
+
+
+async def test_a_connection_that_another_client_takes_is_stated_and_leaves_its_will(tmp_path: Path) -> None:
+    host = Host("dry-end", "Mill 7")
+    async with running(tmp_path) as broker, listening(broker, host), site(tmp_path / "site", broker) as house:
+        await until(lambda: host.is_alive, "the node is born")
+        node = node_of(house)
+        async with broker.client(identifier=identifier_for("Mill 7", "dry-end")):
+            await until(lambda: node.status.fault is not None, "the connection was taken over")
+            fault = node.status.fault
+            assert fault is not None
+            assert "another client has the same identity" in in_english(fault)
+            assert not host.is_alive
+        await until(lambda: host.births >= 2 and host.is_alive, "it is born again")
+    assert host.faults == []
+
+
+async def test_nothing_is_commanded_by_mqtt_but_rebirth(tmp_path: Path) -> None:
+    host = Host("dry-end", "Mill 7")
+    async with running(tmp_path) as broker, listening(broker, host), site(tmp_path / "site", broker) as house:
+        worker = await house.worker()
+        await until(lambda: len(host.values) == 3, "every unit is born")
+        async with broker.client() as other:
+            for topic in ("NCMD/dry-end", "DCMD/dry-end/Unit 1"):
+                for name in ("Speed/Commanded", "Outputs/Output 1", "Node Control/Reboot"):
+                    await other.publish(f"spBv1.0/Mill 7/{topic}", command(name), qos=1)
+            await other.publish("spBv1.0/Mill 7/NCMD/dry-end", b"\xff" * 100, qos=1)
+            await other.publish("spBv1.0/Mill 7/NCMD/dry-end", command("Node Control/Rebirth"), qos=1)
+            await until(lambda: host.births == 2, "it is born again")
+        assert node_of(house).node.refused == 7
+        assert worker.commands == [], "no command reached the worker"
+        metrics = (await house.http("viewer").get("/metrics")).text
+        assert 'lineside_mqtt_refused_total{bus="dry-end"} 7.0' in metrics
+        page = (await house.http("admin").get("/system")).text
+        assert "MQTT node dry-end" in page
+    assert host.faults == []
+
+
+async def test_it_waits_for_its_primary_host(tmp_path: Path) -> None:
+    host = Host("dry-end", "Mill 7")
+
+    def state(online: bool, timestamp: int) -> bytes:
+        return json.dumps({"online": online, "timestamp": timestamp}).encode()
+
+    async with running(tmp_path) as broker, listening(broker, host), broker.client() as primary:
+        topic = "spBv1.0/STATE/scada"
+        async with site(tmp_path / "site", broker, 'primary_host = "scada"') as house:
+            node = node_of(house)
+            await until(lambda: node.status.waits, "it waits")
+            await primary.publish(topic, b"online", qos=1, retain=True)
+            await primary.publish(topic, state(False, 5), qos=1, retain=True)
+            await primary.publish(topic, state(True, 6), qos=1, retain=True)
+            await until(lambda: host.is_alive, "the node is born")
+            await primary.publish(topic, state(False, 4), qos=1)
+            await primary.publish(topic, state(False, 7), qos=1, retain=True)
+            await until(lambda: not host.is_alive, "it dies with its primary host")
+            assert host.births == 1
+    assert host.faults == []
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [("allow_anonymous false", "refuses the connection: Not authorized"), ("max_connections 0", "")],
+)
+async def test_a_broker_that_refuses_is_stated(tmp_path: Path, more: str, words: str) -> None:
+    async with running(tmp_path, more) as broker, site(tmp_path / "site", broker) as house:
+        node = node_of(house)
+        await until(lambda: node.status.fault is not None, "why it is not published is known")
+        fault = node.status.fault
+        assert fault is not None
+        assert words in in_english(fault)
+        assert in_english(node.state()).startswith("node dry-end: the broker 127.0.0.1:")
+
+
+async def test_an_overview_shows_the_lines_of_the_broker_with_their_age(tmp_path: Path) -> None:
+    async with running(tmp_path) as broker:
+        config = configuration(
+            tmp_path / "overview", f"mqtt://127.0.0.1:{broker.port}", "overview = true", "Plant", bus=False
+        )
+        async with complete_app(tmp_path / "overview", config=config) as overview:
+            board = overview.services[LineTiles].board
+            async with site(
+                tmp_path / "site", broker, '[notify]\ndashboard_url = "https://mill7:8443"'
+            ) as house:
+                await house.worker()
+                await until(lambda: any(not line.is_stale for line in board.lines()), "the line is shown")
+                (line,) = board.lines()
+                assert (line.bus, line.site, line.href) == (
+                    "dry-end",
+                    "Mill 7",
+                    "https://mill7:8443/?bus=dry-end",
+                )
+                shown = (await overview.http("viewer").get("/api/v1/sites")).json()
+                assert [(each["bus"], each["peer"], each["units"]) for each in shown["lines"]] == [
+                    ("dry-end", "Mill 7", 3)
+                ]
+            async with broker.client() as other:
+                for number, payload in enumerate(
+                    (b"{}", b"x" * 100_000, b'{"page": "javascript:1"}', b"\xff")
+                ):
+                    await other.publish(f"{TOPIC}/evil/{number}", payload, qos=1, retain=True)
+                await other.publish(f"{TOPIC}/Mill 7/dry-end", b"", qos=1, retain=True)
+                await until(lambda: not board.lines(), "a line that was taken away is gone")
+
+
+async def test_a_document_that_the_broker_kept_is_not_of_the_present(tmp_path: Path) -> None:
+    async with running(tmp_path) as broker:
+        async with site(tmp_path / "site", broker) as house:
+            await connected(house)
+            await until(lambda: (node_of(house).backlog or 0) and node_of(house).status.sent > 0, "sent")
+            await asyncio.sleep(1.2)
+        config = configuration(
+            tmp_path / "overview", f"mqtt://127.0.0.1:{broker.port}", "overview = true", "Plant", bus=False
+        )
+        async with complete_app(tmp_path / "overview", config=config) as overview:
+            board = overview.services[LineTiles].board
+            await until(board.lines, "the document is read")
+            assert [line.is_stale for line in board.lines()] == [True]
+
+
+@pytest.mark.parametrize(
+    ("url", "more", "words"),
+    [
+        ("http://broker", "", "must be the URL of a broker"),
+        ("mqtt://lineside:secret@broker", "", "must not have a user or a password"),
+        ("mqtt://broker/topic", "", "must be the URL of a broker"),
+        ("mqtt://broker:99999", "", "must be the URL of a broker"),
+        ("mqtt://broker", 'ca_file = "ca.pem"', "are for a broker with TLS"),
+        ("mqtts://broker", 'certificate = "node.pem"', "certificate needs key beside it"),
+        ("mqtt://broker", 'password_file = "p"', "password_file needs username"),
+        ("mqtt://broker", 'group = "a/b"', "must not have / + or #"),
+        ("mqtt://broker", 'deadband = { actual = "-1" }', "deadband"),
+    ],
+)
+def test_a_wrong_setting_is_refused_where_it_stands(tmp_path: Path, url: str, more: str, words: str) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        load(configuration(tmp_path, url, more))
+    assert words in str(refused.value)
+    assert "secret" not in str(refused.value)
+
+
+async def test_check_states_whether_the_broker_takes_the_connection(tmp_path: Path) -> None:
+    async with running(tmp_path) as broker:
+        config = configuration(tmp_path / "site", f"mqtt://127.0.0.1:{broker.port}")
+        found = await asyncio.to_thread(lambda: list(mqtt(load(config))))
+        assert [in_english(each.message) for each in found] == [
+            f"the broker 127.0.0.1:{broker.port} takes the connection"
+        ]
+    (lost,) = await asyncio.to_thread(lambda: list(mqtt(load(config))))
+    assert lost.is_fault
+    assert "cannot be reached: Connection refused" in in_english(lost.message)
