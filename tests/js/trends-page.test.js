@@ -43,3 +43,12 @@ test("a place is a unit by its name, or a bus", () => {
     "line",
   ]);
 });
+
+test("what happens at the units beside a unit on its line is requested too", () => {
+  const line = new Catalogue(
+    ["a/1", "a/2", "a/3", "b/1"].map((key) => ({ key, name: key, labels: {} })),
+    { actual: "actual" },
+  );
+  assert.deepEqual(line.withNeighbors(["a/1/actual"]), ["a/1/actual", "a/2/actual"]);
+  assert.deepEqual(line.withNeighbors(["a/3/actual"]), ["a/3/actual", "a/2/actual"], "not the next line");
+});

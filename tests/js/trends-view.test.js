@@ -112,6 +112,20 @@ test("a preset is a shift of the site, and is saved as such, not as its times", 
   assert.deepEqual([view.preset, view.range()], ["", [at("2026-11-20T08:00:00"), at("2026-11-20T12:00:00")]]);
 });
 
+test("yesterday is the day before at the site, and a link keeps its times", () => {
+  const view = open("?s=line/1/actual&s=line/2/actual");
+  view.showPreset("yesterday");
+  assert.deepEqual(view.range(), [at("2026-11-19T00:00:00"), at("2026-11-20T00:00:00")]);
+  const again = open(new URL(view.link(), "http://plant").search);
+  assert.deepEqual([again.preset, again.range(), again.series], ["", view.range(), view.series]);
+});
+
+test("several values are removed at once", () => {
+  const view = open("?s=line/1/actual&s=line/2/actual&s=line/3/actual");
+  view.remove("line/1/actual", "line/3/actual");
+  assert.deepEqual(view.series, ["line/2/actual"]);
+});
+
 test("what a view is compared with is part of its address", () => {
   const view = open("?compare=nonsense&preset=never");
   assert.deepEqual([view.compare, view.preset], ["", ""]);
