@@ -73,7 +73,7 @@ TYPED_BY_PEOPLE = {
     *("AlarmTransition.reason", "ReportedAlarm.reason", "ShiftAlarm.reason"),
     *(f"OwnAlarm.{name}" for name in ("cause", "consequence", "response")),
     *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
-    *("ConfigurationVersion.reason", "ReportedUnit.length_unit", "ReportedUnit.speed_unit"),
+    *("ConfigurationVersion.reason", "length_unit", "ReportedUnit.speed_unit"),
     *("ReadOnly.reason", "RecurringMaintenance.buses", "RecurringMaintenance.reason"),
 }
 IN_THE_READERS_LANGUAGE = {

@@ -47,7 +47,9 @@ def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.C
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
     """Open a connection that cannot write. Raises StoreError for a link."""
-    return _opened(path, "mode=ro")
+    connection = _opened(path, "mode=ro")
+    connection.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
+    return connection
 
 
 def open_unchanged(path: Path) -> sqlite3.Connection:
@@ -69,7 +71,6 @@ def _opened(path: Path, how: str) -> sqlite3.Connection:
     uri = f"{path.absolute().as_uri()}?{how}"
     connection = sqlite3.connect(uri, uri=True, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
     _set_factories(connection)
-    connection.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
     return connection
 
 

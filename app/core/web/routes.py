@@ -64,7 +64,9 @@ class GuardedRoute(APIRoute):
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:
         """Note what finds the route of a request, and the address of a route; ``options`` are FastAPI's."""
         methods = options.get("methods") or ["GET"]
-        Route.__init__(self, path, endpoint, methods=methods, name=options.get("name"))
+        described = options.get("include_in_schema", True)
+        name = options.get("name")
+        Route.__init__(self, path, endpoint, methods=methods, name=name, include_in_schema=described)
         self.methods = {method.upper() for method in methods}
         self._options: dict[str, Any] | None = options
         del self.app  # it is the analyzed one's

@@ -15,7 +15,7 @@ from app.core.database import Database
 from app.core.database import database as database_module
 from app.core.web.access import Role
 from app.errors import TooCostlyError
-from app.people.audit.log import EventLog, Filter
+from app.people.audit.log import EventLog, Filter, open_intents
 from tests.app.complete_app import complete_app
 
 PATIENCE_S = 60.0
@@ -97,7 +97,7 @@ async def test_costly_reads_leave_the_others_alone(tmp_path: Path) -> None:
         try:
             async with asyncio.timeout(PATIENCE_S):
                 await log.record(kind="server", what="written meanwhile")
-                assert await opened.read(lambda c: log.open_intents(c)) == []
+                assert await opened.read(open_intents) == []
         finally:
             gate.set()
             await asyncio.gather(*held)
