@@ -46,6 +46,7 @@ def panels(site: Site, browser: Browser) -> dict[str, Any]:
     page.get_by_label("Password").fill("collect house bakery stable")
     page.get_by_role("button", name="Log in").click()
     for name, role in (("wall", None), ("first", "operator")):
+        page.get_by_role("button", name="Add a panel").click()
         form = page.locator('form[action="/users/panels"]')
         form.get_by_label("Name").fill(name)
         if role is not None:

@@ -277,6 +277,7 @@ def test_staging_changes_nothing_until_executed(site: Site, shared_page: OpensPa
     was = state(site, 8)["setpoint"]
     page.locator("#setpoint").fill("91.0")
     page.get_by_role("button", name="Stage…", exact=True).click()
+    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
     assert state(site, 8)["setpoint"] == was

@@ -249,6 +249,7 @@ def test_a_staged_value_of_a_follower_is_a_ratio_too(
     page = opened(shared_page(viewport=PANEL), f"/units/line/{follower}")
     page.locator("#setpoint").fill("0.9876")
     page.get_by_role("button", name="Stage…", exact=True).click()
+    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
     expect(page.locator(f'[data-live="line/{follower}.staged"]').first).to_have_text(re.compile("0.9876"))

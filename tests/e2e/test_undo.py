@@ -101,6 +101,7 @@ def test_what_was_typed_is_a_draft_on_the_next_page(page: Page) -> None:
 def test_what_was_staged_is_no_draft_any_more(site: Site, page: Page) -> None:
     page.locator("#setpoint").fill("66.6")
     page.get_by_role("button", name="Stage…").click()
+    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     assert site.unit(UNIT)["staged"] == "66.6"
