@@ -165,7 +165,7 @@ def test_the_first_touch_after_dark_only_wakes(site: Site, panel: Callable[..., 
     before = received_writes(site)
     page.clock.fast_forward("11:00")
     expect(page.locator(".cover--dark")).to_be_visible()
-    expect(page.locator(".cover--dark")).to_contain_text("units")
+    expect(page.locator(".cover--dark")).to_contain_text("all 2 at speed")
     expect(page.locator(".cover--dark [data-clock]")).to_have_text(re.compile(r"\d\d:\d\d:\d\d"))
     tap(page, ".nudges button >> nth=2")
     expect(page.locator(".cover")).to_have_count(0)
