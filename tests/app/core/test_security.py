@@ -121,7 +121,7 @@ def test_a_websocket_of_a_foreign_page_is_refused_even_with_a_good_token(tmp_pat
 
 
 @pytest.mark.parametrize("path", ["/login", "/healthz", "/api/v1/line", "/static/x/nothing"])
-async def test_every_response_forbids_unused_browser_features(house: House, path: str) -> None:
+async def test_every_document_forbids_unused_browser_features(house: House, path: str) -> None:
     headers = (await house.client().get(path)).headers
     policy = headers["content-security-policy"]
     assert "default-src 'self'" in policy
@@ -129,6 +129,23 @@ async def test_every_response_forbids_unused_browser_features(house: House, path
     assert "unsafe" not in policy
     assert headers["x-content-type-options"] == "nosniff"
     assert headers["referrer-policy"] == "same-origin"
+
+
+@pytest.mark.parametrize(
+    "name", ["js/main.js", "css/lineside.css", "vendor/inter.woff2", "icons/lineside-192.png"]
+)
+async def test_a_file_that_is_no_document_has_the_headers_of_a_file_only(house: House, name: str) -> None:
+    headers = (await house.client().get(f"/static/x/{name}")).headers
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["cross-origin-resource-policy"] == "same-origin"
+    assert not {"content-security-policy", "referrer-policy", "permissions-policy"} & set(headers)
+
+
+@pytest.mark.parametrize("path", ["/static/x/icons/sprite.svg", "/static/x/js/nothing.js", "/sw.js"])
+async def test_documents_and_workers_have_a_policy_wherever_they_are(house: House, path: str) -> None:
+    headers = (await house.client().get(path)).headers
+    assert "default-src 'self'" in headers["content-security-policy"]
+    assert headers["x-content-type-options"] == "nosniff"
 
 
 async def test_no_page_is_kept_by_a_cache(house: House) -> None:
