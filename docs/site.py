@@ -15,7 +15,7 @@ from app.core.help.handbook import CHAPTERS, ENGLISH, Chapter, Handbook, Rendere
 from app.core.web.assets import docs_dir, static_dir
 
 LINK = re.compile(r'(href|src)="/help/(pictures/)?([\w/-]+)(\.png)?')
-STYLES = ("lineside.css", "help.css")
+STYLES = ("lineside.css", "pages/help.css")
 
 
 def main(folder: Path) -> None:

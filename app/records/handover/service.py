@@ -310,7 +310,7 @@ def _summary(connection: StoreConnection, shift: Shift, count: int) -> ShiftSumm
     return ShiftSummary(shift.start, shift.end, count, leaving, coming)
 
 
-STYLE = "css/handover-document.css"
+STYLE = "css/pages/handover-document.css"
 APART = {
     "Content-Security-Policy": (
         "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; sandbox"

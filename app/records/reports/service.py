@@ -220,7 +220,7 @@ def _at(text: str) -> datetime:
     return datetime.fromisoformat(text)
 
 
-STYLE = "css/report-document.css"
+STYLE = "css/pages/report-document.css"
 
 
 class ReportDocuments:
