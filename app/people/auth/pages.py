@@ -55,14 +55,9 @@ from app.people.auth.accounts import (
     Accounts,
     check_has_own_password,
 )
+from app.people.auth.login_attempt import MAX_AGE_S, NotAdmittedError, attempt_of, refusal_shown
 from app.people.auth.sign_in import FirstAdmin, SignedIn, SignIn, WrongCodeError, WrongSecretError
-from app.people.auth.single_sign_on import (
-    MAX_AGE_S,
-    NotAdmittedError,
-    SingleSignOn,
-    attempt_of,
-    refusal_shown,
-)
+from app.people.auth.single_sign_on import SingleSignOn
 from bus.errors import CallerError
 from bus.messages import Message
 from bus.validation import composed

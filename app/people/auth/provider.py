@@ -30,8 +30,8 @@ from joserfc.jws import JWSRegistry
 
 from app.core.server.settings import SecretFileError, read_secret_text
 from app.errors import network_cause, system_error
+from app.people.auth.login_attempt import LoginAttempt, NotAdmittedError, printable
 from app.people.auth.settings import OidcSettings
-from app.people.auth.single_sign_on import LoginAttempt, NotAdmittedError, printable
 from bus.errors import LinesideError
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
