@@ -197,6 +197,25 @@ def test_no_time_for_the_stages_is_reported_before_anything_is_sent() -> None:
     run(scene, 4)
 
 
+@pytest.mark.parametrize("above", ["preset", "up", "down", "follower"])
+def test_a_unit_whose_own_setpoint_is_staged_holds_none_whatever_its_status_shows(above: str) -> None:
+    async def scene(line: VirtualLine) -> None:
+        unit = line.plant.unit(2)
+        if above == "follower":
+            unit.memory[numbers.FOLLOWER_MODE] = 1
+        else:
+            setattr(unit.inputs, above, True)
+        await settled(line)
+        number = numbers.RATIO_SETPOINT if above == "follower" else numbers.SPEED_SETPOINT
+        own = unit.memory[number]
+        assert (await line.perform(SetSpeed(2, own + 1, execute=False))).outcome == "acknowledged"
+        assert line.worker.line.roster[2].staged == own + 1
+        assert (await line.perform(SetSpeed(2, own, execute=False))).outcome == "acknowledged"
+        assert line.worker.line.roster[2].staged is None
+
+    run(scene, 4)
+
+
 def test_a_change_whose_time_runs_out_is_withdrawn() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)

@@ -290,6 +290,28 @@ def test_staging_changes_nothing_until_executed(site: Site, shared_page: OpensPa
     eventually(lambda: state(site, 8)["setpoint"] == 910, "the staged speed executed")
 
 
+def test_discard_leaves_nothing_staged_while_an_input_stands_above_the_setpoint(
+    site: Site, shared_page: OpensPages
+) -> None:
+    was = {unit: state(site, unit)["setpoint"] for unit in (1, 2)}
+    for unit, input in ((1, "preset"), (2, "up")):
+        site.line.remote.do("input", unit=unit, input=input, on=True)
+    try:
+        eventually(lambda: site.unit(1)["inputs"]["preset"] and site.unit(2)["inputs"]["up"], "the inputs")
+        for unit in was:
+            site.set_speed(unit, raw=was[unit] + 7, execute=False)
+        page = opened(shared_page(viewport=PANEL), "/setpoints")
+        expect(page.locator("#tray")).to_contain_text("Execute 2 staged")
+        page.locator("#tray [hx-post$='/staged/discard']").click()
+        expect(page.locator("#tray > *:visible")).to_have_count(0)
+        with site.api("operator") as client:
+            client.post("/buses/line/execute", json={}).raise_for_status()
+        assert {unit: state(site, unit)["setpoint"] for unit in was} == was
+    finally:
+        for unit, input in ((1, "preset"), (2, "up")):
+            site.line.remote.do("input", unit=unit, input=input, on=False)
+
+
 def test_an_output_is_switched_behind_a_review(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/2")
     was = state(site, 2)["outputs"]

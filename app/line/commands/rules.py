@@ -24,7 +24,7 @@ from typing import Literal
 
 from app.errors import Problem
 from app.line.commands.limits import HIGHEST_SETPOINT, CommandBlock, Limits
-from app.line.live.bus_live import BusLive, UnitLive, follower, setpoint_decimals
+from app.line.live.bus_live import BusLive, UnitLive, bits_of, follower, setpoint_decimals
 from bus.catalogue.parameters import (
     ANALOG_OUT_HIGH,
     ANALOG_OUT_LOW,
@@ -217,6 +217,18 @@ def commanded_setpoint(live: UnitLive, bus: BusLive) -> int | None:
     if live.reading is None or (follower(live) and bus.settings.follower_speed == "speed"):
         return None
     return live.reading.commanded
+
+
+def setpoint_parameter(live: UnitLive, bus: BusLive) -> int | None:
+    """Return the parameter that holds the setpoint of the unit while its status shows another value: an input
+    stands above the setpoint, or a follower shows its speed. None where the status shows the setpoint."""
+    if live.reading is None:
+        return None
+    bits = bits_of(bus, live.reading)
+    follows, is_overridden = follower(live) or bits.follower, bits.preset or bits.up or bits.down
+    if follows:
+        return RATIO_SETPOINT if is_overridden or bus.settings.follower_speed == "speed" else None
+    return SPEED_SETPOINT if is_overridden else None
 
 
 def _check_scale(live: UnitLive, raw: int, limits: Limits) -> None:

@@ -299,7 +299,13 @@ def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext
 
 def _is_present(record: UnitRecord, raw: int, context: CommandContext) -> Subprocedure[bool]:
     """Return whether a unit has this setpoint already, so that executing it would change nothing."""
-    return record.commanded == raw and (yield from present_setpoint(record, context.dialect)) == raw
+    reading, shows_setpoint = record.reading, True
+    if reading is not None:
+        bits = status_bits(reading.outputs, reading.inputs, context.dialect.estop_healthy)
+        shows_setpoint = not (bits.preset or bits.up or bits.down or bits.follower)
+    if shows_setpoint and record.commanded != raw:
+        return False
+    return (yield from present_setpoint(record, context.dialect)) == raw
 
 
 SUCCEEDED = ("verified", "acknowledged")

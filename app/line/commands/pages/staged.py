@@ -8,13 +8,14 @@ from fastapi import APIRouter, Form
 from starlette.requests import Request
 from starlette.responses import Response
 
+from app.core.web.arrival import Deadline
 from app.core.web.routes import GuardedRoute
 from app.errors import Problem
 from app.line.commands.catalogue import EXECUTE_ALL, SET_SPEED, longest_change_s
 from app.line.commands.page_context import BusPage, Confirmed, PageOfBus
 from app.line.commands.pages.line import followers_of, proven, reviewed
-from app.line.commands.review import by_remark, draw_changes, present_setpoint
-from app.line.commands.rules import staged_setpoints
+from app.line.commands.review import by_remark, draw_changes
+from app.line.commands.rules import commanded_setpoint, setpoint_parameter, staged_setpoints
 from app.line.commands.service import permitted
 from bus.contract import ExecuteAll, SetSpeed
 from bus.messages import Message, term
@@ -69,6 +70,18 @@ async def execute_staged(request: Request, page: PageOfBus, confirmed: Confirmed
     return proven(page, setpoints, result, confirmed.id)
 
 
+async def _own_setpoint(page: BusPage, unit: int, deadline: Deadline) -> int:
+    """Return the setpoint of a unit as it is without what it holds staged, read from its parameter where the
+    status shows another value. Raises Problem if it is not known."""
+    live = page.bus.units[unit]
+    number, raw = setpoint_parameter(live, page.bus), commanded_setpoint(live, page.bus)
+    if number is not None:
+        raw = (await page.commands.read(page.person, unit, [number], deadline))[number]
+    if raw is None:
+        raise Problem(409, "unknown", Message("setpoint_unknown"))
+    return raw
+
+
 @router.post("/discard", dependencies=[permitted(SET_SPEED)])
 async def discard_staged(page: PageOfBus, id: Annotated[str, Form(max_length=64)]) -> Response:
     """Stage the present setpoint of each unit that holds another one: then nothing is left to execute."""
@@ -77,10 +90,8 @@ async def discard_staged(page: PageOfBus, id: Annotated[str, Form(max_length=64)
     kept: list[tuple[str, Message]] = []
     deadline = page.deadline(len(held), typed=False)
     for unit in held:
-        raw = present_setpoint(page.bus, units[unit])
         try:
-            if raw is None:
-                raise Problem(409, "unknown", Message("setpoint_unknown"))
+            raw = await _own_setpoint(page, unit, deadline)
             result = await page.send(SetSpeed(unit=unit, raw=raw, execute=False), f"{id}-{unit}", deadline)
         except Problem as problem:
             kept.append((units[unit].settings.name, problem.message))
