@@ -12,7 +12,7 @@ import asyncio
 import re
 import ssl
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from hashlib import blake2b
@@ -24,7 +24,7 @@ import structlog
 from app.core.database import Database
 from app.core.lifespan import cancel
 from app.core.server.settings import SecretFileError, read_secret_text
-from app.errors import StoreError, system_error
+from app.errors import StoreError, is_refused_certificate, network_cause
 from app.line.history.series.runs import DAY, SECOND, micros
 from app.line.history.service import History
 from app.line.live.bus_live import Audience, Silence
@@ -35,12 +35,15 @@ from bus.contract import Update
 from bus.errors import LinesideError
 from bus.instants import Clock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number
+from bus.tls import TlsFileError, load_authority, load_pair
 
 if TYPE_CHECKING:
     import aiomqtt
 
 KEEP_ALIVE_S = 10
 CONNECT_S = 10.0
+LOOK_S = 2.0
+"""How long a broker that was silent is looked at once more."""
 RETRY_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 """The time between two attempts, of which the last repeats."""
 STEADY_S = 30.0
@@ -110,21 +113,47 @@ async def connected(
             raise BrokerError(Message.of("mqtt_dropped", place=place)) from None
         if isinstance(error, aiomqtt.MqttCodeError):
             raise BrokerError(Message.of("mqtt_refused", place=place, reason=str(error.rc))) from None
-        reason = _ERRNO.sub("", str(error))
-        raise BrokerError(Message.of("mqtt_not_reached", place=place, reason=reason)) from None
+        raise BrokerError(await _why_not_reached(settings, error)) from None
 
 
 def _tls(settings: MqttSettings) -> ssl.SSLContext | None:
     """Return what the broker is trusted by, and what this server shows. Raises BrokerError."""
     if not settings.uses_tls:
         return None
+    context = ssl.create_default_context()
     try:
-        context = ssl.create_default_context(cafile=settings.ca_file)
-        if settings.certificate is not None:
-            context.load_cert_chain(settings.certificate, settings.key)
-    except OSError as error:
-        raise BrokerError(Message.of("mqtt_files", reason=system_error(error))) from None
+        if settings.ca_file is not None:
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+            load_authority(context, settings.ca_file)
+        if settings.certificate is not None and settings.key is not None:
+            load_pair(context, settings.certificate, settings.key)
+    except TlsFileError as error:
+        raise BrokerError(error.message) from None
     return context
+
+
+async def _why_not_reached(settings: MqttSettings, error: Exception) -> Message:
+    """Return why there is no connection. Of a broker that takes it and is silent, the library states a
+    timeout only: it is looked at once more, as TLS 1.3 refuses a client certificate after the handshake."""
+    cause = error.__context__ or error
+    if is_refused_certificate(cause):
+        return Message.of("mqtt_not_trusted", place=settings.place, reason=network_cause(cause))
+    if not isinstance(cause, TimeoutError):
+        reason = _ERRNO.sub("", str(error))
+        return Message.of("mqtt_not_reached", place=settings.place, reason=reason)
+    try:
+        async with asyncio.timeout(LOOK_S):
+            reader, writer = await asyncio.open_connection(
+                settings.host, settings.port, ssl=_tls(settings), limit=1
+            )
+            with closing(writer):
+                await reader.read(1)
+    except ssl.SSLError as found:
+        alert = (found.reason or "").rpartition("ALERT_")[2].replace("_", " ").lower()
+        return Message.of("mqtt_certificate_refused", place=settings.place, reason=alert)
+    except OSError:
+        pass
+    return Message.of("mqtt_silent", place=settings.place)
 
 
 def identifier_for(*parts: str) -> str:
