@@ -4,11 +4,12 @@ what units did over a span."""
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain, compress, groupby, pairwise
+from itertools import chain, compress, groupby, islice, pairwise
+from operator import gt
 from statistics import median_low
 from typing import Any, Literal, TypeVar
 
@@ -420,9 +421,11 @@ def runs_between(source: StoredUnit, start: int, end: int) -> list[Run]:
 
 
 MAX_REPORT_READINGS = 200_000
-"""With more readings in unsteady minutes a report uses averages for them: 100,000 take a second."""
+"""With more readings in unsteady minutes a report uses averages for them."""
 MAX_READINGS_OF_UNIT = 40_000
 """Two hours of readings at 9600 baud on a bus of eight, and so some fifty starts and stops."""
+_SAMPLE = 500
+"""Readings that show the usual interval between them."""
 ENOUGH = 0.92
 """A minute with a smaller part of the readings of the fullest one may have half of a hole in it."""
 
@@ -516,7 +519,7 @@ def _unit_figures(
     minutes = _Minutes(speed_minutes(source, start - MINUTE, end + MINUTE), changes)
     is_readable = has_raw(connection, source.unit, start) and minutes.readings <= max_readings
     counted = minutes.stretches(source, start, end, marks if is_readable else None)
-    figures = run_figures(counted, bus.estop_healthy, lambda at, raw: scales.at(at).apply(raw))
+    figures = run_figures(counted, bus.estop_healthy, scales)
     figures.by_minute = bool(minutes.unsteady) and not is_readable
     return figures, _Speeds(_at_speed(counted, scales), scales.at(end).decimals)
 
@@ -528,6 +531,7 @@ class _Minutes:
 
     def __init__(self, minutes: list[SpeedMinute], changes: Sequence[int]) -> None:
         self._minutes = minutes
+        self._changes = changes
         # No minute follows the last one, so its last reading counts as long as it does.
         self._ends = [
             *(each.start for each in minutes[1:]),
@@ -535,12 +539,13 @@ class _Minutes:
         ]
         fullest = max((each.readings for each in minutes), default=0)
         few = [False, *(each.readings < ENOUGH * fullest for each in minutes), False]
+        cut = {(change - before) // MINUTE for change in changes for before in (0, 1)}
         self._is_steady = [
             each.is_steady
             and until == each.start + MINUTE
-            and not any(few[place : place + 3])
-            and bisect_left(changes, each.start) == bisect_right(changes, until)
-            for place, (each, until) in enumerate(zip(minutes, self._ends, strict=True))
+            and each.start // MINUTE not in cut
+            and not any(near)
+            for each, until, *near in zip(minutes, self._ends, few[:-2], few[1:-1], few[2:], strict=True)
         ]
 
     @property
@@ -558,22 +563,66 @@ class _Minutes:
         found: list[RunStretch] = []
         rows = zip(self._minutes, self._ends, self._is_steady, strict=True)
         by_part = groupby(rows, key=lambda row: (row[2] or marks is None, row[0].start // HOUR))
+        readings = _Readings(source)
         for (is_average, _), part in by_part:
             minutes = list(part)
             if is_average or marks is None:
-                found += (each.stretch(start, end) for each, _, _ in minutes)
+                found += (each.stretch() for each, _, _ in minutes)
             else:
                 first, until = minutes[0][0].start, minutes[-1][1]
-                runs = runs_between(source, first - MINUTE, until + MINUTE)
-                found += stretches(runs, max(start, first), min(end, until), marks)
-        return [each for each in found if each.until > each.at]
+                table, usual = readings.around(first, until)
+                found += stretches(table, (first, until), marks, usual, self._changes)
+        return [
+            each
+            if start <= each.at and each.until <= end
+            else each._replace(at=max(start, each.at), until=min(end, each.until))
+            for each in found
+            if each.at < end and each.until > start
+        ]
 
 
-def _at_speed(counted: Iterable[RunStretch], scales: Scaling) -> list[SpeedStretch]:
+class _Readings:
+    """The readings of a unit, read part by part in order of time. The blocks of the last part stay unpacked,
+    as those of an hour have many parts."""
+
+    def __init__(self, source: StoredUnit) -> None:
+        self._source = source
+        self._blocks: dict[tuple[int, bytes], list[list[int]]] = {}
+        self._usual = 0
+
+    def around(self, start: int, end: int) -> tuple[Sequence[Sequence[int]], int]:
+        """Return the columns of the runs that begin within a span, µs, with the run before and the one after
+        it, and the usual interval between responses."""
+        first, until = start - MINUTE, end + MINUTE
+        former, self._blocks = self._blocks, {}
+
+        def unpack(data: bytes, begin: int) -> list[list[int]]:
+            found = former.get((begin, data)) or unpack_columns(data, begin, Run._fields)
+            self._blocks[begin, data] = found
+            within = slice(*(bisect_left(found[0], edge) for edge in (first, until)))
+            return [column[within] for column in found]
+
+        tables = [table for _, table in self._source.blocks("raw", first, until, unpack)]
+        tail = [run for run in self._source.tail if first <= run.at < until]
+        table: Sequence[Sequence[int]] = [
+            list(chain.from_iterable(parts)) for parts in zip(*tables, strict=True)
+        ]
+        if tail or (table and not all(map(gt, table[0][1:], table[1]))):
+            table = list(zip(*merge(zip(*table, strict=True), tail), strict=True))
+        if not table:
+            return [()] * len(Run._fields), 0
+        if tail or self._blocks.keys() != former.keys():
+            self._usual = usual_interval(list(islice(zip(*table[:3], strict=True), _SAMPLE)))
+        wanted = slice(max(0, bisect_left(table[0], start) - 1), bisect_left(table[0], end) + 1)
+        return [column[wanted] for column in table], self._usual
+
+
+def _at_speed(counted: Sequence[RunStretch], scales: Scaling) -> list[SpeedStretch]:
+    at_speed = [each for each in counted if each.is_at_speed]
     return [
-        SpeedStretch(each.at, each.until, scales.at(each.at).apply(each.actual))
-        for each in counted
-        if each.is_at_speed
+        SpeedStretch(each.at, each.until, scale.apply(each.actual))
+        for i, j, scale in scales.stretches([each.at for each in at_speed])
+        for each in at_speed[i:j]
     ]
 
 

@@ -22,6 +22,7 @@ from app.line.alarms.journal import JournalEntry, alarm_writer
 from app.line.history.query import BusReport
 from app.line.history.series.figures import (
     RunFigures,
+    RunStretch,
     SpeedStretch,
     draw_figures,
     minute_figures,
@@ -30,7 +31,7 @@ from app.line.history.series.figures import (
     stretches,
 )
 from app.line.history.series.runs import MINUTE, SECOND, Run, merge, plain_run, rollup
-from app.line.history.series.values import LinearScale, Marks, Scaling
+from app.line.history.series.values import LinearScale, Marks, Scaling, usual_interval
 from app.records.handover.notes import Note
 from app.records.handover.notes import add as add_note
 from app.records.handover.rules import Shift
@@ -51,11 +52,18 @@ def run(at: float, until: float, actual: int, *, commanded: int = 100, inputs: i
     return Run(round(at * SECOND), round(until * SECOND), readings, commanded, actual, 0, inputs)
 
 
+def counted_runs(
+    runs: Sequence[Run], span: tuple[int, int], marks: Marks, cuts: Sequence[int] = ()
+) -> list[RunStretch]:
+    table = list(zip(*runs, strict=True)) or [()] * len(Run._fields)
+    return stretches(table, span, marks, usual_interval(runs), cuts)
+
+
 def figures(
     runs: Sequence[Run], start: float = 0, end: float = 100, marks: Marks | None = None
 ) -> RunFigures:
-    counted = stretches(runs, round(start * SECOND), round(end * SECOND), marks or Marks())
-    return run_figures(counted, 1, lambda _, raw: raw / 10)
+    counted = counted_runs(runs, (round(start * SECOND), round(end * SECOND)), marks or Marks())
+    return run_figures(counted, 1, Scaling([0], [LinearScale(per=10)]))
 
 
 @given(
@@ -78,8 +86,8 @@ def test_the_figures_of_minutes_add_up_to_those_of_the_span(
         runs.append(run(at, until, actual, inputs=inputs))
         at = until
     marks = Marks(lost=[runs[len(runs) // 2].until + SECOND // 2])
-    counted = stretches(runs, 0, 1 << 60, marks)
-    total = run_figures(counted, 1, lambda at, raw: scales.at(at).apply(raw))
+    counted = counted_runs(runs, (0, 1 << 60), marks, scales.since)
+    total = run_figures(counted, 1, scales)
     minutes = minute_figures(runs, marks, scales)
     assert sum(each.known for each in minutes.values()) == total.known
     assert sum(each.running for each in minutes.values()) == total.running
@@ -217,17 +225,18 @@ def test_steady_minutes_and_readings_of_the_others_give_the_figures_of_all_readi
     end: int,
     is_packed: bool,
 ) -> None:
-    shelf, kept, at = Shelf(tmp_path_factory.mktemp("history") / "history.db"), [], NOON
+    began = NOON - 600  # so that the readings are in the blocks of two hours
+    shelf, kept, at = Shelf(tmp_path_factory.mktemp("history") / "history.db"), [], began
     for lasting, actual, inputs, gap in parts:
         for step in range(lasting * 4):
             outputs = 0xC0 if actual == 100 else 0x40
             kept.append(Reading(1, UnixTime(at + step / 4), 100, actual, 0, outputs, inputs))
         at += lasting + gap
     shelf.keep(kept)
-    span = round(NOON + begin) * SECOND, round(NOON + end) * SECOND
+    span = round(began + begin) * SECOND, round(began + end) * SECOND
     runs = merge((), (plain_run(each) for each in kept))
-    counted = stretches(runs, *span, Marks())
-    exact = run_figures(counted, 1, lambda _, raw: raw)
+    counted = counted_runs(runs, span, Marks())
+    exact = run_figures(counted, 1, Scaling([0], [LinearScale()]))
     shelf.fold()
     if is_packed:
         shelf.pack()

@@ -15,8 +15,8 @@ from bisect import bisect_left, bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
-from operator import itemgetter, le, truediv
+from itertools import chain, compress, count, pairwise
+from operator import itemgetter, le, mul, ne, sub, truediv
 from typing import Literal, NamedTuple
 
 from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, Rollup, Run
@@ -142,8 +142,6 @@ def in_order(points: Points) -> Points:
 
 
 StopCause = Literal["estop", "run_off", "speed_zero", "unknown"]
-SpeedOf = Callable[[int, float], float]
-"""The speed that a raw value stood for at a time, µs."""
 _AT_SPEED = 1 << VALUES["at_speed"].bit
 
 
@@ -210,38 +208,39 @@ class SpeedMinute(NamedTuple):
         is_commanded = self.commanded_min > 0 or self.commanded_max <= 0
         return is_commanded and not (self.word_and ^ self.word_or) & _AT_SPEED
 
-    def stretch(self, start: int, end: int) -> RunStretch:
-        """Return it between two times, µs, by its average: a unit that moved at all ran, and one that was at
-        speed in every reading was at speed."""
-        at, until = max(start, self.start), min(end, self.start + MINUTE)
+    def stretch(self) -> RunStretch:
+        """Return it by its average: a unit that moved at all ran, and one that was at speed in every reading
+        was at speed."""
         average = self.actual_sum / self.readings
-        return RunStretch(at, until, self.commanded_min, average, self.actual_max, self.word_and)
+        until = self.start + MINUTE
+        return RunStretch(self.start, until, self.commanded_min, average, self.actual_max, self.word_and)
 
 
 def _is_at_speed(run: Run | RunStretch) -> bool:
     return bool(run.actual and run.commanded > 0 and run.word & _AT_SPEED)
 
 
-def run_figures(stretches: Iterable[RunStretch], estop_healthy: int, speed_of: SpeedOf) -> RunFigures:
-    """Count the figures of a unit from its stretches in order of time."""
+def run_figures(stretches: Sequence[RunStretch], estop_healthy: int, scales: Scaling) -> RunFigures:
+    """Count the figures of a unit from its stretches in order of time, none of which has a change of scale in
+    it."""
     figures = RunFigures()
     stop: Stop | None = None
-    for stretch in stretches:
-        at, until = stretch.at, stretch.until
-        figures.known += until - at
-        if stretch.actual:
-            speed = speed_of(at, stretch.actual)
-            figures.running += until - at
-            figures.travel += speed * (until - at)
-            greatest = speed if stretch.greatest == stretch.actual else speed_of(at, stretch.greatest)
-            figures.fastest = max(figures.fastest, greatest)
-            figures.at_speed += until - at if stretch.is_at_speed else 0
-            stop = None
-        elif stop is None:
-            stop = Stop(at, until, _cause(stretch, estop_healthy))
-            figures.stops.append(stop)
-        else:
-            stop.until = until
+    for i, j, scale in scales.stretches([each.at for each in stretches]):
+        for stretch in stretches[i:j]:
+            at, until, _, raw, greatest, _ = stretch
+            lasting = until - at
+            figures.known += lasting
+            if raw:
+                stop = None
+                figures.running += lasting
+                figures.travel += scale.apply(raw) * lasting
+                figures.fastest = max(figures.fastest, scale.apply(greatest))
+                figures.at_speed += lasting if stretch.is_at_speed else 0
+            elif stop is None:
+                stop = Stop(at, until, _cause(stretch, estop_healthy))
+                figures.stops.append(stop)
+            else:
+                stop.until = until
     return figures
 
 
@@ -262,22 +261,43 @@ def runs_of_minutes(minutes: Iterable[Rollup]) -> list[Run]:
     ]
 
 
-def stretches(runs: Sequence[Run], start: int, end: int, marks: Marks) -> list[RunStretch]:
-    """Return the runs of a unit within a span, µs, each up to the next run or to the hole after it. Runs
-    outside of the span show how long those at its ends count."""
+def stretches(
+    table: Sequence[Sequence[int]], span: tuple[int, int], marks: Marks, usual: int, cuts: Sequence[int] = ()
+) -> list[RunStretch]:
+    """Return what a unit did within a span, µs, from the columns of its runs (:class:`Run`), each of which
+    counts up to the next one or to the hole after it. Runs outside of the span show how long those at its
+    ends count. Neighbors are one stretch while the unit goes on to stand, to run or to be at speed, but for
+    the end of a minute and ``cuts`` between them."""
+    at, until, _, commanded, actual, _, words = table
+    ends = _ends(at, until, marks, usual)
+    within = slice(bisect_right(ends, span[0]), bisect_left(at, span[1]))
+    at, ends, commanded, actual, words = (list(each[within]) for each in (at, ends, commanded, actual, words))
+    if not at:
+        return []
+    at[0], ends[-1] = max(at[0], span[0]), min(ends[-1], span[1])
+    kinds = [
+        raw and (1 if raw > 0 else -1) * (2 if setpoint > 0 and word & _AT_SPEED else 1)
+        for raw, setpoint, word in zip(actual, commanded, words, strict=True)
+    ]
+    edges = {0, len(at), *(bisect_left(at, cut) for cut in cuts)}
+    edges.update(bisect_left(at, minute) for minute in range(at[0] - at[0] % MINUTE, ends[-1], MINUTE))
+    for changed in (map(ne, kinds[1:], kinds), map(ne, at[1:], ends)):
+        edges.update(compress(count(1), changed))
+    weighted = list(map(mul, actual, map(sub, ends, at)))
     found = []
-    for run, until in zip(runs, _ends(runs, marks), strict=True):
-        at, until = max(run.at, start), min(until, end)
-        if until > at:
-            found.append(RunStretch(at, until, run.commanded, run.actual, run.actual, run.word))
+    for i, j in pairwise(sorted(edges)):
+        begin, end = at[i], ends[j - 1]
+        if end > begin:
+            average = sum(weighted[i:j]) / (end - begin)
+            found.append(RunStretch(begin, end, commanded[i], average, max(actual[i:j]), words[i]))
     return found
 
 
-def _ends(runs: Sequence[Run], marks: Marks) -> list[int]:
+def _ends(at: Sequence[int], until: Sequence[int], marks: Marks, usual: int) -> list[int]:
     """Return until when each run counts, µs: up to the next run, or to the hole after it."""
-    edges = list(chain.from_iterable(map(itemgetter(0, 1), runs)))
-    ends = [*edges[2::2], *edges[-1:]]
-    for position in holes(edges, marks, usual_interval(runs)):
+    edges = list(chain.from_iterable(zip(at, until, strict=True)))
+    ends = [*at[1:], *until[-1:]]
+    for position in holes(edges, marks, usual):
         if position % 2:
             ends[position // 2] = edges[position]
     return ends
@@ -288,7 +308,8 @@ def minute_figures(runs: Sequence[Run], marks: Marks, scales: Scaling) -> dict[i
     lasts over the end of a minute is divided."""
     lasting: defaultdict[tuple[int, int, int, bool], int] = defaultdict(int)
     since = scales.since
-    for run, until in zip(runs, _ends(runs, marks), strict=True):
+    ends = _ends([run.at for run in runs], [run.until for run in runs], marks, usual_interval(runs))
+    for run, until in zip(runs, ends, strict=True):
         at, actual, is_at_speed = run.at, run.actual, _is_at_speed(run)
         place = bisect_right(since, at)
         while until > (end := at - at % MINUTE + MINUTE):

@@ -221,9 +221,10 @@ def unpack_columns(
     found = unpack_integers(blob, [COLUMNS[name] for name in names], part)
     by_name = dict(zip(names, found, strict=True))
     if "at" in by_name:
-        by_name["at"] = [t + start for t in by_name["at"]]
+        by_name["at"] = list(map(start.__add__, by_name["at"]))
     if "until" in by_name:
-        by_name["until"] = list(map(add, by_name["at"], by_name["until"]))
+        lengths = by_name["until"]
+        by_name["until"] = list(map(add, by_name["at"], lengths) if any(lengths) else by_name["at"])
     return [by_name[name] for name in names]
 
 
