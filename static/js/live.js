@@ -4,7 +4,7 @@
 import { replace, show, value, verify } from "./bind.js";
 import * as clock from "./clock.js";
 import { giveBack } from "./focus.js";
-import { language, span, word } from "./words.js";
+import { language, put, span, word } from "./words.js";
 
 const TIMEOUT_S = 1.9;
 const CHECK_MS = 200;
@@ -141,7 +141,7 @@ function beat(serverTime) {
   for (const hand of document.querySelectorAll("[data-pulse]"))
     hand.style.rotate = `${(second % 12) * 30}deg`;
   for (const text of document.querySelectorAll("[data-clock]"))
-    text.textContent = timeOfDay(second);
+    put(text, timeOfDay(second));
 }
 
 // --- lost and found -----------------------------------------------------------------------------------

@@ -4,7 +4,7 @@
 import { fieldsOf } from "./bind.js";
 import * as clock from "./clock.js";
 import { giveBack } from "./focus.js";
-import { span, word } from "./words.js";
+import { put, span, word } from "./words.js";
 
 const CHECK_MS = 250;
 /** @type {Shown[]} */
@@ -54,10 +54,7 @@ function check() {
     if (one.marked !== quality) mark(one, quality);
   }
   if (turn++ % 4 === 0) {
-    for (const { element, unit } of ages) {
-      const text = ageOf(unit);
-      if (element.textContent !== text) element.textContent = text;
-    }
+    for (const { element, unit } of ages) put(element, ageOf(unit));
   }
 }
 

@@ -2,7 +2,7 @@
 // What has data-ends is hidden at the end.
 import { value } from "./bind.js";
 import * as clock from "./clock.js";
-import { word } from "./words.js";
+import { put, word } from "./words.js";
 
 const MINUTES_FROM_S = 120;
 
@@ -16,7 +16,7 @@ function count() {
     const { until, untilLive } = text.dataset;
     const seconds = Math.round(Number((untilLive && value(untilLive)) || until) - clock.now());
     const words = left(Math.max(0, seconds));
-    if (text.textContent !== words) text.textContent = words;
+    put(text, words);
     const ended = seconds <= 0 && text.closest("[data-ends]");
     if (ended) ended.dataset.over = "";
   }

@@ -7,6 +7,15 @@ export const language = document.documentElement.lang || "en";
  * @param {string} name @param {string | number} [value] */
 export const word = (name, value = "") => (table[name] ?? name).replace("{n}", String(value));
 
+/** Show a text that changes again and again, in the node that is there: a new one makes the browser match what :has()
+ * says of all around it.
+ * @param {Element} element @param {string} text */
+export function put(element, text) {
+  const node = element.firstChild;
+  if (!node || node !== element.lastChild) element.textContent = text;
+  else if (node.nodeValue !== text) node.nodeValue = text;
+}
+
 const oneDigit = new Intl.NumberFormat(language, { minimumFractionDigits: 1, maximumFractionDigits: 1 });
 
 /** A span of time as text: 0.3 s, 12 s, 4 min, 3 h.
