@@ -4,7 +4,7 @@
 /** Width and height in px below which a cell cannot be read or pressed; the strip above it, and the gap. In a window as
  * narrow as a phone, *Auto* puts two tiles into a row. */
 const SIZES = {
-  phone: { width: 140, height: 84, strip: 18, gap: 6 },
+  phone: { width: 140, height: 84, strip: 18, gap: 8 },
   tiles: { width: 186, height: 110, strip: 22, gap: 8 },
   matrix: { width: 74, height: 48, strip: 16, gap: 3 },
 };
@@ -81,7 +81,11 @@ function fit(line) {
   const boxes = webs.map((web) => web.getBoundingClientRect());
   const around = line.getBoundingClientRect().height - boxes.reduce((sum, box) => sum + box.height, 0);
   const below = Number.parseFloat(getComputedStyle(line.parentElement ?? line).paddingBlockEnd);
-  const height = innerHeight - line.getBoundingClientRect().top - scrollY - Math.max(0, around) - below;
+  const { top } = line.getBoundingClientRect();
+  // On a narrow screen what is counted stands below the units.
+  const head = document.querySelector(".line-head")?.getBoundingClientRect();
+  const under = head && head.top > top ? head.height : 0;
+  const height = innerHeight - top - scrollY - Math.max(0, around) - below - under;
   const isPhone = innerWidth < PHONE_PX && "auto" in line.dataset;
   const least = SIZES[isPhone ? "phone" : line.matches(".line--tiles") ? "tiles" : "matrix"];
   const units = webs.map((web) => web.childElementCount);

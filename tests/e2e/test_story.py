@@ -138,24 +138,130 @@ def test_what_is_read_aloud_of_the_line_and_the_alarms_is_in_order(
         assert head[1:3] == ["1 alarm", "1 to acknowledge"]
         overview = page.evaluate(SPOKEN, ".overview")
         assert overview[0] == "Coater"
-        assert re.fullmatch(r"· Stopped: emergency stop active since \d\d:\d\d", overview[1])
+        cause, since = re.fullmatch(r"· (.+) (since \d\d:\d\d)", overview[1]).groups()  # type: ignore[union-attr]
+        assert cause == "Stopped: emergency stop active"
         assert [text for text in overview if not text.isdigit()][2:7] == [
             *("abnormal", "/8", "live", "at speed", "ramping"),
         ]
         tile = page.evaluate(SPOKEN, '.tile[data-unit="line/3"]')
-        assert tile[:6] == ["3", "Coater", "REMOTE", "actual", "0.0", overview[1][2:]]
+        # What is so stands at the unit, since when in the verdict: each time is on the page once.
+        assert tile[:6] == ["3", "Coater", "REMOTE", "actual", "0.0", cause]
+        assert sum(since in text for text in page.evaluate(SPOKEN, ".main")) == 1
         assert tile[6:9] == ["setpoint", "120.0", "m/min"]
         link = page.locator('.tile[data-unit="line/3"] .tile__alarm')
         expect(link).to_have_accessible_name(re.compile("Coater: Alarms"))
-        assert page.evaluate(EMPTY_STOPS) == []
-        assert page.evaluate(COUNTED_DOWN) == []
+        is_announced_in_order(page)
         opened(page, "/alarms")
         row = page.evaluate(SPOKEN, "#alarms tbody tr")
         assert row[:4] == ["urgent", "Emergency stop", "Coater", "active, not acknowledged"]
         assert row[-1] == "Acknowledge"
-        assert page.evaluate(EMPTY_STOPS) == []
-        assert page.evaluate(COUNTED_DOWN) == []
+        is_announced_in_order(page)
     finally:
         site.line.remote.do("input", unit=3, input="estop", on=False)
         eventually(lambda: site.unit(3)["inputs"]["estop"] is False, "the end of the e-stop")
         site.end_alarms()
+
+
+HEADINGS_AND_CONTROLS = """root => [...document.querySelectorAll(
+  `${root} :is(h1, h2, h3, a[href], button, input:not([type=hidden]), select, summary)`)]
+  .filter((each) => each.checkVisibility({ visibilityProperty: true }))
+  .map((each) => each.ariaLabel || each.labels?.[0]?.textContent || each.textContent)
+  .map((text) => text.replace(/\\s+/g, " ").trim())"""
+"""What a part of the page is passed through by, in this order."""
+
+
+def test_what_is_read_aloud_of_the_other_pages_of_an_operator_is_in_order(
+    site: Site, browser_page: OpensPages
+) -> None:
+    site.end_alarms()
+    site.line.remote.do("input", unit=4, input="estop", on=True)
+    site.line.remote.do("mode", unit=7, to="local")
+    try:
+        page = opened(browser_page("operator", viewport=PANEL), "/units/line/4")
+        expect(page.locator(".cause")).to_contain_text("Stopped: emergency stop active")
+        expect(page.locator(".cause .alarm-words")).to_contain_text("Emergency stop")
+        expect(page.locator("#setpoint")).not_to_have_value("")
+        steps = page.evaluate(HEADINGS_AND_CONTROLS, ".main")
+        name, before, after = (site.unit(unit)["name"] for unit in (4, 3, 5))
+        assert steps[:3] == [before, f"4 {name}", after]
+        assert steps[3:8] == ["Overview", "Parameters", "Trends", "Events", "Write note"]
+        assert re.fullmatch(r"Emergency stop ?active since \d\d:\d\d", steps[8])
+        assert steps[9:11] == ["Setpoint", "New setpoint"]
+        assert steps[11:23] == [*"789456123", "Decimal sign", "0", "Erase"]
+        assert [text[:3] for text in steps[23:27]] == ["Up ", "Up ", "Dow", "Dow"]
+        assert steps[27:32] == ["Set now…", "Stage…", "Add to tray", "Execute staged…", "Outputs"]
+        parts = ["The last ten minutes", "Inputs", "Analog", "Golden set"]
+        assert [text for text in steps[32:] if text in parts] == [parts[0], *parts]
+        said = page.evaluate(SPOKEN, ".main")
+        cause = [text.startswith("Stopped: emergency stop active since") for text in said].index(True)
+        assert said[cause + 1] == "Check the emergency stop chain of this unit"
+        assert said.index("actual") < said.index("setpoint") < said.index("E-stop") < said.index("Setpoint")
+        is_announced_in_order(page)
+
+        opened(page, "/setpoints")
+        expect(page.locator("[data-unit='line/7'] .by-mode__not")).to_be_visible()
+        together = page.evaluate(HEADINGS_AND_CONTROLS, ".main")[:10]
+        assert together[0] == "Setpoints"
+        assert [text[1:] for text in together[1:5]] == [f"{n} % of each own setpoint" for n in (5, 1, 1, 5)]
+        assert together[5:8] == ["What to enter", "Value for all selected", "Enter values"]
+        assert together[8:] == ["Select all", "Clear values"]
+        assert page.evaluate(HEADINGS_AND_CONTROLS, ".setpoints tbody tr:nth-child(2)") == [
+            *(site.unit(2)["name"],) * 2,
+            f"New setpoint of {site.unit(2)['name']}",
+        ]
+        row = page.evaluate(SPOKEN, ".setpoints tbody tr:nth-child(7)")
+        assert (row[:2], row[-1], "LOCAL" in row) == (["7", site.unit(7)["name"]], "not in REMOTE", True)
+        assert page.evaluate(HEADINGS_AND_CONTROLS, ".setpoints__act") == [
+            "Add to tray",
+            "Review the change…",
+        ]
+        is_announced_in_order(page)
+
+        opened(page, "/?view=tiles")
+        page.locator('[data-unit="line/4"] [data-faceplate]').click()
+        expect(page.locator("#faceplate .faceplate__alarm")).to_be_visible()
+        said = page.evaluate(SPOKEN, "#faceplate")
+        assert said[0] == name
+        assert said[1].startswith("Stopped: emergency stop active since")
+        assert said[2] == "REMOTE"
+        in_order = [
+            *["Check the emergency stop chain of this unit", "actual", "setpoint", "deviation", "Setpoint"],
+            *["New setpoint", "Set now…", "Add to tray", "Emergency stop", "E-stop input active"],
+        ]
+        places = [said.index(text) for text in in_order]
+        assert places == sorted(places)
+        is_announced_in_order(page)
+
+        opened(page, "/wallboard")
+        said = page.evaluate(SPOKEN, ".main")
+        assert said[:3] == ["line", "urgent", name]
+        assert said[3].startswith("Stopped: emergency stop active since")
+        section = page.evaluate(SPOKEN, ".section:nth-child(2)")
+        assert section[0] == site.unit(2)["name"]
+        assert section[-2] == "speed"
+        assert re.fullmatch(r"\d+\.\d", section[-1])
+        # Where a section stands there is no draw, and no word of one.
+        assert page.evaluate(SPOKEN, ".section:nth-child(4)") == [name, "speed", "0.0"]
+        facts = [
+            text for text in said if text in ("Speed of the first unit", "Recipe", "Alarms", "Last event")
+        ]
+        assert facts == ["Speed of the first unit", "Recipe", "Alarms", "Last event"]
+        is_announced_in_order(page)
+
+        opened(page, "/lines")
+        said = page.evaluate(SPOKEN, ".main")
+        assert said[:5] == ["Lines", "1 line, the worst first", "line", "urgent", name]
+        assert said[5].startswith("Stopped: emergency stop active since")
+        assert said[6] == "Speed of the first unit:"
+        assert re.fullmatch(r"\d alarms? · \d to acknowledge", said[9])
+        is_announced_in_order(page)
+    finally:
+        site.line.remote.do("input", unit=4, input="estop", on=False)
+        site.line.remote.do("mode", unit=7, to="remote")
+        site.end_alarms()
+
+
+def is_announced_in_order(page: Page) -> None:
+    """No stop of the tabulator is empty, and nothing that time alone changes is announced."""
+    assert page.evaluate(EMPTY_STOPS) == []
+    assert page.evaluate(COUNTED_DOWN) == []

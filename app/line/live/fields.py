@@ -16,6 +16,7 @@ from app.core.messages import Language
 from app.core.web.formats import MINUS, UNKNOWN, Formats
 from app.line.conditions.catalogue import tile_check, tile_text
 from app.line.conditions.condition import DRAW_DECIMALS, Draw
+from app.line.conditions.unit import PARAMETER_DRIFT
 from app.line.live.bus_live import (
     BusLive,
     MotionState,
@@ -60,6 +61,8 @@ STATE_WORDS: dict[MotionState, str] = {
 TURNING = "turning"
 """The word for a unit that turns without run, beside a cause that names the run input."""
 STOPPED_WITH_RUN = "stopped with run input on"
+DRIFTS = Message(f"alarm_{PARAMETER_DRIFT.code}")
+"""The short form of a cause whose own words name a parameter."""
 MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEYLOCK"}
 STAGE_WORDS: dict[Stage, str] = {
     "waiting": "waiting for the bus",
@@ -338,18 +341,25 @@ MINUTE_S, LONG_RAMP_S = 60, 120
 
 
 class CauseTexts(NamedTuple):
-    """The texts of a cause: the condition, ``since`` when (empty if not known), and both in one ``line``."""
+    """The texts of a cause: the condition, ``since`` when (empty if not known), both in one ``line``, and in
+    ``brief`` what is so, as short as a tile needs it."""
 
     text: str
     since: str
     line: str
+    brief: str
 
 
 def cause_texts(cause: Cause, translator: Translator, now: UnixTime) -> CauseTexts:
-    """Return ``Stopped: run input off``, ``since 02:22`` and ``Stopped: run input off since 02:22``."""
+    """Return ``Stopped: run input off``, ``since 02:22``, ``Stopped: run input off since 02:22``, and the
+    first of them without its reason."""
     motion, what, why = _motion(cause, translator), _what(cause, translator), _why(cause, translator)
     since = _since(cause, translator, now)
-    return CauseTexts(joined(motion, what, why), since, joined(motion, f"{what} {since}".rstrip(), why))
+    line, brief = (
+        joined(motion, f"{what} {since}".rstrip(), why),
+        joined(motion, what) or translator.t(DRIFTS),
+    )
+    return CauseTexts(joined(motion, what, why), since, line, brief)
 
 
 def _since(cause: Cause, translator: Translator, now: UnixTime) -> str:

@@ -54,9 +54,12 @@ from app.line.live.fields import (
 )
 from app.line.live.sources import Sources
 from bus.instants import UnixTime
-from bus.messages import NUMBER, Message, listed
+from bus.messages import NUMBER, Message, listed, term
 
 LEVELS: tuple[Level, ...] = (*PRIORITIES, "")
+NO_ALARM = term("no alarm: an input stopped it")
+MAX_NAMES = 3
+"""Units that an input stopped and that are named beside the verdict; of more there is a number."""
 NO_BREAK = "\u00a0"
 Views = Mapping[str, UnitView]
 """The presentation of each unit, by the group of its fields."""
@@ -109,7 +112,7 @@ def line_fields(
     counts = state_counts(views.values())
     worst = verdict_of(found)
     if worst is not None:
-        name, cause = translator.isolated(worst.name), verdict_line(worst.cause, translator, now)
+        name, cause = translator.isolated(worst.name), cause_texts(worst.cause, translator, now).line
     else:
         name, cause = "", translator.t(all_well(len(views), counts, _running_at(buses)))
     return {
@@ -129,7 +132,7 @@ def line_fields(
 def verdict_line(cause: Cause, translator: Translator, now: UnixTime) -> str:
     """Return a cause with its time as the verdict names it: with the reason where it is no alarm."""
     line = cause_texts(cause, translator, now).line
-    return f"{line} · {translator.t('no alarm: an input stopped it')}" if cause.code == "run_off" else line
+    return f"{line} · {translator.t(NO_ALARM)}" if cause.code == "run_off" else line
 
 
 def running_at(bus: BusLive) -> Message | None:
@@ -186,8 +189,8 @@ def holders(held_by: Mapping[str, str], translator: Translator) -> str:
 def _named(
     found: Sequence[NamedCause], worst: str, views: Views, translator: Translator, now: UnixTime
 ) -> str:
-    """Return what stands beside the verdict: each abnormal bus, each block. ``worst``: the key of what the
-    verdict names."""
+    """Return what stands beside the verdict: each abnormal bus, what is abnormal and no alarm, each block.
+    ``worst``: the key of what the verdict names."""
     buses = [
         f"{translator.isolated(name)}: {cause_texts(cause, translator, now).line}"
         for key, name, cause in found
@@ -198,7 +201,20 @@ def _named(
         for key, view in views.items()
         if view.blocked and not (key == worst and view.cause and view.cause.code == "blocked")
     ]
-    return " · ".join(buses + blocks)
+    return " · ".join([*buses, *_stopped_by_input(found, worst, translator), *blocks])
+
+
+def _stopped_by_input(found: Sequence[NamedCause], worst: str, translator: Translator) -> list[str]:
+    """Return why units that an input stopped are in no list of alarms; without a name where the verdict names
+    the only one."""
+    stopped = [each for each in found if each.cause.code == "run_off"]
+    if not stopped:
+        return []
+    if [each.key for each in stopped] == [worst]:
+        return [translator.t(NO_ALARM)]
+    names = [translator.isolated(each.name) for each in stopped]
+    many = translator.tn("{n} unit", "{n} units", len(names))
+    return [f"{', '.join(names) if len(names) <= MAX_NAMES else many}: {translator.t(NO_ALARM)}"]
 
 
 def _figures(buses: Mapping[str, BusLive], translator: Translator, now: UnixTime) -> Fields:
@@ -284,12 +300,14 @@ class Screen:
         view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
         self._views[unit_key(bus_name, number)] = view
         fields = unit_fields(bus, unit, view.link, self.translator)
-        line = cause_texts(cause, self.translator, now).line if cause is not None else ""
+        texts = cause_texts(cause, self.translator, now) if cause is not None else None
+        moves = joined(fields["state_text"])
         fields |= draw_fields(draw_of(bus, unit, now), self.translator)
         return fields | {
             "level": view.level,
-            "cause": line if view.level else "",
-            "status": line or joined(fields["state_text"]),
+            "cause": texts.line if texts is not None and view.level else "",
+            "status": texts.line if texts is not None else moves,
+            "brief": texts.brief if texts is not None else moves,
             "check": check_text(cause, self.translator),
             "rung": broken_rung(ladder),
             "blocked": blocked,

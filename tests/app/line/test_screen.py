@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from app.line.conditions.catalogue import TILES
@@ -17,7 +19,7 @@ from app.line.live.fields import (
     put_fields,
     unit_fields,
 )
-from app.line.live.screen import NamedCause, holders, line_fields
+from app.line.live.screen import NamedCause, holders, line_fields, verdict_line
 from bus.contract import MAX_MEANING, BusFigures, BusLink, Frame, ParameterValue, UnitFigures
 from bus.instants import UnixTime
 from bus.messages import Message, term
@@ -245,18 +247,30 @@ def test_a_condition_of_low_priority_is_no_verdict() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tag", "verdict"),
+    ("tag", "verdict", "why"),
     [
-        ("en", "Stopped: run input off since 12:00 · no alarm: an input stopped it"),
-        ("de", "Steht: Eingang Lauf aus seit 12:00 · kein Alarm: durch einen Eingang gestoppt"),
+        ("en", "Stopped: run input off since 12:00", "no alarm: an input stopped it"),
+        ("de", "Steht: Eingang Lauf aus seit 12:00", "kein Alarm: per Eingang gestoppt"),
     ],
 )
-def test_the_verdict_gives_the_reason_where_its_cause_is_no_alarm(tag: str, verdict: str) -> None:
+def test_the_reason_why_a_cause_is_no_alarm_is_beside_the_verdict(tag: str, verdict: str, why: str) -> None:
     no_alarms = [code for code in TILES if not TILES[code].is_alarm]
     assert [code for code in no_alarms if TILES[code].priority != "low"] == ["run_off"]
     cause = abnormal("run_off", Onset(UnixTime(43_200.0)), {"motion": "stopped"})
-    fields = line_fields({}, {}, [NamedCause("dry/1", "Nip", cause)], translator(tag), UnixTime(43_260.0))
-    assert fields["cause"] == f"· {verdict}"
+    nip, estop = NamedCause("dry/1", "Nip", cause), NamedCause("dry/2", "Coater", abnormal("estop_active"))
+
+    def shown(*found: NamedCause) -> tuple[str, str]:
+        fields = line_fields({}, {}, found, translator(tag), UnixTime(43_260.0))
+        return fields["cause"], fields["named"]
+
+    assert shown(nip) == (f"· {verdict}", why)
+    assert shown(estop, nip)[1] == f"Nip: {why}"
+    assert shown(nip, *(NamedCause(f"dry/{n}", f"Unit {n}", cause) for n in (3, 4)))[1] == (
+        f"Nip, Unit 3, Unit 4: {why}"
+    )
+    four = shown(*(NamedCause(f"dry/{n}", f"Unit {n}", cause) for n in range(4)))[1]
+    assert re.fullmatch(rf"4 (units|Regler): {why}", four)
+    assert verdict_line(cause, translator(tag), UnixTime(43_260.0)) == f"{verdict} · {why}"
 
 
 def figures(scan_s: float = 0.3) -> BusFigures:
@@ -287,6 +301,7 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
         "counts": "1 abnormal",
     }
     assert changed["dry/2"]["status"] == "Still turning: emergency stop active since 00:01"
+    assert changed["dry/2"]["brief"] == "Still turning: emergency stop active"
     live.buses["dry"].apply([reading(2, at=100.4)])
     well = shown.render("dry", [2], 100.4, include_bus=False)["line_summary"]
     assert (well["verdict"], well["at"], well["counts"]) == ("Running 120.0 m/min · all 2 at speed", "", "")

@@ -119,12 +119,8 @@ async def unblock(person: Annotated[Person, UNBLOCK.permitted], page: PageOfUnit
 @router.get("/faceplate")
 async def faceplate(_: Viewer, page: PageOfUnit) -> Response:
     """Show state, cause, alarms with their responses, speed and its field, lamps."""
-    alarms = service_of(page.request, LineAlarms).annunciated()
-    return page.render(
-        "line/_faceplate.html",
-        alarms=[a for a in alarms if (a.definition.bus, a.definition.unit) == (page.name, page.id)],
-        **setting(page),
-    )
+    alarms = service_of(page.request, LineAlarms).unit_alarms(page.name, page.id)
+    return page.render("line/_faceplate.html", alarms=alarms, **setting(page))
 
 
 def setting(page: UnitPage) -> dict[str, Any]:
