@@ -141,10 +141,11 @@ class Message(msgspec.Struct, frozen=True):
             return cls(code, {name: shown(value, ENGLISH)[:MAX_TEXT] for name, value in params.items()})
 
     def __post_init__(self) -> None:
-        _check_bounds(self.params.values())
+        if self.params:
+            _check_bounds(self.params.values())
 
     def __hash__(self) -> int:
-        return hash((self.code, str(self.params)))
+        return hash((self.code, str(self.params)) if self.params else self.code)
 
     def __str__(self) -> str:
         return self.render(ENGLISH)

@@ -22,7 +22,6 @@ from bus.contract import (
     Command,
     Hello,
     Outcome,
-    Progress,
     ReadTrace,
     Result,
     Snapshot,
@@ -34,6 +33,7 @@ from bus.contract import (
 from bus.contract.session import ClockOffset
 from bus.instants import UnixTime
 from bus.line.commands.catalogue import command_run_of
+from bus.line.commands.procedure import ReportProgress
 from bus.line.line_loop import LineLoop
 from bus.line.opener import Opener, OpenFunction, open_port
 from bus.line.timing import LineClock, RealClock
@@ -150,7 +150,8 @@ class BusWorker:
             return
         kind = type(action).__name__
         _log.info("command", id=command_id, action=kind, time_left_s=round(deadline - now, 3))
-        self._emit([Progress(command_id, self._epoch(), "waiting")])
+        # Reported with the next exchange, which mostly is the command's own.
+        self.line.apply(command_id, ReportProgress("waiting"))
         run = command_run_of(self.line, command_id, action, deadline, command.scales, typed=command.typed)
         self.line.submit(run)
 

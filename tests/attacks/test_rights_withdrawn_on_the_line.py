@@ -13,8 +13,7 @@ from app.engineering.recipes.book import RecipeBook
 from app.engineering.sets.saving import SetReadings, SetSchedule
 from app.engineering.sets.store import SetStore
 from app.line.commands.safeguards import Safeguards
-from app.people.audit.entry import Event
-from app.people.audit.log import EventLog
+from app.people.audit.log import EventLog, Filter, Logged
 from tests.app.complete_app import House, complete_app
 from tests.app.fake_worker import until
 from tests.app.played_line import BUS, PlayedLine, played_line
@@ -123,12 +122,12 @@ async def test_a_token_that_another_process_revokes_loses_control_of_the_line(tm
         await played_line(house.services)
         assert (await client.post(f"/api/v1/buses/{BUS}/control")).status_code == 200
         assert house.services.buses[BUS][Safeguards].holder() == "key-engineer (token)"
-        released: list[Event] = []
+        released: list[Logged] = []
         house.services[EventLog].subscribe(released.append)
         in_another_process(tmp_path, "DELETE FROM tokens WHERE name = 'key-engineer'")
         await until(lambda: released, "control released, on disk")
         assert house.services.buses[BUS][Safeguards].holder() == ""
-        [event] = released
+        [event], _ = await house.services[EventLog].page(Filter(), 1)
         assert (event["what"], event["old"]) == ("control released", "key-engineer (token)")
 
 

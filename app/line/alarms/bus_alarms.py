@@ -27,7 +27,6 @@ from app.line.live.bus_live import (
     Audience,
     BusLive,
     UnitLive,
-    draw_of,
     offline_after_s,
     scan_s_of,
     stale_after_s,
@@ -290,8 +289,9 @@ class _UnitMonitor:
         self._degraded = self._alarms[unit_conditions.LINK_DEGRADED.code]
         self._drift = self._alarms[unit_conditions.PARAMETER_DRIFT.code]
         self._read_at = _NEVER
-        self._status: tuple[int, int, str] | None = None
-        """Status bytes and motion of the last reading; None while its values are not known."""
+        self._status: tuple[int, int, str, bytes] | None = None
+        """Status bytes, motion and what was implausible of the last reading; None while its values are not
+        known."""
         self._window = CountWindow()
 
     def add_own(self, alarm: Alarm, condition: OwnCondition) -> None:
@@ -338,7 +338,7 @@ class _UnitMonitor:
         if now - reading.at > stale_after_s(scan_s_of(bus)):
             return
         self._read_at = reading.at
-        status = (reading.outputs, reading.inputs, unit.motion.state)
+        status = (reading.outputs, reading.inputs, unit.motion.state, reading.implausible)
         if status != self._status or self._own_are_new:
             self._own_are_new = False
             if self._status is None:
@@ -347,6 +347,7 @@ class _UnitMonitor:
             facts = unit_facts(bus, unit, reading)
             for alarm, condition in self._by_reading:
                 self._observe(alarm, condition(facts), now)
+            self._observe(self._implausible, unit_conditions.VALUE_IMPLAUSIBLE.holds(bus, unit), now)
             self._observe_own(self._own_states, reading, None, now)
         self._observe_values(reading, now)
         if self._own_values:
@@ -355,8 +356,7 @@ class _UnitMonitor:
     def _observe_values(self, reading: Reading, now: UnixTime) -> None:
         bus, unit = self._bus, self._unit
         found = [(alarm, holds(bus, unit, reading, passes)) for alarm, holds, passes in self._by_value]
-        found.append((self._implausible, unit_conditions.VALUE_IMPLAUSIBLE.holds(bus, unit)))
-        found.append((self._draw, unit_conditions.DRAW_OUT_OF_BAND.holds(draw_of(bus, unit, now))))
+        found.append((self._draw, unit_conditions.DRAW_OUT_OF_BAND.holds(unit.draw)))
         for alarm, is_held in found:
             self._observe(alarm, is_held, now)
 

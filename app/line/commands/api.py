@@ -19,7 +19,7 @@ from app.core.web.access import Person
 from app.core.web.api import ApiRoute, RequestKey, problems
 from app.core.web.arrival import Deadline, made_at
 from app.core.web.problems import respond
-from app.core.web.services import bus_service
+from app.core.web.services import bus_service, bus_service_of
 from app.core.web.shape import (
     Instant,
     MaybeInstant,
@@ -45,7 +45,7 @@ from app.line.commands.catalogue import (
     timeout_s_for,
 )
 from app.line.commands.review import outcome_message
-from app.line.commands.service import Commands, CommandService, check_all_read, permitted, permitted_writer
+from app.line.commands.service import CommandService, check_all_read, permitted, permitted_writer
 from app.line.commands.values import Scales
 from app.line.live.api.view import ParameterShown, parameter_json
 from app.line.live.bus_live import BusLive, UnitLive
@@ -372,14 +372,16 @@ def calling(kind: CommandKind[Any]) -> Any:
 
     async def command_call(
         request: Request,
-        bus: BusInPath,
-        commands: Commands,
+        bus: str,
         person: Person = sender,
         timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
         key: RequestKey = None,
         frames: bool = wants_frames,
     ) -> CommandCall:
-        return CommandCall(request, person, bus, commands, key, made_at(request), timeout_s, frames)
+        # Looked up here: each dependency costs a request more than the lookup does.
+        live = bus_service_of(request, bus, BusLive)
+        commands = bus_service_of(request, bus, CommandService)
+        return CommandCall(request, person, live, commands, key, made_at(request), timeout_s, frames)
 
     return Depends(command_call)
 

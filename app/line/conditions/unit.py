@@ -234,7 +234,7 @@ VALUE_IMPLAUSIBLE: Condition[ParameterPredicate] = Condition(
     group="unit",
     tiles=("value_implausible",),
 )
-"""Judged by each reading as well."""
+"""Judged by what a reading has of it as well."""
 
 BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
     VALUE_IMPLAUSIBLE,

@@ -254,6 +254,8 @@ class UnitLive:
     the keypad may have changed others, so what was read before counts as old until it is read again."""
     motion: Motion = field(default_factory=Motion)
     onsets: Onsets = field(default_factory=Onsets)
+    draw: Draw = NO_DRAW
+    """The draw to the unit before it at the time of its reading."""
     last_response: UnixTime | None = None
     """When the unit last responded before this server started; None while that is not known."""
 
@@ -403,7 +405,8 @@ class BusLive:
         self.read_at = reading.at if self.read_at is None else max(self.read_at, reading.at)
         unit.motion.note(reading, bits, scan_s=scan_s, ratio=reads_ratio(self, unit))
         holding = conditions_of(bits, reading)
-        if DRAW_OUT_OF_BAND.holds(draw_of(self, unit, reading.at)):
+        unit.draw = draw_of(self, unit, reading.at)
+        if DRAW_OUT_OF_BAND.holds(unit.draw):
             holding |= {DRAW_OUT_OF_BAND.code}
         unit.onsets.note(reading.at, holding, offline_after_s(scan_s))
 

@@ -79,7 +79,11 @@ def new_entry(*, kind: str, time: UnixTime, frames: Iterable[Frame] = (), **give
     """Return all fields of an entry except its id. ``time``: Unix time in seconds; ``frames``: those that
     carried the command. A field that is a message holds its English text, and ``messages`` has the
     message."""
-    shown = json.dumps([_frame(frame) for frame in frames], separators=(",", ":"), ensure_ascii=False)
+    records = [
+        FrameRecord(frame.at, frame.direction, frame.data.hex(" ").upper(), frame.meaning, frame.meanings)
+        for frame in frames
+    ]
+    shown = msgspec.json.encode(records).decode()
     entry = {**dict.fromkeys(_OPTIONAL), **dict.fromkeys(_TEXTS, ""), **given, "kind": kind, "frames": shown}
     messages = {name: _plain(entry[name]) for name in MESSAGE_COLUMNS if isinstance(entry[name], Message)}
     entry |= {name: str(entry[name]) for name in messages}
@@ -109,16 +113,6 @@ def _stored(value: Any) -> Any:
         # Half a character, which JSON can escape, is not UTF-8.
         return str(value).encode("utf-8", "backslashreplace").decode()
     return int(value) if isinstance(value, bool) else value
-
-
-def _frame(frame: Frame) -> dict[str, Any]:
-    return {
-        "at": frame.at,
-        "direction": frame.direction,
-        "data": frame.data.hex(" ").upper(),
-        "meaning": frame.meaning,
-        "meanings": _plain(frame.meanings),
-    }
 
 
 _MESSAGES = msgspec.json.Decoder(dict[str, Message])

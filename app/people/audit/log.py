@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mappin
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Required, TypedDict, Unpack
+from typing import Any, NamedTuple, Required, TypedDict, Unpack
 
 import structlog
 
@@ -186,7 +186,17 @@ def link_parts(connection: StoreConnection, count: int) -> None:
 
 log = structlog.get_logger()
 
-EventSubscriber = Callable[[Event], None]
+
+class Logged(NamedTuple):
+    """An event that was just stored, or a command of which the outcome was: ``id`` is the command's."""
+
+    id: int
+    kind: str
+    bus: str | None
+    outcome: str | None
+
+
+EventSubscriber = Callable[[Logged], None]
 Also = Callable[[StoreConnection], object]
 """A function that writes something else in the transaction of an event."""
 
@@ -310,20 +320,20 @@ class EventLog:
     async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
         numbers = await self._database.write(lambda connection: self._append(connection, entries, also))
         for number, entry in zip(numbers, entries, strict=True):
-            about = {"id": number, "concluded_at": None, "concluded_messages": None}
-            self._publish(readable({**entry, **about}))
+            self._publish(Logged(number, entry["kind"], entry["bus"], entry["outcome"]))
         return numbers
 
     async def _conclude(self, outcomes: Sequence[Event], also: Also | None = None) -> None:
-        """Store outcomes, and publish the events that they conclude as they are then. These are read in the
-        same transaction: the pages are at hand there, and a read apart would need another thread."""
+        """Store outcomes, and publish the commands that they conclude."""
 
-        def write(connection: StoreConnection) -> list[Event]:
+        def write(connection: StoreConnection) -> list[Logged]:
             self._append(connection, outcomes, also)
-            if not self._subscribers:
-                return []
-            concluded = (one(connection, outcome["about"]) for outcome in outcomes)
-            return [event for event in concluded if event is not None]
+            query = "SELECT kind, bus FROM events WHERE id = ?"
+            return [
+                Logged(outcome["about"], row["kind"], row["bus"], outcome["outcome"])
+                for outcome in outcomes
+                for row in connection.execute(query, (outcome["about"],))
+            ]
 
         for event in await self._database.write(write):
             self._publish(event)
@@ -337,12 +347,12 @@ class EventLog:
     def _entry(self, kind: str, **members: Any) -> dict[str, Any]:
         return new_entry(**{"time": self._clock(), "kind": kind, **members})
 
-    def _publish(self, event: Event) -> None:
+    def _publish(self, event: Logged) -> None:
         for subscriber in tuple(self._subscribers):
             try:
                 subscriber(event)
             except Exception:
-                log.exception("subscriber of events failed", event_id=event["id"])
+                log.exception("subscriber of events failed", event_id=event.id)
 
 
 _COLUMNS = (*FIELDS, "count", "messages", "key", "previous", "hash", "seal")

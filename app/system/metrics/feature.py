@@ -16,7 +16,7 @@ from app.line.history.service import History
 from app.line.live.bus_live import LiveState
 from app.line.live.hub import Hub
 from app.people.audit.anchor import Anchoring
-from app.people.audit.log import Event, EventLog
+from app.people.audit.log import EventLog, Logged
 from app.system.backup.service import Backups
 from app.system.mqtt.session import Nodes
 from app.system.postgresql.publisher import Publisher
@@ -32,9 +32,9 @@ class CommandCounts:
         self.by_outcome: Counter[str] = Counter(dict.fromkeys(OUTCOMES, 0))
         events.subscribe(self._see)
 
-    def _see(self, event: Event) -> None:
-        if event["kind"] == "command" and event["outcome"]:
-            self.by_outcome[event["outcome"]] += 1
+    def _see(self, event: Logged) -> None:
+        if event.kind == "command" and event.outcome:
+            self.by_outcome[event.outcome] += 1
 
 
 @router.get("/metrics")

@@ -32,7 +32,7 @@ from app.line.live.fields import Translator
 from app.line.live.screen import LEVELS, all_well, running_at
 from app.line.live.sources import Sources
 from app.people.audit.entry import EventKind
-from app.people.audit.log import Event, EventLog, Filter
+from app.people.audit.log import Event, EventLog, Filter, Logged
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, ParamValue, term
 
@@ -223,9 +223,9 @@ class LastEvents:
         """Return the last event of a line, None where there is none yet."""
         return self._last.get(bus)
 
-    def _note(self, event: Event) -> None:
-        if event["bus"] in self.live.buses:
-            self._changed.add(event["bus"])
+    def _note(self, event: Logged) -> None:
+        if event.bus in self.live.buses:
+            self._changed.add(event.bus)
 
     async def follow(self) -> None:
         """Run until canceled: read what was logged. While the log cannot be read, the known ones stay."""

@@ -13,7 +13,7 @@ import pytest
 
 from app.core.database import Database
 from app.errors import ConstraintError
-from app.people.audit.log import ENDED_BEFORE, Event, EventLog, Filter
+from app.people.audit.log import ENDED_BEFORE, Event, EventLog, Filter, Logged
 from bus.contract import Frame
 from bus.messages import Message, term
 from tests.app.intents import intend
@@ -104,14 +104,14 @@ async def test_what_a_dead_server_left_open_is_unverified(log: EventLog) -> None
 async def test_an_open_command_with_an_unreadable_text_stops_no_start(
     log: EventLog, database: Database
 ) -> None:
-    seen = list[Event]()
+    seen = list[Logged]()
     log.subscribe(seen.append)
     await intent(log, what="x")
     with closing(sqlite3.connect(database.path)) as other, other:
         other.execute("DROP TRIGGER events_stay_as_written")
         other.execute("UPDATE events SET what = CAST(x'ff' AS TEXT)")
     assert await log.close_open_intents() == 1
-    assert [event["outcome"] for event in seen] == [None, "unverified"]
+    assert [event.outcome for event in seen] == [None, "unverified"]
 
 
 @pytest.mark.parametrize("change", ["UPDATE events SET what = 'x' WHERE id = 1", "DELETE FROM events"])
@@ -201,7 +201,7 @@ async def test_something_that_happened_earlier_keeps_its_time(log: EventLog) -> 
 
 async def test_subscribers_get_the_event_and_its_outcome(log: EventLog) -> None:
     received: list[tuple[int, str | None]] = []
-    end = log.subscribe(lambda event: received.append((event["id"], event["outcome"])))
+    end = log.subscribe(lambda event: received.append((event.id, event.outcome)))
     number = await intent(log)
     await log.conclude(number, "verified")
     end()
@@ -212,11 +212,11 @@ async def test_subscribers_get_the_event_and_its_outcome(log: EventLog) -> None:
 async def test_a_subscriber_that_fails_affects_no_other(log: EventLog) -> None:
     received: list[int] = []
 
-    def fail(_: Event) -> None:
+    def fail(_: Logged) -> None:
         raise ZeroDivisionError
 
     log.subscribe(fail)
-    log.subscribe(lambda event: received.append(event["id"]))
+    log.subscribe(lambda event: received.append(event.id))
     assert await log.record(kind="x", what="y") == 1
     assert received == [1]
 
