@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import subprocess
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -61,6 +61,54 @@ class Broker:
     def client(self, **more: object) -> aiomqtt.Client:
         """A client of it."""
         return aiomqtt.Client("127.0.0.1", self.port, protocol=aiomqtt.ProtocolVersion.V311, **more)  # type: ignore[arg-type]
+
+
+@dataclass
+class Relay:
+    """A connection to a broker that a test may cut, which it does for each one that ``is_cut`` names by its
+    number, from 1."""
+
+    broker: Broker
+    is_cut: Callable[[int], bool] = lambda _: False
+    port: int = 0
+    count: int = 0
+    _writers: list[asyncio.StreamWriter] = field(default_factory=list)
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Relay connections for the time of the context."""
+        server = await asyncio.start_server(self._connect, "127.0.0.1", self.port)
+        self.port = server.sockets[0].getsockname()[1]
+        try:
+            yield
+        finally:
+            server.close()
+            self.cut()
+
+    def cut(self) -> None:
+        """End every connection without a word to either side."""
+        for writer in self._writers:
+            writer.transport.abort()
+        self._writers.clear()
+
+    async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.count += 1
+        if self.is_cut(self.count):
+            writer.transport.abort()
+            return
+        inner, outer = await asyncio.open_connection("127.0.0.1", self.broker.port)
+        self._writers += [writer, outer]
+        with suppress(ConnectionError):
+            await asyncio.gather(_copy(reader, outer), _copy(inner, writer))
+
+
+async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    try:
+        while content := await reader.read(65536):
+            writer.write(content)
+            await writer.drain()
+    finally:
+        writer.transport.abort()
 
 
 @asynccontextmanager

@@ -32,7 +32,7 @@ def make(services: Services) -> None:
     board, templates = services[LineTiles].board, services[Templates]
     english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
     group = settings.mqtt.group or identifier_of(settings.site.name)
-    documents = LineDocuments(board, english, group, _page(settings))
+    documents = LineDocuments(board, english, _page(settings))
     nodes = services.add(
         Nodes(_session(services, name, group, documents) for name in services[LiveState].buses)
     )

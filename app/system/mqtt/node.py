@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from app.line.history.series.runs import micros
 from app.line.live.bus_live import BusLive, UnitLive, unit_link_now
 from app.system.mqtt.payload import (
     Command,
@@ -37,6 +38,8 @@ from bus.contract import Reading, Update
 from bus.instants import UnixTime
 
 NAMESPACE = "spBv1.0"
+LINES = "lineside/v1/lines"
+"""Where the documents of lines are, beside Sparkplug."""
 REBIRTH = "Node Control/Rebirth"
 REBIRTH_EVERY_S = 5.0
 MAX_SEQ = 256
@@ -116,6 +119,11 @@ class EdgeNode:
     def subscriptions(self) -> tuple[str, ...]:
         """The topics of commands to this node and its devices."""
         return (self._topic("NCMD"), self._topic("DCMD", "+"))
+
+    @property
+    def document_topic(self) -> str:
+        """Where the summary of the line is."""
+        return f"{LINES}/{self.group}/{self.name}"
 
     def take_command(self, topic: str, payload: bytes, now: UnixTime) -> list[Publication]:
         """Return the births that a command asks for, at most every `REBIRTH_EVERY_S`; refuse and count every
@@ -330,4 +338,5 @@ def _is_rebirth(command: Command) -> bool:
 
 
 def _ms(at: UnixTime) -> int:
-    return max(0, round(float(at) * 1000))
+    """Return the millisecond of a moment: that of its microsecond, as the history keeps a reading."""
+    return max(0, micros(at) // 1000)

@@ -16,15 +16,14 @@ import structlog
 
 from app.core.server.settings import check_web_url
 from app.line.live.fields import Translator
-from app.system.mqtt.node import Publication
+from app.system.mqtt.node import LINES
 from app.system.mqtt.session import RETRY_S, BrokerError, connected, identifier_for
-from app.system.mqtt.settings import MqttSettings, identifier_of
+from app.system.mqtt.settings import MqttSettings
 from app.system.peers.board import AWAY_AFTER_S, LineBoard, Peer
 from app.system.peers.client import ReportError, board_json, read_report
 from bus.instants import Clock, Monotonic, UnixTime, unix_now
 from bus.messages import Message, in_english
 
-TOPIC = "lineside/v1/lines"
 MAX_LINES = 1000
 MAX_BYTES = 64 * 1024
 MAX_URL = 300
@@ -43,16 +42,14 @@ class LineDocuments:
 
     board: LineBoard
     english: Translator
-    group: str
     page: str
 
-    def document(self, bus: str, now: UnixTime) -> Publication:
+    def document(self, bus: str, now: UnixTime) -> bytes:
         """Return the document of a line."""
         report = board_json(self.board, self.english, now, own=True)
         report["lines"] = [line for line in report["lines"] if line["bus"] == bus]
         report["instance"] = f"{report['instance']}-{bus}"[:60]
-        payload = msgspec.json.encode({**report, "page": self.page})
-        return Publication(f"{TOPIC}/{self.group}/{identifier_of(bus)}", payload)
+        return msgspec.json.encode({**report, "page": self.page})
 
 
 @dataclass(eq=False, repr=False)
@@ -85,7 +82,7 @@ class BrokerLines:
     async def _connection(self) -> None:
         identifier = identifier_for("overview", self.board.instance)
         async with connected(self.settings, identifier) as client:
-            await client.subscribe(f"{TOPIC}/+/+", 0)
+            await client.subscribe(f"{LINES}/+/+", 0)
             self.fault = None
             async for message in client.messages:
                 if isinstance(message.payload, bytes):

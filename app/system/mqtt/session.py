@@ -1,15 +1,16 @@
 """The connection of an edge node to the plant's broker: births, changes, what was missed, and reconnection.
 
-Nothing of the server waits for it. The broker confirms one message a second, the summary of the line, and
-with it everything before it on the same connection: after a loss, the readings since the last confirmed one
-are sent again from the history, marked as historical. All others have quality of service 0, as Sparkplug
-wants it.
+Nothing of the server waits for it. Data have quality of service 0, as Sparkplug wants it, so the broker
+confirms none of them. Behind what is sent together goes an empty message that it does confirm, and with it
+everything before it on the same connection: after a loss, the readings since the last confirmed one are sent
+from the history, marked as historical. Only what was on its way in that moment may come twice.
 """
 
 from __future__ import annotations
 
 import asyncio
 import re
+import socket
 import ssl
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Sequence
 from contextlib import asynccontextmanager, closing, suppress
@@ -55,7 +56,6 @@ MESSAGES_S = 400
 with more values, a message holds several readings of its unit, each with its time."""
 TICK_S = 0.5
 """How often ages are judged where nothing changes."""
-CONFIRM_S = 1.0
 STORE_EVERY_S = 10.0
 SETTLED_S = 1.0
 """How long the readings of a moment are awaited in the history."""
@@ -103,6 +103,7 @@ async def connected(
             timeout=CONNECT_S,
             tls_context=_tls(settings),
             max_queued_incoming_messages=1000,
+            socket_options=((socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),),
         ) as client:
             was_connected = True
             yield client
@@ -177,7 +178,8 @@ class Nodes(tuple["NodeSession", ...]):
 
 
 class NodeSession:
-    """Publishes one node as long as it runs. ``summary``: makes the document of the line."""
+    """Publishes one node as long as it runs. ``summary``: makes the document of the
+    line."""
 
     def __init__(
         self,
@@ -185,7 +187,7 @@ class NodeSession:
         node: EdgeNode,
         database: Database,
         history: History,
-        summary: Callable[[], Publication],
+        summary: Callable[[], bytes],
         raw_days: int,
         clock: Clock = unix_now,
     ) -> None:
@@ -316,7 +318,7 @@ class NodeSession:
         self.status.fault, self.status.is_connected = None, True
         await self._send(client, lambda: self.node.begin(bd_seq, self._clock()))
         self._add_missed(backlog)
-        await _first_of(self._send_changes(client, backlog), self._confirm_and_catch_up(client, backlog))
+        await _first_of(self._send_changes(client, backlog), self._catch_up(client, backlog))
 
     async def _await_host(self) -> None:
         """Wait until the primary host is online, where one is configured."""
@@ -351,6 +353,8 @@ class NodeSession:
             self._note_silence(backlog)
             before = self.status.sent
             await self._send(client, lambda: self.node.changes(self._clock()))
+            if self.status.sent > before:
+                await self._confirm(client, backlog)
             await asyncio.sleep(max(FLUSH_S, (self.status.sent - before) / MESSAGES_S))
 
     def _note_silence(self, backlog: Backlog) -> None:
@@ -370,14 +374,13 @@ class NodeSession:
                 await client.publish(topic, payload, qos=0)
                 self.status.sent += 1
 
-    async def _confirm_and_catch_up(self, client: aiomqtt.Client, backlog: Backlog) -> None:
-        """Have everything confirmed once a second, and send what was missed, a piece at a time."""
+    async def _catch_up(self, client: aiomqtt.Client, backlog: Backlog) -> None:
+        """Publish the summary of the line once a second, and send what was missed, a piece at a time."""
         store_at = monotonic_now() + STORE_EVERY_S
         while True:
             await asyncio.sleep(SETTLED_S)
-            received = max((each.sent_until for each in self.node.devices.values()), default=UnixTime(0.0))
-            await self._confirm(client)
-            backlog.received = max(backlog.received, micros(received))
+            await client.publish(self.node.document_topic, self._summary(), retain=True)
+            await self._confirm(client, backlog)
             while (piece := backlog.next_piece(self._born())) is not None:
                 await self._send_piece(client, backlog, *piece)
             if monotonic_now() >= store_at:
@@ -400,15 +403,15 @@ class NodeSession:
             return self.node.historical(unit, rows, self._clock())
 
         await self._send(client, make)
-        await self._confirm(client)
+        await self._confirm(client, backlog)
         if was_born:
             backlog.sent(unit, span[1])
 
-    async def _confirm(self, client: aiomqtt.Client) -> None:
-        """Publish the summary of the line, and wait until the broker has it: it then has what was sent
-        before."""
-        summary = self._summary()
-        await client.publish(summary.topic, summary.payload, QUALITY_OF_SERVICE, retain=True)
+    async def _confirm(self, client: aiomqtt.Client, backlog: Backlog) -> None:
+        """Wait until the broker has everything that was sent."""
+        sent_until = max((each.sent_until for each in self.node.devices.values()), default=UnixTime(0.0))
+        await client.publish(f"{self.node.document_topic}/received", b"", QUALITY_OF_SERVICE)
+        backlog.received = max(backlog.received, micros(sent_until))
 
     async def _store(self, backlog: Backlog) -> None:
         await self._database.write(lambda connection: write_backlog(connection, backlog))

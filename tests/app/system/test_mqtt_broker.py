@@ -14,12 +14,12 @@ import pytest
 from app.cli.check import mqtt
 from app.line.history.service import History
 from app.settings import ConfigurationError, load
-from app.system.mqtt.overview import TOPIC
+from app.system.mqtt.node import LINES
 from app.system.mqtt.session import Nodes, NodeSession, identifier_for
 from app.system.peers.board import LineTiles
-from bus.contract import BusLink
+from bus.contract import BusLink, Reading
 from bus.messages import in_english
-from tests.app.broker import Broker, listening, running
+from tests.app.broker import Broker, Relay, listening, running
 from tests.app.complete_app import House, complete_app
 from tests.app.fake_worker import PlayedWorker, reading, until
 from tests.app.sparkplug import Host
@@ -39,7 +39,7 @@ def configuration(folder: Path, url: str, more: str = "", name: str = "Mill 7", 
 
 
 @asynccontextmanager
-async def site(folder: Path, broker: Broker, more: str = "") -> AsyncIterator[House]:
+async def site(folder: Path, broker: Broker | Relay, more: str = "") -> AsyncIterator[House]:
     """A site with a line of three units that respond."""
     config = configuration(folder, f"mqtt://127.0.0.1:{broker.port}", more)
     async with complete_app(folder, config=config) as house:
@@ -58,6 +58,11 @@ async def responding(worker: PlayedWorker) -> AsyncIterator[None]:
     task = asyncio.create_task(respond())
     yield
     task.cancel()
+
+
+def as_received(sent: Reading) -> tuple[int, float]:
+    """The time of a reading in ms, and its speed."""
+    return round(float(sent.at) * 1e6) // 1000, (sent.actual or 0) / 10
 
 
 def node_of(house: House) -> NodeSession:
@@ -105,7 +110,7 @@ async def test_what_a_broker_missed_comes_later_once_and_in_order(tmp_path: Path
         def past() -> list[tuple[int, object]]:
             return [(at, value) for at, value, old in host.readings["Unit 1", "Speed/Actual"] if old]
 
-        expected = [(round(float(each.at) * 1000), (each.actual or 0) / 10) for each in missed]
+        expected = [as_received(each) for each in missed]
         # Only what is sent of a unit that responds is of a device that is born.
         async with responding(worker):
             await until(lambda: len(past()) >= len(expected), "what was missed is sent")
@@ -226,8 +231,8 @@ async def test_an_overview_shows_the_lines_of_the_broker_with_their_age(tmp_path
                 for number, payload in enumerate(
                     (b"{}", b"x" * 100_000, b'{"page": "javascript:1"}', b"\xff")
                 ):
-                    await other.publish(f"{TOPIC}/evil/{number}", payload, qos=1, retain=True)
-                await other.publish(f"{TOPIC}/Mill 7/dry-end", b"", qos=1, retain=True)
+                    await other.publish(f"{LINES}/evil/{number}", payload, qos=1, retain=True)
+                await other.publish(f"{LINES}/Mill 7/dry-end", b"", qos=1, retain=True)
                 await until(lambda: not board.lines(), "a line that was taken away is gone")
 
 
