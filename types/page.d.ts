@@ -241,6 +241,7 @@ interface TrendWords extends DOMStringMap {
   active: string;
   alarms: string;
   backwards: string;
+  malformed: string;
   before: string;
   every: string;
   fault: string;

@@ -8,6 +8,7 @@ const PARTS = {
   clock: { hour: "2-digit", minute: "2-digit" },
   second: { hour: "2-digit", minute: "2-digit", second: "2-digit" },
   exact: { hour: "2-digit", minute: "2-digit", second: "2-digit", fractionalSecondDigits: 3 },
+  date: { dateStyle: "short" },
   day: { day: "numeric", month: "short" },
   dayClock: { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit" },
   minute: { dateStyle: "medium", timeStyle: "short" },

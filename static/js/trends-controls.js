@@ -21,7 +21,7 @@ export function bindControls(root, view, words, explain) {
   });
   document.getElementById("trend-exact").addEventListener("submit", (event) => {
     event.preventDefault();
-    explain(showExactly(view) ? "" : words.backwards);
+    explain(showExactly(view, words));
   });
   const [scale, marks] = [document.getElementById("trend-scale"), document.getElementById("trend-marks")];
   const compare = document.getElementById("trend-compare");
@@ -44,13 +44,14 @@ function press(button, view) {
   else if (move) MOVES[move](view);
 }
 
-/** Whether the two fields are a span; that one is shown. @param {View} view */
-function showExactly(view) {
+/** Show the span of the two fields; return why they are none, or "". @param {View} view @param {TrendWords} words */
+function showExactly(view, words) {
   const { from, to } = document.getElementById("trend-exact").elements;
   const [start, end] = [fromField(from.value), fromField(to.value)];
-  if (!(end > start)) return false;
+  if (Number.isNaN(end - start)) return words.malformed;
+  if (end <= start) return words.backwards;
   view.show(start, end);
-  return true;
+  return "";
 }
 
 /** Show in the controls what the view is. @param {HTMLElement} root @param {View} view */

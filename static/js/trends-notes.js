@@ -22,10 +22,15 @@ export function bindNotes(words, time, written, why) {
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     const { text, unit } = form.elements;
+    const about = fromField(form.elements.time.value);
+    if (Number.isNaN(about)) {
+      result.textContent = words.malformed;
+      return;
+    }
     const [button] = form.querySelectorAll("button");
     button.disabled = true;
     try {
-      await writeNote({ time: fromField(form.elements.time.value), text: text.value, unit: unit.value, key });
+      await writeNote({ time: about, text: text.value, unit: unit.value, key });
       text.value = "";
       key = newKey();
       result.textContent = words.stored;

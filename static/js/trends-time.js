@@ -58,11 +58,23 @@ export function shiftAt(at, starts) {
 export const shortTime = (at, beside) =>
   formatTime(at, formatTime(at, "day") === formatTime(beside, "day") ? "clock" : "dayClock");
 
-/** For an input of type datetime-local, and back.
+const TYPED = /^(?:(\d{4})-(\d\d?)-(\d\d?)|(\d\d?)\. ?(\d\d?)\. ?(\d{4}))[T,]? *(\d\d?):(\d\d)(?::(\d\d))?$/;
+
+/** As a field takes it: 21.11.2026 06:00:00 where dates have dots, else ISO 8601, in which day and month are not mistaken.
  * @param {number} seconds */
-export const toField = (seconds) => new Date(Math.floor(wall(seconds)) * 1000).toISOString().slice(0, 19);
-/** @param {string} text */
-export const fromField = (text) => instant(Date.parse(`${text.length === 16 ? `${text}:00` : text}Z`) / 1000);
+export function toField(seconds) {
+  const [day, clock] = new Date(Math.floor(wall(seconds)) * 1000).toISOString().slice(0, 19).split("T");
+  const hasDots = formatTime(seconds, "date").includes(".");
+  return `${hasDots ? day.split("-").reverse().join(".") : day} ${clock}`;
+}
+
+/** The instant that was typed in a field; NaN if it is none. @param {string} text */
+export function fromField(text) {
+  const typed = TYPED.exec(text.trim())?.map(Number);
+  if (!typed) return Number.NaN;
+  const [, y, m, d, day, month, year, hour, minute, second] = typed;
+  return instant(Date.UTC(y || year, (m || month) - 1, d || day, hour, minute, second || 0) / 1000);
+}
 
 /** Labels under the time axis, no finer than the distance between them.
  * @param {uPlot} _plot @param {number[]} splits @param {number} _axis @param {number} _space @param {number} increment */

@@ -41,9 +41,11 @@ test("a time has its day only where that is another", () => {
 });
 
 test("a field shows the wall clock of the site and is read as such", () => {
-  assert.equal(toField(at("2026-07-01T10:00:00") + 0.9), "2026-07-01T12:00:00");
-  assert.equal(toField(at("2026-01-01T10:00:00")), "2026-01-01T11:00:00");
-  assert.equal(fromField("2026-07-01T12:00:00"), at("2026-07-01T10:00:00"));
+  assert.equal(toField(at("2026-07-01T10:00:00") + 0.9), "01.07.2026 12:00:00");
+  assert.equal(toField(at("2026-01-01T10:00:00")), "01.01.2026 11:00:00");
+  assert.equal(fromField("2026-07-01 12:00:00"), at("2026-07-01T10:00:00"));
+  assert.equal(fromField(" 1.7.2026 12:00"), at("2026-07-01T10:00:00"), "as it is typed where dates have dots");
+  assert.ok(Number.isNaN(fromField("yesterday")));
   assert.equal(fromField("2026-01-01T11:00"), at("2026-01-01T10:00:00"), "a browser leaves whole minutes short");
 });
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from datetime import datetime
+from datetime import datetime, timedelta
 from decimal import Decimal
 from zoneinfo import ZoneInfo
 
@@ -12,6 +12,7 @@ from babel.numbers import get_decimal_symbol
 
 from app.core.messages.languages import UTC, day, locale_of, minute, moment
 from bus.instants import UnixTime
+from bus.messages import Message, term
 
 HALF_DAY_S = 43_200
 UNKNOWN = "\N{EN DASH}"
@@ -33,6 +34,16 @@ def length_shown(length: float, measure: str) -> tuple[str, str]:
     return (f"{length / 1000:.1f}", "km") if measure == "m" and length >= 1000 else (f"{length:.1f}", measure)
 
 
+_TYPED_TIME = re.compile(
+    r"(?:(\d{4})-(\d\d?)-(\d\d?)|(\d\d?)\. ?(\d\d?)\. ?(\d{4}))(?:(?:T|,? +)(\d\d?:\d\d(?::\d\d)?))?",
+    re.ASCII,
+)
+
+
+_RECENT = ((term("Today"), 0, 0), (term("Yesterday"), 1, 1), (term("Last 7 days"), 6, 0))
+"""Spans of days, by how many days ago they begin and end."""
+
+
 class Formats:
     """Formatting for one locale and one time zone."""
 
@@ -40,6 +51,9 @@ class Formats:
         self.locale = locale_of(locale)
         self.decimal_sign = get_decimal_symbol(self.locale)
         self._zone = ZoneInfo(time_zone)
+        # Where a date has strokes, its day and month may be mistaken for each other: there it is ISO 8601.
+        has_dots = "." in self.locale.date_formats["short"].pattern
+        self._field_day = "%d.%m.%Y" if has_dots else "%Y-%m-%d"
 
     def point(self, text: str) -> str:
         """Replace the point of a number by this locale's decimal sign."""
@@ -49,6 +63,40 @@ class Formats:
         """Return user input, with a point if it is a number in this locale's format."""
         number = re.fullmatch(rf"\s*(-?\d+){re.escape(self.decimal_sign)}(\d+)\s*", text)
         return f"{number[1]}.{number[2]}" if number else text
+
+    def typed_time(self, text: str) -> str:
+        """Return a date as people type it (21.11.2026, 2026-11-21), with or without a time, as ISO 8601; any
+        other text unchanged."""
+        typed = _TYPED_TIME.fullmatch(text.strip())
+        if typed is None:
+            return text
+        year, month, day = typed.group(1, 2, 3) if typed[1] else typed.group(6, 5, 4)
+        return f"{year}-{month:0>2}-{day:0>2}" + (f"T{typed[7].rjust(5, '0')}" if typed[7] else "")
+
+    def field_day(self, at: UnixTime | datetime) -> str:
+        """Format a day as a field takes it."""
+        return f"{self.local(at):{self._field_day}}"
+
+    def field_minute(self, at: UnixTime | datetime) -> str:
+        """Format date and time as a field takes them."""
+        return f"{self.local(at):{self._field_day} %H:%M}"
+
+    def recent_days(self, now: UnixTime) -> list[tuple[Message, str, str]]:
+        """Return the spans that are chosen most, each with its name, and its first and last day as
+        :meth:`field_day`."""
+        today = self.local(now)
+        return [
+            (
+                name,
+                self.field_day(today - timedelta(days=first)),
+                self.field_day(today - timedelta(days=last)),
+            )
+            for name, first, last in _RECENT
+        ]
+
+    def malformed_day(self, text: str, now: UnixTime) -> Message:
+        """Return the refusal of a typed day."""
+        return Message.of("typed_time_malformed", text=text, example=self.field_day(now))
 
     def fixed(self, raw: int | None, decimals: int | None) -> str:
         """Format an integer of display units with implied decimals: (12345, 1) → ``1234.5``; no grouping."""

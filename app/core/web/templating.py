@@ -151,6 +151,12 @@ def templates_of(connection: HTTPConnection) -> Templates:
     return service_of(connection, Templates)
 
 
+def formats_of(connection: HTTPConnection) -> Formats:
+    """Return the formatting of numbers and times for the reader of a page."""
+    templates = templates_of(connection)
+    return templates.formats(templates.language_of(connection).tag)
+
+
 def render(
     request: HTTPConnection,
     name: str,

@@ -18,7 +18,7 @@ from app.core.web.access import Person, Viewer
 from app.core.web.formats import UNKNOWN, Formats
 from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.services import service_of
-from app.core.web.templating import render, templates_of
+from app.core.web.templating import formats_of, render, templates_of
 from app.errors import Problem
 from app.line.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
 from app.line.alarms.alarm import Alarm, state_text
@@ -134,7 +134,7 @@ async def journal_page(
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> Response:
     """Show the transitions that a person chose, newest first; ``day``: by the clock of the site."""
-    zone = templates_of(request).site.zone
+    zone, formats, now = templates_of(request).site.zone, formats_of(request), unix_now()
     bus, _slash, unit = place.partition("/")
     chosen = {"search": search.strip(), "place": place, "priority": priority, "state": state, "day": day}
     found = JournalFilter(
@@ -143,17 +143,25 @@ async def journal_page(
         unit=int(unit) if unit.isascii() and unit.isdecimal() and len(unit) < 4 else None,
         priority=priority or None,
         after=state or None,
-        start=day_begins(day, zone),
-        end=day_begins(day, zone, timedelta(days=1)),
+        start=day_begins(formats.typed_time(day), zone),
+        end=day_begins(formats.typed_time(day), zone, timedelta(days=1)),
     )
-    entries = await alarms.store.journal(
-        ON_A_PAGE + 1, before, chosen=found if any(chosen.values()) else None
-    )
+    fault = formats.malformed_day(day, now) if day and found.start is None else None
+    chosen |= {"day": formats.field_day(found.start)} if found.start is not None else {}
+    wanted = found if any(chosen.values()) else None
+    entries = await alarms.store.journal(ON_A_PAGE + 1, before, chosen=wanted) if fault is None else []
     query = _query(chosen)
     older = f"before={entries[ON_A_PAGE - 1].id}" if len(entries) > ON_A_PAGE else ""
     return render(
         request,
         "alarms/journal.html",
+        status=200 if fault is None else 422,
+        fault=fault,
+        days=[
+            (text, f"/alarms/journal?{_query(chosen | {'day': first})}")
+            for text, first, last in formats.recent_days(now)
+            if first == last
+        ],
         transitions=entries[:ON_A_PAGE],
         place_of=alarms.place,
         chosen=chosen,

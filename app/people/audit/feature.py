@@ -29,7 +29,7 @@ from app.core.web.formats import Formats
 from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.services import service_of
 from app.core.web.shape import parse_integer
-from app.core.web.templating import render, templates_of
+from app.core.web.templating import formats_of, render, templates_of
 from app.errors import StoreError
 from app.feature import Feature, Services
 from app.people.audit import api
@@ -41,6 +41,7 @@ from app.people.audit.entry import Event
 from app.people.audit.keys import open_keys
 from app.people.audit.log import EventLog, Filter, UnitPlace
 from app.people.audit.proof import heads_of
+from bus.instants import unix_now
 from bus.messages import Message
 from bus.settings import BusSettings
 from bus.validation import TypedText
@@ -62,14 +63,13 @@ async def events_page(
     bus: str = "",
     unit: Annotated[str, Query(max_length=3)] = "",
     who: TypedText = "",
-    since: Annotated[str, Query(max_length=10)] = "",
-    until: Annotated[str, Query(max_length=10)] = "",
+    since: Annotated[TypedText, Query(max_length=20)] = "",
+    until: Annotated[TypedText, Query(max_length=20)] = "",
     search: Annotated[TypedText, Query(max_length=200)] = "",
 ) -> HTMLResponse:
     """Show the events of a filter. Empty fields do not filter; days are those of the site."""
     chosen = dict(zip(FIELDS, (kind, bus, unit, who, since, until, search), strict=True))
-    templates = templates_of(request)
-    site_zone, formats = templates.site.zone, templates.formats(templates.language_of(request).tag)
+    site_zone, formats = templates_of(request).site.zone, formats_of(request)
     finder = service_of(request, EventFinder)
     wanted = Filter(
         before=parse_integer(before),
@@ -77,19 +77,32 @@ async def events_page(
         bus=bus or None,
         unit=parse_integer(unit),
         who=who or None,
-        since=day_begins(since, site_zone),
-        until=day_begins(until, site_zone, timedelta(days=1)),
+        since=day_begins(formats.typed_time(since), site_zone),
+        until=day_begins(formats.typed_time(until), site_zone, timedelta(days=1)),
         search=formats.typed_number(search),
         named=finder.units_named(search),
     )
-    rows, after = await page_of(events, wanted, ON_A_PAGE)
+    now, ends = unix_now(), ((since, wanted.since), (until, wanted.until))
+    fault = next((formats.malformed_day(typed, now) for typed, at in ends if typed and at is None), None)
+    chosen |= {
+        name: formats.field_day(at)
+        for name, at in (("since", wanted.since), ("until", wanted.until and wanted.until - 1))
+        if at
+    }
+    rows, after = await page_of(events, wanted, ON_A_PAGE) if fault is None else ([], None)
     return render(
         request,
         "events/page.html",
+        status=200 if fault is None else 422,
+        fault=fault,
         rows=rows,
         names=finder.names,
         kinds=await events.kinds(),
         chosen=chosen,
+        spans=[
+            (text, _address("/events", chosen | {"since": first, "until": last}))
+            for text, first, last in formats.recent_days(now)
+        ],
         older=_address("/events", chosen | {"before": after}) if after else "",
         newest=_address("/events", chosen) if before else "",
         csv=_address("/api/v1/events.csv", _of_api(wanted, formats)),

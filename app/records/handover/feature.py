@@ -157,7 +157,7 @@ async def note_page(
 
 async def _new_note(
     text: FormNoteText = "",
-    clock: Annotated[str, Form(pattern=r"^(?:(?:[01]\d|2[0-3]):[0-5]\d)?$")] = "",
+    clock: Annotated[str, Form(pattern=r"^(?:(?:[01]?\d|2[0-3]):[0-5]\d)?$")] = "",
     place: FormWord = "",
     alarm: FormWord = "",
     corrects: Annotated[int | None, Form(ge=1, le=2**62)] = None,

@@ -3,7 +3,6 @@ mail."""
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import Annotated, NamedTuple
 from urllib.parse import urlencode
 
@@ -20,7 +19,7 @@ from app.core.web.csv_file import CSV, WantedCsv
 from app.core.web.routes import DOWNLOAD, SEARCH, GuardedRoute
 from app.core.web.services import service
 from app.core.web.shape import iso, json_response
-from app.core.web.templating import Templates, render
+from app.core.web.templating import Templates, formats_of, render
 from app.errors import Problem
 from app.feature import Feature, Services
 from app.line.alarms.api import Alarms
@@ -44,7 +43,6 @@ from app.records.reports.service import (
     stops_text,
     units_text,
 )
-from bus.instants import UnixTime
 from bus.messages import Message, term
 from bus.validation import OneLine
 
@@ -140,11 +138,12 @@ async def report_page(
 ) -> Response:
     """Show the report that the address names, without a span that of the present shift; or why it fails."""
     report, fault, scope = None, None, EVERYTHING
+    formats = formats_of(request)
     name = next((name for name in SPANS if name == span), None)
     wanted = reports.named(name or "shift")
     try:
         if name is None and (since or until):
-            wanted = reports.span(since, until)
+            wanted = reports.span(formats.typed_time(since), formats.typed_time(until))
         scope = reports.scope_of(place)
         report = await reports.report(wanted, scope)
     except Problem as problem:
@@ -161,19 +160,14 @@ async def report_page(
         places=alarms.places(),
         place_of=alarms.place,
         spans=[(name, text, _address(place, span=name), name == chosen) for name, text in SPANS.items()],
-        since=since if not chosen else _local(reports, wanted.start),
-        until=until if not chosen else _local(reports, wanted.end),
+        since=formats.field_minute(wanted.start) if chosen else since,
+        until=formats.field_minute(wanted.end) if chosen else until,
         files=_files(wanted, place),
     )
 
 
 def _address(place: str, **more: str) -> str:
     return "/reports?" + urlencode({**({"place": place} if place else {}), **more})
-
-
-def _local(reports: Reports, at: UnixTime) -> str:
-    """Format a moment for a field of date and time, by the clock of the site."""
-    return datetime.fromtimestamp(float(at), reports.zone).strftime("%Y-%m-%dT%H:%M")
 
 
 def _files(span: Shift, place: str) -> dict[str, str]:

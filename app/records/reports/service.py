@@ -147,7 +147,7 @@ class Reports:
             refuse_year(written, name)
             return UnixTime((written if written.tzinfo else written.replace(tzinfo=self.zone)).timestamp())
         except (ValueError, OverflowError):
-            wrong = Message.of("time_malformed", field=name, example="2026-11-21T06:00", text=text)
+            wrong = Message.of("typed_time_malformed", example="2026-11-21 06:00", text=text)
             raise Problem(422, "invalid", wrong) from None
 
 

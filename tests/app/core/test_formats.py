@@ -69,3 +69,31 @@ def test_a_shift_is_its_date_and_its_hours() -> None:
 
 def test_a_negative_number_has_a_true_minus_sign() -> None:
     assert Formats("de").number(-0.5, 2) == "\N{MINUS SIGN}0,50"
+
+
+@pytest.mark.parametrize(
+    ("typed", "iso"),
+    [
+        ("21.11.2026", "2026-11-21"),
+        (" 1. 7. 2026 6:05", "2026-07-01T06:05"),
+        ("2026-11-21 06:30:15", "2026-11-21T06:30:15"),
+        ("2026-11-21T06:30", "2026-11-21T06:30"),
+        ("11/21/2026", "11/21/2026"),
+        ("yesterday", "yesterday"),
+        ("", ""),
+    ],
+)
+def test_a_time_is_typed_as_it_is_shown_or_as_iso_8601(typed: str, iso: str) -> None:
+    assert Formats("de").typed_time(typed) == Formats("en_GB").typed_time(typed) == iso
+
+
+def test_a_field_shows_a_day_in_which_day_and_month_are_not_mistaken() -> None:
+    noon = UnixTime(1_795_262_400.0)
+    assert Formats("de", "Europe/Berlin").field_minute(noon) == "21.11.2026 13:00"
+    assert Formats("en_GB").field_minute(noon) == "2026-11-21 12:00"
+    [today, yesterday, week] = Formats("de").recent_days(noon)
+    assert today[1:] == ("21.11.2026", "21.11.2026")
+    assert yesterday[1:] == ("20.11.2026", "20.11.2026")
+    assert week[1:] == ("15.11.2026", "21.11.2026")
+    for first, last in (today[1:], week[1:]):
+        assert Formats("de").typed_time(first) <= Formats("de").typed_time(last) == "2026-11-21"
