@@ -1,12 +1,12 @@
-// Caps rendering at a fixed share of main-thread time, so that input stays responsive on slow devices, and at ten pictures
-// a second; what comes after a pause is rendered at once. Changes that arrive meanwhile are drawn together, the newest of each.
+// Caps rendering at a fixed share of main-thread time, so that input stays responsive on slow devices; a fast device
+// renders at once. Changes that arrive meanwhile are drawn together, the newest of each.
 
 /** The part of the main thread that drawing may take; receiving messages comes on top. */
 const SHARE = 0.15;
-/** From one drawing to the next on a fast device: each costs the other threads of the browser as much as the main thread,
- * and no unit responds as often. */
-const LEAST_MS = 100;
-/** Drawings may be this far ahead: a few in a row wait for nothing. */
+/** A device that draws within so many ms, a third of a frame, is fast: input never waits long, so it may take more. */
+const FAST_MS = 5;
+const FAST_SHARE = 0.25;
+/** Drawings may be this far ahead of their share: a few cheap ones in a row wait for nothing. */
 const AHEAD_MS = 200;
 /** Nothing waits longer, however slow the device is. */
 const LONGEST_MS = 600;
@@ -33,8 +33,8 @@ export function credible(known) {
     in ms. `until` is the former value.
  * @param {number} until @param {number} began @param {number} cost */
 export function usedUp(until, began, cost) {
-  const taken = Math.max(cost / SHARE, LEAST_MS);
-  return Math.min(Math.max(until, began) + taken, began + LONGEST_MS + AHEAD_MS);
+  const share = cost <= FAST_MS ? FAST_SHARE : SHARE;
+  return Math.min(Math.max(until, began) + cost / share, began + LONGEST_MS + AHEAD_MS);
 }
 
 /** When the next drawing may start, from the share used so far.
