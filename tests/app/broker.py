@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Self
 
 import aiomqtt
 
@@ -57,6 +58,13 @@ class Broker:
             self._process.kill()
             self._process.wait()
             self._process = None
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.kill()
 
     def client(self, **more: object) -> aiomqtt.Client:
         """A client of it."""
@@ -113,12 +121,9 @@ async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> N
 
 @asynccontextmanager
 async def running(folder: Path, more: str = "allow_anonymous true") -> AsyncIterator[Broker]:
-    broker = Broker(folder, more)
-    await broker.start()
-    try:
+    """Run a broker for the time of the context."""
+    async with Broker(folder, more) as broker:
         yield broker
-    finally:
-        broker.kill()
 
 
 @asynccontextmanager

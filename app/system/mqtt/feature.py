@@ -41,8 +41,10 @@ def make(services: Services) -> None:
         services.lifespan.add("MQTT node", each.follow, end=each.end)
         services[SystemsBeside].append(each.state)
     if settings.mqtt.overview:
-        lines = BrokerLines(settings.mqtt, board)
+        own = frozenset(each.node.document_topic for each in nodes)
+        lines = BrokerLines(settings.mqtt, board, own)
         services.lifespan.add("lines of the broker", lines.follow)
+        services[SystemsBeside].append(lines.state)
 
 
 def _session(services: Services, name: str, group: str, documents: LineDocuments) -> NodeSession:

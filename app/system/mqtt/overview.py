@@ -18,11 +18,11 @@ from app.core.server.settings import check_web_url
 from app.line.live.fields import Translator
 from app.system.mqtt.node import LINES
 from app.system.mqtt.session import RETRY_S, BrokerError, connected, identifier_for
-from app.system.mqtt.settings import MqttSettings
+from app.system.mqtt.settings import MqttSettings, identifier_of
 from app.system.peers.board import AWAY_AFTER_S, LineBoard, Peer
 from app.system.peers.client import ReportError, board_json, read_report
 from bus.instants import Clock, Monotonic, UnixTime, unix_now
-from bus.messages import Message, in_english
+from bus.messages import Message, in_english, number
 
 MAX_LINES = 1000
 MAX_BYTES = 64 * 1024
@@ -55,10 +55,11 @@ class LineDocuments:
 @dataclass(eq=False, repr=False)
 class BrokerLines:
     """The lines that others publish on the broker, as peers of a board. ``board``: on which they are shown;
-    ``fault``: why none are read now."""
+    ``own``: the topics of the lines of this server; ``fault``: why none are read now."""
 
     settings: MqttSettings
     board: LineBoard
+    own: frozenset[str] = frozenset()
     clock: Clock = unix_now
     fault: Message | None = None
     _peers: dict[str, Peer] = field(default_factory=dict)
@@ -79,6 +80,13 @@ class BrokerLines:
             await asyncio.sleep(RETRY_S[min(failures, len(RETRY_S) - 1)])
             failures += 1
 
+    def state(self) -> Message:
+        """State in a sentence what is read."""
+        if self.fault is not None:
+            return Message.of("mqtt_overview_lacks", reason=self.fault)
+        shown = number(str(len(self._peers)))
+        return Message.of("mqtt_overview_has", place=self.settings.place, lines=shown)
+
     async def _connection(self) -> None:
         identifier = identifier_for("overview", self.board.instance)
         async with connected(self.settings, identifier) as client:
@@ -90,7 +98,10 @@ class BrokerLines:
 
     def take(self, topic: str, payload: bytes, *, is_retained: bool) -> None:
         """Take over a document. An empty one takes the line away; one that the broker kept shows a line
-        without saying that it is of the present."""
+        without saying that it is of the present. The broker's rules permit a topic, so what a document says
+        of itself counts only as far as its topic agrees."""
+        if topic in self.own:
+            return
         if not payload:
             peer = self._peers.pop(topic, None)
             if peer is not None:
@@ -106,13 +117,15 @@ class BrokerLines:
         except ReportError:
             log.debug("no document of a line", topic=topic[:200])
             return
-        if len(lines) != 1:
+        group, bus = topic.split("/")[-2:]
+        if lines.keys() != {bus}:
             return
-        (line,) = lines.values()
+        site = lines[bus].site
+        name = site if identifier_of(site) == group else f"{site} ({group})"
         if peer is None:
-            peer = self._peers[topic] = Peer(_number(topic), line.site, page)
+            peer = self._peers[topic] = Peer(_number(topic), name, page)
             self.board.peers.append(peer)
-        peer.name, peer.url = line.site, page
+        peer.name, peer.url = name, page
         if self._is_another(topic, peer, instance):
             peer.fault = Message("mqtt_two_publishers")
             return

@@ -164,12 +164,14 @@ def identifier_for(*parts: str) -> str:
 
 @dataclass(slots=True)
 class NodeStatus:
-    """The state of a node. ``fault``: why it is not connected; ``waits``: for its primary host; ``sent``:
-    messages since the start."""
+    """The state of a node. ``fault``: why it is not connected; ``waits``: for its primary host;
+    ``host_is_behind``: whether the newest message of that host is older than the one before by its own clock;
+    ``sent``: messages since the start."""
 
     is_connected: bool = False
     fault: Message | None = None
     waits: bool = False
+    host_is_behind: bool = False
     sent: int = 0
 
 
@@ -305,7 +307,8 @@ class NodeSession:
             state = msgspec.json.decode(payload[:MAX_COMMAND], type=_HostState)
         except (msgspec.MsgspecError, ValueError):
             return
-        if state.timestamp >= self._host_time:
+        self.status.host_is_behind = state.timestamp < self._host_time
+        if not self.status.host_is_behind:
             self._host_time, self._host_is_online = state.timestamp, state.online
             self._wake.set()
 
@@ -428,6 +431,8 @@ class NodeSession:
     def state(self) -> Message:
         """State in a sentence how the node is connected."""
         place, node = self._settings.place, self.node.name
+        if self.status.host_is_behind and not self.status.is_connected:
+            return Message.of("mqtt_waits_clock", node=node, host=self._settings.primary_host)
         if self.status.fault is not None:
             return Message.of(
                 "mqtt_lacks", node=node, reason=self.status.fault, seconds=number(f"{self.lag_s():.0f}")

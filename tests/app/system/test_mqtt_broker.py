@@ -14,9 +14,7 @@ import pytest
 from app.cli.check import mqtt
 from app.line.history.service import History
 from app.settings import ConfigurationError, load
-from app.system.mqtt.node import LINES
 from app.system.mqtt.session import Nodes, NodeSession, identifier_for
-from app.system.peers.board import LineTiles
 from bus.contract import BusLink, Reading
 from bus.messages import in_english
 from tests.app.broker import Broker, Relay, listening, running
@@ -187,6 +185,9 @@ async def test_it_waits_for_its_primary_host(tmp_path: Path) -> None:
             await primary.publish(topic, state(False, 4), qos=1)
             await primary.publish(topic, state(False, 7), qos=1, retain=True)
             await until(lambda: not host.is_alive, "it dies with its primary host")
+            await primary.publish(topic, state(True, 3), qos=1, retain=True)
+            await until(lambda: node.status.host_is_behind, "the clock of the host was set back")
+            assert "Compare its clock" in in_english(node.state())
             assert host.births == 1
     assert host.faults == []
 
@@ -203,52 +204,6 @@ async def test_a_broker_that_refuses_is_stated(tmp_path: Path, more: str, words:
         assert fault is not None
         assert words in in_english(fault)
         assert in_english(node.state()).startswith("node dry-end: the broker 127.0.0.1:")
-
-
-async def test_an_overview_shows_the_lines_of_the_broker_with_their_age(tmp_path: Path) -> None:
-    async with running(tmp_path) as broker:
-        config = configuration(
-            tmp_path / "overview", f"mqtt://127.0.0.1:{broker.port}", "overview = true", "Plant", bus=False
-        )
-        async with complete_app(tmp_path / "overview", config=config) as overview:
-            board = overview.services[LineTiles].board
-            async with site(
-                tmp_path / "site", broker, '[notify]\ndashboard_url = "https://mill7:8443"'
-            ) as house:
-                await house.worker()
-                await until(lambda: any(not line.is_stale for line in board.lines()), "the line is shown")
-                (line,) = board.lines()
-                assert (line.bus, line.site, line.href) == (
-                    "dry-end",
-                    "Mill 7",
-                    "https://mill7:8443/?bus=dry-end",
-                )
-                shown = (await overview.http("viewer").get("/api/v1/sites")).json()
-                assert [(each["bus"], each["peer"], each["units"]) for each in shown["lines"]] == [
-                    ("dry-end", "Mill 7", 3)
-                ]
-            async with broker.client() as other:
-                for number, payload in enumerate(
-                    (b"{}", b"x" * 100_000, b'{"page": "javascript:1"}', b"\xff")
-                ):
-                    await other.publish(f"{LINES}/evil/{number}", payload, qos=1, retain=True)
-                await other.publish(f"{LINES}/Mill 7/dry-end", b"", qos=1, retain=True)
-                await until(lambda: not board.lines(), "a line that was taken away is gone")
-
-
-async def test_a_document_that_the_broker_kept_is_not_of_the_present(tmp_path: Path) -> None:
-    async with running(tmp_path) as broker:
-        async with site(tmp_path / "site", broker) as house:
-            await connected(house)
-            await until(lambda: (node_of(house).backlog or 0) and node_of(house).status.sent > 0, "sent")
-            await asyncio.sleep(1.2)
-        config = configuration(
-            tmp_path / "overview", f"mqtt://127.0.0.1:{broker.port}", "overview = true", "Plant", bus=False
-        )
-        async with complete_app(tmp_path / "overview", config=config) as overview:
-            board = overview.services[LineTiles].board
-            await until(board.lines, "the document is read")
-            assert [line.is_stale for line in board.lines()] == [True]
 
 
 @pytest.mark.parametrize(

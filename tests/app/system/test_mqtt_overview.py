@@ -1,0 +1,133 @@
+"""The lines of others over the plant's broker: shown with their age, and only as what their topic permits."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from app.system.configuration.service import SystemsBeside
+from app.system.mqtt.node import LINES
+from app.system.peers.board import LineBoard, LineTiles
+from bus.messages import in_english
+from tests.app.broker import Broker, running
+from tests.app.complete_app import House, complete_app
+from tests.app.fake_worker import until
+from tests.app.system.test_mqtt_broker import configuration, connected, node_of, site
+
+BRIDGE = """allow_anonymous true
+connection plant
+address 127.0.0.1:{port}
+bridge_protocol_version mqttv311
+restart_timeout 1
+topic spBv1.0/# out 1
+topic lineside/v1/lines/# out 1
+"""
+
+
+@asynccontextmanager
+async def overview(folder: Path, broker: Broker) -> AsyncIterator[tuple[House, LineBoard]]:
+    """A server without a line of its own, which shows those of the broker."""
+    url = f"mqtt://127.0.0.1:{broker.port}"
+    config = configuration(folder, url, "overview = true", "Plant", bus=False)
+    async with complete_app(folder, config=config) as house:
+        yield house, house.services[LineTiles].board
+
+
+def is_live(board: LineBoard) -> bool:
+    """Whether every line is of the present, and there is one."""
+    lines = board.lines()
+    return bool(lines) and not any(line.is_stale for line in lines)
+
+
+async def test_an_overview_shows_the_lines_of_the_broker_with_their_age(tmp_path: Path) -> None:
+    async with running(tmp_path) as broker, overview(tmp_path / "overview", broker) as (house, board):
+        async with site(
+            tmp_path / "site", broker, '[notify]\ndashboard_url = "https://mill7:8443"'
+        ) as publisher:
+            await publisher.worker()
+            await until(lambda: is_live(board), "the line is shown")
+            (line,) = board.lines()
+            assert (line.bus, line.site, line.href) == (
+                "dry-end",
+                "Mill 7",
+                "https://mill7:8443/?bus=dry-end",
+            )
+            shown = (await house.http("viewer").get("/api/v1/sites")).json()
+            assert [(each["bus"], each["peer"], each["units"]) for each in shown["lines"]] == [
+                ("dry-end", "Mill 7", 3)
+            ]
+        async with broker.client() as other:
+            for number, payload in enumerate((b"{}", b"x" * 100_000, b'{"page": "javascript:1"}', b"\xff")):
+                await other.publish(f"{LINES}/evil/{number}", payload, qos=1, retain=True)
+            await other.publish(f"{LINES}/Mill 7/dry-end", b"", qos=1, retain=True)
+            await until(lambda: not board.lines(), "a line that was taken away is gone")
+
+
+async def test_a_document_that_the_broker_kept_is_not_of_the_present(tmp_path: Path) -> None:
+    async with running(tmp_path) as broker:
+        async with site(tmp_path / "site", broker) as house:
+            await connected(house)
+            await until(lambda: (node_of(house).backlog or 0) and node_of(house).status.sent > 0, "sent")
+            await asyncio.sleep(1.2)
+        async with overview(tmp_path / "overview", broker) as (house, board):
+            await until(board.lines, "the document is read")
+            assert [line.is_stale for line in board.lines()] == [True]
+
+
+async def test_a_server_with_lines_does_not_show_its_own_twice(tmp_path: Path) -> None:
+    async with (
+        running(tmp_path) as broker,
+        overview(tmp_path / "overview", broker) as (_, others),
+        site(tmp_path / "site", broker, "overview = true") as house,
+    ):
+        await until(lambda: is_live(others), "the document is read elsewhere")
+        assert [line.peer for line in house.services[LineTiles].board.lines()] == [None]
+
+
+async def test_a_foreign_document_is_not_shown_as_ours(tmp_path: Path) -> None:
+    """What it says of itself counts only as far as its topic agrees, which the broker's rules permit."""
+    async with running(tmp_path) as broker, overview(tmp_path / "overview", broker) as (_, board):
+        async with site(tmp_path / "site", broker), broker.client() as other:
+            await until(lambda: is_live(board), "the line is shown")
+            genuine: list[bytes] = []
+            await other.subscribe(f"{LINES}/Mill 7/dry-end")
+            async for message in other.messages:
+                genuine.append(bytes(message.payload))  # type: ignore[arg-type]
+                break
+            forged = json.dumps(json.loads(genuine[0]) | {"instance": "forged"}).encode()
+            await other.publish(f"{LINES}/Evil/dry-end", forged, qos=1)
+            await other.publish(f"{LINES}/Mill 7/wet-end", forged, qos=1)
+            await until(lambda: len(board.lines()) == 2, "it is shown as what it is")
+        await asyncio.sleep(0.2)
+        assert sorted((line.site, line.bus) for line in board.lines()) == [
+            ("Mill 7", "dry-end"),
+            ("Mill 7 (Evil)", "dry-end"),
+        ]
+
+
+async def test_two_copies_behind_bridged_brokers(tmp_path: Path) -> None:
+    """The line is on the broker of its mill, which hands it to that of the plant; of two overviews there, one
+    ends, and the broker of the mill is killed."""
+    for name in ("mill", "plant"):
+        (tmp_path / name).mkdir()
+    plant, mill = Broker(tmp_path / "plant"), Broker(tmp_path / "mill")
+    mill.more = BRIDGE.format(port=plant.port)
+    async with (
+        plant,
+        mill,
+        site(tmp_path / "site", mill) as house,
+        overview(tmp_path / "first", plant) as (first, board),
+    ):
+        await connected(house)
+        async with overview(tmp_path / "second", plant) as (_, other):
+            await until(lambda: is_live(board) and is_live(other), "both copies show it")
+        (peer,) = board.peers
+        before = peer.time
+        await until(lambda: peer.time != before, "the first goes on without the second")
+        said = [in_english(state()) for state in first.services[SystemsBeside]]
+        assert said[-1] == f"broker 127.0.0.1:{plant.port}: lines of others that are shown: 1"
+        mill.kill()
+        await until(lambda: not is_live(board), "what nobody publishes is stale")
