@@ -94,7 +94,7 @@ development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM) $(PROXIES) $(P
 # though it installs nothing: the lock is made newer than that.
 lock: development
 	$(BIN)/pip install -q uv
-	$(LOCK) --extra apprise --extra mqtt --extra oidc --extra parquet --extra postgresql --group build --group dev pyproject.toml -o requirements-dev.lock
+	$(LOCK) --extra apprise --extra mqtt --extra oidc --extra opcua --extra parquet --extra postgresql --group build --group dev pyproject.toml -o requirements-dev.lock
 	$(LOCK) --group build -c requirements-dev.lock pyproject.toml -o requirements.lock
 	npm install --package-lock-only --ignore-scripts --omit-lockfile-registry-resolved
 	@touch package-lock.json

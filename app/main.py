@@ -44,6 +44,7 @@ from app.system.backup import feature as backup
 from app.system.configuration import feature as configuration
 from app.system.metrics import feature as metrics
 from app.system.mqtt import feature as mqtt
+from app.system.opcua import feature as opcua
 from app.system.peers import feature as peers
 from app.system.postgresql import feature as postgresql
 from app.system.state import feature as state
@@ -74,6 +75,7 @@ FEATURES = (
     peers.FEATURE,
     postgresql.FEATURE,
     mqtt.FEATURE,
+    opcua.FEATURE,
     metrics.FEATURE,
     state.FEATURE,
 )

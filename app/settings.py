@@ -32,6 +32,7 @@ from app.records.notification.settings import NotifySettings, refuse_unknown_nam
 from app.records.reports.settings import ReportSettings, refuse_unsendable
 from app.system.backup.settings import BackupSettings
 from app.system.mqtt.settings import MqttSettings
+from app.system.opcua.settings import OpcuaSettings
 from app.system.peers.settings import PeerSettings, refuse_repeated
 from app.system.postgresql.settings import PostgresqlSettings
 from app.version import VERSION
@@ -160,11 +161,18 @@ class Settings(StrictModel):
     backup: BackupSettings = BackupSettings()
     postgresql: PostgresqlSettings | None = None
     mqtt: MqttSettings | None = None
+    opcua: OpcuaSettings | None = None
     peer: Annotated[tuple[PeerSettings, ...], Field(max_length=200)] = ()
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""
     _text: str = PrivateAttr("")
     """Its text as it was read."""
+
+    @property
+    def opcua_address(self) -> tuple[str, int]:
+        """Where OPC UA is served, if it is."""
+        wanted = self.opcua or OpcuaSettings()
+        return wanted.host or self.server.host, wanted.port
 
     @property
     def page_digest(self) -> str:

@@ -19,6 +19,7 @@ from app.main import FEATURES
 from app.people.audit.anchor import AnchorStatus
 from app.system.metrics.families import LineCollector, Measured
 from app.system.metrics.feature import OUTCOMES
+from app.system.opcua.link import Status
 from app.system.postgresql.publisher import PublisherStatus
 from bus.instants import UnixTime
 
@@ -118,6 +119,7 @@ def _nothing() -> Measured:
         "newest_backup": UnixTime(0.0),
         "publisher": PublisherStatus("", UnixTime(0.0)),
         "nodes": (),
+        "opcua": (SimpleNamespace(status=Status(), restarts=0),),
         "data": GUIDE,
     }
     return Measured(**cast(dict[str, Any], sources))

@@ -8,6 +8,9 @@ import tomllib
 from pathlib import Path
 
 import uvicorn
+from asyncua.common import connection
+from asyncua.server import internal_session, uaprocessor
+from asyncua.server.binary_server_asyncio import OPCUAProtocol
 from babel import core, localedata
 from fastapi import FastAPI
 from fastapi.dependencies.utils import get_flat_params
@@ -16,8 +19,11 @@ from packaging.requirements import Requirement
 from serialx.platforms.serial_rfc2217 import RFC2217Serial, RFC2217SerialTransport
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
+from app.system.opcua import gate
+
 ROOT = Path(__file__).resolve().parents[1]
-BOUNDED = ("babel", "uvicorn", "httptools", "websockets", "fastapi", "serialx")
+BOUNDED = ("babel", "uvicorn", "httptools", "websockets", "fastapi", "serialx", "asyncua")
+OPCUA = "read docs/decisions/0053-opcua-in-a-process.md"
 HOW = "read what replaced it, then docs/decisions/0008-gate.md"
 
 
@@ -55,6 +61,23 @@ def test_dropped_members_of_babel_exist() -> None:
     assert isinstance(localedata._cache, dict)
 
 
+def test_overridden_methods_of_asyncua_exist() -> None:
+    """Overridden by app.system.opcua.gate: one that asyncua does not call any more would bound nothing."""
+    called = "".join(map(inspect.getsource, (uaprocessor, connection, internal_session)))
+    for ours in (gate.ViewerSession, gate.ViewerServer, gate.TrustedPolicy, gate.Tokens, gate.ReadOnly):
+        inherited = {name for base in ours.__mro__[1:] for name in vars(base)}
+        overridden = {name for name in vars(ours) if name in inherited and not name.startswith("_")}
+        missing = [name for name in overridden if f".{name}(" not in called]
+        assert overridden, ours
+        assert missing == [], f"asyncua does not call {missing} of {ours.__name__}: {OPCUA}"
+
+
+def test_a_connection_of_asyncua_is_made_by_name() -> None:
+    made_by = inspect.signature(OPCUAProtocol).parameters
+    assert [*made_by] == ["iserver", "policies", "clients", "closing_tasks", "limits"], OPCUA
+    assert issubclass(OPCUAProtocol, asyncio.Protocol), OPCUA
+
+
 def test_overridden_members_of_serialx_exist() -> None:
     names = ["_data_received", "_negotiate", "_send_and_wait", "_send_command"]
     gone = [name for name in names if not callable(getattr(RFC2217SerialTransport, name, None))]
@@ -77,7 +100,10 @@ async def test_used_and_replaced_members_of_serialx_exist() -> None:
 
 def test_they_have_upper_bounds() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    stated = [*project["dependencies"], *project["optional-dependencies"]["rfc2217"]]
+    stated = [
+        *project["dependencies"],
+        *(each for extra in ("rfc2217", "opcua") for each in project["optional-dependencies"][extra]),
+    ]
     bounds = {required.name: required.specifier for required in map(Requirement, stated)}
     open_ended = [name for name in BOUNDED if not any(each.operator == "<" for each in bounds[name])]
     assert open_ended == []

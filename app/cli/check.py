@@ -51,6 +51,8 @@ from app.records.notification.settings import AppriseSettings, NotifySettings, W
 from app.settings import LOCK_FILE, ServerSettings, Settings, load
 from app.system.mqtt.session import connected, identifier_for
 from app.system.mqtt.settings import MqttSettings
+from app.system.opcua.probe import is_opcua_server
+from app.system.opcua.process import require_package as require_asyncua
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.outbox import read_identity
 from app.system.postgresql.publisher import PublisherStatus
@@ -280,6 +282,7 @@ def _found_of(settings: Settings, config: Path, *, live: bool) -> Iterator[Findi
         yield from postgresql(settings)
         yield from peers(settings)
         yield from mqtt(settings)
+        yield from opcua(settings)
 
 
 def _open_secrets(*files: Path | None) -> Iterator[Finding]:
@@ -418,6 +421,25 @@ async def _try_broker(to: MqttSettings) -> None:
     """Connect to the broker under a name of its own. Raises BrokerError."""
     async with connected(to, identifier_for(token_hex(8))):
         pass
+
+
+def opcua(settings: Settings) -> Iterator[Finding]:
+    """Say whether OPC UA is served, by the first message of its protocol."""
+    if settings.opcua is None:
+        return
+    try:
+        require_asyncua()
+    except LinesideError as error:
+        yield Finding(error.message, is_fault=True)
+        return
+    host, port = settings.opcua_address
+    place = f"{host}:{port}"
+    try:
+        is_served = asyncio.run(is_opcua_server(host, port))
+    except OSError:
+        yield info("check_opcua_off", place=place)
+    else:
+        yield info("check_opcua", place=place) if is_served else fault("check_opcua_other", place=place)
 
 
 def peers(settings: Settings) -> Iterator[Finding]:

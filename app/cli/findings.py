@@ -39,6 +39,8 @@ from app.people.audit.keys import KeyFileError, find_key_file, owners_of, read_k
 from app.settings import STORE_FILE, Settings
 from app.system.backup.folder import refuse_other_site, space_needed
 from app.system.backup.stores import read_key
+from app.system.opcua.access import certificate_file
+from app.system.opcua.settings import FOLDER
 from app.system.state.disk import size_of
 from bus.instants import monotonic_now, unix_now
 from bus.line.port import why_not
@@ -280,7 +282,9 @@ def certificate_files(settings: Settings) -> list[CertificateFile]:
     tls = settings.server.tls
     own = [] if tls is None else [_read_certificates(tls.certificate, min)]
     authorities = {*settings.notify.certificates, *([tls.client_ca] if tls and tls.client_ca else [])}
-    return [*own, *(_read_certificates(path, max) for path in sorted(authorities))]
+    opcua = certificate_file(settings.server.data / FOLDER)
+    by_opcua = [_read_certificates(opcua, min)] if settings.opcua and opcua.exists() else []
+    return [*own, *by_opcua, *(_read_certificates(path, max) for path in sorted(authorities))]
 
 
 def _read_certificates(path: Path, which: Callable[..., Certificate]) -> CertificateFile:

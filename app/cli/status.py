@@ -31,6 +31,7 @@ from app.records.handover.rules import site_time
 from app.settings import Settings, load
 from app.system.backup.folder import next_due
 from app.system.backup.service import newest_in
+from app.system.opcua.probe import is_opcua_server
 from app.system.peers.client import fault_of
 from app.system.peers.settings import PeerSettings
 from app.system.postgresql.outbox import read_cursor
@@ -107,6 +108,7 @@ def _site_facts(settings: Settings, now: UnixTime) -> Iterator[Facts]:
     yield backup_facts(settings, now)
     yield _publisher_facts(settings, now)
     yield _peer_facts(settings)
+    yield _opcua_facts(settings)
 
 
 def disk_facts(settings: Settings, now: UnixTime) -> Facts:
@@ -194,6 +196,19 @@ def _peer_facts(settings: Settings) -> Facts:
         else:
             lines.append(Message.of("peer_not_read", peer=peer.name, reason=fault))
     return Facts({"peers": shown}, lines)
+
+
+def _opcua_facts(settings: Settings) -> Facts:
+    if settings.opcua is None:
+        return Facts({"opcua": None}, [])
+    host, port = settings.opcua_address
+    try:
+        serves = asyncio.run(is_opcua_server(host, port))
+    except OSError:
+        serves = False
+    place = f"{host}:{port}"
+    code = "check_opcua" if serves else "check_opcua_off"
+    return Facts({"opcua": {"address": place, "serves": serves}}, [Message.of(code, place=place)])
 
 
 def peer_faults(settings: Settings) -> list[tuple[PeerSettings, Message | None]]:

@@ -75,6 +75,7 @@ CHAPTERS = (
     Chapter("scale.md", DO),
     Chapter("plant-database.md", DO),
     Chapter("mqtt.md", DO),
+    Chapter("opcua.md", DO),
     Chapter("configuration.md", LOOK_UP),
     Chapter("alarms.md", LOOK_UP),
     Chapter("guide/command-line.md", LOOK_UP),

@@ -40,8 +40,10 @@ def machine_zone() -> str:
     """Return the IANA name of the zone that the machine is set to (TZ, /etc/localtime, /etc/timezone); UTC
     where it has none that is in the list, such as a TZ of POSIX rules. Read once: a server keeps its zone."""
     try:
-        name = getattr(get_localzone(), "key", None)
-        if name is None:
+        found = get_localzone()
+        # Where pytz is installed, which asyncua needs, it is a zone of that: "local" by its file.
+        name = getattr(found, "key", None) or getattr(found, "zone", None)
+        if name in (None, "local"):
             # The name of a zone by where its file is: …/zoneinfo/Europe/Berlin.
             file = Path(os.environ.get("TZ", "").removeprefix(":") or LOCALTIME)
             name = str(file.resolve()).partition(_FOLDER)[2]

@@ -289,6 +289,12 @@ def tokens(connection: StoreConnection) -> list[Token]:
     return [_token(row) for row in connection.execute(f"SELECT {_TOKEN} FROM tokens ORDER BY name")]
 
 
+def token_hashes(connection: StoreConnection) -> list[tuple[bytes, Token]]:
+    """Return all tokens with the hashes of their secrets."""
+    rows = connection.execute(f"SELECT {_TOKEN}, hash FROM tokens ORDER BY name")
+    return [(row["hash"], _token(row)) for row in rows]
+
+
 def token(connection: StoreConnection, hash_: bytes) -> Token | None:
     row = connection.execute(f"SELECT {_TOKEN} FROM tokens WHERE hash = ?", (hash_,)).fetchone()
     return _token(row) if row else None

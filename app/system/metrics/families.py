@@ -21,6 +21,7 @@ from app.line.history.status import HistoryStatus
 from app.line.live.bus_live import BusLive, LiveState, draw_of, speed_decimals, unit_link_now
 from app.people.audit.anchor import AnchorStatus
 from app.system.mqtt.session import NodeSession
+from app.system.opcua.process import OpcuaProcess
 from app.system.postgresql.publisher import PublisherStatus
 from app.version import VERSION
 from bus.catalogue.values import OUTPUT_NUMBERS, output_is_on
@@ -46,7 +47,8 @@ _ALARM_FACTS: dict[str, tuple[str, Callable[[Alarm], bool]]] = {
 class Measured:
     """What the metrics are made of, at one moment. ``pages``: how many are open; ``commands``: how many had
     which outcome; ``newest_backup``: when it was begun, None where there are to be none; ``publisher``: None
-    without a plant's database; ``nodes``: None without a broker; ``data``: the folder of the stores."""
+    without a plant's database; ``nodes``: None without a broker; ``opcua``: none where that is
+    not served; ``data``: the folder of the stores."""
 
     live: LiveState
     pages: int
@@ -57,6 +59,7 @@ class Measured:
     newest_backup: UnixTime | None
     publisher: PublisherStatus | None
     nodes: Iterable[NodeSession] | None
+    opcua: Iterable[OpcuaProcess]
     data: Path
 
 
@@ -91,6 +94,8 @@ class LineCollector(Collector):
             yield from _publisher_metrics(publisher, unix_now())
         if measured.nodes is not None:
             yield from _node_metrics(measured.nodes)
+        for process in measured.opcua:
+            yield from _opcua_metrics(process)
         degraded = 1 if measured.anchor.altered or measured.anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
         yield GaugeMetricFamily("lineside_audit_degraded", words, value=degraded)
@@ -161,6 +166,25 @@ def _node_metrics(nodes: Iterable[NodeSession]) -> Iterator[Metric]:
         sent.add_metric([bus], node.status.sent)
         refused.add_metric([bus], node.node.refused)
     yield from (up, lag, sent, refused)
+
+
+def _opcua_metrics(process: OpcuaProcess) -> Iterator[Metric]:
+    status = process.status
+    gauges = {
+        "up": ("0 while OPC UA is not served", float(status.is_serving)),
+        "sessions": ("Sessions of OPC UA clients", status.sessions),
+        "subscriptions": ("Subscriptions of OPC UA clients", status.subscriptions),
+        "memory_bytes": ("What the OPC UA process takes of the memory", status.memory_bytes),
+    }
+    for name, (words, value) in gauges.items():
+        yield GaugeMetricFamily(f"lineside_opcua_{name}", words, value=value)
+    counters = {
+        "refused": ("Connections, sessions and requests by OPC UA that the process refused", status.refused),
+        "restarts": ("How often the OPC UA process was started again", process.restarts),
+        "cpu_seconds": ("CPU time of the OPC UA process", status.cpu_s),
+    }
+    for name, (words, value) in counters.items():
+        yield CounterMetricFamily(f"lineside_opcua_{name}", words, value=value)
 
 
 def _readings(buses: Iterable[tuple[str, BusLive]], now: UnixTime) -> Iterator[Metric]:

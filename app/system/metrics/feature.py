@@ -19,6 +19,7 @@ from app.people.audit.anchor import Anchoring
 from app.people.audit.log import EventLog, Logged
 from app.system.backup.service import Backups
 from app.system.mqtt.session import Nodes
+from app.system.opcua.process import OpcuaProcesses
 from app.system.postgresql.publisher import Publisher
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
@@ -56,6 +57,7 @@ async def metrics(request: Request, _: Viewer) -> Response:
         newest_backup=services[Backups].newest,
         publisher=services[Publisher].status if services.settings.postgresql else None,
         nodes=services[Nodes] if services.settings.mqtt else None,
+        opcua=services[OpcuaProcesses],
         data=services.settings.server.data,
     )
     return Response(text(measured), media_type=CONTENT_TYPE_LATEST)

@@ -22,6 +22,7 @@ from app.line.history.status import MAX_DAYS
 from app.people.audit.anchor import EVERY_S, Anchoring
 from app.system.backup.service import Backups
 from app.system.mqtt.session import Nodes
+from app.system.opcua.process import OpcuaProcesses
 from app.system.peers.board import LineTiles
 from app.system.postgresql.publisher import Publisher
 from app.system.state.disk import forecast, store_sizes
@@ -56,6 +57,7 @@ async def system_rows(services: Services, now: UnixTime, monotonic: Monotonic) -
         _alarmed(services, _plant_database(services, now), "publisher_day_behind", "publisher_behind"),
         _alarmed(services, _certificate(services), "certificate_expiring"),
         *_nodes(services, now),
+        *_opcua(services, now),
         *_peers(services, now, monotonic),
     ]
     shown = {row.alarm for row in rows}
@@ -144,6 +146,18 @@ def _nodes(services: Services, now: UnixTime) -> Iterator[SystemRow]:
             Message("system_always"),
             Message("system_check_broker") if node.status.fault else None,
             "mqtt",
+        )
+
+
+def _opcua(services: Services, now: UnixTime) -> Iterator[SystemRow]:
+    for process in services[OpcuaProcesses]:
+        yield SystemRow(
+            Message("system_opcua"),
+            process.state(),
+            now if process.status.is_serving else None,
+            Message("system_always"),
+            process.to_do,
+            "opcua",
         )
 
 

@@ -1,0 +1,1 @@
+"""The OPC UA server: the lines of this site, read only, in a process of its own."""

@@ -1,0 +1,29 @@
+"""The table ``[opcua]`` of lineside.toml."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from bus.settings import StrictModel
+from bus.validation import OneLine
+
+FOLDER = "opcua"
+"""In the data folder: the certificate of the server, and whom it trusts."""
+ShortText = Annotated[OneLine, Field(max_length=100)]
+
+
+class OpcuaSettings(StrictModel):
+    """The OPC UA server."""
+
+    host: Annotated[OneLine, Field(max_length=253)] = ""
+    """Where it listens; empty: where the dashboard does."""
+    port: Annotated[int, Field(strict=True, ge=1, le=65535)] = 4840
+    names: Annotated[
+        tuple[Annotated[OneLine, Field(min_length=1, max_length=253)], ...], Field(max_length=20)
+    ] = ()
+    """Further names and addresses of this machine, for the certificate that is made at the first start."""
+    manufacturer: ShortText = ""
+    """Who built the machine, in its identification."""
+    serial_number: ShortText = ""
