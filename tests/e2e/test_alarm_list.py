@@ -213,7 +213,7 @@ def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, browse
     expect(head).to_have_text(re.compile(r"^\s*No alarms\s*$"))
     boxes = page.evaluate(BOXES)
     stop(site, 2, active=True)
-    expect(head).to_have_text(re.compile(r"1 alarm\s*1 to acknowledge"))
+    expect(head).to_have_text(re.compile(r"1 alarm active\s*1 to acknowledge"))
     expect(head).to_have_attribute("data-is", "urgent waiting")
     expect(page.locator(".top__verdict")).to_contain_text(re.compile(r"active since \d\d:\d\d"))
     shape = head.locator(".alarm-priority__shape")
@@ -232,7 +232,7 @@ def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, browse
     expect(shape).to_have_css("opacity", "1")
     site.line.remote.do("mode", unit=3, to="local")
     try:
-        expect(head).to_have_text(re.compile(r"1 alarm\s*2 to acknowledge"))
+        expect(head).to_have_text(re.compile(r"1 alarm active\s*2 to acknowledge"))
         expect(head).to_have_attribute("data-is", "low waiting")
         assert page.evaluate(BOXES) == boxes
     finally:

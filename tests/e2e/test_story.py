@@ -135,7 +135,7 @@ def test_what_is_read_aloud_of_the_line_and_the_alarms_is_in_order(
         page = opened(browser_page("operator", viewport=PANEL), "/?view=tiles")
         expect(page.locator(".well__verdict")).to_contain_text("Stopped")
         head = page.evaluate(SPOKEN, ".top")
-        assert head[1:3] == ["1 alarm", "1 to acknowledge"]
+        assert head[1:3] == ["1 alarm active", "1 to acknowledge"]
         overview = page.evaluate(SPOKEN, ".overview")
         assert overview[0] == "Coater"
         cause, since = re.fullmatch(r"· (.+) (since \d\d:\d\d)", overview[1]).groups()  # type: ignore[union-attr]
@@ -253,7 +253,7 @@ def test_what_is_read_aloud_of_the_other_pages_of_an_operator_is_in_order(
         assert said[:5] == ["Lines", "1 line, the worst first", "line", "urgent", name]
         assert said[5].startswith("Stopped: emergency stop active since")
         assert said[6] == "Speed of the first unit:"
-        assert re.fullmatch(r"\d alarms? · \d to acknowledge", said[9])
+        assert re.fullmatch(r"\d alarms? active · \d to acknowledge", said[9])
         is_announced_in_order(page)
     finally:
         site.line.remote.do("input", unit=4, input="estop", on=False)

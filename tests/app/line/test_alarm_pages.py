@@ -237,9 +237,9 @@ async def test_every_page_counts_the_alarms_before_a_script_runs(house: House) -
     assert head(await page(viewer, "/events")) == ("", "No alarms", "")
     estop(house.services, active=True)
     for path in ("/", "/events", "/alarms"):
-        assert head(await page(viewer, path)) == ("urgent waiting", "1 alarm", "1 to acknowledge")
+        assert head(await page(viewer, path)) == ("urgent waiting", "1 alarm active", "1 to acknowledge")
     viewer.headers["Accept-Language"] = "de"
-    assert head(await page(viewer, "/events"))[1:] == ("1 Alarm", "1 zu quittieren")
+    assert head(await page(viewer, "/events"))[1:] == ("1 Alarm aktiv", "1 zu quittieren")
     line = await page(viewer, "/?view=tiles")
     assert f'data-live-is="{BUS}/1.alarm" data-is="urgent waiting"' in line
     words = re.search(r'class="tile__why"><b[^>]*>([^<]*)</b>\s*<span[^>]*>([^<]*)<', line)
@@ -271,11 +271,11 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
         "alarm_at": f"/alarms/{ESTOP}.1",
     }
     remote_off(house, unit=2)
-    assert shown() == ("low waiting", "1 alarm", "2 to acknowledge")
+    assert shown() == ("low waiting", "1 alarm active", "2 to acknowledge")
     await operator.post("/alarms/acknowledge", data={"id": f"{BUS}.2.not_in_remote.1"})
-    assert shown() == ("low", "1 alarm", "1 to acknowledge")
+    assert shown() == ("low", "1 alarm active", "1 to acknowledge")
     await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
-    assert shown() == ("low", "1 alarm", "")
+    assert shown() == ("low", "1 alarm active", "")
     assert set(banner.unit_fields(BUS, 1, translator(), now).values()) == {""}
 
 

@@ -129,7 +129,7 @@ def test_the_words_of_a_line() -> None:
     assert fields["place"] == "Nip"
     assert fields["verdict"].startswith("Keine Antwort seit")
     assert fields["counts"] == "8/8 aktuell · 7 auf Sollwert · 1 in Rampe"
-    assert (fields["alarm_mark"], fields["alarms"]) == ("high", "1 Alarm · 1 zu quittieren")
+    assert (fields["alarm_mark"], fields["alarms"]) == ("high", "1 Alarm aktiv · 1 zu quittieren")
     assert (fields["scan"], fields["speed"]) == ("4,6", "110,5")
 
 
