@@ -166,6 +166,8 @@ def all_well(units: int, counts: Counter[str], speed: Message | None) -> Message
         if speed is None:
             return Message.of("line_at_speed", n=units)
         return Message.of("line_running", n=units, speed=speed)
+    if late := units - counts["online"]:
+        return Message.of("line_partly_live", n=counts["at_speed"], units=units, late=late)
     return Message.of("line_partly_at_speed", n=counts["at_speed"], units=units)
 
 

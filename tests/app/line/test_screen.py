@@ -338,6 +338,14 @@ def test_time_alone_makes_stale_then_offline() -> None:
     assert shown.render_aged(111.0)["dry/1"]["link"] == "offline"
 
 
+def test_the_verdict_says_of_no_unit_that_is_stale_what_it_does() -> None:
+    live = line()
+    shown = screen(live)
+    live.buses["dry"].apply([reading(2, at=102.4)])
+    shown.render("dry", [2], 102.4, include_bus=False)
+    assert shown.render_aged(102.5)["line_summary"]["verdict"] == "1 of 2 at speed, 1 not live"
+
+
 def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
     live = line()
     shown = screen(live)
