@@ -246,6 +246,7 @@ interface TrendWords extends DOMStringMap {
   every: string;
   fault: string;
   full: string;
+  hole: string;
   holes: string;
   language: string;
   late: string;

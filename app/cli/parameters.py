@@ -91,7 +91,7 @@ def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows]
 
 
 def _set(bus: str, units: list[UnitRows], missing: dict[int, Message]) -> ParameterSet:
-    comment = str(Message.of("units_not_read", units=list(missing))) if missing else ""
+    comment = str(Message.of("units_not_read", n=len(missing), units=list(missing))) if missing else ""
     return ParameterSet(bus, unix_now(), "lineside backup", "by hand", tuple(units), comment=comment)
 
 

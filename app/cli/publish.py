@@ -53,7 +53,7 @@ def publish(since: str, until: str, config: Path) -> None:
         rows = HistoryRows(settings.bus, to.step)
         sent = sum(_shown(fill(site, history, destination, rows, span), zone))
     start, end = (site_time(UnixTime(at / SECOND), zone) for at in span)
-    report(Message.of("published_past", rows=number(str(sent)), start=start, end=end, place=to.place))
+    report(Message.of("published_past", n=sent, rows=number(str(sent)), start=start, end=end, place=to.place))
     if rows.damaged:
         report(Message.of("published_without", n=len(rows.damaged)))
 

@@ -277,7 +277,7 @@ def _configured(bus: BusSettings) -> Message:
 
 
 def _line(bus: dict[str, Any]) -> Message:
-    units = {"bus": bus["name"], "online": bus["units_online"], "units": bus["units"], "link": bus["link"]}
+    units = {"bus": bus["name"], "online": bus["units_online"], "n": bus["units"], "link": bus["link"]}
     if bus["link_cause"]:
         return Message("bus_not_open", {**units, "cause": bus["link_cause"]["detail"]})
     if bus["scan_hz"]:

@@ -93,7 +93,7 @@ class Pipeline:
 
     def readings_came_late(self, at: UnixTime, count: int, since: UnixTime, until: UnixTime) -> None:
         """Record that the worker delivered readings of an earlier span; trends mark it."""
-        what = Message.of("event_readings_late", count=count, since=iso(since), until=iso(until))
+        what = Message.of("event_readings_late", n=count, count=count, since=iso(since), until=iso(until))
         self._recorder.note(LineEvent("worker", None, at, what, "", "", series=what.code))
 
     def worker_disconnected(self, at: UnixTime, cause: Message) -> None:

@@ -92,7 +92,8 @@ export function summaryText(results) {
   const lines = results.map((result) => {
     const found = summary(result);
     if (!found) return `${result.name}: ${words().nothing}`;
-    const holes = found.holes ? `, ${words().holes.replace("{n}", String(found.holes))}` : "";
+    const gaps = found.holes === 1 ? words().hole : words().holes.replace("{n}", String(found.holes));
+    const holes = found.holes ? `, ${gaps}` : "";
     return `${result.name}: ${shownValue(result, found.least)} … ${shownValue(result, found.greatest)}${holes}`;
   });
   return lines.join("; ");

@@ -47,7 +47,7 @@ def span_fault(span: Shift, now: UnixTime, units: int) -> Message | None:
         return Message.of("report_span_too_long", days=MAX_DAYS)
     if days * units > MAX_UNIT_DAYS:
         most = max(1, int(MAX_UNIT_DAYS / units))
-        return Message.of("report_too_many_units", units=units, days=most)
+        return Message.of("report_too_many_units", n=most, units=units, days=most)
     return None
 
 
