@@ -12,3 +12,74 @@ def opened(page: Page, path: str) -> Page:
     page.goto(path)
     expect(page.locator(LIVE)).to_be_attached()
     return page
+
+
+PAGES = {
+    "/": "/",
+    "/units/{bus}/{unit:int}": "/units/line/1",
+    "/units/{bus}/{unit:int}/parameters": "/units/line/1/parameters",
+    "/setpoints": "/setpoints",
+    "/bus/{bus}": "/bus/line",
+    "/alarms": "/alarms",
+    "/alarms/{alarm_id}": "/alarms/line.1.estop_active.0",
+    "/users": "/users",
+    "/help": "/help",
+    "/system": "/system",
+    "/account": "/account",
+    "/help/legend": "/help/legend",
+    # The others are walked by ``make soak``.
+    "/alarms/journal": "/alarms/journal",
+    "/alarms/own": "/alarms/own?place=line/1&value=actual&above=1&days=1",
+    "/alarms/performance": "/alarms/performance",
+    "/batch/{bus}": "/batch/line?number=6",
+    "/configuration": "/configuration",
+    "/configuration/bus/{index}": "/configuration/bus/0",
+    "/configuration/tables/{name}": "/configuration/tables/bus.0.unit.0",
+    "/configuration/versions/{number}": "/configuration/versions/1",
+    "/events": "/events?since=2026-01-01",
+    "/find": "/find?typed=unwind",
+    "/help/{name:path}": "/help/hardware",
+    "/lines": "/lines",
+    "/notifications": "/notifications",
+    "/recipes": "/recipes",
+    "/recipes/{recipe_id}": "/recipes/1",
+    "/reports": "/reports?span=today",
+    "/sets": "/sets",
+    "/sets/compare": "/sets/compare",
+    "/sets/{set_id}": "/sets/1",
+    "/shifts": "/shifts",
+    "/shifts/{start}": "/shifts/present",
+    "/swap/{bus}/{unit}": "/swap/line/1",
+    "/tray": "/tray",
+    "/trends": "/trends",
+    "/units/{bus}/{unit}/restore": "/units/line/1/restore",
+    "/wallboard": "/wallboard",
+}
+"""An address of each page, by its route. What is there after an act alone, such as a recipe, may be the page
+that says so."""
+WALKED = (*PAGES.values(), "/?view=rows", "/?view=matrix")
+NEEDS_MORE = {
+    "/docs": "a test of its own: thousands of elements",
+    "/login": "nobody who is signed in",
+    "/notifications/acknowledge": "the link of a mail",
+    "/offline": "no server",
+    "/restores/{restore_id}": "a restore that has been started",
+    "/sets/taking/{taking_id}": "a reading that has been started",
+    "/setup": "no user",
+    "/shifts/{start}/note": "a shift in its address",
+}
+"""Pages that a walk does not open, and what they need."""
+NO_PAGES = frozenset(
+    {
+        *("/alarms/list", "/alarms/own/values", "/bus", "/bus/{bus}/baud", "/bus/{bus}/control/{place}"),
+        *("/bus/{bus}/first-steps", "/bus/{bus}/staged/review", "/bus/{bus}/tray/review", "/bus/{bus}/undo"),
+        *("/bus/{bus}/undo/{id}", "/bus/{bus}/units", "/configuration/bus/{index}/scan", "/control"),
+        *("/favicon.ico", "/healthz", "/help/pictures/{name}", "/line/zero", "/live", "/login/oidc"),
+        *("/login/oidc/callback", "/manifest.webmanifest", "/metrics", "/recipes/{recipe_id}/review"),
+        *("/shifts/pictures/{digest}", "/shifts/present", "/static/{version}/{name:path}", "/sw.js"),
+        *("/swap/{bus}/{unit}/look", "/tray/strip", "/units/{bus}/{unit:int}/execute"),
+        *("/units/{bus}/{unit:int}/faceplate", "/units/{bus}/{unit:int}/outputs/{number:int}"),
+        *("/units/{bus}/{unit}/drift", "/users/tokens/{name}/revoke", "/users/{name}/remove"),
+    }
+)
+"""Routes of files, redirections and parts of pages."""

@@ -6,27 +6,16 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from fastapi.routing import APIRoute
 from playwright.sync_api import Locator, Page, expect
 
+from app.main import FEATURES
 from tests.e2e.conftest import OpensPages
-from tests.e2e.pages import opened
+from tests.e2e.pages import NEEDS_MORE, NO_PAGES, PAGES, WALKED, opened
 from tests.e2e.site import AT_REST, Site
 from tests.sizes import sizes
 
 WIDTHS = (360, 640, 768, 1000)
-PAGES = (
-    "/",
-    "/units/line/1",
-    "/setpoints",
-    "/events",
-    "/trends",
-    "/bus/line",
-    "/sets",
-    "/batch/line?number=6",
-    "/configuration",
-    "/system",
-    "/configuration/tables/bus.0.unit.0",
-)
 COVERED = """() => {
   const pressed = "a[href], button, summary, input:not([type=hidden]), select, textarea";
   const said = [];
@@ -73,12 +62,23 @@ def site(line_server: Callable[..., Site]) -> Site:
     return made
 
 
-@pytest.mark.parametrize("path", sizes(*PAGES))
+@pytest.mark.parametrize("path", sizes(*WALKED))
 def test_nothing_lies_over_what_can_be_pressed(shared_page: OpensPages, path: str) -> None:
-    page = opened(shared_page("engineer", viewport={"width": 1280, "height": 600}), path)
+    page = opened(shared_page("admin", viewport={"width": 1280, "height": 600}), path)
     for width in WIDTHS:
         page.set_viewport_size({"width": width, "height": 600})
         assert page.evaluate(COVERED) == [], width
+
+
+def test_every_page_is_walked() -> None:
+    routes = {
+        route.path
+        for feature in FEATURES
+        for router in feature.routers
+        for route in router.routes
+        if isinstance(route, APIRoute) and "GET" in route.methods and not route.path.startswith("/api/")
+    }
+    assert routes == {*PAGES, *NEEDS_MORE, *NO_PAGES}
 
 
 @pytest.mark.soak

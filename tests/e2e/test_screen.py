@@ -11,32 +11,10 @@ from playwright.sync_api import Page, WebSocketRoute, expect
 from app.core.help.handbook import WITH_A_PAGE
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.limits import UNIT_MS
+from tests.e2e.pages import WALKED
 from tests.e2e.site import Site, eventually
 from tests.sizes import in_turn, sizes
 
-PAGES = [
-    "/",
-    "/units/line/1",
-    "/units/line/1/parameters",
-    "/setpoints",
-    "/bus/line",
-    "/alarms",
-    "/alarms/line.1.estop_active.0",
-    "/?view=rows",
-    "/help",
-    "/system",
-    "/account",
-    "/help/legend",
-    # The others are walked by ``make soak``.
-    "/?view=matrix",
-    "/alarms/journal",
-    "/alarms/performance",
-    "/alarms/own?place=line/1&value=actual&above=1&days=1",
-    "/reports?span=today",
-    "/notifications",
-    "/configuration",
-    "/help/hardware",
-]
 PHONE = {"width": 360, "height": 740}
 PANEL = {"width": 1280, "height": 800}
 RUNNING = re.compile(r"^\s*Running 119\.4 m/min · all 8 at speed\s*$")
@@ -58,15 +36,19 @@ def too_wide(page: Page) -> int:
 @pytest.mark.parametrize(
     ("path", "locale"),
     # Thousands of elements, of which axe judges each six times.
-    [*in_turn(PAGES, (ENGLISH, GERMAN), first=12), pytest.param("/docs", ENGLISH, marks=pytest.mark.soak)],
+    [*in_turn(WALKED, (ENGLISH, GERMAN), first=12), pytest.param("/docs", ENGLISH, marks=pytest.mark.soak)],
 )
 def test_a_page_is_accessible_and_fits_its_window(
     shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str
 ) -> None:
-    page = opened(shared_page("engineer", viewport=PHONE, locale=locale), path)
-    expect(page.locator(".rail__item[aria-current]:visible")).to_be_in_viewport(ratio=1)
+    page = opened(shared_page("admin", viewport=PHONE, locale=locale), path)
+    has_place = page.locator(".rail__item[aria-current]").count() > 0
+    current = page.locator(".rail__item[aria-current]:visible")
+    if has_place:
+        expect(current).to_be_in_viewport(ratio=1)
     assert flaws(page, locale) == []
-    expect(page.locator(".rail__item[aria-current]:visible")).to_be_in_viewport(ratio=1)
+    if has_place:
+        expect(current).to_be_in_viewport(ratio=1)
 
 
 @pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
