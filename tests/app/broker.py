@@ -11,20 +11,25 @@ from pathlib import Path
 from typing import Self
 
 import aiomqtt
+import pytest
 
 from tests.app.fake_worker import until
 from tests.app.sparkplug import Host
 from tests.free_port import free_port
-from tests.unpacked import environment, program
+from tests.unpacked import beside, environment, program
+
+FAKETIME = "usr/lib/*-linux-gnu/faketime/libfaketimeMT.so.1"
 
 
 @dataclass
 class Broker:
-    """``more``: lines of its configuration; it listens on this machine only and keeps nothing."""
+    """``more``: lines of its configuration; it listens on this machine only and keeps nothing. ``clock``: the
+    time that it believes in."""
 
     folder: Path
     more: str = "allow_anonymous true"
     port: int = field(default_factory=free_port)
+    clock: str = ""
     _process: subprocess.Popen[bytes] | None = None
 
     def __post_init__(self) -> None:
@@ -35,10 +40,18 @@ class Broker:
         config.write_text(f"listener {self.port} 127.0.0.1\npersistence false\nuser root\n{self.more}\n")
         self._process = subprocess.Popen(
             [self.executable, "-c", str(config)],
-            env=environment("mosquitto"),
+            env=environment("mosquitto", **self._other_clock()),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
+
+    def _other_clock(self) -> dict[str, str]:
+        if not self.clock:
+            return {}
+        library = beside("mosquitto", FAKETIME)
+        if not library:
+            pytest.skip("libfaketime is not here: make development unpacks it from Debian's packages")
+        return {"LD_PRELOAD": library[0], "FAKETIME": f"@{self.clock}", "DONT_FAKE_MONOTONIC": "1"}
 
     async def start(self) -> None:
         """Start it, and wait until it listens."""

@@ -9,11 +9,11 @@ from the history, marked as historical. Only what was on its way in that moment 
 from __future__ import annotations
 
 import asyncio
-import re
+import logging
 import socket
 import ssl
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Sequence
-from contextlib import asynccontextmanager, closing, suppress
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from hashlib import blake2b
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
 KEEP_ALIVE_S = 10
 CONNECT_S = 10.0
-LOOK_S = 2.0
-"""How long a broker that was silent is looked at once more."""
 RETRY_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 """The time between two attempts, of which the last repeats."""
 STEADY_S = 30.0
@@ -61,7 +59,6 @@ SETTLED_S = 1.0
 """How long the readings of a moment are awaited in the history."""
 MAX_COMMAND = 64 * 1024
 QUALITY_OF_SERVICE = 1
-_ERRNO = re.compile(r"^\[Errno -?\d+\] ")
 log = structlog.get_logger()
 
 
@@ -88,6 +85,8 @@ async def connected(
 
     last = None if will is None else aiomqtt.Will(will.topic, will.payload, QUALITY_OF_SERVICE)
     place, was_connected = settings.place, False
+    library_log, errors = logging.Logger("mqtt", logging.ERROR), _SocketErrors()
+    library_log.addHandler(errors)
     try:
         password = read_secret_text(settings.password_file) if settings.password_file else None
         async with aiomqtt.Client(
@@ -102,6 +101,7 @@ async def connected(
             keepalive=KEEP_ALIVE_S,
             timeout=CONNECT_S,
             tls_context=_tls(settings),
+            logger=library_log,
             max_queued_incoming_messages=1000,
             socket_options=((socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),),
         ) as client:
@@ -114,7 +114,7 @@ async def connected(
             raise BrokerError(Message.of("mqtt_dropped", place=place)) from None
         if isinstance(error, aiomqtt.MqttCodeError):
             raise BrokerError(Message.of("mqtt_refused", place=place, reason=str(error.rc))) from None
-        raise BrokerError(await _why_not_reached(settings, error)) from None
+        raise BrokerError(_why_not_reached(place, errors.last, error.__context__ or error)) from None
 
 
 def _tls(settings: MqttSettings) -> ssl.SSLContext | None:
@@ -133,28 +133,28 @@ def _tls(settings: MqttSettings) -> ssl.SSLContext | None:
     return context
 
 
-async def _why_not_reached(settings: MqttSettings, error: Exception) -> Message:
-    """Return why there is no connection. Of a broker that takes it and is silent, the library states a
-    timeout only: it is looked at once more, as TLS 1.3 refuses a client certificate after the handshake."""
-    cause = error.__context__ or error
+class _SocketErrors(logging.Handler):
+    """Keeps the last error of the socket. The library only logs it where it comes before the broker's
+    response, as when TLS 1.3 refuses a client certificate, and states that the time was over."""
+
+    last: OSError | None = None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        arguments = record.args if isinstance(record.args, tuple) else ()
+        self.last = next((each for each in arguments if isinstance(each, OSError)), self.last)
+
+
+def _why_not_reached(place: str, lost_by: OSError | None, cause: BaseException) -> Message:
+    """Return why there is no connection. ``lost_by``: what ended it before the broker responded."""
     if is_refused_certificate(cause):
-        return Message.of("mqtt_not_trusted", place=settings.place, reason=network_cause(cause))
-    if not isinstance(cause, TimeoutError):
-        reason = _ERRNO.sub("", str(error))
-        return Message.of("mqtt_not_reached", place=settings.place, reason=reason)
-    try:
-        async with asyncio.timeout(LOOK_S):
-            reader, writer = await asyncio.open_connection(
-                settings.host, settings.port, ssl=_tls(settings), limit=1
-            )
-            with closing(writer):
-                await reader.read(1)
-    except ssl.SSLError as found:
-        alert = (found.reason or "").rpartition("ALERT_")[2].replace("_", " ").lower()
-        return Message.of("mqtt_certificate_refused", place=settings.place, reason=alert)
-    except OSError:
-        pass
-    return Message.of("mqtt_silent", place=settings.place)
+        return Message.of("mqtt_not_trusted", place=place, reason=network_cause(cause))
+    if isinstance(lost_by, ssl.SSLError) and "_ALERT_" in (lost_by.reason or ""):
+        alert = lost_by.reason.rpartition("_ALERT_")[2].replace("_", " ").lower()
+        return Message.of("mqtt_certificate_refused", place=place, reason=alert)
+    if lost_by is not None or (isinstance(cause, TimeoutError) and not cause.args):
+        return Message.of("mqtt_silent", place=place)
+    reason = getattr(cause, "strerror", None) or str(cause)
+    return Message.of("mqtt_not_reached", place=place, reason=reason)
 
 
 def identifier_for(*parts: str) -> str:

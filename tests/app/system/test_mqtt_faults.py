@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from pathlib import Path
 
 import pytest
@@ -10,10 +11,13 @@ import pytest
 from app.line.history.service import History
 from app.system.mqtt import session
 from bus.contract import Reading
-from tests.app.broker import Relay, listening, running
+from bus.messages import in_english
+from tests.app.broker import Broker, Relay, listening, running
+from tests.app.complete_app import complete_app
 from tests.app.fake_worker import PlayedWorker, reading, until
 from tests.app.sparkplug import Host
-from tests.app.system.test_mqtt_broker import as_received, node_of, site
+from tests.app.system.test_mqtt_broker import as_received, configuration, node_of, site
+from tests.app.system.test_mqtt_node import command
 
 UNITS = (1, 2, 16)
 
@@ -21,6 +25,7 @@ UNITS = (1, 2, 16)
 @pytest.fixture(autouse=True)
 def _soon_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session, "RETRY_S", (0.2,))
+    monkeypatch.setattr(session, "CONNECT_S", 2.0)
 
 
 async def feed(worker: PlayedWorker, sent: list[Reading], rounds: int) -> None:
@@ -73,4 +78,87 @@ async def test_each_reading_comes_once_over_losses(tmp_path: Path) -> None:
         for is_old in (True, False):
             times = [at for at, _, old in host.readings[f"Unit {unit}", "Speed/Actual"] if old is is_old]
             assert times == sorted(times)
+    assert host.faults == []
+
+
+async def test_a_broker_that_drops_every_second_connection_is_followed(tmp_path: Path) -> None:
+    """The screen and the history never wait for it."""
+    host = Host("dry-end", "Mill 7")
+    async with running(tmp_path) as broker, listening(broker, host):
+        relay = Relay(broker, is_cut=lambda number: number % 2 == 1)
+        async with relay.running(), site(tmp_path / "site", relay) as house:
+            sent: list[Reading] = []
+            lines = asyncio.create_task(feed(await house.worker(), sent, 100_000))
+            status = node_of(house).status
+            for _ in range(3):
+                await until(lambda: len(host.values) == 3, "every unit is born")
+                births = host.births
+                relay.cut()
+                await until(lambda: status.fault is not None, "it is said")
+                count = len(sent)
+                await until(lambda births=births: host.births > births, "it is born again")
+                assert len(sent) > count, "the line is followed meanwhile"
+                assert house.live.units[1].reading in sent[-4:]
+            lines.cancel()
+    assert relay.count >= 7
+    assert host.faults == []
+
+
+async def test_a_host_that_floods_rebirth_gets_one(tmp_path: Path) -> None:
+    host = Host("dry-end", "Mill 7")
+    async with running(tmp_path) as broker, listening(broker, host), site(tmp_path / "site", broker) as house:
+        worker = await house.worker()
+        await until(lambda: len(host.values) == 3, "every unit is born")
+        async with broker.client() as other:
+            for _ in range(500):
+                await other.publish("spBv1.0/Mill 7/NCMD/dry-end", command("Node Control/Rebirth"), qos=1)
+        await until(lambda: host.births >= 2, "it is born again")
+        await worker.update(reading(1, actual=1011))
+        await until(lambda: host.values["Unit 1"]["Speed/Actual"] == 101.1, "values are sent as before")
+        assert host.births <= 4, "one in five seconds"
+        assert node_of(house).node.refused == 0
+    assert host.faults == []
+
+
+async def test_two_servers_of_one_name_are_told_so(tmp_path: Path) -> None:
+    """Neither is ended by it."""
+    async with (
+        running(tmp_path) as broker,
+        site(tmp_path / "first", broker) as first,
+        site(tmp_path / "second", broker) as second,
+    ):
+        for house in (first, second):
+            status = node_of(house).status
+            await until(lambda status=status: status.fault is not None, "it is said")
+            assert status.fault is not None
+            assert "another client has the same identity" in in_english(status.fault)
+            assert (await house.http("viewer").get("/api/v1/sites")).status_code == 200
+
+
+async def test_the_clock_of_a_broker_does_not_matter(tmp_path: Path) -> None:
+    host = Host("dry-end", "Mill 7")
+    broker = Broker(tmp_path, more="allow_anonymous true", clock="1970-01-02 00:00:00")
+    async with broker, listening(broker, host), site(tmp_path / "site", broker) as house:
+        began = time.time()
+        await house.worker()
+        await until(lambda: len(host.values) == 3, "every unit is born")
+        for unit in UNITS:
+            ((at, _),) = received(host, unit)
+            assert abs(at / 1000 - began) < 60, "the time of the reading"
+    assert host.faults == []
+
+
+async def test_names_of_a_plant_become_topics(tmp_path: Path) -> None:
+    names = ("Nip", "NIP", "Coater +1/2 #")
+    host = Host("dry-end", "Mill - 7 -- north")
+    async with running(tmp_path) as broker, listening(broker, host):
+        config = configuration(tmp_path / "site", f"mqtt://127.0.0.1:{broker.port}", name="Mill / 7 +# north")
+        text = config.read_text()
+        for number, name in zip(UNITS, names, strict=True):
+            text = text.replace(f'"Unit {number}"', f'"{name}"')
+        config.write_text(text)
+        async with complete_app(tmp_path / "site", config=config) as house:
+            await house.worker()
+            await until(lambda: len(host.values) == 3, "every unit is born")
+            assert set(host.values) == {"Nip (1)", "NIP (2)", "Coater -1-2 -"}
     assert host.faults == []

@@ -75,7 +75,7 @@ async def test_tls_on_one_side_only_is_named(tmp_path: Path, monkeypatch: pytest
     files = certificates(tmp_path / "files")
     async with running(tmp_path, with_tls(files)) as broker:
         silent = await refusal(MqttSettings(url=f"mqtt://127.0.0.1:{broker.port}"))
-    assert "does not respond: one side may expect TLS and the other not" in silent
+    assert "does not respond as a broker: one side may expect TLS and the other not" in silent
     async with running(tmp_path, IN_CLEAR) as broker:
         settings = MqttSettings(url=f"mqtts://127.0.0.1:{broker.port}", ca_file=files / "ca.pem")
         assert "cannot be reached" in await refusal(settings)
