@@ -140,7 +140,7 @@ async def running(folder: Path, more: str = "allow_anonymous true") -> AsyncIter
 
 
 @asynccontextmanager
-async def listening(broker: Broker, host: Host) -> AsyncIterator[None]:
+async def listening(broker: Broker, host: Host, **login: str) -> AsyncIterator[None]:
     """Let a host take what the broker has, from before the first message on, also of a broker that is started
     again."""
     ready = asyncio.Event()
@@ -148,8 +148,8 @@ async def listening(broker: Broker, host: Host) -> AsyncIterator[None]:
     async def follow() -> None:
         while True:
             try:
-                async with broker.client() as client:
-                    await client.subscribe("spBv1.0/#", 1)
+                async with broker.client(**login) as client:
+                    await client.subscribe(f"spBv1.0/{host.group}/#", 1)
                     ready.set()
                     async for message in client.messages:
                         topic = str(message.topic)

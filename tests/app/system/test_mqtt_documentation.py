@@ -1,0 +1,87 @@
+"""What docs/mqtt.md gives to copy, tried: the settings, and the rules by which a broker keeps each server to
+its own."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from app.system.mqtt.node import LINES
+from app.system.mqtt.settings import MqttSettings
+from tests.app.broker import Broker, listening
+from tests.app.complete_app import complete_app
+from tests.app.fake_worker import until
+from tests.app.sparkplug import Host
+from tests.app.system.test_mqtt_broker import configuration, node_of
+from tests.app.system.test_mqtt_node import command
+from tests.unpacked import environment, program
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "mqtt.md"
+BLOCKS = re.findall(r"```(\w*)\n(.*?)```", PAGE.read_text(), re.DOTALL)
+PASSWORD = "of the test"
+
+
+def block(begin: str) -> str:
+    """The one block that begins with a line."""
+    (found,) = (text for _, text in BLOCKS if text.startswith(begin))
+    return str(found)
+
+
+@pytest.mark.parametrize("text", [text for kind, text in BLOCKS if kind == "toml" and "[mqtt]" in text])
+def test_the_settings_are_valid(text: str) -> None:
+    assert MqttSettings(**tomllib.loads(text)["mqtt"]).uses_tls
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Broker:
+    """A broker with the documented rules, for another server too, and one who may read everything."""
+    mill7 = block("user mill7")
+    mill8 = mill7.replace("mill7", "mill8").replace("Mill 7", "Mill 8")
+    (tmp_path / "acl").write_text(f"{mill7}\n{mill8}\n{block('user scada')}\nuser observer\ntopic read #\n")
+    passwords = tmp_path / "passwords"
+    passwords.touch(0o600)
+    for user in ("mill7", "mill8", "scada", "observer"):
+        words = [program("mosquitto_passwd"), "-b", str(passwords), user, PASSWORD]
+        subprocess.run(words, check=True, env=environment("mosquitto_passwd"), capture_output=True)
+    return Broker(tmp_path, f"password_file {passwords}\nacl_file {tmp_path}/acl")
+
+
+async def test_the_rules_let_a_server_publish_its_own_and_nothing_else(
+    tmp_path: Path, broker: Broker
+) -> None:
+    host = Host("dry-end", "Mill 7")
+    secret = tmp_path / "secret"
+    secret.write_text(PASSWORD)
+    secret.chmod(0o600)
+    keys = f'username = "mill7"\npassword_file = "{secret}"\noverview = true'
+    config = configuration(tmp_path / "site", f"mqtt://127.0.0.1:{broker.port}", keys)
+    observer = {"username": "observer", "password": PASSWORD}
+    async with (
+        broker,
+        listening(broker, host, **observer),
+        complete_app(tmp_path / "site", config=config) as house,
+        broker.client(username="mill8", password=PASSWORD) as intruder,
+        broker.client(username="scada", password=PASSWORD) as scada,
+        broker.client(**observer) as everything,
+    ):
+        await house.worker()
+        await until(lambda: len(host.values) == 3, "every unit is born")
+        await scada.publish("spBv1.0/Mill 7/NCMD/dry-end", command("Node Control/Rebirth"), qos=1)
+        await until(lambda: host.births == 2, "the host may request a rebirth")
+        await everything.subscribe("#", 1)
+        forbidden = ("NBIRTH/dry-end", "NDEATH/dry-end", "DDATA/dry-end/Unit 1", "NCMD/dry-end")
+        for topic in (*(f"spBv1.0/Mill 7/{each}" for each in forbidden), f"{LINES}/Mill 7/dry-end"):
+            await intruder.publish(topic, b"forged", qos=1)
+        await scada.publish("spBv1.0/Mill 7/DCMD/dry-end/Unit 1", b"forged", qos=1)
+        await intruder.publish("spBv1.0/Mill 8/NBIRTH/own", b"the last", qos=1)
+        awaited = {f"{LINES}/Mill 7/dry-end", "spBv1.0/Mill 8/NBIRTH/own"}
+        async for message in everything.messages:
+            assert message.payload != b"forged", message.topic
+            awaited.discard(str(message.topic))
+            if not awaited:
+                break
+        assert node_of(house).node.refused == 0
