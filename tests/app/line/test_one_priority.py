@@ -24,8 +24,6 @@ from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, scr
 
 NOW = 100.0
 CSS = "\n".join(path.read_text(encoding="utf-8") for path in (static_dir() / "css").rglob("*.css"))
-DRAWN_BY_PRIORITY = sorted(set(re.findall(r'([.\w-]+)\[data-is="low"\](?= \{|::)', CSS)))
-"""What draws the level of a unit or line by a style for each."""
 
 
 def of_alarm(code: str) -> AlarmPriority:
@@ -113,10 +111,12 @@ def test_a_condition_of_parameters_has_the_priority_of_its_alarm() -> None:
 
 @pytest.mark.parametrize("priority", PRIORITIES)
 def test_every_surface_draws_every_priority(priority: AlarmPriority) -> None:
-    assert {".status", ".verdict"} <= set(DRAWN_BY_PRIORITY)
-    assert [name for name in DRAWN_BY_PRIORITY if f'{name}[data-is="{priority}"]' not in CSS] == []
-    assert f'[data-is="{priority}"] > .shape' in CSS
-    assert f'.alarm-priority[data-is^="{priority}"]' in CSS
+    (drawn,) = re.findall(rf'(?m)^\[data-is\^="{priority}"\], [^{{}}]*\{{([^}}]*)\}}', CSS)
+    assert {"--level", "--level-ink", "--level-text", "--level-shape", "--level-number"} == set(
+        re.findall(r"(--[\w-]+):", drawn)
+    )
+    assert f"--level: var(--{priority});" in drawn
+    assert re.findall(rf'\[data-is="{priority}"\][^{{}}]*\{{[^}}]*var\(--{priority}\)', CSS) == []
     assert f'id="{priority}"' in (static_dir() / "icons" / "sprite.svg").read_text(encoding="utf-8")
 
 
