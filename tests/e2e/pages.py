@@ -58,6 +58,8 @@ PAGES = {
 """An address of each page, by its route. What is there after an act alone, such as a recipe, may be the page
 that says so."""
 WALKED = (*PAGES.values(), "/?view=rows", "/?view=matrix")
+BESIDE_THE_RAIL = (PAGES["/find"], "/lines", "/tray", "/wallboard")
+"""Pages that no item of the rail stands for on a phone with one line."""
 NEEDS_MORE = {
     "/docs": "a test of its own: thousands of elements",
     "/login": "nobody who is signed in",

@@ -138,6 +138,9 @@ def _plant_database(services: Services, now: UnixTime) -> SystemRow:
 
 
 def _nodes(services: Services, now: UnixTime) -> Iterator[SystemRow]:
+    if not services[Nodes]:
+        to_do = Message("system_set_broker")
+        yield SystemRow(Message("system_no_broker"), Message("system_not_set_up"), to_do=to_do, help="mqtt")
     for node in services[Nodes]:
         yield SystemRow(
             Message.of("system_broker", node=node.node.name),
