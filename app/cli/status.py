@@ -31,6 +31,7 @@ from app.records.handover.rules import site_time
 from app.settings import Settings, load
 from app.system.backup.folder import next_due
 from app.system.backup.service import newest_in
+from app.system.mqtt.backlog import read_backlog
 from app.system.opcua.probe import is_opcua_server
 from app.system.peers.client import fault_of
 from app.system.peers.settings import PeerSettings
@@ -107,6 +108,7 @@ def _site_facts(settings: Settings, now: UnixTime) -> Iterator[Facts]:
     yield certificate_facts(settings)
     yield backup_facts(settings, now)
     yield _publisher_facts(settings, now)
+    yield _node_facts(settings, now)
     yield _peer_facts(settings)
     yield _opcua_facts(settings)
 
@@ -185,6 +187,30 @@ def _publisher_facts(settings: Settings, now: UnixTime) -> Facts:
     time = site_time(until, ZoneInfo(settings.site.zone))
     line = Message.of("status_publisher", place=place, until=time, seconds=lag)
     return Facts({"publisher": {"database": place, "until": iso(until), "lag_s": lag}}, [line])
+
+
+def _node_facts(settings: Settings, now: UnixTime) -> Facts:
+    """Read up to when the broker has everything of each line, as far as the store knows."""
+    if settings.mqtt is None:
+        return Facts({"nodes": []}, [])
+    place, zone = settings.mqtt.place, ZoneInfo(settings.site.zone)
+    received = dict.fromkeys((bus.name for bus in settings.bus), 0)
+    with suppress(StoreError), examining(settings.server.store) as connection:
+        if has_table(connection, "mqtt_node"):
+            received = {bus.name: read_backlog(connection, bus).received for bus in settings.bus}
+    shown, lines = [], []
+    for name, until in received.items():
+        at, lag = seconds(until), max(0, int(now - seconds(until)))
+        known = {"until": iso(at), "lag_s": lag} if until else {"until": None, "lag_s": None}
+        shown.append({"broker": place, "node": name} | known)
+        if until:
+            line = Message.of(
+                "status_node", place=place, node=name, until=site_time(at, zone), seconds=number(str(lag))
+            )
+        else:
+            line = Message.of("status_node_first", place=place, node=name)
+        lines.append(line)
+    return Facts({"nodes": shown}, lines)
 
 
 def _peer_facts(settings: Settings) -> Facts:

@@ -42,7 +42,7 @@ def make(services: Services) -> None:
         services[SystemsBeside].append(each.state)
     if settings.mqtt.overview:
         own = frozenset(each.node.document_topic for each in nodes)
-        lines = BrokerLines(settings.mqtt, board, own)
+        lines = nodes.overview = BrokerLines(settings.mqtt, board, own)
         services.lifespan.add("lines of the broker", lines.follow)
         services[SystemsBeside].append(lines.state)
 

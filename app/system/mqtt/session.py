@@ -41,6 +41,8 @@ from bus.tls import TlsFileError, load_authority, load_pair
 if TYPE_CHECKING:
     import aiomqtt
 
+    from app.system.mqtt.overview import BrokerLines
+
 KEEP_ALIVE_S = 10
 CONNECT_S = 10.0
 RETRY_S = (1.0, 2.0, 5.0, 10.0, 30.0)
@@ -176,7 +178,10 @@ class NodeStatus:
 
 
 class Nodes(tuple["NodeSession", ...]):
-    """The sessions of all nodes; empty where no broker is configured."""
+    """The sessions of all nodes; empty where no broker is configured. ``overview``: what reads the lines of
+    others, where that is wanted."""
+
+    overview: BrokerLines | None = None
 
 
 class NodeSession:

@@ -150,6 +150,15 @@ def _nodes(services: Services, now: UnixTime) -> Iterator[SystemRow]:
             Message("system_check_broker") if node.status.fault else None,
             "mqtt",
         )
+    overview = services[Nodes].overview
+    if overview is not None:
+        yield SystemRow(
+            Message("system_broker_lines"),
+            overview.state(),
+            next=Message("system_always"),
+            to_do=Message("system_check_broker") if overview.fault else None,
+            help="mqtt",
+        )
 
 
 def _opcua(services: Services, now: UnixTime) -> Iterator[SystemRow]:

@@ -8,14 +8,20 @@ import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
+from app.cli import cli
 from app.cli.check import mqtt
+from app.core.web.shape import iso
+from app.line.history.series.runs import SECOND
 from app.line.history.service import History
 from app.settings import ConfigurationError, load
 from app.system.mqtt.session import Nodes, NodeSession, identifier_for
 from bus.contract import BusLink, Reading
+from bus.instants import UnixTime
 from bus.messages import in_english
 from tests.app.broker import Broker, Relay, listening, running
 from tests.app.complete_app import House, complete_app
@@ -115,6 +121,32 @@ async def test_what_a_broker_missed_comes_later_once_and_in_order(tmp_path: Path
         assert [each for each in past() if each in expected] == expected
         assert past() == sorted(past())
     assert host.faults == []
+
+
+async def test_status_states_up_to_when_the_broker_has_everything(tmp_path: Path) -> None:
+    folder = tmp_path / "site"
+    words = ["status", "--config", str(folder / "lineside.toml")]
+
+    async def shown() -> tuple[str, Any]:
+        both = (CliRunner().invoke, cli, words), (CliRunner().invoke, cli, [*words, "--json"])
+        text, facts = [(await asyncio.to_thread(*call)).stdout for call in both]
+        return text, json.loads(facts)["nodes"]
+
+    async with running(tmp_path) as broker:
+        place = f"127.0.0.1:{broker.port}"
+        configuration(folder, f"mqtt://{place}")
+        text, nodes = await shown()
+        assert f"broker {place}: nothing of dry-end was published yet" in text
+        assert nodes == [{"broker": place, "node": "dry-end", "until": None, "lag_s": None}]
+        async with site(folder, broker) as house:
+            await house.worker()
+            backlog = node_of(house).backlog
+            assert backlog is not None
+            await until(lambda: backlog.received > 0, "it was confirmed")
+        text, ((node,)) = await shown()
+        assert f"broker {place}: has everything of dry-end up to " in text
+        assert node["until"] == iso(UnixTime(backlog.received / SECOND))
+        assert node["lag_s"] >= 0
 
 
 async def test_the_number_of_a_connection_survives_a_restart(tmp_path: Path) -> None:
