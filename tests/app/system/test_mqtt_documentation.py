@@ -1,9 +1,12 @@
-"""What docs/mqtt.md gives to copy, tried: the settings, and the rules by which a broker keeps each server to
-its own."""
+"""What docs/mqtt.md gives to copy, tried: for other programs, and the rules by which a broker keeps each
+server to its own."""
 
 from __future__ import annotations
 
+import asyncio
+import json
 import re
+import shutil
 import subprocess
 import tomllib
 from pathlib import Path
@@ -11,12 +14,11 @@ from pathlib import Path
 import pytest
 
 from app.system.mqtt.node import LINES
-from app.system.mqtt.settings import MqttSettings
-from tests.app.broker import Broker, listening
+from tests.app.broker import Broker, listening, running
 from tests.app.complete_app import complete_app
 from tests.app.fake_worker import until
 from tests.app.sparkplug import Host
-from tests.app.system.test_mqtt_broker import configuration, node_of
+from tests.app.system.test_mqtt_broker import configuration, node_of, site
 from tests.app.system.test_mqtt_node import command
 from tests.unpacked import environment, program
 
@@ -31,9 +33,39 @@ def block(begin: str) -> str:
     return str(found)
 
 
-@pytest.mark.parametrize("text", [text for kind, text in BLOCKS if kind == "toml" and "[mqtt]" in text])
-def test_the_settings_are_valid(text: str) -> None:
-    assert MqttSettings(**tomllib.loads(text)["mqtt"]).uses_tls
+async def genuine(tmp_path: Path) -> bytes:
+    """The document of a line, as the broker has it."""
+    async with running(tmp_path) as broker, broker.client() as reader:
+        await reader.subscribe(f"{LINES}/+/+")
+        async with site(tmp_path / "site", broker) as house:
+            await house.worker()
+            async for message in reader.messages:
+                return bytes(message.payload)  # type: ignore[arg-type]
+    raise AssertionError("no document")
+
+
+async def test_documents_have_what_other_programs_are_told_to_read(tmp_path: Path) -> None:
+    document = await genuine(tmp_path)
+    (consumer,) = tomllib.loads(block("[[inputs.mqtt_consumer]]"))["inputs"]["mqtt_consumer"]
+    (wanted,) = consumer["json_v2"][0]["object"]
+    (line,) = json.loads(document)[wanted["path"]]
+    for key in (*wanted["tags"], *wanted["included_keys"]):
+        assert isinstance(line[key], str | int | float), key
+    assert consumer["topics"] == [f"{LINES}/+/+"]
+
+
+async def test_the_function_of_node_red_runs(tmp_path: Path) -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("Node.js is not here")
+    document = (await genuine(tmp_path)).decode()
+    code = f"const f = new Function('msg', {json.dumps(block('const line'))});"
+    words = [node, "-e", f"{code} console.log(JSON.stringify(f({{ payload: {document} }})));"]
+    shown = await asyncio.to_thread(subprocess.run, words, check=True, capture_output=True, text=True)
+    payload = json.loads(shown.stdout)["payload"]
+    assert payload["line"] == "Mill 7 dry-end"
+    assert payload["verdict"]
+    assert isinstance(payload["alarms"], dict)
 
 
 @pytest.fixture
