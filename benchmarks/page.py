@@ -15,11 +15,11 @@ from tests.e2e.site import Site
 
 
 @contextmanager
-def viewer_page(served: Site) -> Iterator[Page]:
+def viewer_page(served: Site, role: str = "viewer") -> Iterator[Page]:
     """Signed in, and nothing opened yet."""
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        session = signed_in(chromium, served, "viewer")
+        session = signed_in(chromium, served, role)
         yield chromium.new_context(base_url=served.url, storage_state=session).new_page()
         chromium.close()
 

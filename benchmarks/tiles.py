@@ -1,0 +1,57 @@
+"""What a browser uses for sixteen moving tiles with their curves, at a size that has room for them."""
+
+from __future__ import annotations
+
+import os
+from itertools import pairwise
+from pathlib import Path
+
+from playwright.sync_api import CDPSession
+
+from benchmarks.page import fed_page
+from benchmarks.processes import cpu_seconds, family
+from benchmarks.tables import median, show
+
+UNITS = 16
+RATE = 2.4
+"""A bus of 9600 baud brings 38 readings a second."""
+WIDTH, HEIGHT = 1920, 1080
+SETTLE_S = 20.0
+MEASURED_S = 20.0
+TIMES = 3
+
+
+def run() -> None:
+    """One table."""
+    with fed_page(UNITS, RATE) as (page, devtools):
+        page.set_viewport_size({"width": WIDTH, "height": HEIGHT})
+        page.wait_for_timeout(SETTLE_S * 1000)
+        counts = [_counted(devtools)]
+        for _ in range(TIMES):
+            page.wait_for_timeout(MEASURED_S * 1000)
+            counts.append(_counted(devtools))
+    used, busy, layouts, styles = (median(rates) for rates in zip(*_rates(counts), strict=True))
+    header = ["all processes", "main thread", "layouts a second", "styles a second"]
+    row = [f"{used:.1%}", f"{busy:.1%}", f"{layouts:.0f}", f"{styles:.0f}"]
+    title = f"{UNITS} tiles at {WIDTH} x {HEIGHT}, {RATE * UNITS:.0f} changes a second"
+    show(title, header, [row], f"Of one core, median of {TIMES}; all processes of Chromium at most 10 %.")
+
+
+def _counted(devtools: CDPSession) -> tuple[float, ...]:
+    """(s, CPU s of Chromium, s of its main thread, layouts, style recalculations) so far."""
+    found = {entry["name"]: entry["value"] for entry in devtools.send("Performance.getMetrics")["metrics"]}
+    used = cpu_seconds(*(process for process in family(os.getpid()) if _is_chromium(process)))
+    return found["Timestamp"], used, found["TaskDuration"], found["LayoutCount"], found["RecalcStyleCount"]
+
+
+def _rates(counts: list[tuple[float, ...]]) -> list[list[float]]:
+    """Everything counted in a second, for each time between two counts."""
+    pairs = pairwise(counts)
+    return [
+        [(b - a) / (after[0] - before[0]) for a, b in zip(before[1:], after[1:], strict=True)]
+        for before, after in pairs
+    ]
+
+
+def _is_chromium(process: int) -> bool:
+    return b"chromium" in Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")[0]
