@@ -3,24 +3,18 @@ import "../vendor/htmx.min.js";
 import { draw, drawAll, rebind } from "./bind.js";
 import * as blink from "./blink.js";
 import * as control from "./control.js";
-import * as drawer from "./drawer.js";
 import * as drafts from "./drafts.js";
-import * as counts from "./counts.js";
 import * as find from "./find.js";
 import * as focus from "./focus.js";
-import * as keypad from "./keypad.js";
 import * as kiosk from "./kiosk.js";
 import * as live from "./live.js";
-import * as people from "./people.js";
 import * as quality from "./quality.js";
 import * as redraw from "./redraw.js";
 import * as review from "./review.js";
 import * as setter from "./setter.js";
 import * as visibility from "./visibility.js";
 import * as timeLeft from "./time-left.js";
-import * as sound from "./sound.js";
 import * as announce from "./announce.js";
-import * as trace from "./trace.js";
 import * as verdict from "./verdict.js";
 
 // On a phone the tabs are longer than the window: scroll them to the current page, and not the page to them.
@@ -38,24 +32,48 @@ find.start();
 quality.findUnits();
 quality.start();
 verdict.start();
-sound.start();
 review.start();
-drawer.start();
 drafts.start();
 setter.start();
 timeLeft.start();
-trace.start();
-people.start();
 redraw.start();
 announce.start();
 control.start();
-counts.start();
-keypad.start();
 kiosk.start();
 live.follow([
   ...new Set([...document.querySelectorAll("[data-watch-unit]")].map((element) => element.dataset.watchUnit)),
 ]);
 live.start();
+
+/** Start what few pages or devices need, where one does.
+ * @param {boolean} isNeeded @param {() => Promise<{ start: () => void }>} load */
+async function where(isNeeded, load) {
+  if (isNeeded) (await load()).start();
+}
+const has = (/** @type {string} */ selector) => document.querySelector(selector) !== null;
+where(navigator.maxTouchPoints > 0, () => import("./keypad.js"));
+where(has("[data-people]"), () => import("./people.js"));
+where(has("[data-trace]"), () => import("./trace.js"));
+where(has("[data-counts-one]"), () => import("./counts.js"));
+where(has("[data-copy], [data-reload-as], [data-opened]"), () => import("./drawer.js"));
+
+/** Sound where its settings are shown or kept in this browser, also by another page from now on.
+ * @param {StorageEvent} [event] */
+async function followSound(event) {
+  if (event ? event.key !== "lineside-sound" : !has("[data-sound-on]") && !isSoundKept()) return;
+  removeEventListener("storage", followSound);
+  (await import("./sound.js")).start();
+}
+function isSoundKept() {
+  try {
+    return localStorage.getItem("lineside-sound") !== null;
+  } catch {
+    return false;
+  }
+}
+addEventListener("storage", followSound);
+followSound();
+
 document.addEventListener("lineside:changed", quality.findUnits);
 document.addEventListener("lineside:found", quality.findUnits);
 
