@@ -2,6 +2,7 @@
 const WHEEL_STEP = 1.2;
 /** Pixels that a press may move and still be one. */
 const STILL = 4;
+const PULLED = "trends__picture--pulled";
 const KEY_STEP = 0.01;
 const KEY_PAN = 0.25;
 
@@ -11,9 +12,8 @@ const KEY_PAN = 0.25;
  * @param {(event: MouseEvent) => boolean} item */
 export function gestures(element, view, time, cursor, item) {
   element.addEventListener("wheel", (event) => wheel(event, view, time), { passive: false });
-  drag(element, view);
+  pull(element, view, time);
   press(element, view, time, item);
-  touch(element, view, time);
   element.addEventListener("keydown", (event) => key(event, view, cursor));
 }
 
@@ -27,36 +27,34 @@ function wheel(event, view, time) {
   event.preventDefault();
 }
 
-/** The mouse pulls the picture; with Shift it selects a span (uPlot's own).
- * @param {HTMLElement} element @param {View} view */
-function drag(element, view) {
-  let last = 0;
+/** The mouse or a finger pulls the picture, two fingers pinch; with Shift the mouse selects a span (uPlot's own).
+ * @param {HTMLElement} element @param {View} view @param {TimeAt} time */
+function pull(element, view, time) {
+  /** Where each pointer is. @type {Map<number, number>} */
+  const held = new Map();
   let isMoving = false;
-  /** @param {MouseEvent} event */
-  const move = ({ clientX }) => {
-    if (!isMoving && Math.abs(clientX - last) <= STILL) return;
+  element.addEventListener("pointerdown", ({ pointerId, pointerType, button, shiftKey, clientX }) => {
+    if (pointerType === "mouse" && (shiftKey || button > 1)) return;
+    isMoving = held.size > 0;
+    held.set(pointerId, clientX);
+    element.classList.add(PULLED);
+  });
+  element.addEventListener("pointermove", ({ pointerId, clientX }) => {
+    const from = held.get(pointerId);
+    if (from === undefined || (!isMoving && Math.abs(clientX - from) <= STILL)) return;
+    if (!isMoving) element.setPointerCapture(pointerId);
     isMoving = true;
-    view.pan((last - clientX) / element.clientWidth);
-    last = clientX;
-  };
-  const end = () => {
-    window.removeEventListener("mousemove", move);
-    element.classList.remove("trends__picture--pulled");
-  };
-  element.addEventListener(
-    "mousedown",
-    (event) => {
-      if (event.shiftKey || event.button > 1) return;
-      event.stopPropagation();
-      if (event.button === 1) event.preventDefault();
-      last = event.clientX;
-      isMoving = false;
-      element.classList.add("trends__picture--pulled");
-      window.addEventListener("mousemove", move);
-      window.addEventListener("mouseup", end, { once: true });
-    },
-    true,
-  );
+    const before = [...held.values()];
+    held.set(pointerId, clientX);
+    const after = [...held.values()];
+    if (after.length === 1) view.pan((before[0] - after[0]) / element.clientWidth);
+    else pinch(view, time, before, after);
+  });
+  for (const name of /** @type {const} */ (["pointerup", "pointercancel", "pointerleave"]))
+    element.addEventListener(name, ({ pointerId }) => {
+      held.delete(pointerId);
+      element.classList.toggle(PULLED, held.size > 0);
+    });
 }
 
 /** A press that does not move sets cursor A, the next B, the third takes both away; above the curves it opens what is
@@ -73,26 +71,6 @@ function press(element, view, time, item) {
     else if (view.b === null) view.change({ b: time(event.clientX) });
     else view.change({ a: null, b: null });
   });
-}
-
-/** One finger pulls, two pinch.
- * @param {HTMLElement} element @param {View} view @param {TimeAt} time */
-function touch(element, view, time) {
-  /** @type {Map<number, number>} */
-  const fingers = new Map();
-  element.addEventListener("pointerdown", (event) => {
-    if (event.pointerType !== "mouse") fingers.set(event.pointerId, event.clientX);
-  });
-  element.addEventListener("pointermove", (event) => {
-    if (!fingers.has(event.pointerId)) return;
-    const before = [...fingers.values()];
-    fingers.set(event.pointerId, event.clientX);
-    const after = [...fingers.values()];
-    if (after.length === 1) view.pan((before[0] - after[0]) / element.clientWidth);
-    else pinch(view, time, before, after);
-  });
-  for (const name of /** @type {const} */ (["pointerup", "pointercancel", "pointerleave"]))
-    element.addEventListener(name, (event) => fingers.delete(event.pointerId));
 }
 
 /** @param {View} view @param {TimeAt} time @param {number[]} before @param {number[]} after */

@@ -200,7 +200,8 @@ export class Picture {
         sync: { key: SYNC },
         y: false,
         points: { size: 7 },
-        // uPlot sees no press begin (trends-gestures.js), takes each for a drag, and would stop its click here.
+        // A press with Shift selects; any other pulls the picture (trends-gestures.js), and its click is no end of a drag.
+        bind: { mousedown: (_plot, _target, select) => (event) => (event.shiftKey ? select(event) : unscrolled(event)) },
         drag: { x: true, y: false, setScale: false, click: () => {} },
       },
       hooks: {
@@ -316,6 +317,12 @@ export function alone(column) {
 function shortened(name, width) {
   const most = Math.floor(width / LETTER) - 1;
   return name.length > most ? `${name.slice(0, most - 1)}…` : name;
+}
+
+/** The middle button pulls as the left one does, and scrolls no page. @param {MouseEvent} event */
+function unscrolled(event) {
+  if (event.button === 1) event.preventDefault();
+  return null;
 }
 
 /** The time at the cursor, null while it is not over the plot. @param {uPlot} plot */
