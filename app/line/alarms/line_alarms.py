@@ -269,6 +269,10 @@ class LineAlarms:
         of_unit = self._by_unit.get((bus, unit), {})
         return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
 
+    def count_active(self, bus: str, unit: int) -> int:
+        """Return how many annunciated alarms of a unit are active, as the systems of the plant are told."""
+        return sum(alarm.facts.active for alarm in self.unit_alarms(bus, unit))
+
     def place(self, bus: str | None, unit: int | None) -> str:
         """Return the name of a bus, or of a unit as the pages of the site show it; empty for the site. Bus
         and unit may be configured no longer."""

@@ -50,11 +50,10 @@ def make(services: Services) -> None:
 def _session(services: Services, name: str, group: str, documents: LineDocuments) -> NodeSession:
     settings = services.settings
     assert settings.mqtt is not None
-    alarms = services[LineAlarms]
     node = EdgeNode(
         services[LiveState].buses[name],
         group,
-        lambda unit: sum(alarm.facts.active for alarm in alarms.unit_alarms(name, unit)),
+        partial(services[LineAlarms].count_active, name),
         settings.mqtt.deadband,
     )
     return NodeSession(

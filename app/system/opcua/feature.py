@@ -22,7 +22,7 @@ def make(services: Services) -> None:
     process = OpcuaProcess(
         _begin(services.settings),
         tuple(services[LiveState].buses.values()),
-        lambda bus, unit: sum(alarm.facts.active for alarm in alarms.unit_alarms(bus, unit)),
+        alarms.count_active,
         services[Database],
     )
     services.add(OpcuaProcesses([process]))

@@ -162,3 +162,31 @@ async def test_names_of_a_plant_become_topics(tmp_path: Path) -> None:
             await until(lambda: len(host.values) == 3, "every unit is born")
             assert set(host.values) == {"Nip (1)", "NIP (2)", "Coater -1-2 -"}
     assert host.faults == []
+
+
+async def test_payloads_that_are_cut_or_invented_are_refused_and_nothing_else(tmp_path: Path) -> None:
+    host = Host("dry-end", "Mill 7")
+    rebirth = command("Node Control/Rebirth")
+    cut = [rebirth[:length] for length in range(len(rebirth))]
+    invented = [b"\xff" * 100, b"{}", bytes(200_000), b"\x12\xff\xff\xff\xff\x0fx", rebirth * 2000]
+    states = (b"", b"\xff", b"[]", b'{"online": 5, "timestamp": 1}', b'{"online": true, "timestamp": "now"}')
+    async with (
+        running(tmp_path) as broker,
+        listening(broker, host),
+        site(tmp_path / "site", broker, 'primary_host = "scada"') as house,
+    ):
+        worker, node = await house.worker(), node_of(house)
+        async with broker.client() as other:
+            for payload in (*states, b'{"online": true, "timestamp": 1}'):
+                await other.publish("spBv1.0/STATE/scada", payload, qos=1)
+            await until(lambda: len(host.values) == 3, "only what is a state counts")
+            for topic in ("NCMD/dry-end", "DCMD/dry-end/Unit 1"):
+                for payload in (*cut, *invented):
+                    await other.publish(f"spBv1.0/Mill 7/{topic}", payload, qos=1)
+            await until(lambda: node.node.refused == 2 * len(cut + invented), "each is counted")
+        await worker.update(reading(1, actual=1011))
+        await until(lambda: host.values["Unit 1"]["Speed/Actual"] == 101.1, "values are sent as before")
+        assert node.status.fault is None
+        assert worker.commands == []
+    assert host.births == 1
+    assert host.faults == []
