@@ -10,6 +10,7 @@ what a client does not read are bounded.
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -52,10 +53,14 @@ MAX_UNREAD = 1_048_576
 """Bytes that a client has not read; it is read from no more until it has."""
 READ_WITHIN_S = 10.0
 REQUESTS_PER_S, MAX_REQUESTS_AT_ONCE = 200.0, 1_000.0
-MAX_PENDING = 50
-MAX_READS, MAX_BROWSES, MAX_PATHS, MAX_PATH = 2_000, 100, 500, 20
+REQUEST_BYTES = 1_024
+"""A message counts as one request for each of so many bytes."""
+MAX_PENDING = 20
+MAX_READS, MAX_BROWSES, MAX_PATHS, MAX_PATH = 1_000, 100, 500, 20
+MAX_REFERENCES = 5_000
 _KINDS = (b"HEL", b"OPN", b"MSG", b"CLO")
 SWEEP_S = 2.0
+LOGGERS = "asyncua.server.monitored_item_service."
 log = structlog.get_logger()
 _READS = frozenset(
     ua.NodeId(getattr(ua.ObjectIds, f"{name}Request_Encoding_DefaultBinary"))
@@ -124,6 +129,9 @@ class ViewerSession(InternalSession):
         """By subscription, its monitored items."""
         self.key: Key | None = None
         self._certificate: bytes | None = None
+        self.reads = asyncio.Event()
+        """Whether the client reads what it is sent."""
+        self.reads.set()
         super().__init__(*args, **options)
 
     async def create_session(self, params: Any, sockname: Any = None) -> Any:
@@ -153,15 +161,18 @@ class ViewerSession(InternalSession):
     # --- reading ---
 
     async def read(self, params: Any) -> Any:
-        self._bound(params.NodesToRead, MAX_READS)
+        await self._admit(params.NodesToRead, MAX_READS)
         return await super().read(params)
 
     async def browse(self, params: Any) -> Any:
-        self._bound(params.NodesToBrowse, MAX_BROWSES)
-        return await super().browse(params)
+        await self._admit(params.NodesToBrowse, MAX_BROWSES)
+        results = await super().browse(params)
+        if sum(len(result.References) for result in results) > MAX_REFERENCES:
+            raise self.iserver.refusal("BadResponseTooLarge", self.name)
+        return results
 
     async def translate_browsepaths_to_nodeids(self, params: Any) -> Any:
-        self._bound(params, MAX_PATHS)
+        await self._admit(params, MAX_PATHS)
         if any(not 0 < len(path.RelativePath.Elements) <= MAX_PATH for path in params):
             raise self.iserver.refusal("BadTooManyOperations", self.name)
         return await super().translate_browsepaths_to_nodeids(params)
@@ -198,7 +209,7 @@ class ViewerSession(InternalSession):
 
     async def create_monitored_items(self, params: Any) -> Any:
         self._check_own(params.SubscriptionId)
-        self._bound(params.ItemsToCreate, MAX_READS)
+        await self._admit(params.ItemsToCreate, MAX_READS)
         wanted = len(params.ItemsToCreate)
         of_session = sum(map(len, self.items.values()))
         if of_session + wanted > MAX_ITEMS_OF_SESSION or self.iserver.items + wanted > MAX_ITEMS:
@@ -244,7 +255,7 @@ class ViewerSession(InternalSession):
         own = [each for each in dict.fromkeys(ids) if each in self.items]
         done = dict(zip(own, await super().delete_subscriptions(own), strict=True))
         for each in own:
-            del self.items[each]
+            self.items.pop(each, None)
         return [done.get(each, unknown) for each in ids]
 
     def publish(self, acks: Any = None) -> Any:
@@ -270,7 +281,9 @@ class ViewerSession(InternalSession):
         """A queue without a limit is one with ours."""
         wanted.QueueSize = min(max(1, wanted.QueueSize), MAX_QUEUE)
 
-    def _bound(self, wanted: Any, most: int) -> None:
+    async def _admit(self, wanted: Any, most: int) -> None:
+        """Wait until the client has read what it was sent, and refuse too much at once."""
+        await self.reads.wait()
         if len(wanted) > most:
             raise self.iserver.refusal("BadTooManyOperations", self.name)
 
@@ -445,11 +458,11 @@ class GuardedConnection(OPCUAProtocol):
             chunk = bytes(self._received[:size])
             del self._received[:size]
             super().data_received(chunk)
-            self._rest_after_request()
+            self._rest_after(size)
 
-    def _rest_after_request(self) -> None:
-        """Read no more for a while from a client that asks too often."""
-        pause = self._requests.pour(1.0, monotonic_now())
+    def _rest_after(self, size: int) -> None:
+        """Read no more for a while from a client that asks too often, or too much."""
+        pause = self._requests.pour(1.0 + size / REQUEST_BYTES, monotonic_now())
         if pause > 0.0 and self._resting is None and self.transport is not None:
             self._gate.server.refusals.note("rate", self.peer_name)
             self.transport.pause_reading()
@@ -466,6 +479,8 @@ class GuardedConnection(OPCUAProtocol):
     def pause_writing(self) -> None:
         """Read no more from a client that does not read; give it up if that lasts."""
         self._is_full = True
+        if self.session is not None:
+            self.session.reads.clear()
         if self.transport is not None:
             self.transport.pause_reading()
             later = asyncio.get_running_loop().call_later
@@ -473,6 +488,8 @@ class GuardedConnection(OPCUAProtocol):
 
     def resume_writing(self) -> None:
         self._is_full = False
+        if self.session is not None:
+            self.session.reads.set()
         if self._giving_up is not None:
             self._giving_up.cancel()
             self._giving_up = None
@@ -497,6 +514,16 @@ class GuardedConnection(OPCUAProtocol):
         """Its session, if it is signed in."""
         session = None if self.processor is None else self.processor.session
         return session if isinstance(session, ViewerSession) and session.is_activated() else None
+
+
+def forget_loggers() -> None:
+    """Drop the loggers that asyncua makes for each subscription: the module logging would keep them, 2 kB
+    each, for good."""
+    # Without a logger, their common name would have a list of them.
+    logging.getLogger(LOGGERS.rstrip("."))
+    known = logging.root.manager.loggerDict
+    for name in [name for name in known if name.startswith(LOGGERS)]:
+        del known[name]
 
 
 @dataclass(eq=False)
@@ -525,6 +552,7 @@ class Gate:
             for connection in tuple(self.connections):
                 self._judge(connection)
             self.closing[:] = [task for task in self.closing if not task.done()]
+            forget_loggers()
 
     def _judge(self, connection: GuardedConnection) -> None:
         session, peer = connection.session, connection.policy.peer

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import structlog
-from asyncua import Server
+from asyncua import Server, ua
 
 from app.errors import system_error
 from app.line.live.bus_live import BusLive, LiveState, changed_by, unit_link_now
@@ -33,6 +33,9 @@ TICK_S = 0.5
 """How often ages are judged where nothing is reported."""
 STATUS_S = 1.0
 READ_BYTES = 262_144
+DICTIONARIES = tuple(map(ua.NodeId, (ua.ObjectIds.OpcUa_BinarySchema, ua.ObjectIds.OpcUa_XmlSchema)))
+"""Every client has these descriptions of the standard types, which are 200 and 340 kB: read or monitored a
+thousand times at once they would fill the memory."""
 log = structlog.get_logger()
 
 
@@ -127,6 +130,8 @@ async def _built(begin: Begin, server: ViewerServer, uri: str, follower: Followe
     name = f"Lineside {begin.site}"
     await made.set_build_info("urn:lineside", "Lineside", name, begin.version, "", datetime.now(UTC))
     server.add_own_endpoint(uri, name, f"opc.tcp://{begin.host}:{begin.port}/")
+    for dictionary in DICTIONARIES:
+        await made.write_attribute_value(dictionary, ua.DataValue(ua.Variant(b"")))
     nodes = LineNodes(made, begin.manufacturer, begin.serial_number)
     await nodes.build(list(follower.live.buses.values()))
     await server.start()

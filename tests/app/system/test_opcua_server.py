@@ -6,7 +6,7 @@ import asyncio
 import struct
 import time
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,16 @@ from app.system.opcua import gate
 from app.system.opcua.access import OwnCertificate
 from app.system.opcua.probe import is_opcua_server
 from tests.app.fake_worker import until
-from tests.app.opcua import TOKEN, OpcuaServer, client_certificate, connected, responds, scales, secured
+from tests.app.opcua import (
+    SECRET,
+    TOKEN,
+    OpcuaServer,
+    client_certificate,
+    connected,
+    responds,
+    scales,
+    secured,
+)
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 OWN = 1
@@ -320,3 +329,59 @@ async def test_connections_of_an_address_are_bounded(site: Site) -> None:
             stack.callback(writer.close)
         assert await raw(site, b"HELF") == b""
     await site.server.until(lambda status: status.sessions == 0)
+
+
+# --- clients that take without end ---
+
+
+async def reads_on(site: Site) -> None:
+    """Assert that another client reads what is reported now."""
+    actual = 100 + round(time.time()) % 1000
+    site.server.report(*scales(1, time.time()), *responds(1, time.time(), actual=actual))
+    async with site.connected() as client:
+        await until_value(client, "dry-end/1/Speed/Actual", actual / 10)
+
+
+async def test_a_client_that_does_not_read_is_given_up(site: Site) -> None:
+    refused, memory = site.server.status.refused, site.server.status.memory_bytes
+    async with site.connected() as client:
+        browse = ua.BrowseRequest()
+        widest = ua.BrowseDescription(NodeId=ua.NodeId(ua.ObjectIds.Structure))
+        browse.Parameters.NodesToBrowse = [widest] * 18
+        client.uaclient.protocol.transport.pause_reading()
+        send = client.uaclient.protocol.send_request
+        asked = [asyncio.create_task(send(browse, timeout=100)) for _ in range(gate.MAX_PENDING)]
+        await site.server.until(lambda status: status.refused > refused and status.sessions == 0)
+        for task in asked:
+            task.cancel()
+        await asyncio.gather(*asked, return_exceptions=True)
+    assert site.server.status.memory_bytes - memory < 30_000_000
+    await reads_on(site)
+
+
+async def abandon(site: Site, times: int) -> None:
+    """Begin sessions with a subscription, and drop their connections without a word."""
+    for _ in range(times):
+        client = await site.secured()
+        client.set_user(TOKEN)
+        client.set_password(SECRET)
+        await client.connect()
+        subscription = await client.create_subscription(1000, Changes())
+        await subscription.subscribe_data_change(client.get_node(ACTUAL))
+        client.uaclient.protocol.transport.abort()
+        with suppress(ConnectionError, TimeoutError, ua.UaError):
+            await client.disconnect()
+
+
+async def test_nothing_is_left_of_an_abandoned_session(site: Site) -> None:
+    await abandon(site, 5)
+    await site.server.until(lambda status: status.sessions == status.subscriptions == 0)
+
+
+@pytest.mark.soak
+async def test_memory_is_flat_over_abandoned_sessions(site: Site) -> None:
+    await abandon(site, 100)
+    memory = site.server.status.memory_bytes
+    await abandon(site, 1000)
+    await site.server.until(lambda status: status.sessions == status.subscriptions == 0)
+    assert site.server.status.memory_bytes - memory < 5_000_000
