@@ -140,12 +140,13 @@ def test_what_is_read_aloud_of_the_line_and_the_alarms_is_in_order(
         assert overview[0] == "Coater"
         cause, since = re.fullmatch(r"· (.+) (since \d\d:\d\d)", overview[1]).groups()  # type: ignore[union-attr]
         assert cause == "Stopped: emergency stop active"
+        brief = cause.removesuffix(" active")
         assert [text for text in overview if not text.isdigit()][2:7] == [
             *("abnormal", "/8", "live", "at speed", "ramping"),
         ]
         tile = page.evaluate(SPOKEN, '.tile[data-unit="line/3"]')
         # What is so stands at the unit, since when in the verdict: each time is on the page once.
-        assert tile[:6] == ["3", "Coater", "REMOTE", "actual", "0.0", cause]
+        assert tile[:6] == ["3", "Coater", "REMOTE", "actual", "0.0", brief]
         assert sum(since in text for text in page.evaluate(SPOKEN, ".main")) == 1
         assert tile[6:9] == ["setpoint", "120.0", "m/min"]
         link = page.locator('.tile[data-unit="line/3"] .tile__alarm')
@@ -159,6 +160,40 @@ def test_what_is_read_aloud_of_the_line_and_the_alarms_is_in_order(
     finally:
         site.line.remote.do("input", unit=3, input="estop", on=False)
         eventually(lambda: site.unit(3)["inputs"]["estop"] is False, "the end of the e-stop")
+        site.end_alarms()
+
+
+TOUCHING = """() => {
+  const pressed = "a[href], button, input:not([type=hidden]), select, summary, label.check";
+  const at_edge = ".top, .rail, .tray, .setpoints__act, .plate__dock, [inert], .skip, .gone, .check > input";
+  const boxes = [...document.querySelectorAll(pressed)]
+    .filter((each) => each.checkVisibility({ visibilityProperty: true }) && !each.closest(at_edge))
+    .map((each) => [each, (each.matches("[data-faceplate]") && each.closest(".tile")) || each])
+    .map(([each, whole]) => [each, whole.getBoundingClientRect()]).filter(([, box]) => box.width > 1);
+  const near = [];
+  for (const [one, a] of boxes) for (const [other, b] of boxes) {
+    if (one === other || one.compareDocumentPosition(other) & 2) continue;
+    const apart = Math.max(a.left - b.right, b.left - a.right, a.top - b.bottom, b.top - a.bottom);
+    // A target over another, as the alarm of a tile, is no neighbor of it.
+    if (apart > -1 && apart < 4) near.push([one.outerHTML.slice(0, 90), other.outerHTML.slice(0, 90), apart]);
+  }
+  return near;
+}"""
+"""What can be pressed less than 4 px beside something else; the bars at the edges, under which a page moves,
+do not count."""
+
+
+@pytest.mark.parametrize("path", ["/", "/units/line/2", "/setpoints", "/alarms"])
+def test_no_two_targets_of_a_phone_touch(site: Site, shared_page: OpensPages, path: str) -> None:
+    site.line.remote.do("input", unit=2, input="estop", on=True)
+    try:
+        page = opened(
+            shared_page("operator", viewport=PHONE, locale=GERMAN, has_touch=True, is_mobile=True), path
+        )
+        expect(page.locator(".top__alarm")).to_have_attribute("data-is", re.compile("urgent"))
+        assert page.evaluate(TOUCHING) == []
+    finally:
+        site.line.remote.do("input", unit=2, input="estop", on=False)
         site.end_alarms()
 
 

@@ -16,7 +16,6 @@ from app.core.messages import Language
 from app.core.web.formats import MINUS, UNKNOWN, Formats
 from app.line.conditions.catalogue import tile_check, tile_text
 from app.line.conditions.condition import DRAW_DECIMALS, Draw
-from app.line.conditions.unit import PARAMETER_DRIFT
 from app.line.live.bus_live import (
     BusLive,
     MotionState,
@@ -61,8 +60,6 @@ STATE_WORDS: dict[MotionState, str] = {
 TURNING = "turning"
 """The word for a unit that turns without run, beside a cause that names the run input."""
 STOPPED_WITH_RUN = "stopped with run input on"
-DRIFTS = Message(f"alarm_{PARAMETER_DRIFT.code}")
-"""The short form of a cause whose own words name a parameter."""
 MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEYLOCK"}
 STAGE_WORDS: dict[Stage, str] = {
     "waiting": "waiting for the bus",
@@ -355,11 +352,11 @@ def cause_texts(cause: Cause, translator: Translator, now: UnixTime) -> CauseTex
     first of them without its reason."""
     motion, what, why = _motion(cause, translator), _what(cause, translator), _why(cause, translator)
     since = _since(cause, translator, now)
-    line, brief = (
-        joined(motion, f"{what} {since}".rstrip(), why),
-        joined(motion, what) or translator.t(DRIFTS),
+    short = tile_text(f"{cause.code}_brief")
+    brief = joined(motion, what if short is None else translator.t(short))
+    return CauseTexts(
+        joined(motion, what, why), since, joined(motion, f"{what} {since}".rstrip(), why), brief
     )
-    return CauseTexts(joined(motion, what, why), since, line, brief)
 
 
 def _since(cause: Cause, translator: Translator, now: UnixTime) -> str:

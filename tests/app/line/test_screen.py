@@ -301,7 +301,7 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
         "counts": "1 abnormal",
     }
     assert changed["dry/2"]["status"] == "Still turning: emergency stop active since 00:01"
-    assert changed["dry/2"]["brief"] == "Still turning: emergency stop active"
+    assert changed["dry/2"]["brief"] == "Still turning: emergency stop"
     live.buses["dry"].apply([reading(2, at=100.4)])
     well = shown.render("dry", [2], 100.4, include_bus=False)["line_summary"]
     assert (well["verdict"], well["at"], well["counts"]) == ("Running 120.0 m/min · all 2 at speed", "", "")
