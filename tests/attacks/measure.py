@@ -44,6 +44,8 @@ LATE_S = 2.0
 WARM_S = 1.0
 EVENTS, CHUNK = 300_000, 5000
 ROOT = Path(__file__).resolve().parents[2]
+ELSEWHERE = ("127.0.0.2", 0)
+"""An address of this machine that the attacker does not have."""
 CORE = max(os.sched_getaffinity(0))
 """That of the attacker."""
 
@@ -189,13 +191,16 @@ def probe(call: Callable[[], None], waits: Waits, is_over: Callable[[], bool]) -
 
 
 def health_request(target: Site) -> Callable[[], None]:
-    """Return a client without sign-in, with a new connection each time."""
+    """Return a client without sign-in and at another address, with a new connection each time. At the
+    attacker's address it would wait for each handshake that was begun before its own."""
 
     def call() -> None:
         # A light client: httpx would load all certificates first.
         address, tls = target.url.rpartition("/")[2], target.certificate
         connection = (
-            HTTPSConnection(address, timeout=30, context=tls) if tls else HTTPConnection(address, timeout=30)
+            HTTPSConnection(address, timeout=30, source_address=ELSEWHERE, context=tls)
+            if tls
+            else HTTPConnection(address, timeout=30, source_address=ELSEWHERE)
         )
         try:
             connection.request("GET", "/healthz")
