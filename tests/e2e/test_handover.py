@@ -46,6 +46,7 @@ def test_a_shift_is_handed_over(browser_page: OpensPages, flaws: Callable[..., l
     page.get_by_label("Unit", exact=True).select_option(label="line · Infeed nip")
     picture = {"name": "felt.png", "mimeType": "image/png", "buffer": png(3000, 2000)}
     page.get_by_label("Pictures", exact=True).set_input_files([picture])
+    expect(page.locator("[data-chosen]")).to_have_text(re.compile(r"^felt\.png · [\d.]+ kB$"))
     expect(page.get_by_role("button", name="Store note")).to_be_enabled()
     page.get_by_role("button", name="Store note").focus()
     page.keyboard.press("Enter")

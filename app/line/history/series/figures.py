@@ -378,6 +378,10 @@ def _together(
     i = j = 0
     while i < len(before) and j < len(section):
         one, other = before[i], section[j]
+        if one[:2] == other[:2]:  # as most are: complete minutes
+            yield one.at, one.until, one.speed, other.speed
+            i, j = i + 1, j + 1
+            continue
         at, until = max(one.at, other.at), min(one.until, other.until)
         if until > at:
             yield at, until, one.speed, other.speed
