@@ -13,7 +13,8 @@ let ending = () => {};
 
 function opened() {
   const link = wanted;
-  if (!link) return;
+  wanted = null;
+  if (!link) return plate.replaceChildren();
   if (!plate.querySelector("[data-faceplate-close]")) return location.assign(link.href);
   forget();
   opener = link;
@@ -60,8 +61,27 @@ function leave() {
   return true;
 }
 
+/** Its place with the name, in the next picture: what it says is on its way.
+ * @param {HTMLAnchorElement} link */
+function begin(link) {
+  const head = document.createElement("header");
+  head.className = "faceplate__head";
+  const name = document.createElement("h2");
+  name.className = "faceplate__name";
+  const page = document.createElement("a");
+  page.href = link.href;
+  page.textContent = /** @type {HTMLElement} */ (link.querySelector("[title]") ?? link).title;
+  name.append(page);
+  head.append(name);
+  plate.replaceChildren(head);
+  plate.hidden = false;
+  place(link);
+  opener = link;
+}
+
 function close() {
   if (!opener || !leave()) return;
+  wanted = null;
   forget();
   plate.hidden = true;
   plate.replaceChildren();
@@ -72,21 +92,31 @@ function close() {
   opener = null;
 }
 
+/** @param {HTMLAnchorElement} link */
+const addressOf = (link) => `${link.getAttribute("href")}/faceplate`;
+
 document.addEventListener("click", (event) => {
   if (event.target.closest("[data-faceplate-close]")) return close();
   const link = /** @type {HTMLAnchorElement | null} */ (event.target.closest("[data-faceplate]"));
   if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return;
   event.preventDefault();
-  if (!leave()) return;
+  if (link === wanted || !leave()) return;
   wanted = link;
+  if (plate.hidden) begin(link);
   link.setAttribute("aria-busy", "true");
   plate.dispatchEvent(new CustomEvent("lineside:faceplate"));
 });
 document.addEventListener("htmx:config:request", ({ detail: { ctx } }) => {
-  if (ctx.sourceElement === plate) ctx.request.action = `${wanted?.getAttribute("href")}/faceplate`;
+  if (ctx.sourceElement === plate && wanted) ctx.request.action = addressOf(wanted);
 });
 document.addEventListener("htmx:after:swap", ({ detail: { ctx } }) => {
   if (ctx.sourceElement === plate) opened();
+});
+document.addEventListener("htmx:finally:request", ({ detail: { ctx } }) => {
+  // Nothing has come, and no other unit is on its way.
+  if (ctx.sourceElement !== plate || !wanted || !ctx.request.action.endsWith(addressOf(wanted))) return;
+  wanted = null;
+  if (!plate.querySelector("[data-faceplate-close]")) close();
 });
 document.addEventListener("keydown", (event) => {
   if (event.key !== "Escape" || event.defaultPrevented) return;

@@ -141,7 +141,7 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPa
 @pytest.mark.soak
 def test_control_is_taken_where_the_line_is_set_to_zero(shared_page: OpensPages) -> None:
     page = opened(shared_page("operator", viewport={"width": 360, "height": 740}), "/trends")
-    page.get_by_role("button", name="Set line to zero").click()
+    page.get_by_role("button", name="Line to 0").click()
     rest(page)
     page.locator("#review").get_by_role("button", name="Take control and continue").click()
     act = page.locator("[data-review-act]")
