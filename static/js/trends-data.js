@@ -90,9 +90,10 @@ export function valueAt(result, at) {
 }
 
 /** The part of a span, up to now, before the first of all readings, and the part after the last, where it is a
- * notable part of it. With no reading at all: all of it.
+ * notable part of it. With no reading at all: all of it; with no value: none.
  * @param {Result[]} results @param {Span} range @param {number} now @returns {{ before: Span | null, after: Span | null }} */
 export function unread(results, [from, to], now) {
+  if (!results.length) return { before: null, after: null };
   const end = Math.min(to, now);
   const notable = (to - from) * UNREAD_PART;
   let [first, last] = [Number.POSITIVE_INFINITY, Number.NEGATIVE_INFINITY];

@@ -105,4 +105,5 @@ test("a part of a span without readings is named, up to now", () => {
   assert.deepEqual(unread(read([0, 30]), [0, 100], 200), { before: null, after: [47, 100] });
   assert.deepEqual(unread(read([0, 30]), [0, 100], 40), { before: null, after: null });
   assert.deepEqual(unread(read([]), [0, 100], 50), { before: [0, 50], after: null });
+  assert.deepEqual(unread([], [0, 100], 50), { before: null, after: null }, "nothing is chosen");
 });
