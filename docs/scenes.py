@@ -84,7 +84,7 @@ def _set(value: str, *, confirm: bool = False) -> Press:
 def _together(page: Page, *, confirm: bool = False) -> None:
     page.locator("[data-together-do=all]").first.click()
     page.locator("[data-together=scale]").first.fill("95")
-    page.locator("[data-together-do=scale]").first.click()
+    page.locator("[data-together-do=enter]").first.click()
     page.locator("form[data-setpoints] [type=submit]").first.click()
     page.wait_for_selector("[data-review-act]")
     if confirm:
