@@ -51,8 +51,9 @@ NICE = 5
 """The process yields to the server and the bus workers."""
 FLUSH_S = 0.05
 KEYS_EVERY_S = 5.0
-SILENT_S = 30.0
-"""Without a status for so long the process is killed; it sends one each second."""
+SILENT_S, SILENT_AT_START_S = 30.0, 180.0
+"""Without a status for so long the process is killed; it sends one each second once its code is imported,
+which takes long on a machine that has much else to do."""
 MAX_UNREAD = 32_000_000
 """Bytes that wait for the process; one that lets more wait hangs."""
 END_S = 1.0
@@ -198,14 +199,15 @@ class OpcuaProcess:
     async def _listen(self, process: Process) -> None:
         """Take the statuses of the process. Raises ProcessError once it ends, or is silent."""
         assert process.stdout is not None
-        frames = Frames(from_process)
+        frames, patience_s = Frames(from_process), SILENT_AT_START_S
         while True:
             try:
-                async with asyncio.timeout(SILENT_S):
+                async with asyncio.timeout(patience_s):
                     data = await process.stdout.read(65_536)
                 statuses = list(frames.feed(data))
             except (TimeoutError, ValueError):
                 raise ProcessError(Message("opcua_hangs")) from None
+            patience_s = SILENT_S
             for self.status in statuses:
                 if self.status.fault is not None:
                     raise ProcessError(self.status.fault)

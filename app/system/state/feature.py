@@ -162,6 +162,9 @@ def _nodes(services: Services, now: UnixTime) -> Iterator[SystemRow]:
 
 
 def _opcua(services: Services, now: UnixTime) -> Iterator[SystemRow]:
+    if not services[OpcuaProcesses]:
+        to_do = Message("system_set_opcua")
+        yield SystemRow(Message("system_opcua"), Message("system_not_set_up"), to_do=to_do, help="opcua")
     for process in services[OpcuaProcesses]:
         yield SystemRow(
             Message("system_opcua"),
