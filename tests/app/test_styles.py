@@ -22,3 +22,18 @@ def test_each_colour_gives_way_to_a_persons_own() -> None:
     assert len(colours) > 20
     assert colours - WITHOUT_PAINT - given.keys() == set()
     assert [name for name, value in given.items() if not SYSTEM.search(value)] == []
+
+
+def test_every_text_has_one_of_five_sizes() -> None:
+    sizes = {name: value for name, value in declared(TOKENS).items() if name.startswith("--t-")}
+    assert len(sizes) == 5
+    assert min(float(value.removesuffix("rem")) * 16 for value in sizes.values()) >= 14
+    used = [
+        (path.name, size)
+        for path in (static_dir() / "css").rglob("*.css")
+        for size in re.findall(r"font-size: ([^;]+);", path.read_text(encoding="utf-8"))
+    ]
+    named = re.compile(r"var\(--(t-(sm|md|lg|xl|2xl)|verdict|cause)\)")
+    relative = re.compile(r"inherit|[\d.]+(em|pt)( !important)?")
+    assert len(used) > 100
+    assert [each for each in used if not named.search(each[1]) and not relative.fullmatch(each[1])] == []
