@@ -21,7 +21,7 @@ from app.line.history.status import HistoryStatus
 from app.line.live.bus_live import BusLive, LiveState, draw_of, speed_decimals, unit_link_now
 from app.people.audit.anchor import AnchorStatus
 from app.system.mqtt.session import NodeSession
-from app.system.opcua.process import OpcuaProcess
+from app.system.opcua.settings import OpcuaProcesses
 from app.system.postgresql.publisher import PublisherStatus
 from app.version import VERSION
 from bus.catalogue.values import OUTPUT_NUMBERS, output_is_on
@@ -59,7 +59,7 @@ class Measured:
     newest_backup: UnixTime | None
     publisher: PublisherStatus | None
     nodes: Iterable[NodeSession] | None
-    opcua: Iterable[OpcuaProcess]
+    opcua: OpcuaProcesses
     data: Path
 
 
@@ -94,8 +94,7 @@ class LineCollector(Collector):
             yield from _publisher_metrics(publisher, unix_now())
         if measured.nodes is not None:
             yield from _node_metrics(measured.nodes)
-        for process in measured.opcua:
-            yield from _opcua_metrics(process)
+        yield from _opcua_metrics(measured.opcua)
         degraded = 1 if measured.anchor.altered or measured.anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
         yield GaugeMetricFamily("lineside_audit_degraded", words, value=degraded)
@@ -168,7 +167,10 @@ def _node_metrics(nodes: Iterable[NodeSession]) -> Iterator[Metric]:
     yield from (up, lag, sent, refused)
 
 
-def _opcua_metrics(process: OpcuaProcess) -> Iterator[Metric]:
+def _opcua_metrics(processes: OpcuaProcesses) -> Iterator[Metric]:
+    if not processes:
+        return
+    (process,) = processes
     status = process.status
     gauges = {
         "up": ("0 while OPC UA is not served", float(status.is_serving)),

@@ -19,7 +19,7 @@ from app.people.audit.anchor import Anchoring
 from app.people.audit.log import EventLog, Logged
 from app.system.backup.service import Backups
 from app.system.mqtt.session import Nodes
-from app.system.opcua.process import OpcuaProcesses
+from app.system.opcua.settings import OpcuaProcesses
 from app.system.postgresql.publisher import Publisher
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)

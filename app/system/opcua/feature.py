@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from app.core.database import Database
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.live.bus_live import LiveState
 from app.settings import Settings
 from app.system.configuration.service import SystemsBeside
-from app.system.opcua.link import Begin
-from app.system.opcua.process import OpcuaProcess, OpcuaProcesses
-from app.system.opcua.settings import FOLDER
+from app.system.opcua.settings import FOLDER, OpcuaProcesses, OpcuaSettings
 from app.version import VERSION
+
+if TYPE_CHECKING:
+    from app.system.opcua.link import Begin
 
 
 def make(services: Services) -> None:
-    if services.settings.opcua is None:
+    wanted = services.settings.opcua
+    if wanted is None:
         services.add(OpcuaProcesses())
         return
+    from app.system.opcua.process import OpcuaProcess
+
     alarms = services[LineAlarms]
     process = OpcuaProcess(
-        _begin(services.settings),
+        _begin(services.settings, wanted),
         tuple(services[LiveState].buses.values()),
-        alarms.count_active,
+        lambda bus, unit: sum(alarm.facts.active for alarm in alarms.unit_alarms(bus, unit)),
         services[Database],
     )
     services.add(OpcuaProcesses([process]))
@@ -31,9 +37,9 @@ def make(services: Services) -> None:
     services[SystemsBeside].append(process.state)
 
 
-def _begin(settings: Settings) -> Begin:
-    wanted = settings.opcua
-    assert wanted is not None
+def _begin(settings: Settings, wanted: OpcuaSettings) -> Begin:
+    from app.system.opcua.link import Begin
+
     return Begin(
         settings.site.name,
         VERSION,

@@ -269,10 +269,6 @@ class OpcuaProcess:
         )
 
 
-class OpcuaProcesses(tuple[OpcuaProcess, ...]):
-    """The process of this server; empty where none is configured."""
-
-
 def _keys(connection: StoreConnection) -> list[Key]:
     return [
         Key(token.id, token.name, hash_, token.expires_at)

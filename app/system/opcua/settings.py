@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
 from bus.settings import StrictModel
 from bus.validation import OneLine
+
+if TYPE_CHECKING:
+    from app.system.opcua.process import OpcuaProcess
 
 FOLDER = "opcua"
 """In the data folder: the certificate of the server, and whom it trusts."""
@@ -27,3 +30,7 @@ class OpcuaSettings(StrictModel):
     manufacturer: ShortText = ""
     """Who built the machine, in its identification."""
     serial_number: ShortText = ""
+
+
+class OpcuaProcesses(tuple["OpcuaProcess", ...]):
+    """The process of this server; empty where none is configured, whose code is then not imported."""

@@ -22,7 +22,7 @@ from app.line.history.status import MAX_DAYS
 from app.people.audit.anchor import EVERY_S, Anchoring
 from app.system.backup.service import Backups
 from app.system.mqtt.session import Nodes
-from app.system.opcua.process import OpcuaProcesses
+from app.system.opcua.settings import OpcuaProcesses
 from app.system.peers.board import LineTiles
 from app.system.postgresql.publisher import Publisher
 from app.system.state.disk import forecast, store_sizes

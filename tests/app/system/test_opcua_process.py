@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -20,7 +22,8 @@ from app.people.auth.rules import secret_hash
 from app.people.auth.store import Token
 from app.settings import load
 from app.system.opcua import process as opcua_process
-from app.system.opcua.process import OpcuaProcess, OpcuaProcesses
+from app.system.opcua.process import OpcuaProcess
+from app.system.opcua.settings import OpcuaProcesses
 from bus.messages import in_english
 from tests.app.complete_app import House, complete_app
 from tests.app.fake_worker import PlayedWorker, reading, until
@@ -154,7 +157,13 @@ async def test_a_port_in_use_and_a_missing_package_are_said(
     taken.close()
 
 
-async def test_without_a_table_nothing_is_started_or_imported(tmp_path: Path) -> None:
+async def test_without_a_table_nothing_is_started(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         assert house.services[OpcuaProcesses] == ()
         assert "lineside_opcua" not in (await house.http("admin").get("/metrics")).text
+
+
+def test_nothing_of_it_is_imported_before_it_is_configured() -> None:
+    program = "import sys, app.main; sys.exit(any(name in sys.modules for name in sys.argv[1:]))"
+    names = ("asyncua", "app.system.opcua.process", "app.system.opcua.link")
+    assert subprocess.run([sys.executable, "-c", program, *names], check=False).returncode == 0
