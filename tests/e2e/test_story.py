@@ -215,6 +215,8 @@ def test_what_is_read_aloud_of_the_other_pages_of_an_operator_is_in_order(
         page = opened(browser_page("operator", viewport=PANEL), "/units/line/4")
         expect(page.locator(".cause")).to_contain_text("Stopped: emergency stop active")
         expect(page.locator(".cause .alarm-words")).to_contain_text("Emergency stop")
+        head = page.locator(".top__verdict .verdict__cause")
+        expect(head).to_have_text("· Stopped: emergency stop active")  # the cause below has the time
         expect(page.locator("#setpoint")).not_to_have_value("")
         steps = page.evaluate(HEADINGS_AND_CONTROLS, ".main")
         name, before, after = (site.unit(unit)["name"] for unit in (4, 3, 5))

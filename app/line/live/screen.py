@@ -108,18 +108,22 @@ def line_fields(
     now: UnixTime,
 ) -> Fields:
     """Return the fields of the line. ``found``: everything abnormal, the worst first. The verdict is the
-    worst cause (``cause``) after the name of its unit (``name``), which may give way."""
+    worst cause (``cause``) after the name of its unit (``name``), which may give way; ``untimed`` is the
+    cause without its time, which the pages of units and alarms state where they show the condition."""
     counts = state_counts(views.values())
     worst = verdict_of(found)
     if worst is not None:
-        name, cause = translator.isolated(worst.name), cause_texts(worst.cause, translator, now).line
+        texts = cause_texts(worst.cause, translator, now)
+        name, cause, untimed = translator.isolated(worst.name), texts.line, texts.text
     else:
         name, cause = "", translator.t(all_well(len(views), counts, _running_at(buses)))
+        untimed = cause
     return {
         "level": worst.cause.level if worst else "",
         "verdict": f"{name} · {cause}" if name else cause,
         "name": name,
         "cause": f"· {cause}" if name else cause,
+        "untimed": f"· {untimed}" if name else untimed,
         "at": worst.href if worst else "",
         "counts": translator.t(Message.of("line_abnormal", n=len(found))) if found else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
