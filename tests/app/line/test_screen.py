@@ -294,7 +294,9 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     assert shown.shown["line_summary"]["at"] == ""
     live.buses["dry"].apply([reading(2, at=100.2, inputs=1)])
     changed = shown.render("dry", [2], 100.2, include_bus=False)
-    assert {name: changed["line_summary"][name] for name in ("at", "level", "verdict", "untimed", "counts")} == {
+    assert {
+        name: changed["line_summary"][name] for name in ("at", "level", "verdict", "untimed", "counts")
+    } == {
         "at": "/units/dry/2",
         "level": "urgent",
         "verdict": "Unit 2 · Still turning: emergency stop active since 00:01",
