@@ -47,7 +47,7 @@ KEPT = {
     ("255-abnormal", "line-matrix", "panel", "dark-en"): "matrix",
 }
 """Situation, scene, size, look → the name of a picture that is kept."""
-_BESIDE_RAIL: FloatRect = {"x": 88, "y": 100, "width": 1192, "height": 695}
+_BESIDE_RAIL: FloatRect = {"x": 96, "y": 100, "width": 1184, "height": 695}
 CLIPS: dict[str, FloatRect] = {
     "matrix": {"x": 0, "y": 0, "width": 1280, "height": 610},
     "setpoint": {"x": 850, "y": 260, "width": 425, "height": 535},
