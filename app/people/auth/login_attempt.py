@@ -29,9 +29,9 @@ NotAdmittedReason = Literal[
     "provider",
     "token",
 ]
-"""The part of the address of the login page that names the reason: never a text of others."""
+"""Codes of the reasons for which a login is refused, as they stand in the address of the login page."""
 COUNTED: frozenset[NotAdmittedReason] = frozenset({"disabled", "groups", "name", "name_taken", "token"})
-"""Refusals that are events, as a wrong password is: the provider has responded, and Lineside refuses."""
+"""Reasons for which a refused login is recorded as an event in the audit log, as a wrong password is."""
 
 
 class NotAdmittedError(Exception):

@@ -100,7 +100,7 @@ def write_backlog(connection: StoreConnection, backlog: Backlog) -> None:
 
 
 class PastReadings:
-    """Reads the readings of a bus from its history, in engineering units."""
+    """Reader of the past readings of a bus in its history, in engineering units."""
 
     def __init__(self, bus: BusSettings) -> None:
         self._bus = bus

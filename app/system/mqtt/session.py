@@ -65,7 +65,7 @@ log = structlog.get_logger()
 
 
 class BrokerError(LinesideError):
-    """The broker cannot be reached, or ended the connection; the message says why."""
+    """An error of the connection to the broker; the message says why it failed or ended."""
 
 
 def require_package() -> None:
@@ -185,8 +185,8 @@ class Nodes(tuple["NodeSession", ...]):
 
 
 class NodeSession:
-    """Publishes one node as long as it runs. ``summary``: makes the document of the
-    line."""
+    """Connection of one edge node to the broker, renewed after each loss. ``summary``: makes the document
+    of the line."""
 
     def __init__(
         self,

@@ -38,7 +38,7 @@ from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 KEY_BITS = 2048
-"""Basic256Sha256 takes 2048 to 4096 (OPC UA Part 7)."""
+"""Length of the server's own RSA key in bits; Basic256Sha256 allows 2048 to 4096 (OPC UA Part 7)."""
 DAYS = 3650
 RENEW_DAYS = 30
 MAX_REJECTED = 20
@@ -52,7 +52,7 @@ _USAGES = (
 
 
 class AccessError(LinesideError):
-    """The certificates of the OPC UA server cannot be used; the message says why."""
+    """An error of the certificates of the OPC UA server; the message says why they cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,15 +75,15 @@ _READS = frozenset(
 
 
 class ReadOnly(PermissionRuleset):
-    """The services that a viewer has. Writes and calls are answered, each with its refusal."""
+    """Permission rules for read-only sessions: any service but those in ``_READS`` is refused."""
 
     def check_validity(self, user: User, action_type: ua.NodeId, body: object) -> bool:  # noqa: ARG002
-        """Return whether a user has a service."""
+        """Return whether this user may call the service that ``action_type`` names."""
         return user is not None and user.role == UserRole.User and action_type in _READS
 
 
 class Tokens(UserManager):
-    """Signs programs in by the name and the secret of a token."""
+    """User manager that signs programs in by the name and secret of an API token."""
 
     def __init__(self, tokens: TokenList) -> None:
         self._tokens = tokens
@@ -103,7 +103,7 @@ class Tokens(UserManager):
 
 @dataclass(slots=True)
 class Refusals:
-    """What was refused, by reason. Each reason is logged once."""
+    """Counter of refusals by reason. Each reason is logged once."""
 
     by_reason: Counter[str] = field(default_factory=Counter)
 
@@ -545,7 +545,8 @@ class Gate:
         return await loop.create_server(lambda: GuardedConnection(self), host, port)
 
     async def sweep(self) -> None:
-        """End what has lost its rights or its session, until canceled."""
+        """Close connections whose certificate or token is no longer valid, or whose session has ended;
+        runs until canceled."""
         while True:
             await asyncio.sleep(SWEEP_S)
             self.server.trust.read()

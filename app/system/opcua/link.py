@@ -28,8 +28,8 @@ class _Tagged(msgspec.Struct, frozen=True, tag_field="is"):
 
 
 class Begin(_Tagged, frozen=True, tag="begin"):
-    """What the process needs to know first. ``folder``: of its certificates; ``names``: of this machine;
-    ``buses``: the settings of each, as JSON."""
+    """First message to the process, with its settings. ``folder``: of its certificates; ``names``: of this
+    machine; ``buses``: the settings of each, as JSON."""
 
     site: str
     version: str
@@ -43,14 +43,14 @@ class Begin(_Tagged, frozen=True, tag="begin"):
 
 
 class Changes(_Tagged, frozen=True, tag="changes"):
-    """What was reported of a bus."""
+    """Message with the updates that a bus worker reported."""
 
     bus: str
     updates: list[Reading | ParameterValue | UnitLink | BusLink | BusFigures]
 
 
 class AlarmCounts(_Tagged, frozen=True, tag="alarms"):
-    """How many alarms of each unit of a bus are active."""
+    """Message with the number of active alarms of each unit of a bus."""
 
     bus: str
     counts: dict[int, int]
@@ -72,9 +72,9 @@ class Keys(_Tagged, frozen=True, tag="keys"):
 
 
 class Status(_Tagged, frozen=True, tag="status"):
-    """How the process does, once a second. ``refused``: connections, sessions and requests that were refused,
-    since its start; ``waiting``: certificates of clients that wait to be trusted; ``accounts``: the ids of
-    the tokens of its sessions; ``fault``: why it does not serve."""
+    """Status message of the process, sent once a second. ``refused``: connections, sessions and requests
+    that were refused, since its start; ``waiting``: certificates of clients that wait to be
+    trusted; ``accounts``: the ids of the tokens of its sessions; ``fault``: why it does not serve."""
 
     is_serving: bool = False
     sessions: int = 0
@@ -101,7 +101,7 @@ def frame(message: ToProcess | Status) -> bytes:
 
 
 class Frames:
-    """Cuts what a pipe delivers into messages."""
+    """Decoder that splits the bytes of a pipe into messages."""
 
     def __init__(self, decoder: msgspec.msgpack.Decoder[Any]) -> None:
         self._decoder = decoder

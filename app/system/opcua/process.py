@@ -61,7 +61,7 @@ log = structlog.get_logger()
 
 
 class ProcessError(LinesideError):
-    """The OPC UA process ended, or does not work; the message says why."""
+    """An error of the OPC UA process, which ended or does not work; the message says why."""
 
 
 def require_package() -> None:
