@@ -55,6 +55,7 @@ where(navigator.maxTouchPoints > 0, () => import("./keypad.js"));
 where(has("[data-people]"), () => import("./people.js"));
 where(has("[data-trace]"), () => import("./trace.js"));
 where(has("[data-counts-one]"), () => import("./counts.js"));
+where(has("[data-filter]"), () => import("./filter.js"));
 where(has("[data-copy], [data-reload-as], [data-opened]"), () => import("./drawer.js"));
 
 /** Sound where its settings are shown or kept in this browser, also by another page from now on.

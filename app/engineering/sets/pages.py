@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Form, Request, Response
+from fastapi import APIRouter, Form, Query, Request, Response
 from starlette.responses import RedirectResponse
 
 from app.core.web.access import Person, Viewer
@@ -39,12 +39,13 @@ from app.line.live.bus_live import LiveState
 from app.line.live.requests import bus_or_404, unit_or_404
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
-from bus.validation import Lines, OneLine
+from bus.validation import Lines, OneLine, TypedText
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 Readings = Annotated[SetReadings, service(SetReadings)]
 
 DIFFERENT = ("differs", "unavailable")
+MAX_SEARCHED = 80
 MAX_LISTED = 100
 """Sets on one page of the list; each day of a line with a schedule adds some."""
 
@@ -58,9 +59,11 @@ async def list_page(
     bus: str = "",
     unit: int | None = None,
     before: int | None = None,
+    search: Annotated[TypedText, Query(max_length=MAX_SEARCHED)] = "",
 ) -> Response:
-    """List the newest sets, or those before one, filtered by bus and unit, with the form to save one."""
-    found = await sets.summaries(bus or None, unit, before=before, limit=MAX_LISTED + 1)
+    """List the newest sets, or those before one, by bus, unit and a text, with the form to save one."""
+    typed = search.strip()
+    found = await sets.summaries(bus or None, unit, before=before, text=typed, limit=MAX_LISTED + 1)
     return render(
         request,
         "sets/page.html",
@@ -72,6 +75,7 @@ async def list_page(
         overdue={name: bus_service_of(request, name, SetSchedule).overdue() for name in live.buses},
         bus=bus,
         unit=unit,
+        typed=typed,
     )
 
 

@@ -83,17 +83,20 @@ class SetStore(Tables):
         unit: int | None = None,
         *,
         before: int | None = None,
+        text: str = "",
         limit: int = MAX_SETS,
     ) -> list[ParameterSetSummary]:
-        """Return the newest sets, filtered by bus or unit, of those stored before the set ``before``."""
+        """Return the newest sets, filtered by bus, unit, or a ``text`` in name, comment or user, of those
+        stored before the set ``before``."""
         found = connection.execute(
             f"SELECT id, {_HEAD},"
             " (SELECT group_concat(unit) FROM parameter_set_unit WHERE set_id = id),"
             " (SELECT group_concat(unit) FROM golden_set WHERE set_id = id)"
             " FROM parameter_set WHERE (bus = :bus OR :bus IS NULL) AND (EXISTS"
             " (SELECT 1 FROM parameter_set_unit WHERE set_id = id AND unit = :unit) OR :unit IS NULL)"
+            " AND instr(lower(name || char(10) || comment || char(10) || who), lower(:text))"
             " AND (id < :before OR :before IS NULL) ORDER BY id DESC LIMIT :limit",
-            {"bus": bus, "unit": unit, "before": before, "limit": limit},
+            {"bus": bus, "unit": unit, "before": before, "text": text, "limit": limit},
         )
         return [
             ParameterSetSummary(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Annotated, Any
 from urllib.parse import urlencode
@@ -15,13 +15,14 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.core.database import Database
+from app.core.messages.languages import day_begins
 from app.core.web.access import Person, Viewer, address_of
 from app.core.web.assets import Assets
 from app.core.web.request_rules import MAX_BODY_BYTES
 from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.services import service
 from app.core.web.shape import ZonedTime
-from app.core.web.templating import Templates, render
+from app.core.web.templating import Templates, formats_of, render
 from app.feature import Feature, Services
 from app.line.alarms.api import Alarms, transition_json
 from app.line.alarms.line_alarms import LineAlarms
@@ -44,8 +45,8 @@ from app.records.handover.service import (
 )
 from app.records.handover.sheet import notes_json
 from app.records.handover.signatures import ACTS, SIGN, WRITE_NOTE, SignedPart
-from bus.instants import UnixTime
-from bus.validation import Lines, OneLine
+from bus.instants import UnixTime, unix_now
+from bus.validation import Lines, OneLine, TypedText
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
@@ -62,13 +63,25 @@ FormWord = Annotated[OneLine, Form(max_length=300)]
 
 @router.get("/shifts")
 async def shifts_page(
-    request: Request, _: Viewer, shifts: Shifts, before: ZonedTime | None = None
+    request: Request,
+    _: Viewer,
+    shifts: Shifts,
+    before: ZonedTime | None = None,
+    day: Annotated[TypedText, Query(max_length=20)] = "",
 ) -> Response:
-    """Show the shift under way, and those before it."""
+    """Show the shift under way, and those before it, or those of a ``day`` of the site and before it."""
+    formats = formats_of(request)
+    next_day = day_begins(formats.typed_time(day), shifts.zone.key, timedelta(days=1))
+    fault = formats.malformed_day(day, unix_now()) if day and next_day is None else None
+    if next_day is not None and before is None:
+        before = datetime.fromtimestamp(float(next_day), UTC)
     found = await shifts.summaries(before, ON_A_PAGE)
     return render(
         request,
         "handover/page.html",
+        status=422 if fault else 200,
+        fault=fault,
+        day=day,
         rows=[(each, _path(each.start), shifts.figures.known(Shift(each.start, each.end))) for each in found],
         address=request.url.path + (f"?{request.url.query}" if request.url.query else ""),
         present=shifts.present(),

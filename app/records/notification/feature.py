@@ -68,9 +68,12 @@ async def notification_page(
     _: Engineer,
     notification: Notifying,
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
+    endpoint: Annotated[str, Query(max_length=400)] = "",
+    state: Annotated[str, Query(max_length=20)] = "",
 ) -> Response:
-    """Show whether the path works, who is on duty, maintenance, and what was sent."""
-    found = await notification.outbox.deliveries(ON_A_PAGE + 1, before)
+    """Show whether the path works, who is on duty, maintenance, and what was sent: all, or the messages of an
+    ``endpoint`` and with a ``state``."""
+    found = await notification.outbox.deliveries(ON_A_PAGE + 1, before, endpoint=endpoint, state=state)
     addresses = {key: each.address for key, each in notification.plan.endpoints.items()}
     return render(
         request,
@@ -88,6 +91,7 @@ async def notification_page(
         ],
         older=found[ON_A_PAGE - 1].id if len(found) > ON_A_PAGE else None,
         before=before,
+        chosen={"endpoint": endpoint, "state": state},
     )
 
 

@@ -287,9 +287,13 @@ class NotificationOutbox:
         """Write the result of an attempt."""
         await self._database.write(conclusion(delivery))
 
-    async def deliveries(self, limit: int, before: int | None) -> list[NotificationDelivery]:
-        """Return the newest deliveries first; ``before``: those older than this one."""
-        return await self._deliveries("id < ?", (before or 2**62,), limit)
+    async def deliveries(
+        self, limit: int, before: int | None, *, endpoint: str = "", state: str = ""
+    ) -> list[NotificationDelivery]:
+        """Return the newest deliveries first; ``before``: those older than this one; of one endpoint or in
+        one state only, where it is given."""
+        where = "id < ? AND ? IN ('', endpoint) AND ? IN ('', state)"
+        return await self._deliveries(where, (before or 2**62, endpoint, state), limit)
 
     async def deliveries_with(self, key: str) -> list[NotificationDelivery]:
         """Return the deliveries that have an item of this key."""

@@ -183,6 +183,8 @@ async def test_a_set_keeps_every_value_with_its_evidence(scene: Scene) -> None:
     assert (row.raw, row.available, row.read_at, row.frame) == (0, True, 1.0, b"\x10")
     (summary,) = await scene.store.summaries("dry-end", 2)
     assert (summary.id, summary.units, summary.who, summary.origin) == (kept.id, (1, 2), "anna", "by hand")
+    found = {text: len(await scene.store.summaries(text=text)) for text in ("THE felt", "Anna", "wire")}
+    assert found == {"THE felt": 1, "Anna": 1, "wire": 0}
 
 
 async def test_the_list_goes_on_before_the_oldest_that_was_shown(scene: Scene) -> None:

@@ -149,6 +149,10 @@ async def test_the_page_shows_it_in_both_languages(house: House) -> None:
     shifts = (await operator.get("/shifts")).text
     assert "Schichten" in shifts
     assert "läuft" in shifts
+    earlier = (await operator.get("/shifts?day=21.11.2020")).text
+    assert "21.11.2020, 22:00" in earlier
+    assert "22.11.2020" not in earlier
+    assert (await operator.get("/shifts?day=yesterday")).status_code == 422
 
 
 async def test_a_viewer_reads_and_an_operator_writes(house: House) -> None:

@@ -413,6 +413,9 @@ async def test_what_stood_before_notification_was_configured_is_one_message(
         outbox = house.services[Notification].outbox
         assert await outbox.waiting() == {}, "each address is notified once"
         assert len(await outbox.deliveries(100, None)) == 3
+        states = ("delivered", "failed")
+        found = {state: len(await outbox.deliveries(9, None, state=state)) for state in states}
+        assert found == {"delivered": 3, "failed": 0}
 
 
 async def test_a_settled_alarm_is_not_notified_at_a_start(
