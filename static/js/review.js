@@ -83,10 +83,10 @@ function watchUnit(form, part) {
   );
 }
 
-/** Why a unit takes nothing from here any more; empty while it does.
+/** Why a unit takes nothing from here any more; empty while it does. One that is late has not stopped responding.
  * @param {Fields} fields */
-function whyNot({ link, mode, blocked }) {
-  if (link !== "online") return word("stoppedResponding");
+export function whyNot({ link, mode, blocked }) {
+  if (link !== "online" && link !== "stale") return word("stoppedResponding");
   if (mode !== "remote") return word("leftRemote");
   return blocked ? word("wasBlocked", blocked) : "";
 }

@@ -12,24 +12,25 @@
   const SENDS = ":is([type=submit], :not([type]), [hx-get], [hx-post], [data-sound-press])";
   /** @type {Element | null} */
   let button = null;
-  let last = read();
+  /** In a browser that keeps nothing: of this page alone.
+   * @type {Tap | null} */
+  let unkept = null;
 
   /** @returns {Tap | null} */
-  function read() {
+  function last() {
     try {
       return JSON.parse(sessionStorage.getItem(STORED) ?? "null");
     } catch {
-      return null;
+      return unkept;
     }
   }
 
   /** @param {Tap} tap */
   function remember(tap) {
-    last = tap;
     try {
       sessionStorage.setItem(STORED, JSON.stringify(tap));
     } catch {
-      // A browser that keeps nothing knows the taps of this page.
+      unkept = tap;
     }
   }
 
@@ -57,7 +58,8 @@
       if (!event.isTrusted) return;
       const acting = event.target instanceof Element ? event.target.closest(ACTS) : null;
       const tap = { at: Date.now(), x: event.clientX, y: event.clientY, isTouch: event.detail > 0 };
-      if (acting && last && isSecond(acting, tap, last)) {
+      const before = last();
+      if (acting && before && isSecond(acting, tap, before)) {
         event.preventDefault();
         event.stopImmediatePropagation();
         return;

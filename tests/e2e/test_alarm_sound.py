@@ -10,7 +10,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import GERMAN, OpensPages, rest
+from tests.e2e.conftest import GERMAN, OpensPages
 from tests.e2e.site import Site, eventually
 
 COUNTING = """
@@ -59,7 +59,6 @@ def test_sound_is_switched_on_tested_allowed_by_a_press_and_silenced(
         silence = page.get_by_role("button", name="Alarme stumm schalten")
         expect(silence).to_be_visible()
         eventually(lambda: tones(page) > 0, "the alarm sounds")
-        rest(page)
         silence.press("Enter")
         expect(page.locator(".sound")).to_be_hidden()
         with site.api("viewer") as client:

@@ -227,7 +227,7 @@ def press_control(site: Site, walk: Walk) -> None:
 
 @pytest.mark.soak
 def test_no_button_changes_two_things_by_two_taps(site: Site, browser_page: OpensPages) -> None:
-    walk = Walk(browser_page("admin", viewport={"width": 1280, "height": 800}))
+    walk = Walk(browser_page("admin", viewport={"width": 1280, "height": 800}, taps=True))
     restore = planned_restore(site)
     press_control(site, walk)
     walk.visit(restore)
@@ -259,7 +259,7 @@ def new_site(tmp_path: Path) -> Iterator[Site]:
 
 @pytest.mark.soak
 def test_two_taps_create_one_first_admin(new_site: Site, browser_page: OpensPages) -> None:
-    page = browser_page(None, new_site)
+    page = browser_page(None, new_site, taps=True)
     sent: list[Request] = []
     page.on("request", lambda request: sent.append(request) if request.method == "POST" else None)
     page.goto("/setup")
@@ -275,7 +275,7 @@ def test_two_taps_create_one_first_admin(new_site: Site, browser_page: OpensPage
 
 @pytest.mark.soak
 def test_two_taps_sign_in_once(site: Site, browser_page: OpensPages) -> None:
-    page = browser_page(None)
+    page = browser_page(None, taps=True)
     sent: list[Request] = []
     page.on("request", lambda request: sent.append(request) if request.method == "POST" else None)
     page.goto(f"{site.url}/login")

@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Page, ViewportSize, expect
 
 from app.records.handover.rules import exif_of
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.site import PASSWORD
 
 MAX_SCREENS, MAX_PAPER = 12, 2
@@ -75,10 +75,8 @@ def test_a_shift_is_handed_over(browser_page: OpensPages, flaws: Callable[..., l
 
     page.goto("/shifts")
     page.locator("tbody a").nth(1).click()
-    rest(page)
     page.get_by_role("button", name="Hand over shift: operator").click()
     expect(page.get_by_role("button", name="Take over shift").first).to_be_visible()
-    rest(page)
     page.get_by_label("Name", exact=True).fill("engineer")
     page.get_by_label("Password", exact=True).fill(PASSWORD)
     page.keyboard.press("Enter")

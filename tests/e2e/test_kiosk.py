@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect
 
-from tests.e2e.conftest import OpensPages, focus, rest
+from tests.e2e.conftest import FORGETS_TAPS, OpensPages, focus
 from tests.e2e.pages import LIVE
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
@@ -40,6 +40,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 def panels(site: Site, browser: Browser) -> dict[str, Any]:
     """Two panels as an admin adds them on the page, by name: one to look, one to operate. Their cookies."""
     context = browser.new_context(base_url=site.url)
+    context.add_init_script(FORGETS_TAPS)
     page = context.new_page()
     page.goto("/login?next=/users")
     page.get_by_label("Name").fill("admin")
@@ -53,7 +54,6 @@ def panels(site: Site, browser: Browser) -> dict[str, Any]:
             form.get_by_label("Role").select_option(role)
         form.get_by_label("PIN").fill(PIN)
         form.get_by_label("Home page").fill(HOME)
-        rest(page)
         form.get_by_role("button", name="Add the panel").click()
         expect(page.locator(f'[data-user="{name}"]')).to_contain_text("panel")
     context.close()
@@ -62,6 +62,7 @@ def panels(site: Site, browser: Browser) -> dict[str, Any]:
 
 def _signed_in(browser: Browser, site: Site, name: str) -> Any:
     context = browser.new_context(base_url=site.url)
+    context.add_init_script(FORGETS_TAPS)
     page = context.new_page()
     page.goto("/login?panel=true")
     page.get_by_label("Panel").fill(name)
@@ -90,6 +91,7 @@ def panel(browser: Browser, site: Site, panels: dict[str, Any]) -> Iterator[Call
             base_url=site.url, storage_state=panels[name], viewport=PANEL, has_touch=True
         )
         contexts.append(context)
+        context.add_init_script(FORGETS_TAPS)
         page = context.new_page()
         page.add_init_script(FAKE_LOCK)
         if clock:
@@ -151,7 +153,6 @@ def test_full_screen_is_entered_and_left(panel: Callable[..., Page]) -> None:
     page.locator("[popovertarget=user-menu]").tap()
     button.tap()
     eventually(lambda: page.evaluate("document.fullscreenElement !== null"), "the complete screen")
-    rest(page)
     page.locator("[popovertarget=user-menu]").tap()
     button.tap()
     eventually(lambda: page.evaluate("document.fullscreenElement === null"), "the window again")

@@ -9,7 +9,7 @@ import httpx
 import pytest
 from playwright.sync_api import expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.site import Site
 from tests.sizes import in_turn
 
@@ -118,16 +118,13 @@ def test_a_user_is_added_given_a_role_disabled_and_removed(
     assert axe(page) == []
     card.get_by_label("Name").fill("karin")
     card.get_by_label("Password").fill("a good new one")
-    rest(page)
     card.get_by_role("button", name="Add the user").click()
     row = page.locator("[data-user=karin]")
     row.get_by_role("combobox").select_option("engineer")
     row.get_by_role("button", name="Change the role").click()
     expect(row.get_by_role("combobox")).to_have_value("engineer")
-    rest(page)
     row.get_by_role("button", name="Disable the user").click()
     assert axe(page) == []
-    rest(page)
     row.get_by_role("button", name="Remove the user").click()
     expect(page.locator("#review")).to_contain_text("is deleted permanently")
     page.get_by_role("button", name="Remove karin").click()

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.limits import UNIT_MS
 from tests.e2e.site import Site, eventually
 from tests.sizes import in_turn
@@ -60,7 +60,6 @@ def changed(text: str, by: float) -> str:
 
 
 def press(page: Page, selector: str) -> None:
-    rest(page)
     page.locator(selector).click()
 
 

@@ -11,7 +11,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus
 from tests.e2e.limits import CALL_S, PROCEDURE_S
 from tests.e2e.pages import LIVE, opened
 from tests.e2e.site import AT_REST, Site, eventually
@@ -142,15 +142,12 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPa
 def test_control_is_taken_where_the_line_is_set_to_zero(shared_page: OpensPages) -> None:
     page = opened(shared_page("operator", viewport={"width": 360, "height": 740}), "/trends")
     page.get_by_role("button", name="Line to 0").click()
-    rest(page)
     page.locator("#review").get_by_role("button", name="Take control and continue").click()
     act = page.locator("[data-review-act]")
     expect(act).to_have_text(re.compile("Set . units? to speed 0"))
-    rest(page)
     act.click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("accepted speed 0")
     page.keyboard.press("Escape")
-    rest(page)
     page.get_by_role("button", name="Release control").click()
     expect(page.locator("[data-head-control]")).to_contain_text("Control is free")
 
@@ -193,7 +190,6 @@ def test_control_is_requested_in_the_head_and_a_refused_setpoint_goes_on(
     offer.get_by_role("button", name="Take control and continue").click()
     expect(ben.locator("[data-review-act]")).to_have_text(re.compile("to 72.5"))
     ben.keyboard.press("Escape")
-    rest(ben)
     ben.get_by_role("button", name="Release control").click()
     expect(anna.locator("[data-head-control]")).to_contain_text("Control is free")
 
@@ -226,7 +222,6 @@ def test_a_request_for_control_is_accessible_and_covers_nothing_of_the_head(
         finally:
             client.delete("/buses/line/control/request")
             expect(page.locator("[data-requested]")).to_have_count(0)
-            rest(page)
             page.locator("[data-head-control] button").click()
 
 

@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 from playwright.sync_api import Locator, Page, expect
 
 from app.cli import cli
-from tests.e2e.conftest import OpensPages, rest
+from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import CALL_S, PROCEDURE_MS, PROCEDURE_S
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
@@ -142,7 +142,6 @@ def expect_proof(page: Page) -> None:
 
 def requested_again(page: Page, left: Locator) -> bool:
     """Request the remaining rows; where the unit does not respond yet, check the message and go back."""
-    rest(page)
     page.get_by_role("button", name="Review the remaining rows").click()
     refused = page.get_by_role("heading", name="Request refused")
     expect(left.or_(refused)).to_be_visible(timeout=PROCEDURE_MS)

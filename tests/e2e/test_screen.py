@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, WebSocketRoute, expect
 
 from app.core.help.handbook import WITH_A_PAGE
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.limits import UNIT_MS
 from tests.e2e.pages import BESIDE_THE_RAIL, WALKED
 from tests.e2e.site import Site, eventually
@@ -275,11 +275,9 @@ def test_a_speed_is_set_beside_the_line_by_three_presses_with_nothing_to_close(
     plate = page.locator("#faceplate")
     expect(plate.get_by_label("New setpoint")).to_have_value(before)
     plate.get_by_label("New setpoint").fill(after)
-    rest(page)
     plate.get_by_role("button", name="Set now").click()
     expect(plate.locator(".change__new")).to_contain_text(after)
     expect(page.locator('.tile[data-unit="line/6"]')).to_be_in_viewport()
-    rest(page)
     plate.locator("[data-review-act]").click()
     expect(plate.get_by_text(f"reads {after}")).to_be_in_viewport()
     expect(plate.get_by_role("button", name="Undo")).to_be_visible()

@@ -20,7 +20,7 @@ UNIT = 7
 def page(site: Site, browser_page: OpensPages) -> Page:
     """The page of a unit, on which no time passes."""
     site.set_speed(UNIT, value="100.0")
-    opened = browser_page(viewport={"width": 1280, "height": 800})
+    opened = browser_page(viewport={"width": 1280, "height": 800}, taps=True)
     opened.add_init_script(CLOCK)
     opened.goto(f"{site.url}/units/line/{UNIT}")
     expect(opened.locator("body[data-link=live]")).to_be_attached()

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import OpensPages, rest
+from tests.e2e.conftest import OpensPages
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.test_setting import opened, state, writes
 
@@ -73,7 +73,6 @@ def test_a_server_that_ends_in_a_review_sends_nothing(
     if page.locator("dialog[open]").count():
         page.get_by_role("button", name="Close").click()
     expect(page.locator(field)).to_have_value("61.0")
-    rest(page)
     page.get_by_role("button", name=re.compile("Set now|Review the change")).click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.limits import PROCEDURE_MS, PROCEDURE_S
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
@@ -135,7 +135,6 @@ def test_the_list_of_drift_is_redrawn_automatically_and_keeps_the_focus(
     other = browser_page("engineer", viewport=OFFICE)
     other.goto("/units/line/2")
     expect(other.locator("#drift")).to_contain_text("This unit has no golden set.")
-    rest(page)
     of_unit(page, "Infeed nip").get_by_role("button", name="Mark as golden set").click()
     expect(other.locator("#drift")).to_contain_text("The unit equals the golden set, as last read.")
     restore = other.get_by_role("link", name="Restore parameters")

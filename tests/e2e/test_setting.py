@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.e2e.conftest import OpensPages, focus, rest
+from tests.e2e.conftest import OpensPages, focus
 from tests.e2e.site import Site, eventually
 
 PANEL = {"width": 1280, "height": 800}
@@ -72,7 +72,6 @@ def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, shared
     page.keyboard.press("Enter")
     expect(page.locator("[data-review]")).to_have_count(0)
     page.locator("#setpoint").fill("99,5")
-    rest(page)
     page.keyboard.press("Enter")
     expect(page.locator("[data-review]")).to_have_count(1)
     page.keyboard.press("Escape")
@@ -95,7 +94,6 @@ def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_
     expect(page.locator("[data-review-end]")).to_contain_text("Nothing was sent")
     expect(field).to_have_value("88.0")
     expect(field).to_be_focused()
-    rest(page)
     page.keyboard.press("Enter")
     expect(cancel).to_be_focused()
     page.keyboard.press("Tab")
@@ -159,7 +157,6 @@ def test_out_of_range_is_refused_with_the_nearest(site: Site, shared_page: Opens
     page.get_by_role("button", name="Use 200.0").click()
     expect(page.locator("#setpoint")).to_have_value("200.0")
     page.locator("#setpoint").fill("")
-    rest(page)
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("#setpoint-error")).to_contain_text("empty is not zero")
     page.locator("#setpoint").fill("1")
@@ -277,14 +274,11 @@ def test_staging_changes_nothing_until_executed(site: Site, shared_page: OpensPa
     was = state(site, 8)["setpoint"]
     page.locator("#setpoint").fill("91.0")
     page.get_by_role("button", name="Stage…", exact=True).click()
-    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
     assert state(site, 8)["setpoint"] == was
     expect(page.locator('[data-live="line/8.staged"]').first).to_have_text("91.0")
-    rest(page)
     page.get_by_role("button", name="Execute staged").click()
-    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     eventually(lambda: state(site, 8)["setpoint"] == 910, "the staged speed executed")
@@ -355,7 +349,6 @@ def test_several_units_are_one_change(site: Site, shared_page: OpensPages) -> No
     expect(page.locator("[data-review-done=good]")).to_contain_text("reads 71.0")
     assert (state(site, 3)["setpoint"], state(site, 4)["setpoint"]) == (700, 710)
     expect(page.locator("dialog[open]")).to_have_count(0)
-    rest(page)
     undo.click()
     expect(act).to_be_visible()
     site.set_speed(4, value="72.0")
@@ -386,7 +379,6 @@ def test_scaling_fills_in_checked_rows(shared_page: OpensPages) -> None:
     page.locator('[data-together-do="enter"]').click()
     expect(page.locator("#change-line")).to_contain_text("x is not a number")
     page.locator('[data-together="offset"]').fill("-999")
-    rest(page)
     page.locator('[data-together-do="enter"]').click()
     page.get_by_role("button", name="Review the change").click()
     expect(page.locator("#change-line")).to_contain_text("below 0")
@@ -409,7 +401,6 @@ def test_a_dangerous_parameter_wants_a_word(site: Site, shared_page: OpensPages)
     before = writes(site)
     row = page.locator("#parameter-19")
     row.locator("[name=value]").select_option("Local")
-    rest(page)
     row.get_by_role("button", name="Write").click()
     act = page.locator("[data-review-act]")
     expect(act).to_be_disabled()

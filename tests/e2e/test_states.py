@@ -10,7 +10,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.pages import opened
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.sizes import sizes
@@ -85,14 +85,12 @@ def test_each_outcome_of_a_command_is_accessible_and_names_the_request(
     with site.api("engineer") as client:
         assert client.put("/buses/line/units/1/limits", json={"highest": 9990}).status_code == 200
     page.locator("#setpoint").fill("999")
-    rest(page)
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("#set-review")).to_contain_text("above its maximum display value")
     assert judged(page, axe) == []
     # A review lapses after 30 s, which axe may take on a machine that is busy.
     page.keyboard.press("Escape")
     page.locator("#setpoint").fill("999")
-    rest(page)
     page.get_by_role("button", name="Set now").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=bad]")).to_contain_text(
@@ -103,7 +101,6 @@ def test_each_outcome_of_a_command_is_accessible_and_names_the_request(
     with site.api("engineer") as client:
         assert client.put("/buses/line/units/1/limits", json={}).status_code == 200
     page.locator("#setpoint").fill("999")
-    rest(page)
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("#setpoint-error")).to_contain_text("999.0 is outside 0.0 to 200.0")
     expect(page.locator("#setpoint-error .button")).to_be_in_viewport(ratio=1)
@@ -121,13 +118,11 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     expect(page.locator("[data-tick]:checked")).to_have_count(2)
     page.locator(".setpoints__new[name=new-1]").fill("50")
     page.evaluate("document.querySelector('[name=new-3]').value = '51'")
-    rest(page)
     page.get_by_role("button", name="Review the change").click()
     expect(page.locator("#review [data-remark=obstacle_not_in_remote]")).to_contain_text("not possible")
     expect(page.locator("#review [data-remark=obstacle_blocked]")).to_contain_text("left out")
     assert judged(page, axe) == []
     page.keyboard.press("Escape")  # as above
-    rest(page)
     page.get_by_role("button", name="Review the change").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review]:not([data-pending])")).to_have_count(1)
@@ -135,7 +130,6 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     expect(page.locator(".setpoints__new[name=new-1]")).to_have_value("50")
     page.evaluate("document.querySelector('[name=new-3]').value = ''")
     page.locator("[name=new-2]").fill("52")
-    rest(page)
     page.get_by_role("button", name="Review the change").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("verified at each of 2 units")
@@ -169,7 +163,6 @@ def test_a_group_change_that_fails_is_accessible(
         page.locator("[name=new-1]").fill("999")
         page.locator("[name=new-2]").fill("52")
         page.locator("form[data-setpoints] [type=submit]").click()
-        rest(page)
         page.locator("[data-review-act]").click()
         expect(page.locator("[data-review-done=bad]")).to_be_visible()
         assert flaws(page, locale) == []
@@ -189,7 +182,6 @@ def test_an_undo_that_has_lapsed_is_accessible(
     expect(undo).to_be_visible()
     before = site.unit(1)["commanded"]
     site.set_speed(1, value="55.0" if before != "55.0" else "56.0")
-    rest(page)
     undo.click()
     refused = page.get_by_text(re.compile("cannot be undone|nicht .*rückgängig"))
     expect(refused).to_be_visible()

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.test_alarm_list import NO_TENSION_ALARM
 from tests.sizes import in_turn
@@ -89,7 +89,6 @@ def test_nothing_moves_while_the_story_runs(
         if size == PANEL:
             page.locator('[data-unit="line/4"] [data-faceplate]').click()
             expect(page.locator("#faceplate-name")).to_be_visible()
-            rest(page)
             page.keyboard.press("Escape")
             expect(page.locator("#faceplate")).to_be_hidden()
     finally:

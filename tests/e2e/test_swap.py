@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from bus.messages import Message
-from tests.e2e.conftest import OpensPages, rest
+from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import PROCEDURE_MS
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
@@ -186,13 +186,11 @@ def test_a_section_without_a_set_becomes_what_its_neighbour_is_or_the_sheet(
     expect(page.get_by_text(refusal)).to_be_visible()
     page.goto("/swap/line/2")
     page.get_by_label("Source of the parameters").select_option("live:line:1")
-    rest(page)
     begin_it.click()
     expect(page.get_by_text("The set is from unit 1, another section.")).to_be_visible()
     leave(page, 2)
     page.goto("/swap/line/2")
     page.get_by_label("Source of the parameters").select_option("sheet")
-    rest(page)
     begin_it.click()
     shows(page, "If it is already the spare, confirm it")
     page.get_by_role("button", name="Confirm the spare").click()

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus
 from tests.e2e.limits import PAGE_MS, UNIT_MS
 from tests.e2e.site import AT_REST, Site, eventually
 
@@ -57,7 +57,6 @@ def strip(page: Page) -> Locator:
 def add_setpoint(page: Page, unit: int, value: str) -> None:
     goto(page, f"/units/line/{unit}")
     page.locator("#setpoint").fill(value)
-    rest(page)
     page.locator(".setter").get_by_role("button", name="Add to tray").click()
     expect(page.locator("#setpoint-error [data-added]")).to_be_visible()
 
@@ -70,13 +69,11 @@ def edges(part: Locator) -> tuple[float, float]:
 
 
 def review(page: Page) -> None:
-    rest(page)
     strip(page).get_by_role("link", name="Review the tray").click()
     expect(page.locator("[data-review-act]")).to_be_visible(timeout=UNIT_MS)
 
 
 def send(page: Page) -> None:
-    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done]")).to_be_visible(timeout=UNIT_MS)
 
@@ -106,7 +103,6 @@ def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
     add_setpoint(page, 3, "90.0")
     expect(strip(page)).to_contain_text(re.compile(r"1 change\W+1 unit"))
     page.get_by_role("button", name="Switch output 3").click()
-    rest(page)
     page.locator("#outputs-review").get_by_role("button", name="Add to tray").click()
     expect(page.locator("#outputs-result [data-added]")).to_be_visible()
     expect(page.locator("[data-review]")).to_have_count(0)
@@ -114,7 +110,6 @@ def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
     goto(page, "/units/line/4/parameters")
     page.locator("#parameter-12 input[name=value]").fill("1.5")
     page.locator("#parameter-12").get_by_role("button", name="Write").click()
-    rest(page)
     page.locator("#review").get_by_role("button", name="Add to tray").click()
     expect(page.locator("#parameter-12-error [data-added]")).to_be_visible()
     expect(page.locator("#review")).to_be_hidden()
@@ -143,9 +138,7 @@ def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
     assert [site.unit(unit)["commanded"] for unit in (3, 4)] == ["90.0", "91.0"]
     expect(strip(page)).to_contain_text(re.compile(r"1 change\W+1 unit"))
 
-    rest(page)
     page.get_by_role("button", name="Undo: set the former setpoints").click()
-    rest(page)
     page.get_by_role("button", name="Set 2 units now").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible(timeout=UNIT_MS)
     assert {unit: site.unit(unit)["commanded"] for unit in before} == before
@@ -160,7 +153,6 @@ def test_twelve_units_take_six_presses_and_the_number(site: Site, page: Page) ->
 
     def press(target: Locator) -> None:
         nonlocal presses
-        rest(page)
         target.click()
         presses += 1
 
@@ -214,7 +206,6 @@ def test_a_double_tap_sends_once(site: Site, page: Page) -> None:
     add_setpoint(page, 7, "71.0")
     review(page)
     sent = len(writes(site))
-    rest(page)
     page.locator("[data-review-act]").dblclick()
     expect(page.locator("[data-review-done=good]")).to_contain_text("1 change made", timeout=UNIT_MS)
     assert writes(site)[sent:] == [0x84]
@@ -227,10 +218,8 @@ def test_the_keyboard_alone_gathers_reviews_and_sends(site: Site, page: Page) ->
     page.keyboard.type("73.0")
     page.locator(".setter").get_by_role("button", name="Add to tray").press("Enter")
     expect(page.locator("#setpoint-error [data-added]")).to_be_visible()
-    rest(page)
     strip(page).get_by_role("link", name="Review the tray").press("Enter")
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
-    rest(page)
     page.keyboard.press("Tab")
     page.keyboard.press("Enter")
     expect(page.locator("[data-review-done=good]")).to_be_visible(timeout=UNIT_MS)
@@ -310,7 +299,6 @@ def test_the_tray_is_accessible_and_covers_nothing_for_good(
     above, below = edges(last), edges(strip(shown))
     assert above[1] <= below[0]
     assert below[1] <= edges(shown.locator(".rail"))[0] + 1
-    rest(shown)
     strip(shown).locator("a.button").click()
     expect(shown.locator("[data-review-act]")).to_be_visible(timeout=UNIT_MS)
     shown.evaluate("document.querySelector('[data-lapse]').getAnimations().forEach(each => each.pause())")

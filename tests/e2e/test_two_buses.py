@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import GERMAN, OpensPages, rest
+from tests.e2e.conftest import GERMAN, OpensPages
 from tests.e2e.pages import opened
 from tests.e2e.site import AT_REST, Line, Site, eventually
 
@@ -249,13 +249,10 @@ def test_a_staged_value_of_a_follower_is_a_ratio_too(
     page = opened(shared_page(viewport=PANEL), f"/units/line/{follower}")
     page.locator("#setpoint").fill("0.9876")
     page.get_by_role("button", name="Stage…", exact=True).click()
-    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
     expect(page.locator(f'[data-live="line/{follower}.staged"]').first).to_have_text(re.compile("0.9876"))
-    rest(page)
     page.get_by_role("button", name="Execute staged").click()
-    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     eventually(lambda: state(site.line, follower)["setpoint"] == 9876, "the staged ratio executed")

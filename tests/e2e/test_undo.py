@@ -7,7 +7,7 @@ import re
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.e2e.conftest import OpensPages, rest
+from tests.e2e.conftest import OpensPages
 from tests.e2e.site import Site, eventually
 
 UNIT = 8
@@ -33,9 +33,7 @@ def undo(page: Page) -> Locator:
 
 def send(page: Page, opens_review: str) -> None:
     """One reviewed command, until its review is gone."""
-    rest(page)
     page.get_by_role("button", name=opens_review).click()
-    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]").last).to_be_visible()
     close = page.locator("dialog[open] [data-review-cancel]")
@@ -101,7 +99,6 @@ def test_what_was_typed_is_a_draft_on_the_next_page(page: Page) -> None:
 def test_what_was_staged_is_no_draft_any_more(site: Site, page: Page) -> None:
     page.locator("#setpoint").fill("66.6")
     page.get_by_role("button", name="Stage…").click()
-    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     assert site.unit(UNIT)["staged"] == "66.6"
@@ -130,12 +127,10 @@ def test_setting_the_line_to_zero_ends_the_undo_before_it_and_has_none(site: Sit
 @pytest.mark.soak
 def test_an_execute_is_refused_where_the_setpoint_has_moved_since_the_review(site: Site, page: Page) -> None:
     stage(page, "119.0")
-    rest(page)
     page.get_by_role("button", name="Execute staged").click()
     was = page.locator('[data-review] [name="was"]')
     expect(was).to_have_value("1110")
     was.evaluate("field => (field.value = '1150')")
-    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=bad]")).to_be_visible()
     eventually(lambda: site.unit(UNIT)["commanded"] == "111.0", "nothing was executed")
