@@ -105,6 +105,8 @@ def create_app(
     app.state.services = services
     for feature in FEATURES:
         feature.make(services)
+    # A request passes all routes before its own: those of commands are the first.
+    for feature in sorted(FEATURES, key=lambda each: each is not commands.FEATURE):
         # The router of an app would analyze every route again that it includes.
         app.router.routes.extend(route for router in feature.routers for route in router.routes)
     for feature in FEATURES:

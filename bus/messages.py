@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Sequence
 from decimal import Decimal
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Protocol, TypeAlias
 
@@ -168,13 +169,21 @@ class Message(msgspec.Struct, frozen=True):
         template = catalog.template(self.code, self.params.get("n"))
         if template is None:
             template = " ".join([self.code, *(f"{{{name}}}" for name in self.params)])
-        return _BRACES.sub(lambda found: self._filled(found, catalog), template)[:MAX_TEXT]
+        pieces = list(_pieces(template))
+        pieces[1::2] = [self._filled(name, catalog) for name in pieces[1::2]]
+        return "".join(pieces)[:MAX_TEXT]
 
-    def _filled(self, found: re.Match[str], catalog: Catalog) -> str:
-        value = self.params.get(found[1])
-        if value is None and found[1] == PARAMETER and "number" in self.params:
+    def _filled(self, name: str, catalog: Catalog) -> str:
+        value = self.params.get(name)
+        if value is None and name == PARAMETER and "number" in self.params:
             value = Message(PARAMETER, {"number": self.params["number"]})
-        return found[0] if value is None else shown(value, catalog)
+        return f"{{{name}}}" if value is None else shown(value, catalog)
+
+
+@lru_cache(512)
+def _pieces(template: str) -> tuple[str, ...]:
+    """Split a template into its texts, and between them the names of its braces."""
+    return tuple(_BRACES.split(template))
 
 
 def in_english(message: Message | None) -> str:
@@ -238,17 +247,18 @@ def shown(value: ParamValue, catalog: Catalog) -> str:
 def _check_bounds(values: Iterable[object]) -> None:
     """Check the bounds of a message. Raises ValueError for ``values`` of a message that hold more than
     `DEEPEST` levels of others, or more than `LARGEST` together: the state of every unit keeps one."""
-    size, waiting = 0, [(value, 0) for value in values]
+    size, waiting = 0, [(values, 0)]
     while waiting:
-        value, depth = waiting.pop()
-        size += VALUE_SIZE
-        if isinstance(value, str):
-            size += len(value)
-        elif isinstance(value, list):
-            waiting += [(each, depth) for each in value]
-        elif isinstance(value, Message):
-            if depth == DEEPEST:
-                raise ValueError(f"messages are nested more than {DEEPEST} deep")
-            waiting += [(each, depth + 1) for each in value.params.values()]
+        level, depth = waiting.pop()
+        for value in level:
+            size += VALUE_SIZE
+            if isinstance(value, str):
+                size += len(value)
+            elif isinstance(value, list):
+                waiting.append((value, depth))
+            elif isinstance(value, Message):
+                if depth == DEEPEST:
+                    raise ValueError(f"messages are nested more than {DEEPEST} deep")
+                waiting.append((value.params.values(), depth + 1))
         if size > LARGEST:
             raise ValueError(f"a message is larger than {LARGEST}")

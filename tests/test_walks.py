@@ -242,7 +242,7 @@ async def test_a_write_requires_its_role_its_key_and_its_turn_once(tmp_path: Pat
     required_once = [
         "app.line.commands.service.CommandService.look_up",
         "app.line.commands.record.CommandRecord.look_up",
-        "app.line.commands.service._Writes.grant",
+        "app.line.commands.service.RequiresWrite.grant",
         "app.line.commands.service.CommandService.reserve",
         "app.line.commands.control.Control.use",
     ]

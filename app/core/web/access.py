@@ -174,6 +174,11 @@ class Requires:
 
     async def __call__(self, connection: HTTPConnection) -> Person:
         """Return the person of the grant. Raises what `grant` raises."""
+        return await self.granted_once(connection)
+
+    async def granted_once(self, connection: HTTPConnection) -> Person:
+        """Return the person of the grant, which is made where it was not yet in this request. Raises what
+        `grant` raises."""
         granted: set[Requires] = connection.scope.setdefault("granted", set())
         if self not in granted:
             connection.scope["person"] = await self.grant(connection)

@@ -150,7 +150,7 @@ class RouteGuard:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         connection = HTTPConnection(scope)
         for requirement in self._requirements:
-            await requirement(connection)
+            await requirement.granted_once(connection)
         receive, caller = bounded(scope, receive, self._most_bytes), caller_of(connection)
         if self._turns is None or caller is None:
             await self._app(scope, receive, send)

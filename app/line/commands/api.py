@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.core.web.access import Person
+from app.core.web.access import Person, Requires
 from app.core.web.api import ApiRoute, RequestKey, problems
 from app.core.web.arrival import Deadline, made_at
 from app.core.web.problems import respond
@@ -45,7 +45,7 @@ from app.line.commands.catalogue import (
     timeout_s_for,
 )
 from app.line.commands.review import outcome_message
-from app.line.commands.service import CommandService, check_all_read, permitted, permitted_writer
+from app.line.commands.service import CommandService, RequiresWrite, check_all_read
 from app.line.commands.values import Scales
 from app.line.live.api.view import ParameterShown, parameter_json
 from app.line.live.bus_live import BusLive, UnitLive
@@ -365,33 +365,54 @@ class CommandCall:
         return command_response(self.request, self.bus, result, unit, frames=self.frames)
 
 
-def calling(kind: CommandKind[Any]) -> Any:
-    """Make a dependency that returns the call of a user with the role of a kind of command."""
-    sender = permitted_writer(kind) if kind.request.writes else permitted(kind)
-    wants_frames = Depends(_frames_wanted if kind.request.writes else _no_frames)
+QueryTimeoutS = Annotated[float | None, Query(ge=0.05, le=30)]
 
-    async def command_call(
+
+class _ReadCall(Requires):
+    """A dependency that returns the call of a user who may read parameters.
+
+    It is one with the grant, and looks up what it needs: each dependency costs a request more than that does.
+    """
+
+    async def __call__(  # type: ignore[override]
+        self, request: Request, bus: str, timeout_s: QueryTimeoutS = None, key: RequestKey = None
+    ) -> CommandCall:
+        return await _call(self, request, bus, timeout_s, key)
+
+
+class _WriteCall(RequiresWrite):
+    """The same for a user who may send a kind of command that writes."""
+
+    async def __call__(  # type: ignore[override]
+        self,
         request: Request,
         bus: str,
-        person: Person = sender,
-        timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
+        timeout_s: QueryTimeoutS = None,
         key: RequestKey = None,
-        frames: bool = wants_frames,
+        frames: FramesWanted = False,
     ) -> CommandCall:
-        # Looked up here: each dependency costs a request more than the lookup does.
-        live = bus_service_of(request, bus, BusLive)
-        commands = bus_service_of(request, bus, CommandService)
-        return CommandCall(request, person, live, commands, key, made_at(request), timeout_s, frames)
-
-    return Depends(command_call)
+        return await _call(self, request, bus, timeout_s, key, frames=frames)
 
 
-async def _frames_wanted(frames: FramesWanted = False) -> bool:
-    return frames
+async def _call(
+    grant: Requires,
+    request: Request,
+    bus: str,
+    timeout_s: float | None,
+    key: str | None,
+    *,
+    frames: bool = False,
+) -> CommandCall:
+    person = await grant.granted_once(request)
+    live = bus_service_of(request, bus, BusLive)
+    commands = bus_service_of(request, bus, CommandService)
+    return CommandCall(request, person, live, commands, key, made_at(request), timeout_s, frames)
 
 
-async def _no_frames() -> bool:
-    return False
+def calling(kind: CommandKind[Any]) -> Any:
+    """Make a dependency that returns the call of a user with the role of a kind of command."""
+    called = _WriteCall if kind.request.writes else _ReadCall
+    return Depends(called(kind.role, kind.request.__name__))
 
 
 @router.post("/units/{unit:int}/speed", responses=RESULT_RESPONSES)

@@ -6,8 +6,8 @@ There is no other path from a request to the wire.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
 from math import inf
 from typing import Annotated, Any
 
@@ -382,19 +382,19 @@ class CommandService:
     async def _follow(self, command: Command, request: CommandRequest, *, slows: bool) -> Result:
         """Send a command and return its result. If it may no longer go on, the worker is told once to stop
         where nothing is half done, and the reason precedes the message of the result."""
-        sending = asyncio.ensure_future(self._channel.send(command))
-        reason: Message | None = None
-        try:
-            while not sending.done():
-                await asyncio.wait({sending}, timeout=RECHECK_S)
-                if not sending.done() and reason is None:
-                    reason = await self._why_no_longer(request, slows=slows)
-                    if reason is not None:
-                        await self._channel.cancel(request.id)
-            result = sending.result()
-        finally:
-            sending.cancel()
-        return replace(result, message=joined((reason, result.message)))
+        reasons: list[Message] = []
+
+        async def watch() -> None:
+            reason = await self._why_no_longer(request, slows=slows)
+            while reason is None:
+                await asyncio.sleep(RECHECK_S)
+                reason = await self._why_no_longer(request, slows=slows)
+            reasons.append(reason)
+            await self._channel.cancel(request.id)
+
+        with _later(RECHECK_S, watch):
+            result = await self._channel.send(command)
+        return replace(result, message=joined((*reasons, result.message))) if reasons else result
 
     async def _why_no_longer(self, request: CommandRequest, *, slows: bool) -> Message | None:
         """Return why a command must not be sent, or be given up; None while it may go on. A store that cannot
@@ -415,6 +415,19 @@ class CommandService:
             if block is not None:
                 return block.refusal(unit)
         return self._guards.objection(request.person.account)
+
+
+@contextmanager
+def _later(seconds: float, work: Callable[[], Coroutine[Any, Any, None]]) -> Iterator[None]:
+    """Begin ``work`` in so many seconds, and cancel it at the end of the context: most never begins."""
+    begun: list[asyncio.Task[None]] = []
+    timer = asyncio.get_running_loop().call_later(seconds, lambda: begun.append(asyncio.create_task(work())))
+    try:
+        yield
+    finally:
+        timer.cancel()
+        for task in begun:
+            task.cancel()
 
 
 def _not_sent(request: CommandRequest, reason: Message) -> Result:
@@ -465,7 +478,7 @@ Commands = Annotated[CommandService, bus_service(CommandService)]
 """Sends commands to ``{bus}`` in the path."""
 
 
-class _Writes(Requires):
+class RequiresWrite(Requires):
     """A dependency that reserves the next turn of ``{bus}`` in the path for a user with the role.
 
     Whether the command comes late is judged where it is sent: it may have a timeout of its own, and one that
@@ -490,4 +503,4 @@ ParameterWriter = Annotated[Person, permitted(WRITE_PARAMETER)]
 
 def permitted_writer(kind: CommandKind[Any]) -> Any:
     """Make a dependency that requires the role of a kind of command, and reserves a turn of the wire."""
-    return Depends(_Writes(kind.role, kind.request.__name__))
+    return Depends(RequiresWrite(kind.role, kind.request.__name__))

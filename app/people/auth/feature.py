@@ -31,7 +31,7 @@ def make(services: Services) -> None:
     if not services.demo:
         services.lifespan.add("first admin", start=first_admin.start)
     services.add(RefusalLog())
-    services.add(Identity(database, sign_in, services.worker_tokens))
+    services.add(Identity(database, sign_in, rights, services.worker_tokens))
 
 
 FEATURE = Feature(make, (pages.api_router, pages.router), ACTS)

@@ -43,7 +43,7 @@ from app.people.auth import rules, store
 from app.people.auth.rights import Rights
 from app.people.auth.sign_in import SignIn, count_refusal
 from app.people.auth.store import Token
-from bus.instants import Clock, monotonic_now, unix_now
+from bus.instants import Clock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 
 PUBLIC_PATHS = frozenset(
@@ -322,6 +322,7 @@ class Identity:
 
     _database: Database
     _sign_in: SignIn
+    _rights: Rights
     _worker_tokens: Mapping[str, str]
     _clock: Clock = unix_now
 
@@ -360,14 +361,15 @@ class Identity:
         for bus, own in self._worker_tokens.items():
             if hmac.compare_digest(bearer.encode(), own.encode()):
                 return Caller("worker", Role.WORKER, "worker", bus=bus)
-        hash_ = rules.secret_hash(bearer)
-        token = await self._database.read(lambda connection: store.token(connection, hash_))
+        hash_, now = rules.secret_hash(bearer), self._clock()
+        token = self._rights.token(hash_)
+        if token is None or not token.is_good(now) or _is_use_due(token, now):
+            token = await self._database.read(lambda connection: store.token(connection, hash_))
         if token is None:
             return None
-        now = self._clock()
         if not token.is_good(now):
             raise ExpiredTokenError(token)
-        if token.used_at is None or now - token.used_at > rules.USE_NOTED_EVERY_S:
+        if _is_use_due(token, now):
             number = token.id
             await self._note(lambda connection: store.note_token_used(connection, number, now))
         return Caller(
@@ -383,6 +385,11 @@ class Identity:
         """Store when an account was last used. On a full disk the line can still be watched."""
         with suppress(StoreError):
             await self._database.write(work)
+
+
+def _is_use_due(token: Token, now: UnixTime) -> bool:
+    """Return whether the use of a token is to be stored again."""
+    return token.used_at is None or now - token.used_at > rules.USE_NOTED_EVERY_S
 
 
 class ExpiredTokenError(Problem):

@@ -24,7 +24,7 @@ from app.core.database import Database, StoreConnection, StoreRow
 from app.core.web.access import PEOPLE_ROLES, AccountSubscriber, Caller, Role, account_of
 from app.errors import Problem, StoreError
 from app.people.auth import store
-from app.people.auth.store import CompanyAccount, User
+from app.people.auth.store import CompanyAccount, Token, User
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
 
@@ -73,6 +73,8 @@ class Rights:
     changes: int = 0
     _changed: asyncio.Event = field(default_factory=asyncio.Event)
     _standings: Mapping[str, Standing] = field(default_factory=dict)
+    _tokens: Mapping[bytes, Token] = field(default_factory=dict)
+    """By the hashes of their secrets."""
     _read_at: Monotonic = Monotonic(float("-inf"))
     _withdrawn: list[AccountSubscriber] = field(default_factory=list)
 
@@ -85,11 +87,19 @@ class Rights:
         when the person was authenticated; StoreError when that cannot be known."""
         if not person.has_account:
             return
-        if self.monotonic() - self._read_at > FRESH_S or self._why_withdrawn(person):
+        if not self._is_fresh or self._why_withdrawn(person):
             await self.refresh()
         reason = self._why_withdrawn(person)
         if reason:
             raise Problem(403, "rights_withdrawn", reason, outcome="rights_withdrawn")
+
+    def token(self, hash_: bytes) -> Token | None:
+        """Return a token by the hash of its secret; None where only the store knows whether it is there."""
+        return self._tokens.get(hash_) if self._is_fresh else None
+
+    @property
+    def _is_fresh(self) -> bool:
+        return self.monotonic() - self._read_at <= FRESH_S
 
     def announce(self) -> None:
         """Have each open connection look up again whether it is allowed."""
@@ -107,10 +117,11 @@ class Rights:
     async def refresh(self) -> None:
         """Read the store now. Raises StoreError."""
         began = self.monotonic()
-        standings = await self._database.read(self._read)
+        standings, tokens = await self._database.read(self._read)
         if began < self._read_at:
             return  # another read began later and is here already
-        before, self._standings, self._read_at = self._standings, standings, began
+        before, self._standings, self._tokens = self._standings, standings, tokens
+        self._read_at = began
         if before != standings:
             self.announce()
         lessened = [
@@ -149,18 +160,20 @@ class Rights:
     def _why_withdrawn(self, person: Caller) -> Message | None:
         return why_withdrawn(person, self._standings.get(person.account))
 
-    def _read(self, connection: StoreConnection) -> dict[str, Standing]:
+    def _read(self, connection: StoreConnection) -> tuple[dict[str, Standing], dict[bytes, Token]]:
         now = self.clock()
         signed_in = store.signed_in(connection, now)
-        return {
+        users = {
             user.name: Standing(user.role, user.credential, user.name in signed_in)
             for user in store.users(connection)
             if not user.disabled
-        } | {
-            account_of(token.name, token=True): Standing(token.role, token.credential)
-            for token in store.tokens(connection)
-            if token.is_good(now)
         }
+        tokens = {hash_: token for hash_, token in store.token_hashes(connection) if token.is_good(now)}
+        programs = {
+            account_of(token.name, token=True): Standing(token.role, token.credential)
+            for token in tokens.values()
+        }
+        return users | programs, tokens
 
 
 def _is_less(before: Standing, now: Standing | None) -> bool:

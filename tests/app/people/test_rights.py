@@ -111,7 +111,9 @@ async def test_what_was_read_longer_ago_than_a_second_permits_nothing(scene: Sce
     await scene.revoke("program")
     scene.now += FRESH_S
     assert await scene.is_allowed(program), "it is looked up in memory"
+    assert scene.rights.token(b"program") is not None
     scene.now += 0.001
+    assert scene.rights.token(b"program") is None
     assert not await scene.is_allowed(program)
     assert scene.withdrawn == ["program (token)"]
 

@@ -43,11 +43,11 @@ class House:
         self.database = database
         self.log = EventLog(database, lambda: self.now)
         self.accounts = Accounts(database, self.log, lambda: self.now, buses=OWN)
-        self.rights = Rights(database, lambda: self.now)
+        self.rights = Rights(database, lambda: self.now, lambda: self.now)
         self.sign_in = SignIn(
             database, self.log, Sessions(), self.rights, lambda: self.now, lambda: self.running, site="Mill 7"
         )
-        self.identity = Identity(database, self.sign_in, OWN, lambda: self.now)
+        self.identity = Identity(database, self.sign_in, self.rights, OWN, lambda: self.now)
 
     async def add(self, name: str = "ann", role: Role = Role.OPERATOR) -> None:
         await self.accounts.add_user(name, role, PASSWORD, **BY)
@@ -378,7 +378,10 @@ async def test_tokens(house: House) -> None:
     assert person is not None
     assert (person.name, person.role, person.via) == ("plc", Role.ENGINEER, "token")
     assert (await house.accounts.tokens())[0].used_at == house.now
+    await house.rights.refresh()
     await house.accounts.revoke_token("plc", **BY)
+    assert await house.identity.by_token(token), "a token is known without the store"
+    await house.rights.refresh()
     assert await house.identity.by_token(token) is None
 
 
