@@ -92,6 +92,9 @@ def merge_groups(groups: Groups, *later: Groups) -> Groups:
     return groups
 
 
+MEASURED = frozenset({"actual", "analog", "at", "deviation", "draw", "fill", "off"})
+"""The fields of a unit that each reading may change, however well all is."""
+
 DEVIATION_WINDOWS = 3
 """Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
 

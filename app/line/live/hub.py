@@ -2,8 +2,9 @@
 and the WebSocket ``/live`` of a page.
 
 A change is rendered once for each language in use, and all pages of a language get the same bytes in the same
-turn. In a flood of changes, or with very many pages, changes are held back for a moment and go together. Age,
-which no worker reports, is checked once a second; the same tick is the heartbeat that every page draws.
+turn. What units at speed are measured again, and in a flood of changes or with very many pages every change,
+is held back for a moment and goes together. Age, which no worker reports, is checked once a second; the same
+tick is the heartbeat that every page draws.
 
 A page may request a snapshot over its socket, but never a command: one that was clicked while a socket was
 down must never be sent later.
@@ -62,11 +63,15 @@ MAX_SENDS_S = 2000
 """Messages a second that many pages share, to bound the load of the server: 200 pages get ten updates a
 second each, 40 and fewer one for each response."""
 
+STEADY_S = 0.1
+"""Between two updates of units that are at speed and only measured again: drawing each by itself takes a
+browser twice the CPU."""
+
 
 @dataclass(slots=True)
 class Flow:
-    """The rate at which open pages are updated: on every response, except in a flood or with very many
-    pages."""
+    """The rate at which open pages are updated: on every response, except of steady units, in a flood or with
+    very many pages."""
 
     clock: MonotonicClock = monotonic_now
     _gap_s: float = 0.0
@@ -87,10 +92,11 @@ class Flow:
             self._began, self._count = now, 0
         self._count += units
 
-    def pause_s(self) -> float:
-        """Return the seconds to wait before the next update: 0 except in a flood, or with very many pages."""
+    def pause_s(self, *, is_steady: bool = False) -> float:
+        """Return the seconds to wait before the next update: 0 except of steady units, in a flood, or with
+        very many pages."""
         flooded = self._flooded or self._count > FLOOD
-        gap_s = max(self._gap_s, WINDOW_S) if flooded else self._gap_s
+        gap_s = max(self._gap_s, WINDOW_S if flooded else 0.0, STEADY_S if is_steady else 0.0)
         return max(0.0, self._sent_at + gap_s - self.clock())
 
     def sent(self) -> None:
@@ -182,19 +188,21 @@ class Broadcast:
         if not self.browsers or not (groups or always):
             return
         self.flow.came(len(groups) or 1)
+        merge_groups(self._held, groups)
+        pause_s = self.flow.pause_s(is_steady=self.screen.is_steady(groups))
+        loop = asyncio.get_running_loop()
+        due = loop.time() + pause_s
         if self._due is not None:
-            merge_groups(self._held, groups)
-        elif pause_s := self.flow.pause_s():
-            merge_groups(self._held, groups)
-            self._due = asyncio.get_running_loop().call_later(pause_s, self._release)
+            if self._due.when() <= due:
+                return
+            self._due.cancel()
+        if pause_s:
+            self._due = loop.call_at(due, self._release)
         else:
-            self._publish(groups)
+            self._release()
 
     def _release(self) -> None:
         groups, self._held, self._due = self._held, {}, None
-        self._publish(groups)
-
-    def _publish(self, groups: Groups) -> None:
         self.flow.sent()
         diff = Diff(self.number, self.number + 1, self.clock(), groups)
         self.number = diff.after

@@ -37,6 +37,7 @@ from app.line.live.diagnosis import (
     unit_cause,
 )
 from app.line.live.fields import (
+    MEASURED,
     Fields,
     Groups,
     Translator,
@@ -289,6 +290,13 @@ class Screen:
     def put(self, group: str, fields: Fields) -> Groups:
         """Set fields of a group; return those that changed."""
         return put_fields(self.shown, group, fields)
+
+    def is_steady(self, groups: Groups) -> bool:
+        """Return whether changes are only new measurements of units at speed."""
+        return bool(groups) and all(
+            fields.keys() <= MEASURED and self.shown[group].get("state") == "at_speed"
+            for group, fields in groups.items()
+        )
 
     def flat(self) -> Fields:
         """Return everything shown, by ``group.field``, for the first paint of a page."""

@@ -77,8 +77,8 @@ def test_a_few_pages_get_every_response() -> None:
 GROUP = "dry/1"
 
 
-def broadcast() -> Broadcast:
-    return Broadcast(screen(line()), lambda: 100.0)
+def broadcast(paced: Flow | None = None) -> Broadcast:
+    return Broadcast(screen(line()), lambda: 100.0, flow=paced or Flow())
 
 
 async def sent_by(browser: Browser) -> list[dict[str, Any]]:
@@ -100,11 +100,23 @@ async def test_a_snapshot_states_what_a_page_is_rendered_with() -> None:
 async def test_few_pages_are_updated_at_once() -> None:
     made = broadcast()
     browser = joined(made)
-    made.publish({GROUP: {"actual": "1"}})
-    made.publish({GROUP: {"actual": "2"}})
+    made.publish({GROUP: {"commanded": "1"}})
+    made.publish({GROUP: {"commanded": "2"}})
     assert made.number == 2
     snapshot, diff = await sent_by(browser)
-    assert (snapshot["n"], diff["p"], diff["n"], diff["f"]) == (0, 0, 2, {GROUP: {"actual": "2"}})
+    assert (snapshot["n"], diff["p"], diff["n"], diff["f"]) == (0, 0, 2, {GROUP: {"commanded": "2"}})
+
+
+async def test_what_a_unit_at_speed_measures_waits_for_any_other_change() -> None:
+    made = broadcast(flow()[0])
+    browser = joined(made)
+    made.publish({GROUP: {"actual": "1", "at": "1"}})
+    await sent_by(browser)
+    made.publish({GROUP: {"actual": "2", "at": "2"}})
+    assert made.number == 1
+    made.publish({GROUP: {"state": "ramping_up"}})
+    (diff,) = await sent_by(browser)
+    assert (diff["n"], diff["f"]) == (2, {GROUP: {"actual": "2", "at": "2", "state": "ramping_up"}})
 
 
 async def test_among_very_many_delayed_changes_go_as_one() -> None:
@@ -166,7 +178,7 @@ async def test_no_reader_is_always_the_last() -> None:
     for name in "abc":
         made.join(Noting(name, "operator", "en"))
     for n in range(3):
-        made.publish({GROUP: {"actual": str(n)}})
+        made.publish({GROUP: {"commanded": str(n)}})
     assert {order[n : n + 3][-1] for n in (0, 3, 6)} == {"a", "b", "c"}
 
 
