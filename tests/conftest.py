@@ -4,26 +4,22 @@ complete sites come first: the many small ones fill the time in which the last o
 
 from __future__ import annotations
 
-import fcntl
 import gc
-import marshal
 import os
 import sqlite3
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Iterator
 from functools import cache, partial, wraps
-from hashlib import sha256
 from pathlib import Path
-from types import CodeType
+from shutil import disk_usage
 from typing import Any
 
 import certifi
-import jinja2
 import pytest
 import structlog
 from argon2 import PasswordHasher
-from hypothesis import settings
+from hypothesis import given, settings
+from hypothesis.strategies import text
 from jinja2 import Environment
 
 import app.core.database.database
@@ -31,7 +27,8 @@ import app.core.messages.languages
 import app.people.auth.passwords
 from app.core.database.files import Reserve
 from app.core.database.migration import MIGRATIONS, Migration, bring_up_to_date
-from app.core.web.assets import Assets, static_dir
+from app.core.web.assets import Assets
+from tests.made_once import compiling_once, reading_once
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=30)
 # In `make soak`: other examples in each run, and many.
@@ -42,6 +39,20 @@ pytest_plugins = ["tests.processes"]
 
 COMPLETE_SITES = {"e2e", "path"}
 HISTORY_MIGRATIONS = MIGRATIONS.parents[1] / "history" / "migrations"
+
+
+MEMORY = Path("/dev/shm")
+NEEDED_BYTES = 6_000_000_000
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Put the folders of tests in memory where there is room, and keep those of failed tests only: to make
+    and delete their files on a disk is a tenth of what an app costs."""
+    if config.option.basetemp or "PYTEST_DEBUG_TEMPROOT" in os.environ or not os.access(MEMORY, os.W_OK):
+        return
+    if disk_usage(MEMORY).free > NEEDED_BYTES and not os.statvfs(MEMORY).f_flag & os.ST_NOEXEC:
+        os.environ["PYTEST_DEBUG_TEMPROOT"] = str(MEMORY)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -58,11 +69,20 @@ sys.modules.setdefault("sniffio", None)  # type: ignore[arg-type]
 gc.disable()
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish(session: pytest.Session) -> None:
     """Keep the garbage collector from visiting it in each test."""
+    if session.config.getoption("processes") > 1 and not session.config.option.collectonly:
+        draw_once()
     gc.collect()
     gc.freeze()
     gc.enable()
+
+
+@settings(max_examples=1, database=None)
+@given(text())
+def draw_once(_: str) -> None:
+    """Have Hypothesis read Unicode's tables and the constants of the program, which takes two seconds: once,
+    and not in each of the processes that are forked from this one."""
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -78,43 +98,12 @@ def one_authority(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def templates_compiled_once(pytestconfig: pytest.Config) -> Iterator[None]:
-    """Hundreds of tests make an app; compiling its templates is most of the cost of each. All processes share
-    what they compile, in a folder that outlives them."""
-    folder = pytestconfig.rootpath / ".pytest_cache" / "templates"
-    folder.mkdir(parents=True, exist_ok=True)
-    compile_template = Environment.compile
-    compiled: dict[tuple[str, str | None, str | None], CodeType] = {}
-
-    def compile_once(
-        environment: Environment, source: str, name: str | None = None, filename: str | None = None
-    ) -> CodeType:
-        key = source, name, filename
-        if key not in compiled:
-            made_of = repr((*key, jinja2.__version__, sys.implementation.cache_tag))
-            place = folder / sha256(made_of.encode()).hexdigest()
-            compiled[key] = kept_in(place, partial(compile_template, environment, *key))
-        return compiled[key]
-
+def made_once() -> Iterator[None]:
+    """Hundreds of tests make an app."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Environment, "compile", compile_once)
+        patch.setattr(Environment, "compile", compiling_once())
+        patch.setattr(Assets, "__init__", reading_once())
         yield
-
-
-def kept_in(place: Path, compiling: Callable[[], CodeType]) -> CodeType:
-    """What a file has, or else what is compiled, which it has then. What another process compiles at this
-    moment is worth waiting for."""
-    with place.open("a+b") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        file.seek(0)
-        # A process that was killed may have left a part.
-        with suppress(EOFError, ValueError, TypeError):
-            code: CodeType = marshal.loads(file.read())
-            return code
-        code = compiling()
-        file.truncate(0)
-        file.write(marshal.dumps(code))
-    return code
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -160,28 +149,6 @@ def model_of(folder: Path) -> tuple[sqlite3.Connection, list[Migration]]:
     model = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
     model.execute("PRAGMA auto_vacuum = INCREMENTAL")
     return model, bring_up_to_date(model, Path("model"), folder)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def assets_read_once() -> Iterator[None]:
-    """To read and hash every static file is a quarter of what it takes to make an app."""
-    read = Assets.__init__
-
-    @cache
-    def shared() -> dict[str, Any]:
-        assets = Assets.__new__(Assets)
-        read(assets, static_dir())
-        return vars(assets)
-
-    def init(self: Assets, folder: Path) -> None:
-        if folder == static_dir():
-            vars(self).update(shared())
-        else:
-            read(self, folder)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Assets, "__init__", init)
-        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -269,6 +269,21 @@ def compile_catalogs_once() -> None:
         languages._parsed(path.read_bytes(), path.stem)
 
 
+def prepare_pages() -> None:
+    """Each server would analyze its routes, compile its templates and pack its static files again: that takes
+    longer than to start it."""
+    made_once = import_module("tests.made_once")
+    made_once.Environment.compile = made_once.compiling_once()
+    assets_class = made_once.Assets
+    assets_class.__init__ = made_once.reading_once()
+    assets = assets_class(made_once.static_dir())
+    for name in assets:
+        assets.pack(name)
+    for feature in import_module("app.main").FEATURES:
+        for route in (route for router in feature.routers for route in router.routes):
+            assert route.dependant
+
+
 def main() -> None:
     """Serve, and run the program in a forked process: it returns to the interpreter, whose end is that of
     any program."""
@@ -276,6 +291,7 @@ def main() -> None:
     for module in (*IMPORTED, *(module for module, _ in ENTRY_POINTS.values())):
         import_module(module)
     compile_catalogs_once()
+    prepare_pages()
     gc.collect()
     gc.freeze()
     listener = socket.socket(fileno=os.dup(sys.stdin.fileno()))

@@ -93,21 +93,27 @@ def items_in_turn(turns: int, files: Sequence[Sequence[pytest.Item]]) -> Iterato
 
 
 class Reporting:
-    """Sends every report to the process that has collected the tests."""
+    """Sends the reports of each test, together at its end, to the process that has collected the tests."""
 
     def __init__(self, config: pytest.Config, connection: Connection) -> None:
         self._config = config
         self._connection = connection
+        self._reports: list[Any] = []
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         """Name the test that runs."""
         self._connection.send(nodeid)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Send it."""
-        self._connection.send(
-            self._config.hook.pytest_report_to_serializable(config=self._config, report=report)
-        )
+        """Keep it. That of a setup or teardown without a fault states nothing, and would cost as much."""
+        if report.when == "call" or not report.passed:
+            to_send = self._config.hook.pytest_report_to_serializable
+            self._reports.append(to_send(config=self._config, report=report))
+
+    def pytest_runtest_logfinish(self, nodeid: str, location: tuple[str, int | None, str]) -> None:
+        """Send what was reported."""
+        self._connection.send((nodeid, location, self._reports))
+        self._reports = []
 
 
 # --- in the one that has collected them ------------------------------------------------------------
@@ -138,17 +144,17 @@ def follow_one(session: pytest.Session, process: Process) -> None:
     match process.reports.recv():
         case str(test):
             process.test = test
-        case report:
-            report_again(session, report)
+        case nodeid, location, reports:
+            report_again(session, reports)
+            session.config.hook.pytest_runtest_logfinish(nodeid=nodeid, location=location)
 
 
-def report_again(session: pytest.Session, message: dict[str, Any]) -> None:
-    """Give a report to the plugins of this process, as if the test had run here."""
+def report_again(session: pytest.Session, messages: Sequence[dict[str, Any]]) -> None:
+    """Give reports to the plugins of this process, as if the test had run here."""
     hook = session.config.hook
-    report = hook.pytest_report_from_serializable(config=session.config, data=message)
-    hook.pytest_runtest_logreport(report=report)
-    if report.when == "teardown":
-        hook.pytest_runtest_logfinish(nodeid=report.nodeid, location=report.location)
+    for message in messages:
+        report = hook.pytest_report_from_serializable(config=session.config, data=message)
+        hook.pytest_runtest_logreport(report=report)
 
 
 def judge_end(session: pytest.Session, process: Process) -> None:
