@@ -56,7 +56,7 @@ where(has("[data-people]"), () => import("./people.js"));
 where(has("[data-trace]"), () => import("./trace.js"));
 where(has("[data-counts-one]"), () => import("./counts.js"));
 where(has("[data-filter]"), () => import("./filter.js"));
-where(has("[data-copy], [data-reload-as], [data-opened]"), () => import("./drawer.js"));
+where(has("[data-copy], [data-reload-as], [data-opened], #edit"), () => import("./drawer.js"));
 
 /** Sound where its settings are shown or kept in this browser, also by another page from now on.
  * @param {StorageEvent} [event] */

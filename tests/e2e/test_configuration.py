@@ -50,7 +50,8 @@ def test_a_unit_is_renamed_the_server_restarted_and_the_file_rolled_back(
     before = site.config.read_text(encoding="utf-8")
     page = browser_page("admin", site, viewport=PHONE)
     page.goto("/configuration")
-    page.get_by_role("link", name="line · 1 · Unwind").click()
+    page.get_by_role("link", name="Edit: line · 1 · Unwind").click()
+    expect(page.get_by_label("Name", exact=True)).to_be_focused()
     assert flaws(page) == []
     page.get_by_label("Name", exact=True).fill("Unwind north")
     page.get_by_role("button", name="Review change").click()

@@ -36,6 +36,7 @@ def writes(served: Site, command: int) -> list[dict[str, Any]]:
 
 def take_set(page: Page) -> str:
     page.goto("/sets")
+    page.get_by_role("button", name="Read units").click()
     page.get_by_label("Name", exact=True).fill("before the felt")
     page.get_by_role("button", name="Save set").click()
     page.get_by_role("link", name="Open the set").click()
@@ -237,9 +238,15 @@ def test_a_file_that_is_no_set_is_refused_in_words(
 def test_a_recipe_is_saved_tried_out_and_loaded_as_one_change(site: Site, shared_page: OpensPages) -> None:
     page = shared_page("engineer", viewport=OFFICE)
     page.goto("/recipes")
-    page.get_by_label(re.compile("Name of the product")).fill("Kraft 80")
-    for name, value in (("Unwind", "100,0"), ("Infeed nip", "100.5"), ("Coater", "101.0")):
+    page.get_by_role("button", name="as a recipe").click()
+    page.get_by_label("Name of the product").fill("Kraft 80")
+    for name, value in (("Unwind", "100,0"), ("Infeed nip", "1O0.5"), ("Coater", "101.0")):
         page.get_by_label(name, exact=True).fill(value)
+    page.get_by_role("button", name="Save as a recipe").click()
+    wrong = page.get_by_label("Infeed nip", exact=True)
+    expect(wrong).to_have_attribute("aria-invalid", "true")
+    expect(page.get_by_label("Name of the product")).to_have_value("Kraft 80")
+    wrong.fill("100.5")
     page.get_by_role("button", name="Save as a recipe").click()
     expect(page.get_by_role("heading", level=1)).to_contain_text("Kraft 80")
     staged, executed = len(writes(site, 0x82)), len(writes(site, 0x83))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import Annotated
 
@@ -43,9 +44,26 @@ router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 @router.get("/recipes")
 async def list_page(request: Request, _: Viewer, book: Book, live: Live) -> Response:
     """List the recipes in use and the loaded ones, with the form to save the line as it is."""
+    return await _list(request, book, live)
+
+
+async def _list(
+    request: Request,
+    book: RecipeBook,
+    live: LiveState,
+    opened: str = "",
+    typed: Mapping[str, str] | None = None,
+    errors: Mapping[str, Message] | None = None,
+) -> Response:
+    """Show the page; ``opened``: the bus whose form is refused, with what was ``typed`` and the ``errors`` by
+    field."""
     return render(
         request,
         "recipes/page.html",
+        status=422 if errors else 200,
+        opened=opened,
+        typed=defaultdict(str, typed or {}),
+        errors=defaultdict(str, errors or {}),
         buses=live.buses,
         recipes=await book.store.newest(),
         loaded={name: book.loaded(name) for name in live.buses},
@@ -66,14 +84,21 @@ async def save(
     """Save a new version with the typed setpoints; a unit left empty is not part of it."""
     form = await request.form()
     bus = bus_or_404(live, str(form.get("bus", "")))
-    name = name.strip()
-    if not 1 <= len(name) <= 80:
-        raise Problem(422, "invalid", Message("recipe_name_length"))
-    typed = {unit: str(form.get(f"unit-{unit}", "")).strip() for unit in bus.units}
-    setpoints = {unit: _raw(bus, unit, text) for unit, text in typed.items() if text}
-    if not setpoints:
-        raise Problem(422, "invalid", Message("recipe_without_setpoint"))
-    saved = await book.save(person, bus.settings.name, name, comment[:1000], setpoints)
+    name, bus_name = name.strip(), bus.settings.name
+    typed = {f"unit-{unit}": str(form.get(f"unit-{unit}", "")).strip() for unit in bus.units}
+    errors = {} if 1 <= len(name) <= 80 else {"name": Message("recipe_name_length")}
+    setpoints = {}
+    for unit in bus.units:
+        try:
+            if text := typed[f"unit-{unit}"]:
+                setpoints[unit] = _raw(bus, unit, text)
+        except Problem as problem:
+            errors[f"unit-{unit}"] = problem.message
+    if not setpoints and not errors:
+        errors["form"] = Message("recipe_without_setpoint")
+    if errors:
+        return await _list(request, book, live, bus_name, {"name": name, "comment": comment, **typed}, errors)
+    saved = await book.save(person, bus_name, name, comment[:1000], setpoints)
     return RedirectResponse(f"/recipes/{saved.id}", 303)
 
 

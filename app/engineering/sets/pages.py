@@ -3,9 +3,11 @@ set, review each row, follow the writes, read what a full read found."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from typing import Annotated
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Form, Query, Request, Response
 from starlette.responses import RedirectResponse
@@ -33,6 +35,7 @@ from app.engineering.sets.restore_api import Planner, rows_left_out, rows_to_wri
 from app.engineering.sets.restore_plan import OPERATING_VALUES, Restore, Selection
 from app.engineering.sets.restore_service import CANCEL, START, RestoreService
 from app.engineering.sets.saving import MARK_GOLDEN, SAVE, SCHEDULE, SetKeeper, SetReadings, SetSchedule
+from app.engineering.sets.store import SetStore
 from app.errors import Problem, or_404
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import LiveState
@@ -45,6 +48,7 @@ router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 Readings = Annotated[SetReadings, service(SetReadings)]
 
 DIFFERENT = ("differs", "unavailable")
+_TIME_OF_DAY = re.compile(r"([01]?[0-9]|2[0-3]):([0-5][0-9])")
 MAX_SEARCHED = 80
 MAX_LISTED = 100
 """Sets on one page of the list; each day of a line with a schedule adds some."""
@@ -60,13 +64,35 @@ async def list_page(
     unit: int | None = None,
     before: int | None = None,
     search: Annotated[TypedText, Query(max_length=MAX_SEARCHED)] = "",
+    saved: str = "",
 ) -> Response:
-    """List the newest sets, or those before one, by bus, unit and a text, with the form to save one."""
-    typed = search.strip()
+    """List the newest sets, or those before one, by bus, unit and a text, with what saves one. ``saved``: the
+    bus whose schedule was just saved."""
+    return await _list(request, sets, live, bus, unit, before, search.strip(), saved=saved)
+
+
+async def _list(
+    request: Request,
+    sets: SetStore,
+    live: LiveState,
+    bus: str = "",
+    unit: int | None = None,
+    before: int | None = None,
+    typed: str = "",
+    *,
+    saved: str = "",
+    refused: str = "",
+    typed_at: str = "",
+) -> Response:
+    """Show the page; ``refused``: the bus whose schedule does not take what was typed as its time."""
     found = await sets.summaries(bus or None, unit, before=before, text=typed, limit=MAX_LISTED + 1)
     return render(
         request,
         "sets/page.html",
+        status=422 if refused else 200,
+        saved=saved,
+        refused=refused,
+        typed_at=typed_at,
         buses=live.buses,
         sets=found[:MAX_LISTED],
         ranges=partial(_ranges, live),
@@ -126,14 +152,17 @@ async def taking_page(
 async def set_schedule(
     request: Request,
     person: Annotated[Person, SCHEDULE.permitted],
+    sets: Sets,
+    live: Live,
     bus: Annotated[str, Form()],
-    at: Annotated[str, Form(pattern=r"^([01]\d|2[0-3]):[0-5]\d$|^$")] = "",
+    at: Annotated[OneLine, Form(max_length=20)] = "",
 ) -> Response:
     """Save a bus daily at a time of the day, or no longer (empty)."""
-    hour, _, minute = at.partition(":")
-    schedule = bus_service_of(request, bus, SetSchedule)
-    await schedule.set(person, int(hour) * 60 + int(minute) if at else None)
-    return RedirectResponse("/sets", 303)
+    schedule, typed = bus_service_of(request, bus, SetSchedule), _TIME_OF_DAY.fullmatch(at.strip())
+    if typed is None and at.strip():
+        return await _list(request, sets, live, refused=bus, typed_at=at)
+    await schedule.set(person, int(typed[1]) * 60 + int(typed[2]) if typed else None)
+    return RedirectResponse("/sets?" + urlencode({"saved": bus}), 303)
 
 
 @router.get("/sets/compare")

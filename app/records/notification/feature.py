@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Annotated
 from zoneinfo import ZoneInfo
 
@@ -13,7 +15,6 @@ from app.core.database import Database
 from app.core.web.access import Engineer, Person, Viewer
 from app.core.web.routes import GuardedRoute
 from app.core.web.templating import Templates, render
-from app.errors import Problem
 from app.feature import Feature, Services
 from app.line.alarms.acts import ACKNOWLEDGE
 from app.line.alarms.api import Alarms
@@ -73,11 +74,25 @@ async def notification_page(
 ) -> Response:
     """Show whether the path works, who is on duty, maintenance, and what was sent: all, or the messages of an
     ``endpoint`` and with a ``state``."""
+    return await _page(request, notification, before, endpoint, state)
+
+
+async def _page(
+    request: Request,
+    notification: Notification,
+    before: int | None = None,
+    endpoint: str = "",
+    state: str = "",
+    refused: Mapping[str, object] = MappingProxyType({}),
+) -> Response:
+    """Show the page; ``refused``: what was typed into the form of maintenance, and its ``fault``."""
     found = await notification.outbox.deliveries(ON_A_PAGE + 1, before, endpoint=endpoint, state=state)
     addresses = {key: each.address for key, each in notification.plan.endpoints.items()}
     return render(
         request,
         "notification/page.html",
+        status=422 if refused else 200,
+        refused=refused,
         endpoints=await notification.endpoints(),
         groups=notification.groups(),
         maintenance=notification.maintenance.present(),
@@ -108,6 +123,7 @@ async def send_test(
 
 @router.post("/notifications/maintenance")
 async def begin_maintenance(
+    request: Request,
     person: Annotated[Person, BEGIN_MAINTENANCE.permitted],
     notification: Notifying,
     minutes: Annotated[int, Form(ge=1, le=MAX_MINUTES)],
@@ -116,7 +132,8 @@ async def begin_maintenance(
 ) -> Response:
     """Notify nothing for a time."""
     if not reason.strip():
-        raise Problem(422, "invalid", Message("maintenance_needs_reason"))
+        typed = {"bus": bus, "minutes": str(minutes), "fault": Message("maintenance_needs_reason")}
+        return await _page(request, notification, refused=typed)
     await notification.maintenance.begin(person, bus or None, minutes, reason.strip())
     return _to_page()
 

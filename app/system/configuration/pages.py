@@ -9,13 +9,14 @@ import tomllib
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
 
-from fastapi import APIRouter, Form, Path
+from fastapi import APIRouter, Form, Path, Query
 from starlette.datastructures import FormData
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.core.web.access import Person
 from app.core.web.formats import Formats
+from app.core.web.problems import is_fragment
 from app.core.web.routes import GuardedRoute
 from app.core.web.services import service
 from app.core.web.templating import render, templates_of
@@ -52,8 +53,10 @@ from app.system.configuration.service import (
 )
 from app.system.configuration.tables import (
     ALARM_CODES,
+    DEFAULTS,
     FORMS,
     TablePlace,
+    changes_of,
     end_of,
     place_or_404,
     places_of,
@@ -82,10 +85,12 @@ ReasonOfChange = Annotated[OneLine, Form(max_length=MAX_REASON)]
 
 
 class ShownTable(NamedTuple):
-    """A table of the list: where it is, and what it is called."""
+    """A table of the list: where it is, what it is called, and its keys with what the file has, empty where
+    it has none."""
 
     place: TablePlace
     title: str
+    texts: Mapping[str, str]
 
 
 @router.get("/configuration")
@@ -96,9 +101,12 @@ async def configuration_page(
     restart: RestartOfServer,
     beside: Annotated[SystemsBeside, service(SystemsBeside)],
     done: int = 0,
+    changed: Annotated[str, Query(max_length=80)] = "",
+    field: Annotated[str, Query(max_length=80)] = "",
     restarting: bool = False,
 ) -> Response:
-    """Show the tables of the file, what it lacks, and its newest versions."""
+    """Show the tables of the file, what it lacks, and its newest versions. ``done``: the version just
+    written; ``changed`` and ``field``: the row that shows it."""
     try:
         present = await file.present()
     except Problem as problem:
@@ -106,7 +114,7 @@ async def configuration_page(
     data = present.data
     shown: dict[str, list[ShownTable]] = {form.kind: [] for form in FORMS}
     for place in places_of(data):
-        shown[place.form.kind].append(ShownTable(place, title_of(place, data)))
+        shown[place.form.kind].append(ShownTable(place, title_of(place, data), texts_of(place, data)))
     return render(
         request,
         "configuration/page.html",
@@ -115,10 +123,13 @@ async def configuration_page(
         waiting=await asyncio.to_thread(file.waiting, present),
         shown=shown,
         new={form.kind: end_of(form, data).name for form in FORMS if form.is_listed and len(form.path) < 5},
-        duties=[ShownTable(end_of(_DUTY, data, group.place.path), group.title) for group in shown["group"]],
+        duties=[(end_of(_DUTY, data, group.place.path).name, group.title) for group in shown["group"]],
         buses=buses_of(present),
         versions=await file.versions(),
         done=done,
+        changed=(changed, field),
+        words=_WORDS,
+        defaults=DEFAULTS,
         can_restart=restart.is_offered and not present.faults,
         restarting=restarting,
         beside=[state_of() for state_of in beside],
@@ -176,7 +187,19 @@ async def _changed(
         fields = {"act": kind, **texts}
         return review_page(request, file, present, review, f"/configuration/tables/{name}", fields)
     version = await file.save(person, act, edit, digest, reason)
-    return RedirectResponse(f"/configuration?done={version.number}", SEE_OTHER)
+    if kind != "change":
+        return _written(request, version.number)
+    first = next(iter(changes_of(place, present.data, texts)))
+    return _written(request, version.number, place.name, first if place.form.kind in DEFAULTS else "")
+
+
+def _written(request: Request, version: int, place: str = "", field: str = "") -> Response:
+    """Return to the list, at the row of the table, bus or ``field`` that was changed."""
+    path = f"/configuration?done={version}" + (f"&changed={place}" if place else "")
+    path += f"&field={field}" if field else ""
+    if is_fragment(request):
+        return Response(headers={"HX-Redirect": path})
+    return RedirectResponse(path, SEE_OTHER)
 
 
 @router.get("/configuration/versions/{number}")
@@ -235,6 +258,7 @@ def review_page(
     return render(
         request,
         "configuration/review.html",
+        part=is_fragment(request),
         status=422 if review.faults else 200,
         present=present,
         path_of_file=file.path,
@@ -259,9 +283,12 @@ def _form(
     **more: Any,
 ) -> Response:
     is_refused = bool(errors or faults or fault)
+    wanted = next(iter(errors), "") if errors else request.query_params.get("field", "")
     return render(
         request,
         "configuration/table.html",
+        part=is_fragment(request),
+        focused=wanted or place.form.fields[0].key,
         status=more.pop("status", 422 if is_refused else 200),
         place=place,
         title=title_of(place, present.data),
@@ -288,7 +315,13 @@ async def _superseded(request: Request, file: ConfigurationFile, name: str, form
     message = Message("configuration_superseded")
     if now is None or _text_in(form, "act") != "change":
         return render(
-            request, "configuration/moved.html", status=409, message=message, lines=lines, typed=changed
+            request,
+            "configuration/moved.html",
+            part=is_fragment(request),
+            status=409,
+            message=message,
+            lines=lines,
+            typed=changed,
         )
     texts = {**texts_of(now, present.data), **changed}
     return _form(request, now, present, texts, fault=message, lines=lines, status=409)
@@ -416,7 +449,7 @@ async def change_bus(
     if not confirmed:
         return review_page(request, file, present, review, f"/configuration/bus/{index}", texts)
     version = await file.save(person, CHANGE_PORTS, edit, digest, reason_of_change)
-    return RedirectResponse(f"/configuration?done={version.number}", SEE_OTHER)
+    return _written(request, version.number, f"bus.{index}")
 
 
 def bus_edit(index: int, values: Mapping[str, TomlValue], units: list[tuple[int, str]]) -> Edit:
@@ -511,6 +544,7 @@ def _bus_form(
     return render(
         request,
         "configuration/bus.html",
+        part=is_fragment(request),
         status=status if faults else 200,
         action=f"/configuration/bus/{index}",
         is_new=index == len(taken),

@@ -13,7 +13,13 @@ from app.errors import or_404
 from app.line.alarms.settings import OwnValue
 from app.line.conditions.catalogue import BUS_ALARMS, SERVER_ALARMS, UNIT_ALARMS
 from app.line.conditions.condition import AlarmPriority
-from app.records.notification.settings import DAYS, MailSecurity, NotifiedPriority
+from app.records.notification.settings import (
+    DAYS,
+    MailSecurity,
+    NotifiedPriority,
+    NotifySettings,
+    SmtpSettings,
+)
 from app.system.configuration.document import TomlValue, at
 from bus.configuration import KeyPath
 from bus.messages import Message
@@ -225,6 +231,17 @@ def text_of(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(map(str, value))
     return "" if value is None else value.isoformat() if isinstance(value, date) else str(value)
+
+
+DEFAULTS: Mapping[str, Mapping[str, str]] = {
+    kind: {
+        key: text_of(list(field.default) if isinstance(field.default, tuple) else field.default)
+        for key, field in settings.model_fields.items()
+        if not field.is_required()
+    }
+    for kind, settings in (("notify", NotifySettings), ("smtp", SmtpSettings))
+}
+"""What holds where the file has no such key, as a form has it; of the tables that are there once."""
 
 
 def _value(field: SettingField, text: str) -> TomlValue | None:

@@ -39,10 +39,11 @@ async def test_a_unit_is_renamed_after_a_review(engineer: httpx.AsyncClient, fil
     assert file.text == TEXT
     confirmed = {**fields_of(review.text), "reason_of_change": "as on the drawing"}
     done = await engineer.post(UNIT, data=confirmed)
-    assert (done.status_code, done.headers["location"]) == (303, "/configuration?done=2")
+    assert (done.status_code, done.headers["location"]) == (303, "/configuration?done=2&changed=bus.0.unit.0")
     assert file.text == TEXT.replace('"Unwind" ', '"Unwinder" ')
-    page = (await engineer.get("/configuration?done=2")).text
-    assert "Version 2 is written. It takes effect at the next start of the server." in page
+    page = (await engineer.get(done.headers["location"])).text
+    row = page[page.index("dry-end · 1 · Unwinder") :]
+    assert "Version 2 is written. It takes effect at the next start of the server." in row[:1000]
     assert "The server runs with an older configuration than the file." in page
     assert "as on the drawing" in page
     waiting = page[page.index("Waiting for the next start") :]
@@ -70,6 +71,23 @@ async def test_a_fault_is_at_its_field_and_what_was_typed_stays(
     assert "at most 60 characters" in field[:800]
     assert 'value="Calender"' in page.text
     assert file.text == TEXT
+
+
+async def test_a_table_is_changed_in_the_drawer_of_the_list(house: House, file: PlantFile) -> None:
+    admin = await house.signed_in(Role.ADMIN)
+    path, drawer = "/configuration/tables/notify", {"HX-Request": "true"}
+    shown = (await admin.get(f"{path}?field=flood", headers=drawer)).text
+    assert "<html" not in shown
+    assert shown.index("autofocus") > shown.index('id="field-flood"')
+    fields = {**fields_of(shown), "act": "change"}
+    refused = await admin.post(path, data={**fields, "flood": "0"}, headers=drawer)
+    assert refused.status_code == 422
+    assert "it must be at least 1" in refused.text
+    review = await admin.post(path, data={**fields, "flood": "20"}, headers=drawer)
+    assert "<html" not in review.text
+    done = await admin.post(path, data=fields_of(review.text), headers=drawer)
+    assert done.headers["hx-redirect"] == "/configuration?done=2&changed=notify&field=flood"
+    assert "flood = 20" in file.text
 
 
 async def test_a_required_key_that_is_emptied_is_named(engineer: httpx.AsyncClient) -> None:
