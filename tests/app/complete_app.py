@@ -90,6 +90,8 @@ class House:
     """What `commands_app` permits: everything that a test does not withdraw."""
     _browsers: dict[str, tuple[str, httpx.AsyncClient]] = field(default_factory=dict)
     _tokens: list[str] = field(default_factory=list)
+    _people: set[tuple[str, Role]] = field(default_factory=set)
+    _keys: dict[Role, str] = field(default_factory=dict)
     _workers: list[PlayedWorker] = field(default_factory=list)
 
     def client(self, **headers: str) -> httpx.AsyncClient:
@@ -100,11 +102,13 @@ class House:
         return client
 
     async def add(self, name: str, role: Role) -> None:
-        """A person with the password of all."""
-        await self.services[Accounts].add_user(name, role, PASSWORD, **BY)
+        """A person with the password of all; the same one to every case of a test."""
+        if (name, role) not in self._people:
+            await self.services[Accounts].add_user(name, role, PASSWORD, **BY)
+            self._people.add((name, role))
 
     async def signed_in(self, role: Role, name: str = "") -> httpx.AsyncClient:
-        """A browser of a new person who has signed in."""
+        """A new browser of a person who has signed in."""
         name = name or f"the-{role}"
         await self.add(name, role)
         client = self.client()
@@ -114,8 +118,10 @@ class House:
 
     async def token(self, role: Role) -> str:
         """A bearer token."""
-        bus = "dry-end" if role is Role.WORKER else ""
-        return await self.services[Accounts].create_token(f"key-{role}", role, bus=bus, **BY)
+        if role not in self._keys:
+            bus = "dry-end" if role is Role.WORKER else ""
+            self._keys[role] = await self.services[Accounts].create_token(f"key-{role}", role, bus=bus, **BY)
+        return self._keys[role]
 
     async def program(self, role: Role) -> httpx.AsyncClient:
         """A program with a token."""

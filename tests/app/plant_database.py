@@ -6,6 +6,7 @@ It knows the interfaces alone: `/api/v1/history`, `/api/v1/events`, and the tabl
 from __future__ import annotations
 
 import time
+from bisect import bisect_right
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime
@@ -159,11 +160,11 @@ def _compare_bit(
 ) -> None:
     """A bit is served by its changes: each row has the bit that was served for its time, or the end of its
     step."""
-    changes = sorted(known.items())
+    times, bits = zip(*sorted(known.items()), strict=True)
     for at, is_on in _column(url, unit, value, *span):
-        served = [bit for since, bit in changes if since <= at + max(0, step - 1)]
-        assert served, f"{unit} {value} at {at}"
-        assert bool(served[-1]) is is_on, f"{unit} {value} at {at}"
+        before = bisect_right(times, at + max(0, step - 1))
+        assert before, f"{unit} {value} at {at}"
+        assert bool(bits[before - 1]) is is_on, f"{unit} {value} at {at}"
 
 
 async def compare_events(program: httpx.AsyncClient, url: str, first: int) -> int:

@@ -20,6 +20,7 @@ from app.main import create_app
 from bus.contract import UnitOutcome
 from tests.app.complete_app import House, served, settings_in
 from tests.app.fake_worker import PlayedWorker, responding
+from tests.for_each import for_each
 
 PACKAGE = "lineside_client"
 NAMES = Path(__file__).parent / "openapi_names.txt"
@@ -99,7 +100,7 @@ async def test_it_reads_parameters_and_events(client: Generated, worker: PlayedW
     assert page.events[0].outcome == "verified"
 
 
-@pytest.mark.parametrize("outcome", ["verified", "acknowledged"])
+@for_each("outcome", ["verified", "acknowledged"])
 async def test_a_command_that_was_carried_out(client: Generated, worker: PlayedWorker, outcome: str) -> None:
     parts = [UnitOutcome(unit=1, outcome=outcome, sent_at=1.0, attempts=1)]  # type: ignore[arg-type]
     worker.play = responding(outcome, read_back=250, units=parts)
@@ -113,7 +114,7 @@ async def test_a_command_that_was_carried_out(client: Generated, worker: PlayedW
 REFUSED = {"unit_error": 128, "units": [UnitOutcome(unit=1, outcome="refused", unit_error=128)]}
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("outcome", "status", "more"),
     [
         ("refused", 409, REFUSED),
@@ -170,9 +171,7 @@ async def test_a_body_that_may_be_left_out(client: Generated, worker: PlayedWork
     assert later.outcome == client.models.Outcome.ACKNOWLEDGED
 
 
-@pytest.mark.parametrize(
-    ("role", "status", "code"), [("", 401, "unauthorized"), ("viewer", 403, "forbidden")]
-)
+@for_each(("role", "status", "code"), [("", 401, "unauthorized"), ("viewer", 403, "forbidden")])
 async def test_who_may_not(package: ModuleType, site: House, role: str, status: int, code: str) -> None:
     generated = Generated(package, site, role)
     problem = await generated.set_speed(1)

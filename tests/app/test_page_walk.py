@@ -29,9 +29,10 @@ from bus.settings import BusSettings, UnitSettings
 from tests.administrator import BY
 from tests.app.complete_app import House, settings_in
 from tests.app.played_line import BUS, played_line
+from tests.for_each import for_each
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
-LINES = (2, 3)
+LINES = 3
 OF_A_KIND = 2
 """Addresses that differ in a number or a name alone."""
 STARTS = (
@@ -75,15 +76,13 @@ NEEDS_MORE = {
 }
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module", params=LINES)
-async def house(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> AsyncIterator[House]:
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def house(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[House]:
     """As many lines, of which one has a worker."""
     settings = settings_in(tmp_path_factory.mktemp("site"), control=True)
     more = [
         BusSettings(name=f"line-{n}", port=f"/dev/null{n}", unit=(UnitSettings(id=7, name="Couch roll"),))
-        for n in range(1, request.param)
+        for n in range(1, LINES)
     ]
     lost = BuiltInAlarmSettings(code="worker_lost", bus="line-1", on_delay_s=0)
     app = create_app(settings.model_copy(update={"bus": (*settings.bus, *more), "built_in_alarm": (lost,)}))
@@ -125,7 +124,7 @@ async def walk(client: httpx.AsyncClient) -> dict[str, httpx.Response]:
     return found
 
 
-@pytest.mark.parametrize("role", PEOPLE_ROLES)
+@for_each("role", PEOPLE_ROLES)
 async def test_every_page_with_several_lines(house: House, role: Role) -> None:
     found = await walk(await house.signed_in(role))
     failed = {path: page.status_code for path, page in found.items() if page.status_code >= 500}

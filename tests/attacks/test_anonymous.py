@@ -17,6 +17,7 @@ from app.core.web.routes import (
 )
 from app.people.auth import sign_in as signin
 from tests.app.complete_app import House
+from tests.for_each import for_each
 
 
 class Slow:
@@ -145,7 +146,7 @@ async def test_a_body_beyond_any_form_is_refused_while_it_arrives() -> None:
     assert (slow.bodies, client.status) == ([], 413)
 
 
-@pytest.mark.parametrize("form", [{}, {"name": "ann"}, {"password": "a long enough secret"}])
+@for_each("form", [{}, {"name": "ann"}, {"password": "a long enough secret"}])
 async def test_a_sign_in_without_a_name_or_a_secret_tries_nothing(
     house: House, monkeypatch: pytest.MonkeyPatch, form: dict[str, str]
 ) -> None:

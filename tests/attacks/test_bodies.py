@@ -19,6 +19,7 @@ from app.core.web.request_rules import (
 )
 from app.engineering.sets.store import MAX_KEY_STEPS, MAX_LINES, MAX_VALUES, DocumentError, read_document
 from tests.app.complete_app import House
+from tests.for_each import for_each
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"
 RESTORES = "/api/v1/buses/dry-end/units/1/restores"
@@ -36,7 +37,7 @@ async def cpu_s(client: httpx.AsyncClient, status: int, path: str, content: byte
     return taken
 
 
-@pytest.mark.parametrize("path", [SPEED, RESTORES])
+@for_each("path", [SPEED, RESTORES])
 async def test_keys_by_the_thousand_cost_no_more_than_their_length(house: House, path: str) -> None:
     engineer = await house.program(Role.ENGINEER)
     size = MAX_BODY_BYTES if path == RESTORES else MAX_PLAIN_BODY_BYTES
@@ -51,7 +52,7 @@ async def test_the_last_of_many_keys_is_found_to_be_there_twice(house: House) ->
     assert (response.status_code, "'899': it is given twice" in response.json()["detail"]) == (422, True)
 
 
-@pytest.mark.parametrize("part", ["[", '{"a":', "[{}", '{"a":[', "1,", '"\\ud800",'])
+@for_each("part", ["[", '{"a":', "[{}", '{"a":[', "1,", '"\\ud800",'])
 async def test_endless_nesting_is_malformed(house: House, part: str) -> None:
     engineer = await house.program(Role.ENGINEER)
     content = (part * MAX_PLAIN_BODY_BYTES)[:MAX_PLAIN_BODY_BYTES].encode()
@@ -71,8 +72,8 @@ async def test_a_body_with_many_faults_is_refused_with_the_first(house: House) -
     assert (response.status_code, len(response.json()["errors"])) == (422, 20)
 
 
-@pytest.mark.parametrize("path", [SPEED, RESTORES, "/units/dry-end/1/restore", "/setpoints/review"])
-@pytest.mark.parametrize("role", [None, Role.VIEWER])
+@for_each("path", [SPEED, RESTORES, "/units/dry-end/1/restore", "/setpoints/review"])
+@for_each("role", [None, Role.VIEWER])
 async def test_who_may_not_is_refused_before_the_body_is_read(
     house: House, path: str, role: Role | None
 ) -> None:
@@ -112,7 +113,7 @@ async def test_only_what_carries_a_file_may_be_large(house: House) -> None:
     assert (response.status_code, "not readable as TOML" in response.text) == (422, True)
 
 
-@pytest.mark.parametrize("charset", ["punycode", "utf-8", "idna", '"utf-7"'])
+@for_each("charset", ["punycode", "utf-8", "idna", '"utf-7"'])
 async def test_the_parts_of_a_form_are_decoded_by_no_codec_of_the_senders_choice(
     house: House, charset: str
 ) -> None:
@@ -121,7 +122,7 @@ async def test_the_parts_of_a_form_are_decoded_by_no_codec_of_the_senders_choice
     assert await cpu_s(house.client(), 415, "/login", part, **{"content-type": kind}) < CPU_S
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("name", "value", "status"),
     [
         ("cookie", 'lineside_session="' + "\\\\" * 15_000 + '"', 401),
@@ -143,13 +144,13 @@ async def test_no_header_costs_more_than_its_length(house: House, name: str, val
     assert await cpu_s(house.client(), status, "/login" if status == 415 else SPEED, b"", **headers) < CPU_S
 
 
-@pytest.mark.parametrize("query", ["a" * (MAX_QUERY + 1), "&" * (MAX_PARAMETERS + 1), "a&" * 9000])
+@for_each("query", ["a" * (MAX_QUERY + 1), "&" * (MAX_PARAMETERS + 1), "a&" * 9000])
 async def test_an_address_beyond_any_page_is_refused(house: House, query: str) -> None:
     response = await house.client().get(f"/login?{query}")
     assert (response.status_code, response.json()["code"]) == (414, "too_long")
 
 
-@pytest.mark.parametrize("number", ["9" * 5000, "\u0661", "1_0", "+1", " 1"])
+@for_each("number", ["9" * 5000, "\u0661", "1_0", "+1", " 1"])
 async def test_no_number_of_an_address_makes_the_server_fail(house: House, number: str) -> None:
     client = await house.signed_in(Role.ENGINEER)
     body = {"name": "n", "setpoints": {number: 1}}
@@ -191,10 +192,9 @@ def test_a_comment_may_have_as_many_dots_as_it_likes() -> None:
         read_document('comment = "' + "." * 1000 + '"')
 
 
-@pytest.mark.parametrize(
+@for_each(
     "body",
     [{"document": "".join(f"k{n} = 1\n" for n in range(20_000))}, {"document": [{"a": 1}] * 150_000}],
-    ids=["document", "JSON"],
 )
 async def test_large_bodies_are_read_beside_the_loop(house: House, body: object) -> None:
     engineer = await house.program(Role.ENGINEER)

@@ -15,6 +15,7 @@ from app.core.web.access import Role
 from tests.app.complete_app import House
 from tests.app.configuration_file import TEXT, UNIT, PlantFile, form_of, house_with_file, plant_file
 from tests.attacks.test_free_texts import HOSTILE
+from tests.for_each import for_each
 
 TABLE = "/api/v1/configuration/tables/bus.0.unit.0"
 FIELDS = ("name", "group", "labels.output.1", "labels.input.run", "labels.analog_unit")
@@ -42,7 +43,7 @@ def unit_in(text: str) -> dict[str, Any]:
     return unit
 
 
-@pytest.mark.parametrize("text", INJECTED)
+@for_each("text", INJECTED)
 async def test_a_text_stays_one_value(house: House, file: PlantFile, text: str) -> None:
     client = await house.signed_in(Role.ENGINEER)
     refused = "\n" in text
@@ -94,7 +95,7 @@ SLIPS = {
 }
 
 
-@pytest.mark.parametrize("slip", SLIPS)
+@for_each("slip", SLIPS)
 async def test_a_slip_in_the_file_shows_no_secret(house: House, file: PlantFile, slip: str) -> None:
     file.write(TEXT.replace(SECRET, SLIPS[slip]))
     client = await house.signed_in(Role.ENGINEER)

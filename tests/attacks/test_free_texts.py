@@ -17,6 +17,7 @@ from app.core.web.access import Role
 from app.core.web.csv_file import guarded
 from tests.app.complete_app import House
 from tests.app.played_line import BUS, PlayedLine
+from tests.for_each import for_each
 
 LINE = "a\r\nboss: all alarms acknowledged"
 HOSTILE = {
@@ -69,7 +70,7 @@ async def write(client: httpx.AsyncClient, field: str, text: str) -> httpx.Respo
     return await client.post(path, content=content, headers={"content-type": "application/json"})
 
 
-@pytest.mark.parametrize("field", FIELDS)
+@for_each("field", FIELDS)
 async def test_a_text_that_hides_or_forges_is_refused(house: House, line: PlayedLine, field: str) -> None:
     del line
     client = await house.signed_in(Role.ADMIN)
@@ -82,7 +83,7 @@ async def test_a_text_that_hides_or_forges_is_refused(house: House, line: Played
     assert len((await client.get("/api/v1/events?limit=1000")).json()["events"]) == before
 
 
-@pytest.mark.parametrize("text", READABLE)
+@for_each("text", READABLE)
 async def test_a_text_of_any_script_is_shown_as_it_was_written(
     house: House, line: PlayedLine, text: str
 ) -> None:

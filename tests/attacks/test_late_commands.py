@@ -21,6 +21,7 @@ from tests.app.complete_app import House, commands_app
 from tests.app.fake_worker import PlayedWorker, responding
 from tests.app.played_commands import ANNA
 from tests.app.played_commands import responding as responding_units
+from tests.for_each import for_each
 
 WRITES = [
     ("POST", "/units/1/speed", {"raw": 5}),
@@ -71,7 +72,7 @@ async def test_a_write_with_an_old_time_is_not_sent(
     assert len(worker.commands) == 1
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("path", "body", "status"),
     [
         ("/units/1/speed", {"raw": 5, "timeout_s": 20}, 200),
@@ -92,7 +93,7 @@ async def test_the_time_that_is_left_counts_from_when_it_was_made(site: House, w
     assert worker.commands[0].deadline == pytest.approx(made.timestamp() + 20, abs=0.01)
 
 
-@pytest.mark.parametrize(
+@for_each(
     "value",
     [
         "",

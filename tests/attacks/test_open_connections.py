@@ -25,6 +25,7 @@ from tests.administrator import BY
 from tests.app.complete_app import HOST, PASSWORD, House, complete_app
 from tests.app.fake_worker import snapshot, until
 from tests.attacks.withdrawals import in_another_process
+from tests.for_each import for_each
 
 NEVER_S = 1e6
 PATHS = ["/live", "/api/v1/stream", "/api/v1/stream?bus=dry-end"]
@@ -128,7 +129,7 @@ async def test_it_ends_when_the_rights_of_its_user_are_withdrawn(house: House, p
         await over(connection)
 
 
-@pytest.mark.parametrize("path", PATHS)
+@for_each("path", PATHS)
 async def test_it_ends_with_its_token(house: House, path: str) -> None:
     token = await house.services[Accounts].create_token("plc", Role.VIEWER, **BY)
     async with opened(house, path, {"authorization": f"Bearer {token}"}) as connection:
@@ -136,7 +137,7 @@ async def test_it_ends_with_its_token(house: House, path: str) -> None:
         await over(connection)
 
 
-@pytest.mark.parametrize("path", PATHS)
+@for_each("path", PATHS)
 async def test_it_ends_with_a_sign_out_and_another_session_goes_on(house: House, path: str) -> None:
     client = await house.signed_in(Role.OPERATOR, "ann")
     other = house.client()

@@ -28,6 +28,7 @@ from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
 from tests.app.complete_app import House, complete_app
 from tests.app.gated import until
+from tests.for_each import for_each
 
 PATIENCE_S = 30.0
 SEARCHES = (
@@ -50,7 +51,7 @@ async def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterato
         yield house
 
 
-@pytest.mark.parametrize("path", SEARCHES)
+@for_each("path", SEARCHES)
 async def test_an_account_has_few_at_a_time_and_others_do_not_wait(
     house: House, monkeypatch: pytest.MonkeyPatch, path: str
 ) -> None:

@@ -10,13 +10,12 @@ import sqlite3
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from app.core.database import Database
 from app.core.web.access import Role
 from app.people.audit.entry import new_entry
 from app.people.audit.log import EventLog
 from tests.app.complete_app import House, complete_app
+from tests.for_each import for_each
 
 FRAME = '{"at":%s,"direction":"in","data":"10 02","meaning":"x"}'
 HOSTILE: dict[str, dict[str, Any]] = {
@@ -94,7 +93,7 @@ async def look(house: House) -> dict[int, dict[str, Any]]:
     return rows
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@for_each("name", HOSTILE)
 async def test_an_impossible_row(house: House, name: str) -> None:
     before, hostile, after = await put(house, {}, HOSTILE[name], {})
     rows = await look(house)

@@ -17,6 +17,7 @@ from bus.instants import unix_now
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House
 from tests.app.played_line import BUS, PlayedLine
+from tests.for_each import for_each
 
 NUMBER, BEFORE, SET = 12, 20, 30
 PARAMETER = f"/units/{BUS}/1/parameters/{NUMBER}"
@@ -88,9 +89,7 @@ async def test_another_session_of_the_person_may(
     assert line.memory[1][NUMBER] == BEFORE
 
 
-@pytest.mark.parametrize(
-    "changed", [{"raw": "25"}, {"undoes": "none"}, {"reviewed_at": "0"}, {"reviewed_at": "nan"}]
-)
+@for_each("changed", [{"raw": "25"}, {"undoes": "none"}, {"reviewed_at": "0"}, {"reviewed_at": "nan"}])
 async def test_a_changed_form_sends_nothing(
     client: httpx.AsyncClient, line: PlayedLine, changed: dict[str, str]
 ) -> None:
@@ -99,7 +98,7 @@ async def test_a_changed_form_sends_nothing(
     assert line.memory[1][NUMBER] == SET
 
 
-@pytest.mark.parametrize("path", [f"/units/{BUS}/2/parameters/{NUMBER}", f"/units/{BUS}/1/parameters/11"])
+@for_each("path", [f"/units/{BUS}/2/parameters/{NUMBER}", f"/units/{BUS}/1/parameters/11"])
 async def test_a_form_for_another_value_sends_nothing(
     client: httpx.AsyncClient, line: PlayedLine, path: str
 ) -> None:
@@ -108,7 +107,7 @@ async def test_a_form_for_another_value_sends_nothing(
     assert len(line.written) == 1
 
 
-@pytest.mark.parametrize("unit", ["/units/elsewhere/1", f"/units/{BUS}/9", f"/units/{BUS}/256"])
+@for_each("unit", ["/units/elsewhere/1", f"/units/{BUS}/9", f"/units/{BUS}/256"])
 async def test_a_form_for_no_unit_is_none(client: httpx.AsyncClient, unit: str) -> None:
     refused = await client.post(f"{unit}/parameters/{NUMBER}", data=await review(client))
     assert refused.status_code in (404, 422)

@@ -157,8 +157,8 @@ def test_workers_begin_before_the_dashboard_is_imported() -> None:
 
 
 def test_the_dashboard_leaves_out_what_it_never_uses() -> None:
-    """The command line of uvicorn and multiprocessing, the login with a company account, and the models that
-    describe OpenAPI."""
+    """The command line of uvicorn and multiprocessing, the login with a company account, OPC UA, and the
+    models that describe OpenAPI."""
     code = f"""import sys; from contextlib import suppress; from app.cli import main
 sys.argv = ["lineside", "--help"]
 with suppress(SystemExit): main()
@@ -177,6 +177,9 @@ from fastapi.openapi.models import Info; print(Info.__pydantic_complete__, Info(
         "authlib",
         "joserfc",
         "cryptography",
+        "asyncua",
+        "app.system.opcua.process",
+        "app.system.opcua.link",
     }
     assert unused & set(loaded.split()) == set()
 

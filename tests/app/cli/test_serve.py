@@ -108,15 +108,15 @@ def only_child(process: Process) -> int:
 
 
 @pytest.mark.parametrize(
-    ("number", "as_installed", "within_s"),
+    ("number", "within_s"),
     [
-        (signal.SIGTERM, True, PATIENCE_S),
-        (signal.SIGINT, False, PATIENCE_S),
-        pytest.param(signal.SIGTERM, False, 5.0, marks=pytest.mark.soak),
+        (signal.SIGINT, PATIENCE_S),
+        pytest.param(signal.SIGTERM, 5.0, marks=pytest.mark.soak),
     ],
 )
-def test_it_ends_completely(config: Path, number: int, as_installed: bool, within_s: float) -> None:
-    with started("serve", "--config", str(config), as_installed=as_installed) as (process, url):
+def test_it_ends_completely(config: Path, number: int, within_s: float) -> None:
+    """The installed command does by SIGTERM in `tests.app.system.test_configuration_restart`."""
+    with started("serve", "--config", str(config)) as (process, url):
         assert is_serving(url)
         worker = only_child(process)
         process.send_signal(number)
@@ -172,15 +172,7 @@ def read_to_the_end(page: ClientConnection) -> None:
         page.recv()
 
 
-def test_no_worker_outlives_a_killed_parent(config: Path) -> None:
-    with started("serve", "--config", str(config)) as (process, _):
-        worker = only_child(process)
-        process.kill()
-        process.wait()
-        eventually(lambda: not is_alive(worker), "the worker ends too")
-
-
-def test_a_worker_that_dies_is_started_again(config: Path) -> None:
+def test_a_worker_that_dies_is_started_again_and_none_outlives_a_killed_parent(config: Path) -> None:
     with started("serve", "--config", str(config)) as (process, url):
         first = only_child(process)
         os.kill(first, signal.SIGKILL)
@@ -189,6 +181,9 @@ def test_a_worker_that_dies_is_started_again(config: Path) -> None:
         )
         assert is_serving(url)
         assert second != [first]
+        process.kill()
+        process.wait()
+        eventually(lambda: not any(map(is_alive, second)), "the worker ends too")
 
 
 @pytest.mark.soak
@@ -209,7 +204,9 @@ def test_a_worker_that_is_frozen_is_replaced(config: Path) -> None:
         eventually(is_linked, "it is linked")
 
 
-def test_the_app_knows_its_worker_and_reports_the_missing_port(config: Path) -> None:
+def test_the_app_knows_its_worker_reports_the_missing_port_and_shares_its_data_with_no_other(
+    config: Path,
+) -> None:
     token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
     with started("serve", "--config", str(config)) as (process, url):
 
@@ -222,6 +219,9 @@ def test_the_app_knows_its_worker_and_reports_the_missing_port(config: Path) -> 
         assert bus()["link"] == "closed"
         harmless = {"LINESIDE_PARENT", "PYDANTIC_DISABLE_PLUGINS", "COLUMNS", "LINES"}
         assert shown_by_ps(only_child(process)) <= harmless
+        other = fork_server.run("serve", "--config", config)
+    assert other.returncode == 1
+    assert "another Lineside server uses" in other.stderr
 
 
 def shown_by_ps(pid: int) -> set[str]:
@@ -285,13 +285,6 @@ def test_make_refuses_a_word_as_a_port(port: str) -> None:
 def test_an_impossible_address_is_reported(host: str, words: str) -> None:
     with pytest.raises(ListenError, match=words):
         listen(host, 0, "choose another")
-
-
-def test_two_servers_never_share_their_data(config: Path) -> None:
-    with started("serve", "--config", str(config)):
-        done = fork_server.run("serve", "--config", config)
-    assert done.returncode == 1
-    assert "another Lineside server uses" in done.stderr
 
 
 def test_a_service_that_cannot_start_is_named_in_one_line(config: Path) -> None:

@@ -23,6 +23,7 @@ from app.core.web.access import Role
 from app.core.web.request_rules import host_name
 from app.settings import ConfigurationError, load
 from tests.app.complete_app import PASSWORD, complete_app, settings_in
+from tests.for_each import for_each
 
 PROXIES = (ip_network("10.0.0.0/28"), ip_network("2001:db8::/64"))
 
@@ -130,7 +131,7 @@ async def test_a_trusted_proxy_is_believed(tmp_path: Path) -> None:
         assert event["origin"] == "203.0.113.66"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("host", "path", "address", "status"),
     [
         ("mill.example", "/login", "192.0.2.7", 200),

@@ -15,6 +15,7 @@ from app.people.audit.log import EventLog
 from app.people.auth.identify import Identity
 from bus.messages import Message
 from tests.app.complete_app import House
+from tests.for_each import for_each
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"
 
@@ -48,7 +49,7 @@ async def test_an_unknown_bus_and_an_unknown_unit(engineer: httpx.AsyncClient) -
     check_problem(await engineer.get("/api/v1/buses/dry-end/units/99"), 404, "unknown_unit")
 
 
-@pytest.mark.parametrize(
+@for_each(
     "body",
     [
         b"{",
@@ -99,7 +100,7 @@ async def test_an_address_longer_than_any_is_refused(engineer: httpx.AsyncClient
     check_problem(await engineer.get("/api/v1/buses/dry-end/units/" + "9" * 5000), 414, "too_long")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("body", "kind", "words"),
     [
         (b'{"raw": 5}', "text/plain", "body: it must be a JSON object"),
@@ -133,7 +134,7 @@ async def test_a_page_for_people_and_a_fragment_for_htmx(house: House) -> None:
     assert 'role="alert"' in part.text
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("left", "link"),
     [
         ("http://server/trends?span=600&s=a", "/trends?span=600&amp;s=a"),
@@ -206,7 +207,7 @@ async def test_a_wrong_method_names_all_methods_of_the_path(engineer: httpx.Asyn
     assert response.headers["allow"] == "GET, HEAD, PUT"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("path", "body", "key"),
     [
         ("/units/1/speed", b'{"raw": 5, "raw": 50}', "'raw'"),
@@ -224,7 +225,7 @@ async def test_a_key_that_is_given_twice_means_nothing(
     assert response.json()["detail"] == f"{key}: it is given twice; nothing was sent"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("query", "words"),
     [
         ("limt=5", "limt: there is no such parameter; there are: "),
@@ -244,7 +245,7 @@ async def test_what_may_be_given_several_times_is(engineer: httpx.AsyncClient) -
     assert len(response.json()) == 2
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("method", "path", "field"),
     [
         ("POST", "/units/1/block", "reason"),
@@ -254,7 +255,7 @@ async def test_what_may_be_given_several_times_is(engineer: httpx.AsyncClient) -
         ("POST", "/recipes", "comment"),
     ],
 )
-@pytest.mark.parametrize("text", ["a\0b", "a\x1b[2J", "100\u202e5"])
+@for_each("text", ["a\0b", "a\x1b[2J", "100\u202e5"])
 async def test_invisible_text_is_not_kept(
     engineer: httpx.AsyncClient, method: str, path: str, field: str, text: str
 ) -> None:
@@ -264,7 +265,7 @@ async def test_invisible_text_is_not_kept(
     assert response.json()["detail"].startswith(f"{field}: character ")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("path", "form"),
     [
         ("/units/dry-end/1/block", {"reason": "a\0b"}),

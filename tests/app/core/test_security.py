@@ -14,6 +14,7 @@ from app.main import create_app
 from app.people.auth.accounts import Accounts
 from tests.administrator import BY
 from tests.app.complete_app import HOST, House, settings_in
+from tests.for_each import for_each
 
 
 @pytest.mark.parametrize(
@@ -67,7 +68,7 @@ async def test_a_foreign_page_cannot_sign_a_user_in(house: House) -> None:
     assert (response.status_code, response.json()["code"]) == (403, "foreign_origin")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("headers", "words"),
     [
         ({"origin": "https://line.plant"}, "the header Host names this server plant.example"),
@@ -120,7 +121,7 @@ def test_a_websocket_of_a_foreign_page_is_refused_even_with_a_good_token(tmp_pat
             pass
 
 
-@pytest.mark.parametrize("path", ["/login", "/healthz", "/api/v1/line", "/static/x/nothing"])
+@for_each("path", ["/login", "/healthz", "/api/v1/line", "/static/x/nothing"])
 async def test_every_document_forbids_unused_browser_features(house: House, path: str) -> None:
     headers = (await house.client().get(path)).headers
     policy = headers["content-security-policy"]
@@ -131,9 +132,7 @@ async def test_every_document_forbids_unused_browser_features(house: House, path
     assert headers["referrer-policy"] == "same-origin"
 
 
-@pytest.mark.parametrize(
-    "name", ["js/main.js", "css/lineside.css", "vendor/inter.woff2", "icons/lineside-192.png"]
-)
+@for_each("name", ["js/main.js", "css/lineside.css", "vendor/inter.woff2", "icons/lineside-192.png"])
 async def test_a_file_that_is_no_document_has_the_headers_of_a_file_only(house: House, name: str) -> None:
     headers = (await house.client().get(f"/static/x/{name}")).headers
     assert headers["x-content-type-options"] == "nosniff"
@@ -141,7 +140,7 @@ async def test_a_file_that_is_no_document_has_the_headers_of_a_file_only(house: 
     assert not {"content-security-policy", "referrer-policy", "permissions-policy"} & set(headers)
 
 
-@pytest.mark.parametrize("path", ["/static/x/icons/sprite.svg", "/static/x/js/nothing.js", "/sw.js"])
+@for_each("path", ["/static/x/icons/sprite.svg", "/static/x/js/nothing.js", "/sw.js"])
 async def test_documents_and_workers_have_a_policy_wherever_they_are(house: House, path: str) -> None:
     headers = (await house.client().get(path)).headers
     assert "default-src 'self'" in headers["content-security-policy"]

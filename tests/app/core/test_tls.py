@@ -24,6 +24,7 @@ from bus.tls import TlsFileError, read_certificate
 from tests.app.gated import PATIENCE_S, Ends, everything, until
 from tests.app.tls_site import GET, TlsSite, tls_site
 from tests.certificates import certificates, renew
+from tests.for_each import for_each
 
 
 @pytest.fixture
@@ -111,7 +112,7 @@ async def test_a_websocket_by_tls(site: TlsSite) -> None:
     assert site.scopes[0]["scheme"] == "wss"
 
 
-@pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
+@for_each("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
 async def test_both_versions_are_spoken(site: TlsSite, version: ssl.TLSVersion) -> None:
     context = site.client()
     context.minimum_version = context.maximum_version = version
@@ -186,7 +187,7 @@ async def test_plain_http_gets_a_hint(site: TlsSite) -> None:
     assert site.scopes == []
 
 
-@pytest.mark.parametrize(
+@for_each(
     "garbage",
     [
         b"\x80\x2e\x01\x00\x02",

@@ -14,6 +14,7 @@ from websockets.exceptions import WebSocketException
 
 from bus.worker.uplink import UplinkTls
 from tests.app.tls_site import GET, TlsSite, tls_site
+from tests.for_each import for_each
 
 
 @pytest.fixture
@@ -46,7 +47,7 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "words"), FAULTS)
+@for_each(("name", "words"), FAULTS)
 async def test_a_certificate_that_is_refused(site: TlsSite, name: str, words: str) -> None:
     fault = await fault_of(site.port, with_certificate(site, name))
     assert fault.startswith("the dashboard refused the certificate of this worker")

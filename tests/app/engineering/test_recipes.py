@@ -27,6 +27,7 @@ from bus.instants import monotonic_now, unix_now
 from bus.messages import Message, in_english
 from tests.app.complete_app import House
 from tests.app.played_commands import ANNA, HEALTHY, REMOTE, Noted, PlayedCommands, a_bus, fresh, responding
+from tests.for_each import for_each
 
 
 class Scene:
@@ -282,7 +283,7 @@ async def load(client: httpx.AsyncClient, **changed: str) -> httpx.Response:
     return await client.post("/recipes/1/load", data=form, headers={"Origin": str(client.base_url)})
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("changed", "expected"),
     [
         ({"reviewed_at": "1"}, "expired"),

@@ -26,6 +26,7 @@ from tests.app.complete_app import House
 from tests.app.fake_worker import until
 from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, factory, responding
 from tests.app.played_line import BUS, PlayedLine, played_line
+from tests.for_each import for_each
 
 BEN = Person("ben", Role.ENGINEER, "session")
 WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}
@@ -447,7 +448,7 @@ async def test_the_start_may_choose_other_rows(
     assert {number for _, number, _ in line.written} == written
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("chosen", "status", "code"),
     [
         ({"include": [27]}, 409, "dangerous"),

@@ -30,6 +30,7 @@ from bus.settings import BusSettings
 from tests.app.complete_app import House
 from tests.app.played_commands import ANNA, Noted, a_bus
 from tests.app.played_line import BUS, played_line
+from tests.for_each import for_each
 
 
 def state(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: object) -> SwapState:
@@ -385,7 +386,7 @@ async def test_the_sheet(house: House, client: httpx.AsyncClient) -> None:
     assert house.services[SwapService].find_or_404(BUS, 2).source is None
 
 
-@pytest.mark.parametrize("source", ["", "set:99:2", "set:1", "nonsense"])
+@for_each("source", ["", "set:99:2", "set:1", "nonsense"])
 async def test_what_names_no_source_begins_nothing(
     house: House, client: httpx.AsyncClient, source: str
 ) -> None:

@@ -17,6 +17,7 @@ from app.line.live.bus_live import LiveState
 from bus.contract import ParameterValue, Reading
 from tests.app.complete_app import HOST, House, complete_app
 from tests.app.played_commands import ANNA, HEALTHY, fresh, responding
+from tests.for_each import for_each
 
 OF_PAGE = {"HX-Request": "true", "Origin": f"http://{HOST}"}
 ROW = re.compile(r'name="row" value="([^"]+)"')
@@ -94,7 +95,7 @@ async def test_each_way_to_set_a_value_adds_to_the_tray(house: House) -> None:
     assert "/bus/dry-end/tray/review" in strip.text
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("path", "form", "expected"),
     [
         ("/units/dry-end/1/tray/setpoint", {"value": "9000"}, "0.0 to 2000.0"),
@@ -162,7 +163,7 @@ async def test_a_unit_that_cannot_take_it_is_left_out_by_name_only(house: House)
     assert "No change can be sent now" in (await tray(house)).text
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("form", "expected"),
     [
         ({"reviewed_at": "1"}, "expired"),

@@ -34,6 +34,7 @@ from bus.instants import UnixTime
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus
 from tests.app.complete_app import House, complete_app
 from tests.app.history_line import NOON, Shelf, parameter, until
+from tests.for_each import for_each
 
 Values = dict[str, int]
 Rule = dict[str, Any]
@@ -325,7 +326,7 @@ async def test_readings_that_are_stored_no_longer_are_not_judged(
     assert before["covered_from"] < after["covered_from"] < after["first"]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("body", "words"),
     [
         ({"unit": 9}, "bus dry-end has no unit 9"),

@@ -18,6 +18,7 @@ from app.people.audit.log import EventLog
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, estop, played_line
+from tests.for_each import for_each
 
 API = "/api/v1/alarms"
 OWN_FIELDS = {"id", "name", "code", "bus", "unit", "priority", "state", "active", "acknowledged", "since"}
@@ -169,7 +170,7 @@ async def test_out_of_service_is_for_an_engineer(house: House) -> None:
     assert back.json()["state"] == "unack_active"
 
 
-@pytest.mark.parametrize("what", [act.path for act in ALARM_ACTS])
+@for_each("what", [act.path for act in ALARM_ACTS])
 async def test_a_viewer_changes_nothing(house: House, what: str) -> None:
     viewer = await house.program(Role.VIEWER)
     estop(house.services, active=True)
@@ -177,9 +178,7 @@ async def test_a_viewer_changes_nothing(house: House, what: str) -> None:
     assert (await act(viewer, alarm["id"], what, reason="x", minutes=5)).status_code == 403
 
 
-@pytest.mark.parametrize(
-    "alarm", ["nothing", f"{BUS}.1.estop_active", f"{BUS}.1.estop_active.x", "..", "a.²"]
-)
+@for_each("alarm", ["nothing", f"{BUS}.1.estop_active", f"{BUS}.1.estop_active.x", "..", "a.²"])
 async def test_an_unknown_alarm_is_not_found(house: House, alarm: str) -> None:
     viewer = await house.program(Role.VIEWER)
     missing = await viewer.get(f"{API}/{alarm}")

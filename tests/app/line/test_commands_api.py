@@ -38,6 +38,7 @@ from bus.instants import unix_now
 from bus.messages import term
 from tests.app.complete_app import House
 from tests.app.fake_worker import PlayedWorker, reading, responding, result_of, snapshot, unit_state, until
+from tests.for_each import for_each
 
 
 @pytest.fixture
@@ -98,7 +99,7 @@ async def test_the_worker_gets_the_requested_action(
     assert [command.action for command in worker.commands] == [action]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("method", "path", "body"),
     [
         ("POST", "/units/1/speed", {}),
@@ -154,7 +155,7 @@ async def test_malformed_json_is_invalid(site: House, worker: PlayedWorker) -> N
     assert worker.commands == []
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("method", "path", "body"),
     [
         ("POST", "/units/3/speed", {"raw": 1}),
@@ -184,7 +185,7 @@ async def test_a_bus_there_is_not(site: House) -> None:
         assert response.json()["code"] == "unknown_bus"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("outcome", "status"),
     [
         ("verified", 200),
@@ -235,7 +236,7 @@ def members(node: Any, name: str) -> int:
     return (name in node) + sum(members(each, name) for each in node.values())
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("method", "path", "body", "reason"),
     [
         ("POST", "/units/1/speed", {"raw": 99999}, "setpoint_outside_display"),
@@ -467,7 +468,7 @@ async def test_a_refused_command_is_an_event_too(site: House) -> None:
     assert [event["outcome"] for event in events] == ["dangerous", "invalid"]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("method", "path", "body", "role"),
     [
         ("POST", "/units/1/speed", {"raw": 1}, "viewer"),

@@ -32,6 +32,7 @@ from bus.messages import Message, term
 from tests.app.complete_app import OWN_WORKER, House
 from tests.app.conftest import Kept
 from tests.app.fake_worker import HandshakeRefused, hello, reading, result_of, snapshot, until
+from tests.for_each import for_each
 
 
 @pytest.fixture
@@ -40,7 +41,7 @@ def quick_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bus_feed, "TICK_S", 0.02)
 
 
-@pytest.mark.parametrize("role", ["", "viewer", "operator", "engineer", "admin"])
+@for_each("role", ["", "viewer", "operator", "engineer", "admin"])
 async def test_only_a_worker_is_let_in(site: House, role: str) -> None:
     with pytest.raises(HandshakeRefused):
         await site.connect(role)
@@ -73,7 +74,7 @@ async def test_a_bus_that_is_not_configured_any_more_is_refused_in_words(site: H
     await worker.gone()
 
 
-@pytest.mark.parametrize("version", [5, 99])
+@for_each("version", [5, 99])
 async def test_a_worker_of_another_release_is_refused_with_the_command_that_upgrades_it(
     site: House, version: int
 ) -> None:
@@ -91,7 +92,7 @@ async def test_a_worker_of_another_release_is_refused_with_the_command_that_upgr
     assert bus.link.cause.params["version"] == version
 
 
-@pytest.mark.parametrize("noise", [b"\xff\x00", b"", "text", b"\x81\xa2is\xa4nope"])
+@for_each("noise", [b"\xff\x00", b"", "text", b"\x81\xa2is\xa4nope"])
 async def test_noise_first_ends_the_connection_with_a_reason(site: House, noise: bytes | str) -> None:
     worker = await site.connect()
     await worker.send_raw(noise)

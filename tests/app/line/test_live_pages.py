@@ -17,6 +17,7 @@ from bus.instants import UnixTime
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import a_bus, responding
 from tests.app.screens import line
+from tests.for_each import for_each
 
 
 def test_the_steps_in_their_order() -> None:
@@ -78,7 +79,7 @@ def test_a_number_has_room_for_the_highest_speed(decimals: int, span: int, digit
     assert digits_of(live.buses["dry"].units[1]) == digits
 
 
-@pytest.mark.parametrize("path", PAGES)
+@for_each("path", PAGES)
 async def test_nothing_is_called_stop(house: House, path: str) -> None:
     page = await (await house.program(Role.ENGINEER)).get(path)
     buttons = re.findall(r"<button[^>]*>(.*?)</button>", page.text, re.DOTALL)
@@ -163,7 +164,7 @@ async def test_refused_limits_are_explained_at_their_place_on_the_page(house: Ho
     assert 'id="limits-result"' in (await client.get("/units/dry-end/1")).text
 
 
-@pytest.mark.parametrize("header", ["Lineside-Clicked-At", "Lineside-Asked-At"])
+@for_each("header", ["Lineside-Clicked-At", "Lineside-Asked-At"])
 async def test_an_old_click_sends_nothing_and_reports_it(house: House, header: str) -> None:
     client = await house.program(Role.OPERATOR)
     form = {"raw": "100", "id": "a1", "how": "now", "reviewed_at": "1.0", "was": "", "scale": "-"}

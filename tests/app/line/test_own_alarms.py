@@ -27,6 +27,7 @@ from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import UnitLabels
 from tests.app.complete_app import House, complete_app
+from tests.for_each import for_each
 
 BUS = "dry-end"
 PATH = "/api/v1/alarms/own"
@@ -145,7 +146,7 @@ async def test_a_removed_alarm_is_gone_from_every_list(house: House) -> None:
     assert alarm_of(house, own["id"]).facts.occurrence == 2
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("body", "words"),
     [
         ({"unit": 9}, "bus dry-end has no unit 9"),

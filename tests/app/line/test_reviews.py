@@ -20,6 +20,7 @@ from app.line.live.bus_live import LiveState
 from bus.contract import ParameterValue, Reading
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA, HEALTHY, REMOTE, RUN, fresh, responding
+from tests.for_each import for_each
 
 NOTICE = re.compile(r'data-remark="(\w+)">.*?<p><b>([^<]*)</b>([^<]*)</p>', re.S)
 
@@ -82,7 +83,7 @@ async def test_without_a_risk_there_is_no_remark(house: House) -> None:
     assert remarks(await single(house)) == []
 
 
-@pytest.mark.parametrize("way", ["single", "group", "recipe", "zero"])
+@for_each("way", ["single", "group", "recipe", "zero"])
 async def test_a_unit_at_risk_is_named_by_every_review(house: House, way: str) -> None:
     report(house, 1, inputs=0)
     report_parameter(house, 1, 7, 0)

@@ -31,6 +31,7 @@ from bus.contract import Command, Update
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from tests.app.complete_app import House, commands_app
 from tests.app.fake_worker import PlayedWorker, reading, responding, result_of, until
+from tests.for_each import for_each
 
 
 @pytest.fixture
@@ -163,7 +164,7 @@ async def test_what_guards_a_store_of_an_earlier_version_is_read(site: House) ->
     assert len(protection["limits"]) == 1
 
 
-@pytest.mark.parametrize(
+@for_each(
     "body",
     [{"lowest": 5, "highest": 4}, {"lowest": -1}, {"highest": 100000}, {"fastest": 1}, {"lowest": True}],
 )
@@ -265,7 +266,7 @@ async def test_a_speed_that_is_under_way_when_the_bus_becomes_read_only_goes_on_
     assert await slower == (200, "verified")
 
 
-@pytest.mark.parametrize(
+@for_each(
     "body",
     [
         {},

@@ -18,6 +18,7 @@ from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSp
 from tests.app.complete_app import House, complete_app
 from tests.app.fake_worker import PlayedWorker, result_of, snapshot, unit_state
 from tests.app.played_commands import ANNA, responding
+from tests.for_each import for_each
 
 TO = "\N{EN DASH}"
 
@@ -32,7 +33,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
         yield house
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("method", "path", "body"),
     [
         ("POST", "/units/1/speed", {"raw": 20001}),
@@ -52,7 +53,7 @@ async def test_a_program_is_refused_above_the_maximum_with_the_nearest(
     assert "2000.1 is outside 0.0 to 2000.0" in result["detail"]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("path", "form"),
     [
         ("/units/dry-end/1/review", {"value": "2000.1"}),
@@ -62,7 +63,7 @@ async def test_a_program_is_refused_above_the_maximum_with_the_nearest(
         ("/units/dry-end/1/parameters/20/review", {"value": "2000.1"}),
     ],
 )
-@pytest.mark.parametrize("language", ["en", "de"])
+@for_each("language", ["en", "de"])
 async def test_a_person_gets_no_review_above_the_maximum(
     house: House, path: str, form: dict[str, str], language: str
 ) -> None:

@@ -19,7 +19,7 @@ from uvicorn.protocols.utils import ClientDisconnected
 
 from app.core.database import Database
 from app.core.server.connections import CONNECTION, ClientConnection
-from app.core.web.access import SESSION, Person, Requires, Role, public
+from app.core.web.access import PEOPLE_ROLES, SESSION, Person, Requires, Role, public
 from app.core.web.routes import GuardedRoute, calls_of, refuse_unguarded
 from app.main import create_app
 from app.people.audit.log import EventLog
@@ -29,6 +29,7 @@ from app.people.auth.accounts import Accounts
 from app.people.auth.identify import PUBLIC_PATHS, Identity
 from tests.administrator import BY
 from tests.app.complete_app import EVERY_ROLE, HOST, PASSWORD, House, complete_app, settings_in
+from tests.for_each import for_each
 
 FILLED = {"bus": "dry-end", "unit": "1", "number": "1", "name": "nobody", "version": "x"}
 
@@ -105,18 +106,26 @@ async def test_an_anonymous_client_gets_only_public_routes(house: House) -> None
     assert seen > 50
 
 
-@pytest.mark.parametrize("role", EVERY_ROLE)
-async def test_each_role_gets_what_it_may_and_nothing_else(house: House, role: Role) -> None:
-    program = await house.program(role)
+async def test_each_role_gets_what_it_may_and_nothing_else(house: House) -> None:
+    """Each call as the least role that may, the greatest that may not, and a worker: the roles of people
+    include one another."""
+    programs = {role: await house.program(role) for role in EVERY_ROLE}
     for method, path, roles in http_calls(house.app):
         if path in SIGNING_IN:
             continue
-        if path == ENDLESS and may(role, roles):
-            method = "HEAD"
-        response = await program.request(method, path, headers={"accept": "application/json"})
-        assert response.status_code != 401, (method, path)
-        assert response.status_code < 500 or response.status_code in (503, 504), (method, path, response.text)
-        assert is_refusal_for_role(response) is not may(role, roles), (method, path, role, response.text)
+        may_people = [role for role in PEOPLE_ROLES if may(role, roles)]
+        may_not = [role for role in PEOPLE_ROLES if not may(role, roles)]
+        for role in (*may_people[:1], *may_not[-1:], Role.WORKER):
+            used = "HEAD" if path == ENDLESS and may(role, roles) else method
+            response = await programs[role].request(used, path, headers={"accept": "application/json"})
+            where = (method, path, role, response.text)
+            assert response.status_code != 401, where
+            assert response.status_code < 500 or response.status_code in (503, 504), where
+            assert is_refusal_for_role(response) is not may(role, roles), where
+
+
+def test_the_roles_of_people_include_one_another() -> None:
+    assert {role: {other for other in EVERY_ROLE if role.includes(other)} for role in EVERY_ROLE} == HAS
 
 
 @pytest.mark.parametrize("role", [None, *EVERY_ROLE])
@@ -253,9 +262,7 @@ def test_a_route_without_a_guard_stops_the_start() -> None:
         refuse_unguarded(app)
 
 
-@pytest.mark.parametrize(
-    "header", ["Bearer nonsense", "bearer ", "Bearer", "BEARER \tx", "Bearer " + "x" * 9000]
-)
+@for_each("header", ["Bearer nonsense", "bearer ", "Bearer", "BEARER \tx", "Bearer " + "x" * 9000])
 async def test_a_bad_token_is_refused_even_with_a_good_cookie(house: House, header: str) -> None:
     client = await house.signed_in(Role.ADMIN)
     response = await client.get("/api/v1/line", headers={"authorization": header})
@@ -290,7 +297,7 @@ async def test_a_session_that_is_over(house: House, monkeypatch: pytest.MonkeyPa
     assert posted.headers["location"] == "/login?next=/account&refused=true"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("client", "host", "is_let_in"),
     [
         ("127.0.0.1", "127.0.0.1:8000", True),

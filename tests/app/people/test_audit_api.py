@@ -20,6 +20,7 @@ from bus.messages import Message
 from bus.messages import number as decimal
 from tests.app.complete_app import House, complete_app
 from tests.app.intents import intend
+from tests.for_each import for_each
 
 CONTRACT = {"id", "time", "kind", "who", "bus", "unit", "what", "old", "new", "old_raw", "new_raw", "outcome"}
 
@@ -78,7 +79,7 @@ async def test_of_one_unit(house: House, viewer: httpx.AsyncClient) -> None:
     assert [event["id"] for event in response.json()["events"]] == [wanted]
 
 
-@pytest.mark.parametrize(
+@for_each(
     "query",
     [
         "limit=0",
@@ -174,13 +175,13 @@ async def test_the_page_goes_on_to_older_ones(house: House) -> None:
     assert "thing-019" in (await client.get(f"/events?{older}")).text
 
 
-@pytest.mark.parametrize("query", ["unit=x", "before=x"])
+@for_each("query", ["unit=x", "before=x"])
 async def test_the_page_passes_over_what_it_cannot_read(house: House, query: str) -> None:
     client = await house.signed_in(Role.VIEWER)
     assert (await client.get(f"/events?{query}")).status_code == 200
 
 
-@pytest.mark.parametrize("query", ["since=nonsense", "until=11/21/2026"])
+@for_each("query", ["since=nonsense", "until=11/21/2026"])
 async def test_the_page_refuses_a_day_that_is_none_and_keeps_it(house: House, query: str) -> None:
     client = await house.signed_in(Role.VIEWER)
     refused = await client.get(f"/events?{query}")

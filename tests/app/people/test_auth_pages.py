@@ -18,6 +18,7 @@ from app.people.auth.pages import DEVICE_COOKIE
 from app.people.auth.sign_in import FREE
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House
+from tests.for_each import for_each
 
 HTML = {"accept": "text/html"}
 PIN = "471193"
@@ -58,7 +59,7 @@ async def test_login_goes_where_one_wanted_to_go(house: House) -> None:
     assert (await client.get("/login?next=/account")).headers["location"] == "/account"
 
 
-@pytest.mark.parametrize("target", ["https://evil.example", "//evil.example", "/\\evil.example"])
+@for_each("target", ["https://evil.example", "//evil.example", "/\\evil.example"])
 async def test_login_never_leads_elsewhere(house: House, target: str) -> None:
     await house.add("ann", Role.VIEWER)
     data = {"name": "ann", "password": PASSWORD, "next": target}
@@ -94,7 +95,7 @@ async def test_a_panel_begins_at_its_home_page(house: House) -> None:
     assert (await client.post("/account/password", data={"password": "x"})).status_code == 403
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("present", "password", "repeated", "expected"),
     [
         (PASSWORD, "short", "short", "12 to 256 characters"),
@@ -156,7 +157,7 @@ async def test_names_and_passwords_are_the_same_however_their_accents_are_typed(
     assert not await can_sign_in(house, "jurgen", "schöne grüne äpfel")
 
 
-@pytest.mark.parametrize("form", ["NFC", "NFD"])
+@for_each("form", ["NFC", "NFD"])
 async def test_a_password_hashed_as_it_was_typed_stays_valid(
     house: House, form: Literal["NFC", "NFD"]
 ) -> None:
@@ -207,7 +208,7 @@ async def test_an_admin_adds_changes_and_removes_people(house: House, admin: htt
     assert list(await names(house)) == ["ada"]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("path", "form", "expected"),
     [
         ("/users", {"name": "a b", "password": "a good new one"}, "1 to 40 letters"),

@@ -28,6 +28,7 @@ from app.people.auth.sign_in import (
 )
 from bus.errors import CallerError
 from tests.administrator import BY
+from tests.for_each import for_each
 
 PASSWORD = "correct horse"
 PIN = "471193"
@@ -385,12 +386,12 @@ async def test_tokens(house: House) -> None:
     assert await house.identity.by_token(token) is None
 
 
-@pytest.mark.parametrize("bearer", ["", "x", "ü", "x" * 10_000])
+@for_each("bearer", ["", "x", "ü", "x" * 10_000])
 async def test_invalid_tokens(house: House, bearer: str) -> None:
     assert await house.identity.by_token(bearer) is None
 
 
-@pytest.mark.parametrize("bus", OWN)
+@for_each("bus", OWN)
 async def test_each_of_the_servers_own_workers_has_a_token_for_its_bus(house: House, bus: str) -> None:
     person = await house.identity.by_token(OWN[bus])
     assert person is not None

@@ -28,6 +28,7 @@ from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.intents import intend
 from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
+from tests.for_each import for_each
 
 API = "/api/v1/shifts"
 SET_SPEED = Message("event_set_speed")
@@ -98,7 +99,7 @@ async def test_the_sheet_is_made_from_the_store(house: House) -> None:
     assert {each["code"] for each in found["omissions"]} >= {"shift_omits_drift", "shift_omits_control"}
 
 
-@pytest.mark.parametrize("role", [Role.VIEWER, Role.WORKER])
+@for_each("role", [Role.VIEWER, Role.WORKER])
 async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
     shifts, person = house.services[Handover], Person("vic", role, "session")
     for new in (NewNote("Felt changed"), NewNote("Felt changed", corrects=1)):
@@ -297,7 +298,7 @@ async def test_a_note_of_a_shift_that_is_over_states_its_time(house: House) -> N
     assert counts == [0, 2]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("start", "status", "code"),
     [
         ("yesterday", 422, "invalid"),

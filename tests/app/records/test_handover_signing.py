@@ -26,6 +26,7 @@ from app.records.handover.signatures import missing_signatures
 from bus.instants import UnixTime
 from tests.app.complete_app import PASSWORD, House, complete_app
 from tests.app.played_line import BUS, played_line
+from tests.for_each import for_each
 
 API = "/api/v1/shifts"
 
@@ -173,7 +174,7 @@ async def test_who_may_not_sign_signs_nothing(house: House) -> None:
     assert (await sheet(operator))["signed"] is None
 
 
-@pytest.mark.parametrize("role", [Role.VIEWER, Role.WORKER])
+@for_each("role", [Role.VIEWER, Role.WORKER])
 async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
     ann = await house.signed_in(Role.OPERATOR, "ann")
     shift = await house.services[Handover].shift_of(datetime.fromisoformat(await last(ann)))
@@ -283,7 +284,7 @@ async def test_the_file_needs_no_server_and_is_no_page_of_it(house: House) -> No
     assert "<b>ann</b>" in file.text
 
 
-@pytest.mark.parametrize("hour", [3, 10, 15, 23])
+@for_each("hour", [3, 10, 15, 23])
 async def test_a_signed_shift_keeps_its_times_when_others_are_configured(
     house: House, monkeypatch: pytest.MonkeyPatch, hour: int
 ) -> None:

@@ -19,6 +19,7 @@ from tests.app.complete_app import House, complete_app
 from tests.app.notification_servers import PlayedMailServer, mail_server
 from tests.app.played_line import BUS, played_line
 from tests.app.records.test_notification_path import Path_
+from tests.for_each import for_each
 
 API = "/api/v1/notifications"
 MAIL = "mail:duty@plant"
@@ -173,7 +174,7 @@ async def test_a_link_that_has_expired_is_refused_in_words(
     assert (response.status_code, "This link has expired" in response.text) == (403, True)
 
 
-@pytest.mark.parametrize("language", ["en", "de"])
+@for_each("language", ["en", "de"])
 async def test_the_page_shows_it_all(house: House, mail: PlayedMailServer, language: str) -> None:
     engineer = await house.signed_in(Role.ENGINEER)
     await engineer.post("/account/language", data={"language": language})

@@ -21,6 +21,7 @@ from bus.instants import UnixTime
 from tests.app.complete_app import House, complete_app
 from tests.app.history_line import Shelf, parameter
 from tests.app.notification_servers import PlayedMailServer, mail_server
+from tests.for_each import for_each
 
 MIDNIGHT = datetime.now(UTC).replace(hour=0, minute=0, second=0, microsecond=0)
 BEGIN = (MIDNIGHT - timedelta(hours=12)).timestamp()
@@ -170,7 +171,7 @@ async def test_a_page_without_readings_states_what_it_is_for(house: House) -> No
     assert "0 stops" not in page
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("query", "status", "reason"),
     [
         ({"since": "2026-02-02T06:00", "until": "2026-02-01T06:00"}, 422, "begins before now and ends later"),

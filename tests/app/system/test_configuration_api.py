@@ -11,6 +11,7 @@ import pytest
 from app.core.web.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.configuration_file import TEXT, PlantFile, house_with_file, plant_file
+from tests.for_each import for_each
 
 API = "/api/v1/configuration"
 UNIT = f"{API}/tables/bus.0.unit.0"
@@ -83,7 +84,7 @@ async def test_a_unit_moves_and_an_alarm_is_removed(engineer: httpx.AsyncClient,
     assert "[[built_in_alarm]]" not in file.text
 
 
-@pytest.mark.parametrize("act", ["remove", "up"])
+@for_each("act", ["remove", "up"])
 async def test_what_cannot_be_done_with_a_table(
     engineer: httpx.AsyncClient, file: PlantFile, act: str
 ) -> None:
@@ -109,7 +110,7 @@ async def test_refusals(engineer: httpx.AsyncClient, file: PlantFile) -> None:
     assert file.text == f"# By hand.\n{TEXT}"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("table", "values"),
     [
         ("notify.smtp", {"host": "mail.example", "sender": "a@b.example"}),

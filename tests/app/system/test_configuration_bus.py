@@ -17,6 +17,7 @@ from app.system.configuration.port_scan import PortScan, ports
 from tests.app.cli.test_wire import line, unit
 from tests.app.complete_app import House, complete_app
 from tests.app.configuration_file import TEXT, PlantFile, fields_of, house_with_file, plant_file
+from tests.for_each import for_each
 
 house = pytest.fixture(house_with_file)
 file = pytest.fixture(plant_file)
@@ -90,7 +91,7 @@ async def test_port_and_units_are_corrected(admin: httpx.AsyncClient, file: Plan
     assert (await admin.post(FIRST, data=data)).status_code == 422, "nothing changed"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("fields", "words"),
     [
         ({"units": "Unwind"}, "“Unwind” names no unit"),
@@ -125,7 +126,7 @@ async def test_a_file_changed_meanwhile_is_not_overwritten(admin: httpx.AsyncCli
     assert "1 Unwind</textarea>" in page.text
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("port", "words"),
     [
         ("/dev/null", "is the port of a bus already"),

@@ -21,6 +21,7 @@ from tests.app.configuration_file import (
     house_with_file,
     plant_file,
 )
+from tests.for_each import for_each
 
 house = pytest.fixture(house_with_file)
 file = pytest.fixture(plant_file)
@@ -248,7 +249,7 @@ async def test_without_a_file(tmp_path: Path) -> None:
         assert "started without a configuration file" in page.text
 
 
-@pytest.mark.parametrize(
+@for_each(
     "name",
     ["server", "bus.0", "bus.0.unit.9", "alarm.1", "notify.webhook.0", "notify.group.0.duty.0", "x" * 99],
 )

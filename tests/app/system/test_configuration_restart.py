@@ -18,6 +18,7 @@ from tests.app.cli.test_serve import CONFIG, only_child, started
 from tests.app.complete_app import House
 from tests.app.configuration_file import TEXT, PlantFile, house_with_file, plant_file
 from tests.e2e.site import eventually
+from tests.for_each import for_each
 from tests.free_port import free_port
 
 API = "/api/v1/configuration"
@@ -52,7 +53,7 @@ async def test_an_admin_restarts_it_and_the_audit_log_has_who_and_why(
     assert "restart of the server requested: new name" in newest["what"]
 
 
-@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.ENGINEER])
+@for_each("role", [Role.VIEWER, Role.OPERATOR, Role.ENGINEER])
 async def test_no_other_role_does(house: House, requested: asyncio.Event, role: Role) -> None:
     response = await restart(await house.program(role), "0" * 16)
     assert (response.status_code, requested.is_set()) == (403, False)

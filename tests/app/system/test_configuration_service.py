@@ -26,6 +26,7 @@ from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.configuration_file import TEXT, house_with_file, mode_of, written
+from tests.for_each import for_each
 
 ANN = Person("ann", Role.ENGINEER, "session")
 ADA = Person("ada", Role.ADMIN, "session")
@@ -107,7 +108,7 @@ async def test_of_two_changes_at_once_one_is_written(file: ConfigurationFile) ->
     assert 'name = "A"' in file.path.read_text()
 
 
-@pytest.mark.parametrize("name", ["", "x" * 61, "a\u202eb"])
+@for_each("name", ["", "x" * 61, "a\u202eb"])
 async def test_what_the_server_would_not_start_with_is_not_written(
     file: ConfigurationFile, name: str
 ) -> None:
@@ -136,7 +137,7 @@ async def test_a_rollback_is_a_version_itself(file: ConfigurationFile) -> None:
     assert (newest.number, newest.origin, newest.who) == (3, "rolled_back", "ada")
 
 
-@pytest.mark.parametrize("act", [CHANGE_MAIL, ROLL_BACK])
+@for_each("act", [CHANGE_MAIL, ROLL_BACK])
 async def test_what_may_send_the_password_elsewhere_is_for_admins(file: ConfigurationFile, act: Act) -> None:
     with pytest.raises(Problem) as refused:
         await file.save(ANN, act, named("x"), (await file.present()).digest, "")

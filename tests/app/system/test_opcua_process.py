@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -88,7 +86,7 @@ async def serves(house: House) -> None:
     await until(lambda: process_of(house).status.is_serving, "OPC UA is served")
 
 
-async def test_a_client_reads_what_the_units_report(tmp_path: Path) -> None:
+async def test_a_client_reads_what_the_units_report_also_after_the_process_was_killed(tmp_path: Path) -> None:
     port = free_port()
     client = client_certificate(tmp_path / "client")
     async with site(tmp_path / "site", port) as house:
@@ -109,15 +107,7 @@ async def test_a_client_reads_what_the_units_report(tmp_path: Path) -> None:
                 pass
         (found,) = await asyncio.to_thread(lambda: list(opcua(load(tmp_path / "site" / "lineside.toml"))))
         assert (found.message.code, found.is_fault) == ("check_opcua", False)
-
-
-async def test_a_killed_process_is_started_again_and_follows(tmp_path: Path) -> None:
-    port = free_port()
-    client = client_certificate(tmp_path / "client")
-    async with site(tmp_path / "site", port) as house:
-        server = OpcuaServer(tmp_path / "site" / "data" / "opcua", port=port)
-        server.trust(client)
-        await serves(house)
+        # A killed process is started again and follows.
         os.kill(pid_of(port), signal.SIGKILL)
         await until(lambda: process_of(house).restarts == 1, "it is started again")
         assert process_of(house).fault is not None
@@ -161,9 +151,3 @@ async def test_without_a_table_nothing_is_started(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         assert house.services[OpcuaProcesses] == ()
         assert "lineside_opcua" not in (await house.http("admin").get("/metrics")).text
-
-
-def test_nothing_of_it_is_imported_before_it_is_configured() -> None:
-    program = "import sys, app.main; sys.exit(any(name in sys.modules for name in sys.argv[1:]))"
-    names = ("asyncua", "app.system.opcua.process", "app.system.opcua.link")
-    assert subprocess.run([sys.executable, "-c", program, *names], check=False).returncode == 0

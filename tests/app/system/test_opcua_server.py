@@ -30,6 +30,7 @@ from tests.app.opcua import (
     scales,
     secured,
 )
+from tests.for_each import for_each
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 OWN = 1
@@ -192,7 +193,7 @@ async def test_nobody_is_anonymous(site: Site) -> None:
         await client.connect()
 
 
-@pytest.mark.parametrize(("user", "secret"), [(TOKEN, "wrong"), ("nobody", "x"), (TOKEN, "x" * 100)])
+@for_each(("user", "secret"), [(TOKEN, "wrong"), ("nobody", "x"), (TOKEN, "x" * 100)])
 async def test_a_wrong_token_is_refused(site: Site, user: str, secret: str) -> None:
     with pytest.raises((BadUserAccessDenied, UaStatusCodeError, ConnectionError)):
         async with site.connected(user=user, secret=secret):
@@ -300,7 +301,7 @@ async def raw(site: Site, data: bytes) -> bytes:
         writer.close()
 
 
-@pytest.mark.parametrize(
+@for_each(
     "data",
     [
         b"GET / HTTP/1.1\r\nHost: plant\r\n\r\n",

@@ -28,6 +28,7 @@ from tests.app.plant_database import (
     write_configuration,
 )
 from tests.postgresql import fresh_database, needs_postgresql
+from tests.sizes import sizes
 
 pytestmark = needs_postgresql
 
@@ -44,7 +45,7 @@ def called(folder: Path, *words: str) -> Result:
     return CliRunner().invoke(command, [*given, "--config", str(folder / "lineside.toml")])
 
 
-@pytest.mark.parametrize("readings", ["all", "1 s"])
+@pytest.mark.parametrize("readings", sizes("1 s", "all"))
 async def test_a_past_is_filled_in_once(tmp_path: Path, database: str, readings: str) -> None:
     start = minutes_ago(8)
     # Stored before anything was published: an empty database has another cursor.

@@ -36,6 +36,7 @@ from tests.app.plant_database import (
     rows,
 )
 from tests.postgresql import OwnPostgresql, fresh_database, needs_postgresql
+from tests.sizes import sizes
 
 pytestmark = needs_postgresql
 MAX_CATCH_UP_S = 3600.0
@@ -62,7 +63,7 @@ def polls(start: float, end: float, each: int = 5) -> list[Update]:
     ]
 
 
-@pytest.mark.parametrize(("readings", "step"), [("all", 0.0), ("1 s", 1.0), ("10 s", 10.0)])
+@pytest.mark.parametrize(("readings", "step"), sizes(("all", 0.0), ("1 s", 1.0), ("10 s", 10.0)))
 async def test_the_rows_are_what_the_api_serves(
     tmp_path: Path, database: str, readings: str, step: float
 ) -> None:
