@@ -4,12 +4,12 @@
 //   data-live="dry-end/1.actual"          the text; with data-fresh in a node of its own each time, as what follows a
 //                                         name of any length has not moved where both are other words
 //   data-live-is="dry-end/1.state"        data-is, for CSS; "dry-end/1.inputs@2" takes one place of the text
-//   data-live-var="off=dry-end/1.off …"   custom properties of its style, here --off; for bars
+//   data-live-var="fill=dry-end/1.fill …" custom properties of its style, here --fill; for bars
 //   data-live-title="dry-end/1.cause"     the text that a pointer at rest shows
 //   data-live-href="line_summary.at"        where a link leads; no link while the text is empty
 //   data-live-path="line_of/dry-end.spark"  the path of a drawing
 //   data-live-quality="line_of/dry-end.quality"  data-quality, for CSS
-//   data-live-step="dry-end/1.off"        data-step, the nearest of 48 steps from 0 to 1; for bars in great number
+//   data-live-step="dry-end/1.off"        data-step, the nearest of 144 steps from 0 to 1; for bars in great number
 import { soon } from "./pace.js";
 import { mayWait } from "./visibility.js";
 
@@ -29,7 +29,7 @@ let elements = [];
 let isAltered = false;
 
 const UNKNOWN = "–";
-const STEPS = 48;
+const STEPS = 144;
 const LATE_MS = 250;
 const FIGURE_SPACE = "\u2007";
 
@@ -101,7 +101,7 @@ function attributeOf(element, name) {
 /** Make a rule for each step, and not a style for each element: a style that many share is computed once. */
 function shareSteps() {
   const steps = new CSSStyleSheet();
-  for (let step = 0; step <= STEPS; step += 1) steps.insertRule(`[data-step="${step}"] { --at: ${step}; }`);
+  for (let step = 0; step <= STEPS; step += 1) steps.insertRule(`[data-step="${step}"] { --at: ${step / STEPS}; }`);
   document.adoptedStyleSheets = [steps];
 }
 

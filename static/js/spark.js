@@ -59,6 +59,7 @@ export function outline({ t, avg }, from, { least, most }, step) {
       pen = false;
       continue;
     }
+    if (pen && avg[i - 1] === drawn && avg[i + 1] === drawn) continue;
     const x = (((t[i] - from) / SPAN_S) * WIDTH).toFixed(1);
     const next = (HEIGHT - ((drawn - least) / (most - least)) * HEIGHT).toFixed(1);
     if (pen && step) d += `L${x} ${y}`;
@@ -75,9 +76,10 @@ export function band({ t, avg }, from, { least, most }, window) {
   const y = (/** @type {number} */ at) => (HEIGHT - ((at - least) / (most - least)) * HEIGHT).toFixed(1);
   let d = "";
   for (let i = 0; i < t.length; i += 1) {
-    const middle = avg[i];
+    const [middle, begun] = [avg[i], t[i]];
     if (middle === null) continue;
-    const [x, next] = [t[i], t[i + 1] ?? from + SPAN_S].map((at) => (((at - from) / SPAN_S) * WIDTH).toFixed(1));
+    while (avg[i + 1] === middle) i += 1;
+    const [x, next] = [begun, t[i + 1] ?? from + SPAN_S].map((at) => (((at - from) / SPAN_S) * WIDTH).toFixed(1));
     d += `M${x} ${y(middle + window)}H${next}V${y(middle - window)}H${x}Z`;
   }
   return d;

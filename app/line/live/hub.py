@@ -63,7 +63,7 @@ MAX_SENDS_S = 2000
 """Messages a second that many pages share, to bound the load of the server: 200 pages get ten updates a
 second each, 40 and fewer one for each response."""
 
-STEADY_S = 0.1
+STEADY_S = 0.2
 """Between two updates of units that are at speed and only measured again: drawing each by itself takes a
 browser twice the CPU."""
 
