@@ -19,7 +19,8 @@ from app.core.database.connection import snapshot
 from app.core.web.csv_file import FOR_PROGRAMS
 from app.core.web.formats import lasting
 from app.core.web.shape import iso
-from app.line.history.query import UnitReport, stored_tail
+from app.line.history.query import stored_tail
+from app.line.history.report import UnitReport
 from app.records.handover.figures import reported_buses
 from app.records.handover.rules import EVERYTHING, Shift, shift_at, site_time
 from app.records.handover.signatures import signed_between
@@ -86,10 +87,9 @@ def _figures(
 ) -> list[tuple[BusSettings, UnitReport]]:
     tail = stored_tail(history)
     return [
-        (bus, found)
+        (bus, figures.read(history, tail, unit))
         for bus, figures in reported_buses(settings, EVERYTHING, span, now)
-        for found in [figures.read(history, tail, unit) for unit in figures.units]
-        if found is not None
+        for unit in figures.units
     ]
 
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from unittest.mock import patch
 
 from app.core.database import Database
-from app.line.history import tables
+from app.line.history import tables, writer
 from app.line.history.query import QueryResult, SeriesQuery, run_query
 from app.line.history.recorder import Recorder, Tail, compact
-from app.line.history.series.runs import micros
+from app.line.history.series.runs import HOUR, micros
 from app.line.history.series.values import VALUES
 from app.line.history.settings import HistorySettings
 from app.line.history.status import DiskReserve
-from app.line.history.writer import MIGRATIONS, Writer
+from app.line.history.writer import MIGRATIONS, Upkeep, Writer
 from bus.contract import ParameterValue, Reading, Update
+from bus.instants import Monotonic
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 
@@ -68,6 +71,12 @@ class Shelf:
         while found := self.database.read_now(lambda c: tables.next_to_compact(c, 2**62)):
             self.database.write_now(lambda c, found=found: compact(c, *found))  # type: ignore[misc]
 
+    def work_out(self, bus: BusSettings) -> None:
+        """The figures of every packed hour of a bus."""
+        with patch.object(writer, "FIGURES_EVERY_S", 0.0):
+            upkeep = Upkeep(self.database, HistorySettings(), DiskReserve(), lambda _: None, [bus])
+            upkeep.work_out(micros(NOON) + 3 * HOUR, Monotonic(math.inf))
+
     def query(
         self, value: str, start: float, end: float, most: int = 20_000, bus: BusSettings = BUS
     ) -> QueryResult:
@@ -86,9 +95,9 @@ def opened(
     on_damage: Callable[[Message], None] = lambda _what: None,
 ) -> Writer:
     """A writer with its thread."""
-    writer = Writer(folder / "history.db", HistorySettings(), lambda _kind, what: on_damage(what), reserve)
-    writer.start()
-    return writer
+    made = Writer(folder / "history.db", HistorySettings(), lambda _kind, what: on_damage(what), reserve)
+    made.start()
+    return made
 
 
 def until(condition: Callable[[], bool], patience_s: float = 30.0) -> None:

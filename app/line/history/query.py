@@ -1,6 +1,5 @@
 """Queries of the history, from the store and the tail: one value over a span in a limited number of points,
-in the resolution that fits; readings, minutes, hours, bits or complete runs of one unit; and the report on
-what units did over a span."""
+in the resolution that fits; readings, minutes, hours, bits or complete runs of one unit."""
 
 from __future__ import annotations
 
@@ -8,8 +7,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain, compress, groupby, islice, pairwise
-from operator import gt
+from itertools import chain, compress, groupby, pairwise
 from statistics import median_low
 from typing import Any, Literal, TypeVar
 
@@ -18,22 +16,15 @@ from app.line.history import tables
 from app.line.history.recorder import Tail
 from app.line.history.series.figures import (
     STORED_DECIMALS,
-    DrawFigures,
     Points,
-    RunFigures,
-    RunStretch,
     Series,
     SpeedMinute,
-    SpeedStretch,
     downsample,
-    draw_figures,
     draw_series,
     grid,
     holes_in,
     in_order,
-    run_figures,
     series,
-    stretches,
 )
 from app.line.history.series.runs import (
     FIELDS,
@@ -55,7 +46,6 @@ from app.line.history.series.values import (
     VALUES,
     Interval,
     Marks,
-    ParameterStep,
     Scaling,
     Value,
     intervals,
@@ -63,7 +53,6 @@ from app.line.history.series.values import (
     usual_interval,
 )
 from app.line.history.tables import BlockKey, StoredTier
-from bus.catalogue.parameters import FOLLOWER_MODE
 from bus.settings import BusSettings
 
 MAX_READINGS = 100_000
@@ -420,213 +409,9 @@ def runs_between(source: StoredUnit, start: int, end: int) -> list[Run]:
     return merge(found, (run for run in source.tail if start <= run.at < end))
 
 
-MAX_REPORT_READINGS = 200_000
-"""With more readings in unsteady minutes a report uses averages for them."""
-MAX_READINGS_OF_UNIT = 40_000
-"""Two hours of readings at 9600 baud on a bus of eight, and so some fifty starts and stops."""
-_SAMPLE = 500
-"""Readings that show the usual interval between them."""
-ENOUGH = 0.92
-"""A minute with a smaller part of the readings of the fullest one may have half of a hole in it."""
-
-
-@dataclass(frozen=True, slots=True)
-class UnitReport:
-    """The figures of a unit, and its draw to the unit before; None without one, or if the two were never at
-    speed at the same time."""
-
-    unit: int
-    runs: RunFigures | None
-    """None for a follower whose speeds are ratios, which do not show whether it runs."""
-    draw: DrawFigures | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class _Speeds:
-    """The speeds of a unit while it was at speed. ``decimals``: those of its display; None if not known."""
-
-    stretches: list[SpeedStretch] = field(default_factory=list)
-    decimals: int | None = None
-
-
 def stored_tail(connection: tables.StoreConnection) -> Tail:
     """Read the journal into a tail, as a server does at its start, without changing anything."""
     tail = Tail()
     for rows in tables.read_journal(connection):
         tail.add(rows or ())
     return tail
-
-
-class BusReport:
-    """The figures of the units of a bus, or ``only`` one of them, over a span, µs. Each unit is read by
-    itself, so that no read takes long."""
-
-    def __init__(
-        self,
-        bus: BusSettings,
-        only: int | None,
-        span: tuple[int, int],
-        max_readings: int = MAX_REPORT_READINGS,
-    ) -> None:
-        wanted = {unit.id for unit in bus.unit if only in (None, unit.id)}
-        needed = wanted | {bus.seams[unit].before for unit in wanted if unit in bus.seams}
-        self.units = [unit.id for unit in bus.unit if unit.id in needed]
-        """The units in the order in which they are to be read; before a single unit also the one before
-        it."""
-        self._bus = bus
-        self._wanted = wanted
-        self._span = span
-        self._max_readings = min(MAX_READINGS_OF_UNIT, max_readings // max(1, len(needed)))
-        self._before: dict[int, _Speeds] = {}
-
-    def read(self, connection: tables.StoreConnection, tail: Tail, unit: int) -> UnitReport | None:
-        """Read the next of :attr:`units`: from minutes, and where it started or stopped from readings if they
-        are not too many and still stored.
-        Return None for a unit that is only needed for the draw of the next one."""
-        runs, speeds = _unit_figures(connection, tail, self._bus, unit, self._span, self._max_readings)
-        draw = _draw(self._bus, unit, self._before, speeds)
-        self._before = {unit: speeds}
-        return UnitReport(unit, runs, draw) if unit in self._wanted else None
-
-
-def _draw(bus: BusSettings, unit: int, before: dict[int, _Speeds], speeds: _Speeds) -> DrawFigures | None:
-    """Return the draw as the line shows it: of speeds of one quantity, each on a known scale."""
-    seam = bus.seams.get(unit)
-    other = None if seam is None else before.get(seam.before)
-    if seam is None or other is None or speeds.decimals is None or other.decimals is None:
-        return None
-    quantities = {each.labels.unit for each in bus.unit if each.id in (unit, seam.before)}
-    return draw_figures(other.stretches, speeds.stretches) if len(quantities) == 1 else None
-
-
-def _unit_figures(
-    connection: tables.StoreConnection,
-    tail: Tail,
-    bus: BusSettings,
-    unit: int,
-    span: tuple[int, int],
-    max_readings: int,
-) -> tuple[RunFigures | None, _Speeds]:
-    start, end = span
-    source = stored_unit(connection, tail, bus.name, unit, start - MINUTE, end + MINUTE)
-    if source is None:
-        return RunFigures(), _Speeds()
-    if bus.follower_speed == "ratio" and was_follower(tables.parameter_steps(connection, source.unit), end):
-        return None, _Speeds()
-    scales = scale_of(source, SeriesQuery(bus, unit, VALUES["actual"], start, end, 1))
-    marks = source.marks(start - MINUTE, end + MINUTE)
-    changes = sorted({start, end, *marks.lost, *marks.found, *scales.since})
-    minutes = _Minutes(speed_minutes(source, start - MINUTE, end + MINUTE), changes)
-    is_readable = has_raw(connection, source.unit, start) and minutes.readings <= max_readings
-    counted = minutes.stretches(source, start, end, marks if is_readable else None)
-    figures = run_figures(counted, bus.estop_healthy, scales)
-    figures.by_minute = bool(minutes.unsteady) and not is_readable
-    return figures, _Speeds(_at_speed(counted, scales), scales.at(end).decimals)
-
-
-class _Minutes:
-    """The minutes of a unit, in order of time. Most are steady, and are counted by their averages; the
-    :attr:`unsteady` ones, in which it started or stopped, or which ``changes`` or a hole cut, by their
-    readings."""
-
-    def __init__(self, minutes: list[SpeedMinute], changes: Sequence[int]) -> None:
-        self._minutes = minutes
-        self._changes = changes
-        # No minute follows the last one, so its last reading counts as long as it does.
-        self._ends = [
-            *(each.start for each in minutes[1:]),
-            *(each.start + 2 * MINUTE for each in minutes[-1:]),
-        ]
-        fullest = max((each.readings for each in minutes), default=0)
-        few = [False, *(each.readings < ENOUGH * fullest for each in minutes), False]
-        cut = {(change - before) // MINUTE for change in changes for before in (0, 1)}
-        self._is_steady = [
-            each.is_steady
-            and until == each.start + MINUTE
-            and each.start // MINUTE not in cut
-            and not any(near)
-            for each, until, *near in zip(minutes, self._ends, few[:-2], few[1:-1], few[2:], strict=True)
-        ]
-
-    @property
-    def unsteady(self) -> list[SpeedMinute]:
-        return [each for each, is_steady in zip(self._minutes, self._is_steady, strict=True) if not is_steady]
-
-    @property
-    def readings(self) -> int:
-        """The number of readings of the unsteady minutes."""
-        return sum(each.readings for each in self.unsteady)
-
-    def stretches(self, source: StoredUnit, start: int, end: int, marks: Marks | None) -> list[RunStretch]:
-        """Return what the unit did between two times, µs. ``marks``: to read the unsteady minutes with; None:
-        their averages count as well."""
-        found: list[RunStretch] = []
-        rows = zip(self._minutes, self._ends, self._is_steady, strict=True)
-        by_part = groupby(rows, key=lambda row: (row[2] or marks is None, row[0].start // HOUR))
-        readings = _Readings(source)
-        for (is_average, _), part in by_part:
-            minutes = list(part)
-            if is_average or marks is None:
-                found += (each.stretch() for each, _, _ in minutes)
-            else:
-                first, until = minutes[0][0].start, minutes[-1][1]
-                table, usual = readings.around(first, until)
-                found += stretches(table, (first, until), marks, usual, self._changes)
-        return [
-            each
-            if start <= each.at and each.until <= end
-            else each._replace(at=max(start, each.at), until=min(end, each.until))
-            for each in found
-            if each.at < end and each.until > start
-        ]
-
-
-class _Readings:
-    """The readings of a unit, read part by part in order of time. The blocks of the last part stay unpacked,
-    as those of an hour have many parts."""
-
-    def __init__(self, source: StoredUnit) -> None:
-        self._source = source
-        self._blocks: dict[tuple[int, bytes], list[list[int]]] = {}
-        self._usual = 0
-
-    def around(self, start: int, end: int) -> tuple[Sequence[Sequence[int]], int]:
-        """Return the columns of the runs that begin within a span, µs, with the run before and the one after
-        it, and the usual interval between responses."""
-        first, until = start - MINUTE, end + MINUTE
-        former, self._blocks = self._blocks, {}
-
-        def unpack(data: bytes, begin: int) -> list[list[int]]:
-            found = former.get((begin, data)) or unpack_columns(data, begin, Run._fields)
-            self._blocks[begin, data] = found
-            within = slice(*(bisect_left(found[0], edge) for edge in (first, until)))
-            return [column[within] for column in found]
-
-        tables = [table for _, table in self._source.blocks("raw", first, until, unpack)]
-        tail = [run for run in self._source.tail if first <= run.at < until]
-        table: Sequence[Sequence[int]] = [
-            list(chain.from_iterable(parts)) for parts in zip(*tables, strict=True)
-        ]
-        if tail or (table and not all(map(gt, table[0][1:], table[1]))):
-            table = list(zip(*merge(zip(*table, strict=True), tail), strict=True))
-        if not table:
-            return [()] * len(Run._fields), 0
-        if tail or self._blocks.keys() != former.keys():
-            self._usual = usual_interval(list(islice(zip(*table[:3], strict=True), _SAMPLE)))
-        wanted = slice(max(0, bisect_left(table[0], start) - 1), bisect_left(table[0], end) + 1)
-        return [column[wanted] for column in table], self._usual
-
-
-def _at_speed(counted: Sequence[RunStretch], scales: Scaling) -> list[SpeedStretch]:
-    at_speed = [each for each in counted if each.is_at_speed]
-    return [
-        SpeedStretch(each.at, each.until, scale.apply(each.actual))
-        for i, j, scale in scales.stretches([each.at for each in at_speed])
-        for each in at_speed[i:j]
-    ]
-
-
-def was_follower(steps: Iterable[ParameterStep], end: int) -> bool:
-    """Return whether a unit followed a master just before a time, µs."""
-    modes = [step for step in sorted(steps) if step.number == FOLLOWER_MODE and step.at < end]
-    return bool(modes and modes[-1].raw)

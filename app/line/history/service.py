@@ -52,7 +52,9 @@ class History:
         self.buses = {bus.name: bus for bus in buses}
         self.time_zone, self.shift_starts = time_zone, shift_starts
         self._fault_subscribers: list[FaultSubscriber] = []
-        self._writer = Writer(self.path, kept or HistorySettings(), self._publish_fault)
+        self._writer = Writer(
+            self.path, kept or HistorySettings(), self._publish_fault, buses=[*self.buses.values()]
+        )
 
     def on_fault(self, subscriber: FaultSubscriber) -> None:
         """Call ``subscriber`` when this machine's clock was stepped or something stored cannot be read."""

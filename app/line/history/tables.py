@@ -14,7 +14,7 @@ from operator import gt, itemgetter, sub
 from typing import Literal, TypeVar
 
 from app.core.database import StoreConnection as StoreConnection
-from app.core.database.connection import upsert
+from app.core.database.connection import has_table, upsert
 from app.line.history.series.runs import (
     DAY,
     HOUR,
@@ -165,6 +165,36 @@ def write_rollups(
     connection.execute(upsert(tier, ("unit", "start"), ("data",)), values)
 
 
+def write_figures(connection: StoreConnection, unit: int, hour: int, data: bytes) -> None:
+    """Write the figures of an hour in place of former ones."""
+    connection.execute(upsert("figures", ("unit", "start"), ("data",)), (unit, hour, data))
+
+
+def figures_between(
+    connection: StoreConnection, bus: str, number: int, start: int, end: int
+) -> list[tuple[int, bytes]]:
+    """Return the figures of the hours of a unit that begin within a span, µs, in order of time; none from a
+    store that an earlier version has left."""
+    if not has_table(connection, "figures"):
+        return []
+    rows = connection.execute(
+        "SELECT start, data FROM figures JOIN unit ON unit.id = figures.unit"
+        " WHERE bus = ? AND number = ? AND start >= ? AND start < ? ORDER BY start",
+        (bus, number, start, end),
+    )
+    return [(at, data) for at, data in rows]
+
+
+def packed_units(connection: StoreConnection, bus: str, hour: int) -> dict[int, bytes | None]:
+    """Return the units of a bus of which an hour is packed, each with its figures, if they are stored."""
+    rows = connection.execute(
+        "SELECT number, figures.data FROM unit JOIN minutes ON minutes.unit = unit.id AND minutes.start = ?"
+        " LEFT JOIN figures ON figures.unit = unit.id AND figures.start = minutes.start WHERE bus = ?",
+        (hour, bus),
+    )
+    return dict(map(tuple, rows))
+
+
 def write_raw(
     connection: StoreConnection, unit: int, start: int, span: int, table: Sequence[Sequence[int]]
 ) -> None:
@@ -268,6 +298,7 @@ def drop_rollups(connection: StoreConnection, before: int) -> None:
     """Delete rollups, bits and links before a time, µs."""
     connection.execute("DELETE FROM minutes WHERE start < ?", (before,))
     connection.execute("DELETE FROM hours WHERE start < ?", (before,))
+    connection.execute("DELETE FROM figures WHERE start < ?", (before,))
     connection.execute("DELETE FROM bits WHERE until < ?", (before,))
     connection.execute("DELETE FROM link WHERE at < ?", (before,))
     connection.execute("DELETE FROM damaged WHERE found < ?", (before,))

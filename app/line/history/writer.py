@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,6 +21,7 @@ from app.core.web.shape import iso
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.line.history import tables
 from app.line.history.recorder import Delivery, FoundDamage, Recorder, Tail, compact, set_aside
+from app.line.history.report import basis_of, is_sealed, work_out
 from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, micros
 from app.line.history.settings import HistorySettings
 from app.line.history.status import (
@@ -36,6 +37,7 @@ from app.line.history.tables import BlockKey, DamagedBlock
 from app.people.audit.entry import EventKind
 from bus.instants import ClockWatch, Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number
+from bus.settings import BusSettings
 
 COMMIT_EVERY_S = 0.5
 """A power failure loses the readings of this time, and of the commit itself."""
@@ -69,10 +71,17 @@ MAX_DROPPED = 50
 """Blocks that one transaction deletes."""
 MAX_PAGES = 2000
 """Pages that are given back to the disk at a time."""
+FIGURES_S = 0.02
+"""The time that figures of hours may take between two commits; those of one unit and hour may take longer."""
+FIGURES_EVERY_S = 120.0
+"""The time after the start, and between two searches for hours that have no figures."""
+LOOK_BACK = 92 * DAY
+"""How far the first search goes back, µs: the longest report."""
 
 
 class Upkeep:
-    """The upkeep between two commits: it packs hours and gives up old readings, for a short time each."""
+    """The upkeep between two commits, for a short time each: it packs hours, works out their figures and
+    gives up old readings."""
 
     def __init__(
         self,
@@ -80,13 +89,18 @@ class Upkeep:
         kept: HistorySettings,
         reserve: DiskReserve,
         on_damage: FoundDamage,
+        buses: Sequence[BusSettings] = (),
     ) -> None:
         self._database = database
+        self._buses = buses
         self._kept = kept
         self._reserve = reserve
         self._on_damage = on_damage
         self._settled_at = monotonic_now() + SETTLED_S
         self._to_sweep = True
+        self._search_at = monotonic_now() + FIGURES_EVERY_S
+        self._search: Iterator[tuple[BusSettings, int, int] | None] = iter(())
+        self._look_back = LOOK_BACK
 
     def clock_stepped(self, now: int) -> None:
         """Give up nothing for a while after a clock step; ``now`` in µs, by the new clock."""
@@ -111,6 +125,34 @@ class Upkeep:
                 self._database.write_now(lambda c, found=found: compact(c, *found))  # type: ignore[misc]
             except DamagedBlock as damaged:
                 set_aside(self._database, damaged.block, self._on_damage)
+
+    def work_out(self, now: int, deadline: Monotonic) -> None:
+        """Store the figures of packed hours that have none until ``deadline`` (monotonic seconds)."""
+        if monotonic_now() >= self._search_at:
+            self._search_at = Monotonic(math.inf)
+            self._search = self._unworked(now - now % HOUR)
+        for found in self._search:
+            if found is not None:
+                self._database.write_now(lambda c, found=found: work_out(c, *found))  # type: ignore[misc]
+            if monotonic_now() >= deadline:
+                return
+
+    def _unworked(self, newest: int) -> Iterator[tuple[BusSettings, int, int] | None]:
+        """Yield each unit and hour without figures, the newest hours of a bus first, and None after each
+        hour."""
+        read = self._database.read_now
+        oldest, _ = read(tables.extent) or (newest, newest)
+        hours = range(newest, max(oldest - HOUR, newest - self._look_back), -HOUR)
+        for bus in self._buses:
+            bases = read(lambda c, bus=bus: {unit.id: basis_of(c, bus, unit.id) for unit in bus.unit})  # type: ignore[misc]
+            for hour in hours:
+                packed = read(lambda c, bus=bus, hour=hour: tables.packed_units(c, bus.name, hour))  # type: ignore[misc]
+                for unit, figures in packed.items():
+                    if unit in bases and not is_sealed(figures or b"", bases[unit]):
+                        yield bus, unit, hour
+                yield None
+        self._look_back = DAY
+        self._search_at = monotonic_now() + FIGURES_EVERY_S
 
     def give_up_old(self, now: int) -> None:
         """Choose the readings past their retention; :meth:`sweep` then deletes them."""
@@ -161,10 +203,12 @@ class Writer:
         kept: HistorySettings,
         on_fault: OnFault,
         reserve: DiskReserve | None = None,
+        buses: Sequence[BusSettings] = (),
     ) -> None:
         self._path = path
         self._kept = kept
         self._reserve = reserve or DiskReserve()
+        self._buses = buses
         self._on_fault = on_fault
         self._on_damage: FoundDamage = partial(on_fault, "server")
         self._reported: deque[BlockKey] = deque(maxlen=MAX_REPORTED)
@@ -274,6 +318,7 @@ class Writer:
         deadline = monotonic_now() + BUSY_S
         opened.upkeep.sweep(deadline)
         opened.upkeep.compact(now, deadline)
+        opened.upkeep.work_out(now, monotonic_now() + FIGURES_S)
         if monotonic_now() >= self._give_up_at:
             self._give_up_at = monotonic_now() + GIVE_UP_EVERY_S
             opened.upkeep.give_up_old(now)
@@ -315,7 +360,7 @@ class Writer:
         except BaseException:
             database.close()
             raise
-        upkeep = Upkeep(database, self._kept, self._reserve, self._on_damage)
+        upkeep = Upkeep(database, self._kept, self._reserve, self._on_damage, self._buses)
         before, self._open = self._open, OpenStore(database, recorder, upkeep)
         self._writable, self._look_at = True, Monotonic(0.0)
         if before is not None:

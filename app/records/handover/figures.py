@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable, Sequence
-from typing import Annotated, NamedTuple, TypeVar
+from typing import Annotated, NamedTuple
 
 import structlog
 from pydantic import Field
@@ -13,7 +13,7 @@ from typing_extensions import TypedDict
 
 from app.core.database import Database, StoreConnection
 from app.errors import StoreError
-from app.line.history.query import MAX_REPORT_READINGS, BusReport, UnitReport
+from app.line.history.report import MAX_REPORT_READINGS, BusReport, UnitReport
 from app.line.history.series.figures import RunFigures
 from app.line.history.series.runs import SECOND, micros
 from app.line.history.service import History
@@ -30,11 +30,9 @@ RISEN = "FROM alarm_journal j WHERE trigger = 'rise' AND at >= ? AND at < ?"
 LATE_S, PRESENT_S = 3600.0, 30.0
 """Readings of a shift may come so long after its end; until then its figures are read anew after half a
 minute."""
-REMEMBERED, REMEMBERED_UNITS = 100, 20
-"""Shifts whose figures are remembered, and spans that are over with those of each unit."""
+REMEMBERED = 100
+"""Shifts whose figures are remembered."""
 log = structlog.get_logger()
-K = TypeVar("K")
-T = TypeVar("T")
 FoundUnits = Sequence[tuple[BusSettings, UnitReport]]
 """What each unit did, with its bus, in floor order."""
 
@@ -129,16 +127,12 @@ class SpanFigures:
         self._history = history
         self._clock = clock
         self._remembered: dict[Shift, tuple[UnixTime, LineFigures]] = {}
-        self._units: dict[tuple[Shift, Scope], tuple[UnixTime, FoundUnits]] = {}
         self._wanted: dict[Shift, None] = {}
         self._is_wanted = asyncio.Event()
 
     async def units(self, span: Shift, scope: Scope, now: UnixTime) -> FoundUnits:
-        """Return what each unit did. Those of a span that is over are remembered; they are read one by one,
-        so that other reads come in between. Raises StoreError."""
-        read_at, known = self._units.get((span, scope), (UnixTime(0.0), None))
-        if known is not None and self._is_current(span, read_at):
-            return known
+        """Return what each unit did. They are read one by one, so that other reads come in between. Raises
+        StoreError."""
         found = []
         for bus, figures in reported_buses(self._settings, scope, span, now):
             for unit in figures.units:
@@ -146,10 +140,7 @@ class SpanFigures:
                     lambda connection, tail, figures=figures, unit=unit: figures.read(connection, tail, unit),  # type: ignore[misc]
                     costly=True,
                 )
-                if read is not None:
-                    found.append((bus, read))
-        if span.end <= now:
-            _remember(self._units, (span, scope), (now, found), REMEMBERED_UNITS)
+                found.append((bus, read))
         return found
 
     async def shift(self, shift: Shift) -> LineFigures:
@@ -160,7 +151,10 @@ class SpanFigures:
             units = await self.units(shift, EVERYTHING, now)
             alarms = await self._database.read(lambda store: count_alarms(store, shift, EVERYTHING))
             found = line_figures(units, alarms)
-            _remember(self._remembered, shift, (now, found), REMEMBERED)
+            self._remembered.pop(shift, None)
+            while len(self._remembered) >= REMEMBERED:
+                del self._remembered[next(iter(self._remembered))]
+            self._remembered[shift] = now, found
         return found
 
     def known(self, shift: Shift) -> LineFigures | None:
@@ -186,16 +180,5 @@ class SpanFigures:
 
     def _known(self, shift: Shift) -> LineFigures | None:
         read_at, figures = self._remembered.get(shift, (UnixTime(0.0), None))
-        return figures if self._is_current(shift, read_at) else None
-
-    def _is_current(self, span: Shift, read_at: UnixTime) -> bool:
-        """Return whether what was read of a span at a time is all that there is."""
-        return read_at > span.end + LATE_S or self._clock() - read_at < PRESENT_S
-
-
-def _remember(memory: dict[K, T], key: K, value: T, most: int) -> None:
-    """Keep a value as the newest of at most ``most``."""
-    memory.pop(key, None)
-    while len(memory) >= most:
-        del memory[next(iter(memory))]
-    memory[key] = value
+        is_current = read_at > shift.end + LATE_S or self._clock() - read_at < PRESENT_S
+        return figures if is_current else None

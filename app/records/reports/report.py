@@ -13,7 +13,7 @@ from app.core.database import StoreConnection
 from app.core.web.shape import Instant, iso
 from app.line.alarms.api import AlarmStateShown, AlarmTransition, transition_json
 from app.line.alarms.journal import JournalEntry
-from app.line.history.query import UnitReport
+from app.line.history.report import UnitReport
 from app.line.history.series.figures import DrawFigures, RunFigures, StopCause
 from app.line.history.series.runs import SECOND
 from app.records.handover.figures import (

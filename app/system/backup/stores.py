@@ -85,6 +85,8 @@ TAKEN_APART = {
 }
 CHANGED = "changed"
 """The versions of the parts. They are not backed up: a restored part gets a version of its own."""
+_NOT_COPIED = {CHANGED, "figures"}
+"""Figures are worked out anew from what is restored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +138,7 @@ def export_frame(name: str, store: sqlite3.Connection) -> bytes:
         tables = _definitions(store, "table")
         for table, sql in tables.items():
             frame.execute(sql)
-            if table not in TAKEN_APART[name] | {CHANGED}:
+            if table not in TAKEN_APART[name] | _NOT_COPIED:
                 _copy_rows(store.execute(f'SELECT * FROM "{table}"'), frame, table, is_new=False)
         for sql in (*_definitions(store, "index").values(), *_definitions(store, "trigger").values()):
             frame.execute(sql)

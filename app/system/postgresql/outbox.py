@@ -27,12 +27,11 @@ from app.line.history.query import (
     scale_of,
     stored_tail,
     stored_unit,
-    was_follower,
 )
 from app.line.history.recorder import Tail
 from app.line.history.series.figures import RunFigures, minute_figures, runs_of_minutes, series
 from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, Run, runs_of
-from app.line.history.series.values import VALUES, Marks
+from app.line.history.series.values import VALUES, Marks, was_follower
 from app.line.history.tables import BlockKey
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.rows import (

@@ -19,25 +19,28 @@ from hypothesis import strategies as st
 from app.cli import cli
 from app.core.database import Database
 from app.line.alarms.journal import JournalEntry, alarm_writer
-from app.line.history.query import BusReport
+from app.line.history.report import BusReport, UnitReport
 from app.line.history.series.figures import (
     RunFigures,
     RunStretch,
     SpeedStretch,
     draw_figures,
+    joined,
     minute_figures,
+    passed_web,
     run_figures,
     runs_of_minutes,
     stretches,
 )
-from app.line.history.series.runs import MINUTE, SECOND, Run, merge, plain_run, rollup
+from app.line.history.series.runs import HOUR, MINUTE, SECOND, Run, merge, plain_run, rollup
 from app.line.history.series.values import LinearScale, Marks, Scaling, usual_interval
 from app.records.handover.notes import Note
 from app.records.handover.notes import add as add_note
 from app.records.handover.rules import Shift
-from bus.contract import Reading
+from bus.contract import Reading, UnitLink
 from bus.instants import UnixTime
-from tests.app.history_line import BUS, NOON, Shelf
+from bus.settings import BusSettings, UnitLabels, UnitSettings
+from tests.app.history_line import BUS, NOON, Shelf, parameter
 from tests.e2e.site import add_people
 
 SHIFT = "2026-11-21T06:00"
@@ -169,9 +172,10 @@ def test_running_and_stops_fill_the_known_time(parts: list[tuple[int, int, bool]
     assert found.running + sum(stop.until - stop.at for stop in found.stops) == found.known == at * SECOND
     assert 0 <= found.at_speed <= found.running
     edges = [0, *sorted(cuts), 10_000]
-    pieces = [figures(runs, start, end) for start, end in pairwise(edges)]
-    for name in ("known", "running", "at_speed"):
-        assert sum(getattr(piece, name) for piece in pieces) == getattr(found, name), "spans add up"
+    whole = joined(figures(runs, start, end) for start, end in pairwise(edges))
+    for name in ("known", "running", "at_speed", "fastest", "stops"):
+        assert getattr(whole, name) == getattr(found, name), "spans add up"
+    assert whole.travel == pytest.approx(found.travel)
 
 
 @given(
@@ -186,12 +190,12 @@ def test_a_draw_is_of_the_web_that_passed_whatever_the_pieces(
         before.append(SpeedStretch(at * SECOND, (at + lasting) * SECOND, speed))
         at += lasting
     section = [each._replace(speed=each.speed * ratio) for each in before]
-    found = draw_figures(before, section)
+    found = draw_figures([passed_web(before[:5], section[:5]), None, passed_web(before[5:], section[5:])])
     assert found is not None
     assert found == pytest.approx([100 * (ratio - 1)] * 3, abs=0.011)
     assert found.least <= found.average <= found.greatest
     later = [each._replace(at=each.at + at * SECOND, until=each.until + at * SECOND) for each in section]
-    assert draw_figures(before, later) is None, "at no time both have a speed"
+    assert passed_web(before, later) is None, "at no time both have a speed"
 
 
 def test_minutes_whose_readings_are_given_up_count_as_minutes() -> None:
@@ -202,51 +206,121 @@ def test_minutes_whose_readings_are_given_up_count_as_minutes() -> None:
     assert [stop.cause for stop in found.stops] == ["run_off"]
 
 
-@settings(max_examples=25, deadline=None)
+TWO = BusSettings(
+    name=BUS.name,
+    port=BUS.port,
+    unit=tuple(UnitSettings(id=each, name=str(each), labels=UnitLabels(unit="m/min")) for each in (1, 2)),
+)
+BEGAN = NOON - 900
+"""The readings of a history are in the blocks of three hours."""
+
+
+def history_of(parts: Sequence[tuple[int, int, int, int]]) -> list[Reading]:
+    """Return a reading a second of two units, which do the same, the second one a little faster."""
+    kept, at = [], BEGAN
+    for lasting, actual, inputs, gap in parts:
+        outputs = 0xC0 if actual == 100 else 0x40
+        for step in range(lasting):
+            for unit in (1, 2):
+                speed = actual + unit * (actual > 0)
+                kept.append(Reading(unit, UnixTime(at + step), 100, speed, 0, outputs, inputs))
+        at += lasting + gap
+    return kept
+
+
+def stored_history(folder: Path, readings: Sequence[Reading], state: str) -> Shelf:
+    """Return a store of a history: in its journal, in minutes, in packed hours, or with figures."""
+    shelf = Shelf(folder / "history.db")
+    shelf.keep([parameter(3, 1, unit=unit) for unit in (1, 2)])
+    shelf.keep(readings)
+    if state != "journal":
+        shelf.fold()
+    if state in ("packed", "worked out"):
+        shelf.pack()
+    if state == "worked out":
+        shelf.work_out(TWO)
+    return shelf
+
+
+def read_units(shelf: Shelf, span: tuple[int, int]) -> list[UnitReport]:
+    report = BusReport(TWO, None, span)
+    return [shelf.database.read_now(lambda c, unit=unit: report.read(c, shelf.tail, unit)) for unit in (1, 2)]  # type: ignore[misc]
+
+
+@settings(max_examples=12, deadline=None)
 @given(
     st.lists(
         st.tuples(
-            st.integers(1, 200),
+            st.sampled_from([20, 61, 300, 1500]),
             st.sampled_from([0, 0, 55, 100]),
             st.sampled_from([ON, RUN]),
-            st.integers(0, 40),
+            st.sampled_from([0, 0, 3, 30, 200]),
         ),
         min_size=1,
-        max_size=12,
+        max_size=8,
     ),
-    st.integers(0, 200),
-    st.integers(200, 1000),
-    st.booleans(),
+    st.integers(0, 1200),
+    st.integers(1200, 9000),
+    st.sampled_from(["journal", "minutes", "packed", "worked out", "worked out"]),
 )
-def test_steady_minutes_and_readings_of_the_others_give_the_figures_of_all_readings(
+def test_stored_figures_and_minutes_and_readings_of_the_others_give_the_figures_of_all_readings(
     tmp_path_factory: pytest.TempPathFactory,
     parts: list[tuple[int, int, int, int]],
     begin: int,
     end: int,
-    is_packed: bool,
+    state: str,
 ) -> None:
-    began = NOON - 600  # so that the readings are in the blocks of two hours
-    shelf, kept, at = Shelf(tmp_path_factory.mktemp("history") / "history.db"), [], began
-    for lasting, actual, inputs, gap in parts:
-        for step in range(lasting * 4):
-            outputs = 0xC0 if actual == 100 else 0x40
-            kept.append(Reading(1, UnixTime(at + step / 4), 100, actual, 0, outputs, inputs))
-        at += lasting + gap
-    shelf.keep(kept)
-    span = round(began + begin) * SECOND, round(began + end) * SECOND
-    runs = merge((), (plain_run(each) for each in kept))
-    counted = counted_runs(runs, span, Marks())
-    exact = run_figures(counted, 1, Scaling([0], [LinearScale()]))
-    shelf.fold()
-    if is_packed:
-        shelf.pack()
-    found = shelf.database.read_now(lambda store: BusReport(BUS, None, span).read(store, shelf.tail, 1))
+    readings = history_of(parts)
+    shelf = stored_history(tmp_path_factory.mktemp("history"), readings, state)
+    span = round(BEGAN + begin) * SECOND, round(BEGAN + end) * SECOND
+    found = read_units(shelf, span)
     shelf.close()
-    assert found is not None
-    assert found.runs is not None
-    for name in ("known", "running", "at_speed", "fastest", "stops", "by_minute"):
-        assert getattr(found.runs, name) == getattr(exact, name), name
-    assert found.runs.travel == pytest.approx(exact.travel)
+    speeds = []
+    for unit in found:
+        runs = merge((), (plain_run(each) for each in readings if each.unit == unit.unit))
+        counted = counted_runs(runs, span, Marks())
+        exact = run_figures(counted, 1, Scaling([0], [LinearScale(per=10)]))
+        speeds.append(
+            [SpeedStretch(each.at, each.until, each.actual) for each in counted if each.is_at_speed]
+        )
+        assert unit.runs is not None
+        for name in ("known", "running", "at_speed", "fastest", "stops", "by_minute"):
+            assert getattr(unit.runs, name) == getattr(exact, name), name
+        assert unit.runs.travel == pytest.approx(exact.travel)
+    assert found[1].draw == draw_figures([passed_web(*speeds)])
+
+
+def test_late_readings_marks_other_scales_and_damage_undo_stored_figures(tmp_path: Path) -> None:
+    shelf = stored_history(tmp_path, history_of([(2700, 100, ON, 60), (6000, 100, ON, 0)]), "worked out")
+    hour = round(NOON) * SECOND
+    span = hour, hour + HOUR
+
+    def stored() -> set[tuple[int, int]]:
+        query = "SELECT unit, (start - ?) / 3600000000 FROM figures"
+        return {(unit, at) for unit, at in shelf.database.read_now(lambda c: list(c.execute(query, (hour,))))}
+
+    every = {(unit, at) for unit in (1, 2) for at in (-1, 0, 1, 2)}
+    assert stored() == every
+    late = (UnixTime(NOON + 1800 + second) for second in range(60))
+    shelf.keep([Reading(1, at, 100, 0, 0, 0x40, ON) for at in late])
+    shelf.fold()
+    assert stored() == {(1, 2), (2, 2)}, "of the hour and those beside it, of both units, as a draw is"
+    shelf.work_out(TWO)
+    assert stored() == every
+    [first, second] = read_units(shelf, span)
+    assert first.runs is not None
+    assert (len(first.runs.stops), first.runs.fastest) == (1, 10.1)
+    damage = "UPDATE figures SET data = CAST(replace(CAST(data AS TEXT), '10.1', '90.1') AS BLOB)"
+    assert shelf.database.write_now(lambda c: c.execute(damage).rowcount) == len(every)
+    assert read_units(shelf, span) == [first, second], "damaged ones are not used"
+    shelf.work_out(TWO)
+    shelf.keep([parameter(3, 2, BEGAN)])
+    [first, _] = read_units(shelf, span)
+    assert first.runs is not None
+    assert first.runs.fastest == 1.01, "of the scale of before they are not used"
+    shelf.keep([UnitLink(unit=2, at=UnixTime(NOON + 3660), link="offline")])
+    assert stored() == {(1, -1), (2, -1), (1, 2), (2, 2)}
+    shelf.close()
 
 
 CONFIGURATION = """\

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from app.core.web.access import Role
-from app.line.history.query import BusReport
 from app.records.notification.service import Notification
 from app.records.reports.service import ReportSchedule
 from app.settings import load
@@ -93,18 +92,6 @@ async def test_a_report_has_the_figures_of_each_unit(house: House) -> None:
     assert (unwind["draw"], nip["draw"]) == (None, {"average": 1.0, "least": 1.0, "greatest": 1.0})
     of_one = (await client.get("/api/v1/report", params={**SPAN, "bus": "dry-end", "unit": 2})).json()
     assert of_one["units"] == [nip]
-
-
-async def test_the_figures_of_a_span_that_is_long_over_are_read_once(
-    house: House, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    client = await house.program(Role.VIEWER)
-    over = {**SPAN, "to": datetime.fromtimestamp(BEGIN + 3600, UTC).isoformat()}
-    first = (await client.get("/api/v1/report", params=over)).json()
-    monkeypatch.setattr(BusReport, "read", None)
-    again = (await client.get("/api/v1/report", params=over)).json()
-    assert again["units"] == first["units"]
-    assert first["units"][0]["running_s"] == 119.0
 
 
 async def test_report_sheet_and_list_of_a_shift_begin_with_the_same_figures(house: House) -> None:

@@ -19,6 +19,8 @@ from itertools import chain, compress, count, pairwise
 from operator import itemgetter, le, mul, ne, sub, truediv
 from typing import Literal, NamedTuple
 
+import msgspec
+
 from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, Rollup, Run
 from app.line.history.series.values import LONG_GAP, VALUES, Marks, Scaling, holes, usual_interval
 from bus.catalogue.values import status_bits
@@ -145,8 +147,7 @@ StopCause = Literal["estop", "run_off", "speed_zero", "unknown"]
 _AT_SPEED = 1 << VALUES["at_speed"].bit
 
 
-@dataclass(slots=True)
-class Stop:
+class Stop(msgspec.Struct, array_like=True):
     """A standstill from ``at`` until ``until``, µs, with the cause that its first reading shows."""
 
     at: int
@@ -154,19 +155,21 @@ class Stop:
     cause: StopCause
 
 
-@dataclass(slots=True)
-class RunFigures:
+class RunFigures(msgspec.Struct, array_like=True):
     """The figures of a unit. ``known``: the time with readings; ``running``: of it the time in which it ran;
     ``at_speed``: of that the time at speed, all µs; ``travel``: speed times µs; ``fastest``: the greatest
-    speed; ``by_minute``: whether a minute in which the unit started or stopped is in it by its averages."""
+    speed; ``by_minute``: whether a minute in which the unit started or stopped is in it by its averages;
+    ``began_stopped`` and ``ended_stopped``: whether it stood in the first and in the last reading."""
 
     known: int = 0
     running: int = 0
     at_speed: int = 0
     travel: float = 0.0
     fastest: float = 0.0
-    stops: list[Stop] = field(default_factory=list)
+    stops: list[Stop] = []
     by_minute: bool = False
+    began_stopped: bool = False
+    ended_stopped: bool = False
 
 
 class RunStretch(NamedTuple):
@@ -241,7 +244,30 @@ def run_figures(stretches: Sequence[RunStretch], estop_healthy: int, scales: Sca
                 figures.stops.append(stop)
             else:
                 stop.until = until
+    figures.began_stopped = bool(stretches) and not stretches[0].actual
+    figures.ended_stopped = stop is not None
     return figures
+
+
+def joined(parts: Iterable[RunFigures]) -> RunFigures:
+    """Join the figures of spans in order of time. A stop at the end of one goes on at the beginning of the
+    next one that was read."""
+    whole = RunFigures()
+    for part in parts:
+        whole.by_minute |= part.by_minute
+        if not part.known:
+            continue
+        goes_on = whole.ended_stopped and part.began_stopped
+        if goes_on:
+            whole.stops[-1].until = part.stops[0].until
+        whole.known += part.known
+        whole.running += part.running
+        whole.at_speed += part.at_speed
+        whole.travel += part.travel
+        whole.fastest = max(whole.fastest, part.fastest)
+        whole.stops += part.stops[goes_on:]
+        whole.ended_stopped = part.ended_stopped
+    return whole
 
 
 def runs_of_minutes(minutes: Iterable[Rollup]) -> list[Run]:
@@ -356,8 +382,18 @@ class DrawFigures(NamedTuple):
     greatest: float
 
 
-def draw_figures(before: Sequence[SpeedStretch], section: Sequence[SpeedStretch]) -> DrawFigures | None:
-    """Return the draw of a section over the time in which it and the section before run; None if they never
+class PassedWeb(NamedTuple):
+    """The web that passed two sections while both ran: speed times µs of the one ``before`` and of the
+    ``section``, and the draw of the minutes with the least and the greatest draw."""
+
+    before: float
+    section: float
+    least: float
+    greatest: float
+
+
+def passed_web(before: Sequence[SpeedStretch], section: Sequence[SpeedStretch]) -> PassedWeb | None:
+    """Return what passed a section and the one before over the time in which both run; None if they never
     do so at the same time. Both are in order of time."""
     minutes: dict[int, tuple[float, float]] = {}
     for at, until, speed_before, speed in _together(before, section):
@@ -368,7 +404,16 @@ def draw_figures(before: Sequence[SpeedStretch], section: Sequence[SpeedStretch]
         return None
     draws = [_draw(*lengths) or 0.0 for lengths in minutes.values()]
     passed, went = (sum(lengths) for lengths in zip(*minutes.values(), strict=True))
-    return DrawFigures(_draw(passed, went) or 0.0, min(draws), max(draws))
+    return PassedWeb(passed, went, min(draws), max(draws))
+
+
+def draw_figures(parts: Iterable[PassedWeb | None]) -> DrawFigures | None:
+    """Return the draw over spans of which none divides a minute; None if nothing passed."""
+    read = [part for part in parts if part is not None]
+    if not read:
+        return None
+    before, section, least, greatest = zip(*read, strict=True)
+    return DrawFigures(_draw(sum(before), sum(section)) or 0.0, min(least), max(greatest))
 
 
 def _together(

@@ -104,15 +104,17 @@ def _narrowest(values: Sequence[int]) -> str:
     return _CODES[-1]
 
 
-def _column(planes: bytes, code: str, rows: int, part: slice) -> list[int]:
+def _column(planes: bytes | bytearray, code: str, rows: int, part: slice) -> list[int]:
     """Return the values of the rows ``part`` of a column."""
     if len(planes) == rows and not planes[1:].strip(b"\0"):
         return [*array(code, planes[:1])] * (part.stop - part.start)
     column = array(code)
-    data = bytearray(len(planes))
-    for i in range(column.itemsize):
-        data[i :: column.itemsize] = planes[i * rows : (i + 1) * rows]
-    column.frombytes(data)
+    if column.itemsize > 1:
+        data = bytearray(len(planes))
+        for i in range(column.itemsize):
+            data[i :: column.itemsize] = planes[i * rows : (i + 1) * rows]
+        planes = data
+    column.frombytes(planes)
     _little(column)
     if part.start == part.stop:
         return []

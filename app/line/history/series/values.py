@@ -170,6 +170,12 @@ def _scale(value: Value, known: dict[int, int], ratio: bool) -> LinearScale:
     return LinearScale(per=10**decimals, decimals=decimals)
 
 
+def was_follower(steps: Iterable[ParameterStep], end: int) -> bool:
+    """Return whether a unit followed a master just before a time, µs."""
+    modes = [step for step in sorted(steps) if step.number == FOLLOWER_MODE and step.at < end]
+    return bool(modes and modes[-1].raw)
+
+
 LONG_GAP = 10 * SECOND
 MANY_INTERVALS = 10
 """A gap longer than both is a hole in any case."""
