@@ -80,7 +80,7 @@ function nameMark({ ctx, bbox }, mark, marks, y, ink) {
   const others = marks.filter((other) => other !== mark && other.row === mark.row && other.x >= mark.x).map(({ x }) => x - SIZE * devicePixelRatio);
   const width = Math.min(bbox.left + bbox.width, ...others) - start;
   ctx.save();
-  ctx.font = `${12 * devicePixelRatio}px ${css("--family")}`;
+  ctx.font = `${14 * devicePixelRatio}px ${css("--family")}`;
   ctx.textAlign = "left";
   ctx.fillStyle = ink;
   const fits = [mark.label, mark.place].find((text) => text && ctx.measureText(text).width <= width);

@@ -1,7 +1,7 @@
 // The names of lines at their ends, right of the chart, one below the other where they would touch.
 import { colour, css } from "./trends-look.js";
 
-const HEIGHT = 15;
+const HEIGHT = 17;
 const INSET = 16;
 const MIN_NAME = 53;
 
@@ -44,7 +44,7 @@ export function drawLabels(plot, ends, width) {
   const places = apart(wanted, HEIGHT * ratio, [bbox.top + (HEIGHT / 2) * ratio, bbox.top + bbox.height]);
   const edge = bbox.left + bbox.width;
   ctx.save();
-  ctx.font = `600 ${12 * ratio}px ${css("--family")}`;
+  ctx.font = `600 ${14 * ratio}px ${css("--family")}`;
   ctx.textAlign = "left";
   ctx.textBaseline = "middle";
   ctx.lineWidth = ratio;

@@ -35,7 +35,7 @@ export function drawOverlay(plot, overlay, range, unknown, words) {
   ctx.clip();
   for (const span of unknown) hatch(plot, span);
   ctx.lineWidth = devicePixelRatio;
-  ctx.font = `600 ${12 * devicePixelRatio}px ${css("--family")}`;
+  ctx.font = `600 ${14 * devicePixelRatio}px ${css("--family")}`;
   for (const { t, until } of overlay.marks)
     if (until === null) line(plot, t, range, "--line-strong", [2, 4]);
     else late(plot, [t, until], words?.late ?? "");
@@ -113,7 +113,7 @@ function drawLanes(plot, { alarms, notes }, range, words) {
   ctx.save();
   ctx.textBaseline = "middle";
   ctx.textAlign = "right";
-  ctx.font = `${12 * devicePixelRatio}px ${css("--family")}`;
+  ctx.font = `${14 * devicePixelRatio}px ${css("--family")}`;
   ctx.fillStyle = colour("--panel");
   ctx.fillRect(bbox.left, top, bbox.width, bbox.top - top - GAP * devicePixelRatio);
   ctx.fillStyle = colour("--quiet");

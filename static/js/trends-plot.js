@@ -9,7 +9,7 @@ import { axisLabels, axisNumbers } from "./trends-time.js";
 const LANE = 30;
 const LANE_FILL = 0.7;
 /** Below the lanes: their time axis. */
-const FOOT = 54;
+const FOOT = 60;
 const MIN_HEIGHT = 160;
 /** Widths left of the curves, so that the lanes below stand under them, and right of them for their names. */
 const GUTTER = 84;
@@ -21,7 +21,7 @@ const LABEL = 20;
 const NARROW = 700;
 /** How much of a curve's color its band has, percent. */
 const BAND = 20;
-const LETTER = 7;
+const LETTER = 8;
 const SYNC = "trends";
 const INVISIBLE = "rgb(0 0 0 / 0)";
 
@@ -189,7 +189,7 @@ export class Picture {
       axes: [
         barefoot
           ? { ...axis(), values: (_, splits) => splits.map(() => ""), size: 0, ticks: { show: false } }
-          : { ...axis(), values: axisLabels, space: 90, size: 44 },
+          : { ...axis(), values: axisLabels, space: 100, size: 50 },
         ...axes,
       ],
       padding: [lanes ? 12 : above, margin.right, barefoot ? 8 : 0, margin.left],
@@ -336,7 +336,7 @@ function axis() {
   const ink = colour("--quiet");
   return {
     stroke: ink,
-    font: `12px ${css("--family")}`,
+    font: `14px ${css("--family")}`,
     grid: { stroke: colour("--line"), width: 1 },
     ticks: { stroke: colour("--line"), width: 1 },
   };

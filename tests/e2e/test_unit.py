@@ -66,7 +66,7 @@ def test_a_stopped_unit_names_its_broken_rung_and_an_alarm_one_press_from_its_re
     try:
         expect(page.locator(".ladder")).to_have_attribute("data-is", "e-stop urgent")
         expect(page.locator(".ladder__broken:visible")).to_have_count(1)
-        expect(page.locator(".cause")).to_contain_text("emergency stop active since")
+        expect(page.locator(".cause")).to_contain_text("Stopped: emergency stop active")
         expect(page.locator(".cause")).to_contain_text("Check the emergency stop chain")
         alarm = page.locator(".cause > .alarm-words")
         expect(alarm).to_contain_text("active since")

@@ -245,6 +245,13 @@ MAX_DEPARTED = 3
 """Units that differ from a recipe and are named; of more there is a number, and the page of recipes."""
 
 
+def _says_since(alarm: Fields, cause: Cause | None, bus: str, unit: int) -> bool:
+    """Return whether the alarm shown of a unit is that of its cause and active: its words have the time."""
+    if cause is None or "cleared" in str(alarm.get("alarm", "")):
+        return False
+    return str(alarm.get("alarm_at", "")).startswith(f"/alarms/{bus}.{unit}.{cause.code}.")
+
+
 @dataclass(slots=True)
 class Screen:
     """What the pages in one language show now."""
@@ -315,18 +322,22 @@ class Screen:
         self._views[unit_key(bus_name, number)] = view
         fields = unit_fields(bus, unit, view.link, self.translator)
         texts = cause_texts(cause, self.translator, now) if cause is not None else None
+        alarm = self.sources.unit_alarm(bus_name, number, self.translator, now)
         moves = joined(fields["state_text"])
+        status = moves
+        if texts is not None:
+            status = texts.text if _says_since(alarm, cause, bus_name, number) else texts.line
         fields |= draw_fields(draw_of(bus, unit, now), self.translator)
         return fields | {
             "level": view.level,
             "cause": texts.line if texts is not None and view.level else "",
-            "status": texts.line if texts is not None else moves,
+            "status": status,
             "brief": texts.brief if texts is not None else moves,
             "check": check_text(cause, self.translator),
             "rung": broken_rung(ladder),
             "blocked": blocked,
             "drift": drifted.key,
-            **self.sources.unit_alarm(bus_name, number, self.translator, now),
+            **alarm,
         }
 
     def _recipe(self, bus_name: str) -> str:

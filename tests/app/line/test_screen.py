@@ -277,6 +277,17 @@ def figures(scan_s: float = 0.3) -> BusFigures:
     return BusFigures(at=100.0, scan_hz=3, scan_s=scan_s, wire_utilisation=0.9, scan_s_with_one_more=0.4)
 
 
+def test_the_alarm_of_a_cause_alone_says_its_time() -> None:
+    live = line()
+    shown = screen(live)
+    page = "/alarms/dry.2.estop_active.1"
+    for mark, status in (("urgent waiting", "active"), ("urgent cleared", "active since 00:01")):
+        shown.sources.unit_alarm = lambda *_, mark=mark: {"alarm": mark, "alarm_at": page}
+        live.buses["dry"].apply([reading(2, at=100.2, inputs=1)])
+        changed = shown.render("dry", [2], 100.2, include_bus=False)
+        assert changed["dry/2"]["status"] == f"Still turning: emergency stop {status}"
+
+
 def test_only_what_changed_is_given() -> None:
     live = line()
     shown = screen(live)
