@@ -20,18 +20,20 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from app.people.auth.rules import secret_hash
 from app.system.opcua.access import OwnCertificate, own_certificate
 from app.system.opcua.link import (
-    AlarmCounts,
     Begin,
     Changes,
     Frames,
     Key,
     Keys,
+    StandingAlarm,
     Status,
     ToProcess,
+    UnitAlarms,
     frame,
     from_process,
 )
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
+from bus.instants import UnixTime, unix_now
 from bus.settings import BusSettings, UnitSettings
 from tests.free_port import free_port
 
@@ -39,17 +41,17 @@ TOKEN, SECRET = "historian", "s3cret-of-the-token"
 LABELS: Any = {"unit": "m/min", "analog_unit": "N", "output": {1: "Brake"}}
 
 
-def line(names: Sequence[str] = ("Unwind", "Rewind")) -> BusSettings:
+def line(names: Sequence[str] = ("Unwind", "Rewind", "Spare")) -> BusSettings:
     units = tuple(UnitSettings(id=number, name=name, labels=LABELS) for number, name in enumerate(names, 1))
     return BusSettings(name="dry-end", port="/dev/null", unit=units)
 
 
-def scales(unit: int, at: float) -> list[Any]:
+def scales(unit: int, at: UnixTime) -> list[Any]:
     raw = {2: 20_000, 3: 1, 8: 0, 22: 0, 23: 510}
     return [ParameterValue(unit, number, at, value) for number, value in raw.items()]
 
 
-def responds(unit: int, at: float, actual: int = 1234) -> list[Any]:
+def responds(unit: int, at: UnixTime, actual: int = 1234) -> list[Any]:
     return [UnitLink(unit, at, "online"), Reading(unit, at, 1200, actual, 51, 0xC0, 0b11)]
 
 
@@ -87,8 +89,8 @@ class OpcuaServer:
         """Report updates of the bus."""
         self.send(Changes(self.bus.name, list(updates)))
 
-    def alarms(self, counts: dict[int, int]) -> None:
-        self.send(AlarmCounts(self.bus.name, counts))
+    def alarms(self, of_units: dict[int, list[StandingAlarm]]) -> None:
+        self.send(UnitAlarms(self.bus.name, of_units))
 
     def tokens(self, *names: str) -> None:
         """Make these the only tokens, all with one secret."""
@@ -118,7 +120,7 @@ class OpcuaServer:
         bus = self.bus.model_dump_json()
         where = ("127.0.0.1", self.port, str(self.folder))
         self.send(Begin("Mill 7", "1.2.3", *where, names, "Maker", "4711", [bus]))
-        self.report(BusLink(time.time(), "open"))
+        self.report(BusLink(unix_now(), "open"))
         self.tokens(TOKEN)
         try:
             await self.until(lambda status: status.is_serving)

@@ -66,7 +66,7 @@ func look(found map[string]any, url, folder, user, secret string) error {
 	read, err := client.Read(ctx, &ua.ReadRequest{
 		NodesToRead: []*ua.ReadValueID{
 			{NodeID: actual, AttributeID: ua.AttributeIDValue},
-			{NodeID: ua.NewStringNodeID(1, "dry-end/2/Speed/Actual"), AttributeID: ua.AttributeIDValue},
+			{NodeID: ua.NewStringNodeID(1, "dry-end/3/Speed/Actual"), AttributeID: ua.AttributeIDValue},
 		},
 		TimestampsToReturn: ua.TimestampsToReturnBoth,
 	})

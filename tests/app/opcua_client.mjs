@@ -47,7 +47,7 @@ try {
   found.at = read.sourceTimestamp.toISOString();
   const unit = await session.read({ nodeId: `${actual}/EngineeringUnits`, attributeId: AttributeIds.Value });
   found.unit = [unit.value.value.displayName.text, unit.value.value.unitId];
-  const bad = await session.read({ nodeId: "ns=1;s=dry-end/2/Speed/Actual", attributeId: AttributeIds.Value });
+  const bad = await session.read({ nodeId: "ns=1;s=dry-end/3/Speed/Actual", attributeId: AttributeIds.Value });
   found.unread = bad.statusCode.name;
   const parts = await session.browse({ nodeId: "ns=1;s=dry-end/1", browseDirection: 0 });
   found.parts = parts.references.map((each) => each.browseName.name);

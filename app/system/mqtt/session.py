@@ -49,8 +49,9 @@ RETRY_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 """The time between two attempts, of which the last repeats."""
 STEADY_S = 30.0
 """A connection that lasted this long was a good one."""
-FLUSH_S = 0.05
-"""Changes of this span are sent together."""
+FLUSH_S = 0.2
+"""Changes of this span are sent together, about a scan of a line: each time wakes the server and the broker
+up, on a machine that the bus worker may share with both."""
 MESSAGES_S = 400
 """About how many messages a second are sent, as each takes the server a tenth of a millisecond: on a line
 with more values, a message holds several readings of its unit, each with its time."""

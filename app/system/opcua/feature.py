@@ -28,7 +28,7 @@ def make(services: Services) -> None:
     process = OpcuaProcess(
         _begin(services.settings, wanted),
         tuple(services[LiveState].buses.values()),
-        lambda bus, unit: sum(alarm.facts.active for alarm in alarms.unit_alarms(bus, unit)),
+        alarms.unit_alarms,
         services[Database],
     )
     services.add(OpcuaProcesses([process]))

@@ -539,10 +539,10 @@ class Gate:
         )
     )
 
-    async def listen(self, host: str, port: int) -> asyncio.Server:
-        """Listen for clients. Raises OSError."""
+    async def bind(self, host: str, port: int) -> asyncio.Server:
+        """Take the port, for a server that does not listen yet. Raises OSError."""
         loop = asyncio.get_running_loop()
-        return await loop.create_server(lambda: GuardedConnection(self), host, port)
+        return await loop.create_server(lambda: GuardedConnection(self), host, port, start_serving=False)
 
     async def sweep(self) -> None:
         """Close connections whose certificate or token is no longer valid, or whose session has ended;

@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta
 
+from app.line.conditions.condition import AlarmPriority
 from app.line.live.bus_live import BusLive
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink, Update
 from bus.instants import UnixTime
@@ -49,11 +50,21 @@ class Changes(_Tagged, frozen=True, tag="changes"):
     updates: list[Reading | ParameterValue | UnitLink | BusLink | BusFigures]
 
 
-class AlarmCounts(_Tagged, frozen=True, tag="alarms"):
-    """Message with the number of active alarms of each unit of a bus."""
+class StandingAlarm(msgspec.Struct, frozen=True, array_like=True):
+    """An alarm that is active or not acknowledged, and that nothing hides. ``since``: when it came."""
+
+    name: str
+    priority: AlarmPriority
+    is_active: bool
+    is_acknowledged: bool
+    since: UnixTime
+
+
+class UnitAlarms(_Tagged, frozen=True, tag="alarms"):
+    """Message with the standing alarms of units of a bus, the most important first."""
 
     bus: str
-    counts: dict[int, int]
+    of_units: dict[int, list[StandingAlarm]]
 
 
 class Key(_Tagged, frozen=True, tag="key"):
@@ -88,7 +99,7 @@ class Status(_Tagged, frozen=True, tag="status"):
     fault: Message | None = None
 
 
-ToProcess = Begin | Changes | AlarmCounts | Keys
+ToProcess = Begin | Changes | UnitAlarms | Keys
 _encoder = msgspec.msgpack.Encoder()
 to_process: msgspec.msgpack.Decoder[ToProcess] = msgspec.msgpack.Decoder(ToProcess)
 from_process: msgspec.msgpack.Decoder[Status] = msgspec.msgpack.Decoder(Status)

@@ -27,14 +27,15 @@ from app.line.live.bus_live import Audience, BusLive
 from app.people.auth import store
 from app.people.auth.rules import USE_NOTED_EVERY_S
 from app.system.opcua.link import (
-    AlarmCounts,
     Begin,
     Changes,
     Frames,
     Key,
     Keys,
+    StandingAlarm,
     Status,
     ToProcess,
+    UnitAlarms,
     followed,
     frame,
     from_process,
@@ -42,14 +43,15 @@ from app.system.opcua.link import (
 )
 from bus.contract import Update
 from bus.errors import LinesideError
-from bus.instants import Clock, monotonic_now, unix_now
+from bus.instants import Clock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number
 from bus.pacing import ReconnectDelay
 
 MODULE = "app.cli.opcua"
 NICE = 5
 """The process yields to the server and the bus workers."""
-FLUSH_S = 0.05
+FLUSH_S = 0.1
+"""Changes of this span are sent together: no client is told of them more often."""
 KEYS_EVERY_S = 5.0
 SILENT_S, SILENT_AT_START_S = 30.0, 180.0
 """Without a status for so long the process is killed; it sends one each second once its code is imported,
@@ -71,13 +73,13 @@ def require_package() -> None:
 
 
 class OpcuaProcess:
-    """The process, as long as the server runs. ``alarms_of``: how many alarms of a unit are active."""
+    """The process, as long as the server runs. ``alarms_of``: the standing alarms of a unit."""
 
     def __init__(
         self,
         begin: Begin,
         buses: Sequence[BusLive],
-        alarms_of: Callable[[str, int], int],
+        alarms_of: Callable[[str, int], list[Alarm]],
         database: Database,
         clock: Clock = unix_now,
     ) -> None:
@@ -164,7 +166,7 @@ class OpcuaProcess:
         self._send(process, self._begin)
         for bus in self._buses:
             self._send(process, state_of(bus))
-            self._send(process, self._counts(bus.settings.name, bus.units))
+            self._send(process, self._standing(bus.settings.name, bus.units))
         self._is_fed = True
         try:
             while True:
@@ -182,11 +184,11 @@ class OpcuaProcess:
                 self._updates[bus] = []
         alarms, self._changed_alarms = self._changed_alarms, set()
         for bus in {bus for bus, _ in alarms}:
-            found.append(self._counts(bus, [unit for place, unit in alarms if place == bus]))
+            found.append(self._standing(bus, [unit for place, unit in alarms if place == bus]))
         return found
 
-    def _counts(self, bus: str, units: Iterable[int]) -> AlarmCounts:
-        return AlarmCounts(bus, {unit: self._alarms_of(bus, unit) for unit in units})
+    def _standing(self, bus: str, units: Iterable[int]) -> UnitAlarms:
+        return UnitAlarms(bus, {unit: list(map(_standing, self._alarms_of(bus, unit))) for unit in units})
 
     def _send(self, process: Process, message: ToProcess) -> None:
         """Write without waiting. Raises ProcessError for a process that does not read."""
@@ -267,6 +269,14 @@ class OpcuaProcess:
             sessions=number(str(self.status.sessions)),
             refused=number(str(self.status.refused)),
         )
+
+
+def _standing(alarm: Alarm) -> StandingAlarm:
+    """Return what clients are told of an alarm."""
+    facts, definition = alarm.facts, alarm.definition
+    name = definition.name if isinstance(definition.name, str) else in_english(definition.name)
+    since = facts.came or facts.since or UnixTime(0.0)
+    return StandingAlarm(name, definition.priority, facts.active, facts.acknowledged, since)
 
 
 def _keys(connection: StoreConnection) -> list[Key]:

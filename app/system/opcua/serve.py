@@ -19,16 +19,24 @@ from app.errors import system_error
 from app.line.live.bus_live import BusLive, LiveState, changed_by, unit_link_now
 from app.system.opcua.access import TokenList, TrustList, ends_at, own_certificate
 from app.system.opcua.gate import Gate, ViewerServer
-from app.system.opcua.link import AlarmCounts, Begin, Changes, Frames, Keys, Status, frame, to_process
+from app.system.opcua.link import (
+    Begin,
+    Changes,
+    Frames,
+    Keys,
+    StandingAlarm,
+    Status,
+    UnitAlarms,
+    frame,
+    to_process,
+)
 from app.system.opcua.space import LineNodes
 from bus.contract import Reading
 from bus.errors import LinesideError
-from bus.instants import UnixTime, unix_now
+from bus.instants import UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 from bus.settings import BusSettings
 
-FLUSH_S = 0.05
-"""Changes of this span are written together."""
 TICK_S = 0.5
 """How often ages are judged where nothing is reported."""
 STATUS_S = 1.0
@@ -45,20 +53,21 @@ class Follower:
     def __init__(self, live: LiveState) -> None:
         self.live = live
         self.tokens = TokenList()
-        self.alarms: dict[tuple[str, int], int] = {}
+        self.reported = asyncio.Event()
+        self.alarms: dict[tuple[str, int], list[StandingAlarm]] = {}
         self._readings: set[tuple[str, int]] = set()
         self._others: set[tuple[str, int]] = set()
         self._links: dict[tuple[str, int], str] = {}
 
-    def take(self, message: Changes | AlarmCounts | Keys) -> None:
+    def take(self, message: Changes | UnitAlarms | Keys) -> None:
         """Apply what the server reports."""
         match message:
             case Changes():
                 self._apply(self.live.buses[message.bus], message)
-            case AlarmCounts():
-                counts = {(message.bus, unit): count for unit, count in message.counts.items()}
-                self._others |= {place for place, count in counts.items() if self.alarms.get(place) != count}
-                self.alarms |= counts
+            case UnitAlarms():
+                alarms = {(message.bus, unit): standing for unit, standing in message.of_units.items()}
+                self._others |= alarms.keys()
+                self.alarms |= alarms
             case Keys():
                 self.tokens.set(message.keys)
 
@@ -100,13 +109,15 @@ async def serve(source: AsyncIterator[object], report: StatusPipe) -> None:
     server = ViewerServer(own, trust, follower.tokens)
     report.certificate_ends = ends_at(own.certificate)
     working = [asyncio.create_task(_follow(source, follower)), asyncio.create_task(report.run())]
+    gate = Gate(server)
     try:
-        gate, nodes = await _built(begin, server, own.uri, follower)
         try:
-            listening = await gate.listen(begin.host, begin.port)
+            listening = await gate.bind(begin.host, begin.port)
         except OSError as error:
             place = f"{begin.host}:{begin.port}"
             raise LinesideError(Message.of("opcua_port", place=place, reason=system_error(error))) from None
+        nodes = await _built(begin, server, own.uri, follower)
+        await listening.start_serving()
         report.gate = gate
         working += [asyncio.create_task(_write(follower, nodes)), asyncio.create_task(gate.sweep())]
         log.info("OPC UA server listens", host=begin.host, port=begin.port)
@@ -121,7 +132,7 @@ async def serve(source: AsyncIterator[object], report: StatusPipe) -> None:
         await asyncio.gather(*working, return_exceptions=True)
 
 
-async def _built(begin: Begin, server: ViewerServer, uri: str, follower: Follower) -> tuple[Gate, LineNodes]:
+async def _built(begin: Begin, server: ViewerServer, uri: str, follower: Follower) -> LineNodes:
     # What asyncua logs of each request and of what is wrong in it is counted by the gate.
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     made = Server(iserver=server)
@@ -135,26 +146,30 @@ async def _built(begin: Begin, server: ViewerServer, uri: str, follower: Followe
     nodes = LineNodes(made, begin.manufacturer, begin.serial_number)
     await nodes.build(list(follower.live.buses.values()))
     await server.start()
-    return Gate(server), nodes
+    return nodes
 
 
 async def _follow(source: AsyncIterator[object], follower: Follower) -> None:
     async for message in source:
-        assert isinstance(message, Changes | AlarmCounts | Keys)
+        assert isinstance(message, Changes | UnitAlarms | Keys)
         follower.take(message)
+        follower.reported.set()
 
 
 async def _write(follower: Follower, nodes: LineNodes) -> None:
-    ticks = round(TICK_S / FLUSH_S)
-    count = 0
+    """Write what the server reports as soon as it does, and what only grows older every `TICK_S`."""
+    judge_at = monotonic_now()
     while True:
-        if count % ticks == 0:
-            follower.judge_ages()
-        count += 1
         now = unix_now()
+        if monotonic_now() >= judge_at:
+            judge_at = monotonic_now() + TICK_S
+            follower.judge_ages()
         for place, others in follower.changed():
-            await nodes.write(place, follower.alarms.get(place, 0), now, others=others)
-        await asyncio.sleep(FLUSH_S)
+            await nodes.write(place, follower.alarms.get(place, []), now, others=others)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(max(0.0, judge_at - monotonic_now())):
+                await follower.reported.wait()
+        follower.reported.clear()
 
 
 class StatusPipe:

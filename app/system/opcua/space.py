@@ -11,11 +11,13 @@ import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 from asyncua import Server, ua
 
 from app.line.live.bus_live import BusLive, UnitLive
-from app.system.opcua.values import Point, unit_id, unit_points
+from app.system.opcua.link import StandingAlarm
+from app.system.opcua.values import Point, alarm_lists, unit_id, unit_points
 from app.system.tags import OF_READING, Scale, Tag, scale_now, tags_of, unique_names
 from bus.instants import UnixTime
 
@@ -25,7 +27,6 @@ UNECE = "http://www.opcfoundation.org/UA/units/un/cefact"
 OWN = 1
 """The namespace of the application, which is that of its nodes (OPC UA Part 5, 6.3.1)."""
 HAS_ADD_IN = 17604
-BASE_ANALOG_TYPE = 15318
 MAKER, MODEL = "POWERTEC", "DIGIMAX IV"
 """Of every unit."""
 _VARIANTS = {
@@ -40,6 +41,18 @@ _CODES = {
 }
 _NO_VALUE = ua.Variant(None, ua.VariantType.Null)
 _READ = ua.AccessLevel.CurrentRead.mask
+_PLAIN = ua.NodeId(ua.ObjectIds.BaseObjectType)
+_DATA, _ANALOG = ua.NodeId(ua.ObjectIds.BaseDataVariableType), ua.NodeId(15318)
+"""Types of variables: a value, and one with a unit (*BaseAnalogType*)."""
+ALARM_FOLDER = "Alarms"
+ALARM_COLUMNS = {
+    "Names": ua.VariantType.String,
+    "Priorities": ua.VariantType.String,
+    "IsActive": ua.VariantType.Boolean,
+    "Acknowledged": ua.VariantType.Boolean,
+    "Since": ua.VariantType.DateTime,
+}
+"""The variables of the alarms of a unit that stand: lists of one length."""
 
 
 class Sample(ua.DataValue):
@@ -52,10 +65,20 @@ class Sample(ua.DataValue):
         return self
 
 
+class Place(NamedTuple):
+    """Where a node is made: its id, the node above it, its browse name, and what refers to it."""
+
+    node: ua.NodeId
+    parent: ua.NodeId
+    name: str
+    namespace: int = OWN
+    reference: int = ua.ObjectIds.HasComponent
+
+
 @dataclass(slots=True)
 class UnitNodes:
     """The variables of a unit in the order of its tags. ``shown``: what was written to each last; ``scale``:
-    that of its units and ranges."""
+    that of its units and ranges; ``alarms``: those that were written last."""
 
     bus: BusLive
     unit: UnitLive
@@ -63,6 +86,7 @@ class UnitNodes:
     ids: list[ua.NodeId]
     scale: Scale | None = None
     shown: list[Point | None] = field(default_factory=list)
+    alarms: Sequence[StandingAlarm] | None = None
 
 
 class LineNodes:
@@ -106,26 +130,20 @@ class LineNodes:
         for node, parent, name, namespace in made:
             attributes = ua.ObjectTypeAttributes()
             attributes.IsAbstract = False
-            await self._add(
-                node,
-                parent,
-                ua.ObjectIds.HasSubtype,
-                name,
-                namespace,
-                ua.NodeClass.ObjectType,
-                None,
-                attributes,
-            )
+            where = Place(node, parent, name, namespace, ua.ObjectIds.HasSubtype)
+            await self._add(where, ua.NodeClass.ObjectType, None, attributes)
         machines = ua.NodeId(1001, self._machinery)
         objects = ua.NodeId(ua.ObjectIds.ObjectsFolder)
-        await self._object(machines, objects, ua.ObjectIds.Organizes, "Machines", self._machinery)
+        folder = ua.NodeId(ua.ObjectIds.FolderType)
+        await self._object(
+            Place(machines, objects, "Machines", self._machinery, ua.ObjectIds.Organizes), folder
+        )
         self._machines = machines
 
     async def _build_machine(self, bus: BusLive) -> None:
         name = bus.settings.name
         machine = ua.NodeId(name, OWN)
-        plain = ua.NodeId(ua.ObjectIds.BaseObjectType)
-        await self._object(machine, self._machines, ua.ObjectIds.Organizes, name, OWN, plain)
+        await self._object(Place(machine, self._machines, name, OWN, ua.ObjectIds.Organizes), _PLAIN)
         await self._identification(
             machine,
             self._machine_identification,
@@ -136,8 +154,8 @@ class LineNodes:
             },
         )
         components = ua.NodeId(f"{name}/Components", OWN)
-        kind = self._components_type
-        await self._object(components, machine, HAS_ADD_IN, "Components", self._machinery, kind)
+        where = Place(components, machine, "Components", self._machinery, HAS_ADD_IN)
+        await self._object(where, self._components_type)
         units = [(number, unit.settings.name.strip() or str(number)) for number, unit in bus.units.items()]
         for number, unit_name in unique_names(units).items():
             await self._build_unit(bus, bus.units[number], unit_name, components)
@@ -147,8 +165,7 @@ class LineNodes:
         number = unit.settings.id
         place = f"{bus.settings.name}/{number}"
         component = ua.NodeId(place, OWN)
-        plain = ua.NodeId(ua.ObjectIds.BaseObjectType)
-        await self._object(component, components, ua.ObjectIds.HasComponent, name, OWN, plain)
+        await self._object(Place(component, components, name), _PLAIN)
         about = {
             "Manufacturer": ua.LocalizedText(MAKER),
             "Model": ua.LocalizedText(MODEL),
@@ -161,113 +178,83 @@ class LineNodes:
         ids = []
         for tag in tags:
             folder, _, last = tag.name.rpartition("/")
+            parent = ua.NodeId(f"{place}/{folder}", OWN) if folder else component
             if folder and folder not in folders:
                 folders.add(folder)
-                group = ua.NodeId(f"{place}/{folder}", OWN)
-                await self._object(group, component, ua.ObjectIds.HasComponent, folder, OWN, self._group)
-            parent = ua.NodeId(f"{place}/{folder}", OWN) if folder else component
-            ids.append(await self._tag(tag, ua.NodeId(f"{place}/{tag.name}", OWN), parent, last))
-        nodes = UnitNodes(bus, unit, tags, ids, shown=[None] * len(tags))
-        self.units[bus.settings.name, number] = nodes
+                await self._object(Place(parent, component, folder), self._group)
+            ids.append(await self._tag(tag, Place(ua.NodeId(f"{place}/{tag.name}", OWN), parent, last)))
+        alarms = ua.NodeId(f"{place}/{ALARM_FOLDER}", OWN)
+        for column, variant in ALARM_COLUMNS.items():
+            where = Place(ua.NodeId(f"{alarms.Identifier}/{column}", OWN), alarms, column)
+            await self._variable(where, _DATA, _NO_VALUE, ua.NodeId(variant.value), is_list=True)
+        self.units[bus.settings.name, number] = UnitNodes(bus, unit, tags, ids, shown=[None] * len(tags))
 
     async def _identification(self, of: ua.NodeId, kind: ua.NodeId, about: dict[str, object]) -> None:
         node = ua.NodeId(f"{of.Identifier}/Identification", OWN)
-        await self._object(node, of, HAS_ADD_IN, "Identification", self._di, kind)
+        await self._object(Place(node, of, "Identification", self._di, HAS_ADD_IN), kind)
         for name, value in about.items():
-            where = ua.NodeId(f"{node.Identifier}/{name}", OWN)
             variant = ua.Variant(value)
-            await self._property(where, node, name, variant, ua.NodeId(variant.VariantType.value), self._di)
+            await self._property(node, name, variant, ua.NodeId(variant.VariantType.value), self._di)
 
-    async def _tag(self, tag: Tag, node: ua.NodeId, parent: ua.NodeId, name: str) -> ua.NodeId:
+    async def _tag(self, tag: Tag, where: Place) -> ua.NodeId:
         """Make the variable of a tag. A number has a unit and a range, which follow the scale of its unit; a
         parameter has the unit of its integer, if it has one."""
-        variant = _VARIANTS[tag.kind]
+        data_type = ua.NodeId(_VARIANTS[tag.kind].value)
         has_unit = tag.kind == "number" or bool(tag.unit)
-        kind = BASE_ANALOG_TYPE if has_unit else ua.ObjectIds.BaseDataVariableType
-        await self._variable(
-            node,
-            parent,
-            ua.ObjectIds.HasComponent,
-            name,
-            OWN,
-            ua.NodeId(kind),
-            _NO_VALUE,
-            ua.NodeId(variant.value),
-            tag.description,
-        )
+        await self._variable(where, _ANALOG if has_unit else _DATA, _NO_VALUE, data_type, tag.description)
         if has_unit:
-            where = ua.NodeId(f"{node.Identifier}/EngineeringUnits", OWN)
-            data_type = ua.NodeId(ua.ObjectIds.EUInformation)
-            await self._property(where, node, "EngineeringUnits", ua.Variant(_unit(tag.unit)), data_type, 0)
+            unit = ua.Variant(_unit(tag.unit))
+            await self._property(
+                where.node, "EngineeringUnits", unit, ua.NodeId(ua.ObjectIds.EUInformation), 0
+            )
         if tag.kind == "number":
-            where = ua.NodeId(f"{node.Identifier}/EURange", OWN)
-            data_type = ua.NodeId(ua.ObjectIds.Range)
-            await self._property(where, node, "EURange", _NO_VALUE, data_type, 0)
-        return node
+            await self._property(where.node, "EURange", _NO_VALUE, ua.NodeId(ua.ObjectIds.Range), 0)
+        return where.node
 
-    async def _object(
-        self,
-        node: ua.NodeId,
-        parent: ua.NodeId,
-        reference: int,
-        name: str,
-        namespace: int,
-        kind: ua.NodeId | None = None,
-    ) -> None:
+    async def _object(self, where: Place, kind: ua.NodeId) -> None:
         attributes = ua.ObjectAttributes()
         attributes.EventNotifier = 0
-        folder = kind or ua.NodeId(ua.ObjectIds.FolderType)
-        await self._add(node, parent, reference, name, namespace, ua.NodeClass.Object, folder, attributes)
+        await self._add(where, ua.NodeClass.Object, kind, attributes)
 
     async def _property(
-        self,
-        node: ua.NodeId,
-        parent: ua.NodeId,
-        name: str,
-        value: ua.Variant,
-        data_type: ua.NodeId,
-        namespace: int,
+        self, of: ua.NodeId, name: str, value: ua.Variant, data_type: ua.NodeId, namespace: int
     ) -> None:
-        kind = ua.NodeId(ua.ObjectIds.PropertyType)
-        reference = ua.ObjectIds.HasProperty
-        await self._variable(node, parent, reference, name, namespace, kind, value, data_type)
+        node = ua.NodeId(f"{of.Identifier}/{name}", OWN)
+        where = Place(node, of, name, namespace, ua.ObjectIds.HasProperty)
+        await self._variable(where, ua.NodeId(ua.ObjectIds.PropertyType), value, data_type)
 
     async def _variable(
         self,
-        node: ua.NodeId,
-        parent: ua.NodeId,
-        reference: int,
-        name: str,
-        namespace: int,
+        where: Place,
         kind: ua.NodeId,
         value: ua.Variant,
         data_type: ua.NodeId,
         description: str = "",
+        *,
+        is_list: bool = False,
     ) -> None:
         attributes = ua.VariableAttributes()
-        attributes.Value, attributes.DataType, attributes.ValueRank = value, data_type, ua.ValueRank.Scalar
+        attributes.Value, attributes.DataType = value, data_type
+        attributes.ValueRank = ua.ValueRank.OneDimension if is_list else ua.ValueRank.Scalar
+        attributes.ArrayDimensions = [0] if is_list else []
         attributes.AccessLevel = attributes.UserAccessLevel = _READ
         attributes.Historizing = False
         attributes.Description = ua.LocalizedText(description)
-        await self._add(node, parent, reference, name, namespace, ua.NodeClass.Variable, kind, attributes)
+        await self._add(where, ua.NodeClass.Variable, kind, attributes)
 
     async def _add(
         self,
-        node: ua.NodeId,
-        parent: ua.NodeId,
-        reference: int,
-        name: str,
-        namespace: int,
+        where: Place,
         node_class: ua.NodeClass,
         kind: ua.NodeId | None,
         attributes: ua.ObjectAttributes | ua.VariableAttributes | ua.ObjectTypeAttributes,
     ) -> None:
-        attributes.DisplayName = ua.LocalizedText(name)
+        attributes.DisplayName = ua.LocalizedText(where.name)
         attributes.WriteMask = attributes.UserWriteMask = 0
         item = ua.AddNodesItem()
-        item.RequestedNewNodeId, item.ParentNodeId = node, parent
-        item.ReferenceTypeId = ua.NodeId(reference)
-        item.BrowseName = ua.QualifiedName(name, namespace)
+        item.RequestedNewNodeId, item.ParentNodeId = where.node, where.parent
+        item.ReferenceTypeId = ua.NodeId(where.reference)
+        item.BrowseName = ua.QualifiedName(where.name, where.namespace)
         item.NodeClass, item.NodeAttributes = node_class, attributes
         if kind is not None:
             item.TypeDefinition = kind
@@ -276,14 +263,21 @@ class LineNodes:
 
     # --- values ---
 
-    async def write(self, place: tuple[str, int], alarms: int, now: UnixTime, *, others: bool) -> None:
-        """Write what changed of a unit since the last call. ``others``: not only its reading may differ."""
+    async def write(
+        self, place: tuple[str, int], alarms: Sequence[StandingAlarm], now: UnixTime, *, others: bool
+    ) -> None:
+        """Write what changed of a unit since the last call. ``alarms``: those that stand; ``others``: not
+        only its reading may differ."""
         nodes = self.units[place]
         scale = scale_now(nodes.bus, nodes.unit)
         if scale != nodes.scale:
             nodes.scale = scale
             await self._write_scale(nodes, scale)
-        points = unit_points(nodes.bus, nodes.unit, scale, alarms, now)
+        if nodes.alarms != alarms:
+            nodes.alarms = alarms
+            await self._write_alarms(place, alarms, now)
+        active = sum(alarm.is_active for alarm in alarms)
+        points = unit_points(nodes.bus, nodes.unit, scale, active, now)
         for index, point in enumerate(points if others else points[:OF_READING]):
             before = nodes.shown[index]
             if before is None or point.value != before.value or point.quality != before.quality:
@@ -295,6 +289,17 @@ class LineNodes:
         times = (datetime.fromtimestamp(float(at), UTC) for at in (point.at, now))
         data = Sample(value, _CODES[point.quality], *times)
         await self._server.write_attribute_value(node, data)
+
+    async def _write_alarms(
+        self, place: tuple[str, int], alarms: Sequence[StandingAlarm], now: UnixTime
+    ) -> None:
+        """Write the alarms of a unit that stand, one list for each thing that is told of them."""
+        bus, unit = place
+        at = datetime.fromtimestamp(float(now), UTC)
+        for (column, variant), values in zip(ALARM_COLUMNS.items(), alarm_lists(alarms), strict=True):
+            value = ua.Variant(values, variant, is_array=True)
+            node = ua.NodeId(f"{bus}/{unit}/{ALARM_FOLDER}/{column}", OWN)
+            await self._server.write_attribute_value(node, Sample(value, _CODES["Good"], at, at))
 
     async def _write_scale(self, nodes: UnitNodes, scale: Scale) -> None:
         """Write the units and ranges of the values of a unit."""

@@ -5,10 +5,12 @@ What a value is, and how old it is, is judged by `app.system.tags` and the live 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from typing import Any, Literal, NamedTuple
 
 from app.line.live.bus_live import BusLive, UnitLive, unit_link_now
+from app.system.opcua.link import StandingAlarm
 from app.system.tags import OF_READING, SHOWN_PARAMETERS, Scale, Value, other_values, reading_values
 from bus.contract import UnitLinkState
 from bus.instants import UnixTime
@@ -84,6 +86,18 @@ def unit_points(bus: BusLive, unit: UnitLive, scale: Scale, alarms: int, now: Un
         Point(state, "Good", now),
         Point(active, "Good", now),
         *_parameter_points(unit, parameters, quality, now),
+    )
+
+
+def alarm_lists(alarms: Sequence[StandingAlarm]) -> tuple[list[Any], ...]:
+    """Return the names of alarms, their priorities, whether each is active and acknowledged, and since when
+    it stands."""
+    return (
+        [alarm.name for alarm in alarms],
+        [alarm.priority for alarm in alarms],
+        [alarm.is_active for alarm in alarms],
+        [alarm.is_acknowledged for alarm in alarms],
+        [datetime.fromtimestamp(float(alarm.since), UTC) for alarm in alarms],
     )
 
 

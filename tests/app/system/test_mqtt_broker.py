@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -21,7 +20,7 @@ from app.line.history.service import History
 from app.settings import ConfigurationError, load
 from app.system.mqtt.session import Nodes, NodeSession, identifier_for
 from bus.contract import BusLink, Reading
-from bus.instants import UnixTime
+from bus.instants import UnixTime, unix_now
 from bus.messages import in_english
 from tests.app.broker import Broker, Relay, listening, running
 from tests.app.complete_app import House, complete_app
@@ -87,7 +86,7 @@ async def test_a_line_is_born_followed_and_leaves_its_death(tmp_path: Path) -> N
             assert host.values["Unit 1"]["Speed/Actual"] == 100.0
             await worker.update(reading(1, actual=1011))
             await until(lambda: host.values["Unit 1"]["Speed/Actual"] == 101.1, "a reading is sent")
-            await worker.update(BusLink(time.time(), "closed"))
+            await worker.update(BusLink(unix_now(), "closed"))
             await until(lambda: not host.values, "units that are silent are dead")
             assert host.is_alive
         await until(lambda: not host.is_alive, "the node is dead")
@@ -128,8 +127,10 @@ async def test_status_states_up_to_when_the_broker_has_everything(tmp_path: Path
     words = ["status", "--config", str(folder / "lineside.toml")]
 
     async def shown() -> tuple[str, Any]:
-        both = (CliRunner().invoke, cli, words), (CliRunner().invoke, cli, [*words, "--json"])
-        text, facts = [(await asyncio.to_thread(*call)).stdout for call in both]
+        text, facts = [
+            (await asyncio.to_thread(CliRunner().invoke, cli, [*words, *more])).stdout
+            for more in ((), ("--json",))
+        ]
         return text, json.loads(facts)["nodes"]
 
     async with running(tmp_path) as broker:

@@ -40,7 +40,7 @@ async def genuine(tmp_path: Path) -> bytes:
         async with site(tmp_path / "site", broker) as house:
             await house.worker()
             async for message in reader.messages:
-                return bytes(message.payload)  # type: ignore[arg-type]
+                return bytes(message.payload)
     raise AssertionError("no document")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,22 @@ def received(host: Host, unit: int) -> list[tuple[int, object]]:
     return sorted((at, value) for at, value, _ in host.readings[f"Unit {unit}", "Speed/Actual"])
 
 
+def has(host: Host, device: str, speed: float) -> bool:
+    return bool(host.values[device]["Speed/Actual"] == speed)
+
+
+def has_received(host: Host, unit: int, readings: int) -> bool:
+    return len(received(host, unit)) >= readings
+
+
+def was_born(host: Host, times: int) -> bool:
+    return host.births >= times
+
+
+def is_faulty(status: session.NodeStatus) -> bool:
+    return status.fault is not None
+
+
 async def test_each_reading_comes_once_over_losses(tmp_path: Path) -> None:
     """It is in order too: what was missed, and what is of the present."""
     host = Host("dry-end", "Mill 7")
@@ -55,23 +72,18 @@ async def test_each_reading_comes_once_over_losses(tmp_path: Path) -> None:
             for births in range(2, 5):
                 await feed(worker, sent, 10)
                 # What is on its way in the moment of the loss may come twice: nothing is.
-                newest = (sent[-1].actual or 0) / 10
-                await until(
-                    lambda newest=newest: host.values["Unit 16"]["Speed/Actual"] == newest, "received"
-                )
+                await until(partial(has, host, "Unit 16", (sent[-1].actual or 0) / 10), "received")
                 await asyncio.sleep(0.2)
                 relay.cut()
                 await until(lambda: node_of(house).status.fault is not None, "the connection is lost")
                 await feed(worker, sent, 10)
                 await until(lambda: house.services[History].status.waiting == 0, "stored")
-                await until(lambda births=births: host.births >= births, "it is born again")
+                await until(partial(was_born, host, births), "it is born again")
             await feed(worker, sent, 10)
             expected = {unit: [as_received(each) for each in sent if each.unit == unit] for unit in UNITS}
             for unit in UNITS:
-                await until(
-                    lambda unit=unit: len(received(host, unit)) >= len(expected[unit]) + len(first[unit]),
-                    "all is received",
-                )
+                total = len(expected[unit]) + len(first[unit])
+                await until(partial(has_received, host, unit, total), "all is received")
             await asyncio.sleep(1.2)
     for unit in UNITS:
         assert received(host, unit) == first[unit] + expected[unit]
@@ -96,7 +108,7 @@ async def test_a_broker_that_drops_every_second_connection_is_followed(tmp_path:
                 relay.cut()
                 await until(lambda: status.fault is not None, "it is said")
                 count = len(sent)
-                await until(lambda births=births: host.births > births, "it is born again")
+                await until(partial(was_born, host, births + 1), "it is born again")
                 assert len(sent) > count, "the line is followed meanwhile"
                 assert house.live.units[1].reading in sent[-4:]
             lines.cancel()
@@ -129,7 +141,7 @@ async def test_two_servers_of_one_name_are_told_so(tmp_path: Path) -> None:
     ):
         for house in (first, second):
             status = node_of(house).status
-            await until(lambda status=status: status.fault is not None, "it is said")
+            await until(partial(is_faulty, status), "it is said")
             assert status.fault is not None
             assert "another client has the same identity" in in_english(status.fault)
             assert (await house.http("viewer").get("/api/v1/sites")).status_code == 200

@@ -27,25 +27,23 @@ LABELS: Any = {
     "output": {1: "Brake", 2: "BRAKE", 3: "Air / oil"},
     "input": {"up": "Run"},
 }
-BEGIN = 1_700_000_000.0
+BEGIN = UnixTime(1_700_000_000.0)
 HEALTHY, DRIVEN = 0b10, 0b11
 
 
 def bus_live(names: tuple[str, ...] = ("Unwind", "Nip + 1", "NIP - 1")) -> BusLive:
     units = tuple(UnitSettings(id=n, name=name, labels=LABELS) for n, name in enumerate(names, 1))
-    bus = LiveState([BusSettings(name="dry-end", port="/dev/null", unit=units)], UnixTime(BEGIN)).buses[
-        "dry-end"
-    ]
+    bus = LiveState([BusSettings(name="dry-end", port="/dev/null", unit=units)], BEGIN).buses["dry-end"]
     bus.worker_lost = None
     bus.apply([BusLink(BEGIN, "open")])
     return bus
 
 
-def responds(unit: int, at: float, actual: int = 1234, inputs: int = DRIVEN) -> list[Update]:
+def responds(unit: int, at: UnixTime, actual: int = 1234, inputs: int = DRIVEN) -> list[Update]:
     return [UnitLink(unit, at, "online"), Reading(unit, at, 1200, actual, 51, 0xC0, inputs)]
 
 
-def scales(unit: int, at: float, decimals: int = 1) -> list[Update]:
+def scales(unit: int, at: UnixTime, decimals: int = 1) -> list[Update]:
     raw = {2: 20_000, 3: decimals, 8: 0, 22: 0, 23: 510}
     return [ParameterValue(unit, number, at, value) for number, value in raw.items()]
 
@@ -73,13 +71,13 @@ class Line:
             self.host.take(topic, payload)
 
     def begin(self, bd_seq: int = 0) -> None:
-        self.take(self.node.begin(bd_seq, UnixTime(self.now)))
+        self.take(self.node.begin(bd_seq, self.now))
 
     def flush(self) -> None:
-        self.take(self.node.changes(UnixTime(self.now)))
+        self.take(self.node.changes(self.now))
 
     def command(self, topic: str, payload: bytes) -> None:
-        self.take(self.node.take_command(topic, payload, UnixTime(self.now)))
+        self.take(self.node.take_command(topic, payload, self.now))
 
 
 @pytest.fixture
@@ -126,13 +124,13 @@ def test_names_that_differ_in_case_only_get_their_number() -> None:
 def test_only_what_differs_is_sent_with_the_time_of_its_reading(line: Line) -> None:
     line.bus.apply([*scales(1, BEGIN), *responds(1, BEGIN)])
     line.begin()
-    assert line.node.changes(UnixTime(BEGIN)) == []
+    assert line.node.changes(BEGIN) == []
     line.now += 1
     line.bus.apply([*responds(1, BEGIN + 0.5), *responds(1, BEGIN + 0.75, 1240)])
-    (publication,) = line.node.changes(UnixTime(line.now))
+    (publication,) = line.node.changes(line.now)
     line.host.take(*publication)
     (metric,) = decoded(publication.payload)["metrics"]
-    assert (metric["value"], metric["timestamp"]) == (124.0, round((BEGIN + 0.75) * 1000))
+    assert (metric["value"], metric["timestamp"]) == (124.0, round(float(BEGIN + 0.75) * 1000))
     assert line.host.faults == []
 
 
@@ -140,7 +138,7 @@ def test_a_reading_is_sent_once_though_it_is_older_than_what_was_sent(line: Line
     line.bus.apply([*scales(1, BEGIN), *responds(1, BEGIN)])
     line.begin()
     line.node.note([Reading(1, BEGIN - 5, 1200, 99, 51, 0xC0, DRIVEN)])
-    assert line.node.changes(UnixTime(BEGIN)) == []
+    assert line.node.changes(BEGIN) == []
 
 
 def test_within_its_deadband_a_value_is_not_sent() -> None:
@@ -206,15 +204,15 @@ def test_the_past_is_marked_and_only_of_units_that_are_born(line: Line) -> None:
     outputs = (f"output_{number}" for number in range(1, 7))
     bits = dict.fromkeys((*inputs, *outputs, "remote", "at_speed"), False)
     rows = [
-        (UnixTime(BEGIN - 10 + step), {"actual": value, "commanded": 120.0, "analog": 1.0, **bits})
+        (BEGIN - 10.0 + step, {"actual": value, "commanded": 120.0, "analog": 1.0, **bits})
         for step, value in enumerate((118.0, 118.0, 119.5))
     ]
-    line.take(line.node.historical(1, rows, UnixTime(BEGIN)))
+    line.take(line.node.historical(1, rows, BEGIN))
     assert line.host.faults == []
     past = [(at, value) for at, value, old in line.host.readings["Unwind", "Speed/Actual"] if old]
-    assert past == [(round((BEGIN - 10) * 1000), 118.0), (round((BEGIN - 8) * 1000), 119.5)]
+    assert past == [(round(float(BEGIN - 10.0) * 1000), 118.0), (round(float(BEGIN - 8.0) * 1000), 119.5)]
     assert line.host.values["Unwind"]["Speed/Actual"] == 123.4, "the past changes nothing of the present"
-    assert line.node.historical(2, rows, UnixTime(BEGIN)) == []
+    assert line.node.historical(2, rows, BEGIN) == []
 
 
 @given(st.binary(max_size=200))
@@ -233,7 +231,7 @@ def test_payloads_are_read_by_another_decoder(alias: int, number: float, text: s
         (DataType.INT32, -5),
         (DataType.DOUBLE, None),
     ]
-    known = {"a": text, "b": number, "c": bit, "d": -3}
+    known: dict[str, Any] = {"a": text, "b": number, "c": bit, "d": -3}
     metrics = [encode_birth(Metric(text, kind, alias, known), 5, value) for kind, value in values]
     found = decoded(encode_payload(alias, metrics, 255))
     assert (found["timestamp"], found["seq"]) == (alias, 255)
@@ -295,7 +293,7 @@ class NodeMachine(RuleBasedStateMachine):
 
     @rule()
     def reconnect(self) -> None:
-        self.line.host.take(*self.line.node.death(self.bd_seq, UnixTime(self.line.now)))
+        self.line.host.take(*self.line.node.death(self.bd_seq, self.line.now))
         self.line.node.end()
         self.bd_seq = (self.bd_seq + 1) % 256
         self.line.begin(self.bd_seq)
@@ -305,7 +303,7 @@ class NodeMachine(RuleBasedStateMachine):
         line = self.line
         line.flush()
         assert line.host.faults == []
-        now = UnixTime(line.now)
+        now = line.now
         alive = {
             line.node.devices[number].name: unit
             for number, unit in line.bus.units.items()

@@ -95,7 +95,7 @@ async def test_a_foreign_document_is_not_shown_as_ours(tmp_path: Path) -> None:
             genuine: list[bytes] = []
             await other.subscribe(f"{LINES}/Mill 7/dry-end")
             async for message in other.messages:
-                genuine.append(bytes(message.payload))  # type: ignore[arg-type]
+                genuine.append(bytes(message.payload))
                 break
             forged = json.dumps(json.loads(genuine[0]) | {"instance": "forged"}).encode()
             await other.publish(f"{LINES}/Evil/dry-end", forged, qos=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -61,7 +62,7 @@ async def test_who_is_not_trusted_is_named(
 ) -> None:
     monkeypatch.setattr(session, "CONNECT_S", 1.0)
     files = certificates(tmp_path / "files")
-    pair = {"certificate": files / f"{own}.pem", "key": files / f"{own}.key"} if own else {}
+    pair: dict[str, Any] = {"certificate": files / f"{own}.pem", "key": files / f"{own}.key"} if own else {}
     authority = files / ca if ca.endswith(".key") else files / f"{ca}.pem"
     async with running(tmp_path, with_tls(files, server)) as broker:
         settings = MqttSettings(url=f"mqtts://127.0.0.1:{broker.port}", ca_file=authority, **pair)

@@ -11,6 +11,7 @@ from unittest.mock import AsyncMock
 
 import pytest
 from asyncua import ua
+from asyncua.common.utils import ServiceError
 
 from app.system.opcua import gate
 from app.system.opcua.access import TokenList, TrustList, own_certificate
@@ -130,11 +131,11 @@ async def test_a_session_that_is_not_read_does_nothing_meanwhile(made: Gate) -> 
 
 async def test_a_connection_has_one_session_and_there_are_not_too_many(made: Gate) -> None:
     made.server.create_session("one", external=True)
-    with pytest.raises(gate.ServiceError):
+    with pytest.raises(ServiceError):
         made.server.create_session("one", external=True)
     for number in range(gate.MAX_SESSIONS - 1):
         made.server.create_session(f"of {number}", external=True)
-    with pytest.raises(gate.ServiceError):
+    with pytest.raises(ServiceError):
         made.server.create_session("another", external=True)
     await next(iter(made.server.sessions.values())).close_session()
     made.server.create_session("another", external=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import importlib.util
 import os
 import signal
 from collections.abc import AsyncIterator
@@ -10,7 +11,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from asyncua import Node, ua
+from asyncua import Client, ua
 
 from app.cli.check import opcua
 from app.core.database import Database
@@ -19,9 +20,9 @@ from app.people.auth import store
 from app.people.auth.rules import secret_hash
 from app.people.auth.store import Token
 from app.settings import load
-from app.system.opcua import process as opcua_process
 from app.system.opcua.process import OpcuaProcess
 from app.system.opcua.settings import OpcuaProcesses
+from bus.instants import UnixTime
 from bus.messages import in_english
 from tests.app.complete_app import House, complete_app
 from tests.app.fake_worker import PlayedWorker, reading, until
@@ -50,8 +51,8 @@ def process_of(house: House) -> OpcuaProcess:
 async def site(folder: Path, port: int) -> AsyncIterator[House]:
     """A site that serves OPC UA, with a token for programs and one that is only for a worker."""
     async with complete_app(folder, config=configuration(folder, port)) as house:
-        key = Token(0, TOKEN, Role.VIEWER, "test", 0.0, None)
-        worker = Token(0, "cabinet", Role.WORKER, "test", 0.0, None, "dry-end")
+        key = Token(0, TOKEN, Role.VIEWER, "test", UnixTime(0.0), None)
+        worker = Token(0, "cabinet", Role.WORKER, "test", UnixTime(0.0), None, "dry-end")
         await house.services[Database].write(lambda c: store.add_token(c, secret_hash(SECRET), key))
         await house.services[Database].write(lambda c: store.add_token(c, secret_hash("w"), worker))
         async with responding(await house.worker()):
@@ -60,11 +61,11 @@ async def site(folder: Path, port: int) -> AsyncIterator[House]:
 
 @asynccontextmanager
 async def responding(worker: PlayedWorker) -> AsyncIterator[None]:
-    """Let the first unit respond all the time."""
+    """Let the first unit respond all the time, at rest by an emergency stop."""
 
     async def respond() -> None:
         while True:
-            await worker.update(reading(1, actual=1011))
+            await worker.update(reading(1, commanded=0, inputs=0))
             await asyncio.sleep(0.2)
 
     task = asyncio.create_task(respond())
@@ -72,8 +73,9 @@ async def responding(worker: PlayedWorker) -> AsyncIterator[None]:
     task.cancel()
 
 
-async def until_value(node: Node, expected: float) -> None:
+async def until_value(client: Client, name: str, expected: object) -> None:
     """Wait until a client reads a value."""
+    node = client.get_node(ua.NodeId(name, 1))
     async with asyncio.timeout(60):
         while True:
             found = await node.read_data_value(raise_on_bad_status=False)
@@ -94,8 +96,8 @@ async def test_a_client_reads_what_the_units_report_also_after_the_process_was_k
         server.trust(client)
         await serves(house)
         async with connected(server, client, tmp_path / "client") as reader:
-            actual = reader.get_node(ua.NodeId("dry-end/1/Speed/Actual", 1))
-            await until_value(actual, 101.1)
+            await until_value(reader, "dry-end/1/Speed/Actual", 0.0)
+            await until_value(reader, "dry-end/1/Alarms/Names", ["Emergency stop"])
             await until(lambda: process_of(house).status.sessions == 1, "the session is counted")
             page = (await house.http("admin").get("/system")).text
             assert f"serves at 127.0.0.1:{port}; sessions: 1, refused: 0" in page
@@ -114,8 +116,7 @@ async def test_a_client_reads_what_the_units_report_also_after_the_process_was_k
         await serves(house)
         assert process_of(house).fault is None
         async with connected(server, client, tmp_path / "client") as reader:
-            actual = reader.get_node(ua.NodeId("dry-end/1/Speed/Actual", 1))
-            await until_value(actual, 101.1)
+            await until_value(reader, "dry-end/1/Speed/Actual", 0.0)
 
 
 def pid_of(port: int) -> int:
@@ -138,7 +139,7 @@ async def test_a_port_in_use_and_a_missing_package_are_said(
         assert process.fault is not None
         assert process.fault.code == "opcua_port"
         assert "Choose another port" in in_english(process.state())
-        monkeypatch.setattr(opcua_process.importlib.util, "find_spec", lambda _: None)
+        monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
         await until(
             lambda: process.fault and process.fault.code == "opcua_no_package", "the package is missed"
         )

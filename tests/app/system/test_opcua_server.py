@@ -1,13 +1,18 @@
-"""The OPC UA process as clients see it: the nodes of the lines, who may connect, and what is bounded."""
+"""The OPC UA process as clients see it, of asyncua and of other makers: the nodes of the lines, who may
+connect, and what is bounded."""
 
 from __future__ import annotations
 
 import asyncio
+import json
+import os
+import shutil
 import struct
-import time
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +23,9 @@ from asyncua.ua.uaerrors import BadIdentityTokenRejected, BadUserAccessDenied, U
 
 from app.system.opcua import gate
 from app.system.opcua.access import OwnCertificate
+from app.system.opcua.link import StandingAlarm
 from app.system.opcua.probe import is_opcua_server
+from bus.instants import unix_now
 from tests.app.fake_worker import until
 from tests.app.opcua import (
     SECRET,
@@ -32,6 +39,10 @@ from tests.app.opcua import (
 )
 from tests.for_each import for_each
 
+ROOT = Path(__file__).resolve().parents[3]
+SOURCES = Path(__file__).parents[1]
+PARTS = {"Identification", "Speed", "Inputs", "Outputs", "Link", "Alarms", "Parameters"}
+GOPCUA = "v0.8.0"
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 OWN = 1
 ACTUAL = ua.NodeId("dry-end/1/Speed/Actual", OWN)
@@ -99,12 +110,10 @@ async def test_a_line_is_a_machine_with_its_units_as_components(site: Site) -> N
         assert about["ProductInstanceUri"].endswith(":dry-end")
         components = await client.nodes.objects.get_child([*path[:2], f"{machinery}:Components"])
         names = [(await each.read_browse_name()).Name for each in await components.get_children()]
-        assert names == ["Unwind", "Rewind"]
+        assert names == ["Unwind", "Rewind", "Spare"]
         unit = await components.get_child(f"{OWN}:Unwind")
         children = {(await each.read_browse_name()).Name for each in await unit.get_children()}
-        assert {"Identification", "Speed", "Analog", "Inputs", "Outputs", "Link", "Alarms", "Parameters"} <= (
-            children
-        )
+        assert children >= PARTS | {"Analog"}
         assert "Brake" in [
             (await each.read_browse_name()).Name
             for each in await (await unit.get_child(f"{OWN}:Outputs")).get_children()
@@ -112,9 +121,8 @@ async def test_a_line_is_a_machine_with_its_units_as_components(site: Site) -> N
 
 
 async def test_a_value_has_its_unit_its_range_and_the_time_of_its_reading(site: Site) -> None:
-    at = time.time()
+    at = unix_now()
     site.server.report(*scales(1, at), *responds(1, at, actual=777))
-    site.server.alarms({1: 3})
     async with site.connected() as client:
         found = await until_value(client, "dry-end/1/Speed/Actual", 77.7)
         assert found.StatusCode.is_good()
@@ -123,11 +131,30 @@ async def test_a_value_has_its_unit_its_range_and_the_time_of_its_reading(site: 
         assert (unit.DisplayName.Text, unit.UnitId) == ("m/min", 12888)
         span = (await value(client, "dry-end/1/Speed/Actual/EURange")).Value.Value
         assert (span.Low, span.High) == (0.0, 2000.0)
-        assert (await value(client, "dry-end/1/Alarms/Active")).Value.Value == 3
+
+
+async def test_the_alarms_of_a_unit_are_lists(site: Site) -> None:
+    at = unix_now()
+    stop = StandingAlarm("E-stop active", "urgent", True, False, at)
+    cleared = StandingAlarm("Not at speed", "high", False, False, at)
+    async with site.connected() as client:
+        for alarms in ([stop, cleared], []):
+            site.server.alarms({1: alarms})
+            await until_value(client, "dry-end/1/Alarms/Names", [alarm.name for alarm in alarms])
+            found = {
+                name: (await value(client, f"dry-end/1/Alarms/{name}")).Value.Value
+                for name in ("Priorities", "IsActive", "Acknowledged", "Since", "Active")
+            }
+            assert found.pop("Active") == len(alarms[:1]), "what has cleared is not counted"
+            since = found.pop("Since")
+            assert [each.timestamp() for each in since] == pytest.approx([float(at)] * len(alarms), abs=1e-3)
+            assert [*zip(*found.values(), strict=True)] == [
+                (alarm.priority, alarm.is_active, alarm.is_acknowledged) for alarm in alarms
+            ]
 
 
 async def test_the_quality_of_a_value_follows_its_age(site: Site) -> None:
-    at = time.time()
+    at = unix_now()
     site.server.report(*scales(2, at), *responds(2, at, actual=500))
     async with site.connected() as client:
         await until_value(client, "dry-end/2/Speed/Actual", 50.0)
@@ -156,8 +183,8 @@ async def test_a_subscription_gets_what_changes_and_no_faster_than_allowed(site:
         subscription = await client.create_subscription(1, changes)
         await subscription.subscribe_data_change(client.get_node(ACTUAL))
         for actual in (100, 200, 300):
-            site.server.report(*scales(1, time.time()), *responds(1, time.time(), actual=actual))
-            await until(lambda actual=actual: actual / 10 in changes.values, "the value")
+            site.server.report(*scales(1, unix_now()), *responds(1, unix_now(), actual=actual))
+            await until(partial(changes.values.__contains__, actual / 10), "the value")
         assert changes.values[-3:] == [10.0, 20.0, 30.0]
         params = ua.CreateSubscriptionParameters()
         params.RequestedPublishingInterval = 0.0
@@ -337,8 +364,8 @@ async def test_connections_of_an_address_are_bounded(site: Site) -> None:
 
 async def reads_on(site: Site) -> None:
     """Assert that another client reads what is reported now."""
-    actual = 100 + round(time.time()) % 1000
-    site.server.report(*scales(1, time.time()), *responds(1, time.time(), actual=actual))
+    actual = 100 + int(float(unix_now())) % 1000
+    site.server.report(*scales(1, unix_now()), *responds(1, unix_now(), actual=actual))
     async with site.connected() as client:
         await until_value(client, "dry-end/1/Speed/Actual", actual / 10)
 
@@ -386,3 +413,84 @@ async def test_memory_is_flat_over_abandoned_sessions(site: Site) -> None:
     await abandon(site, 1000)
     await site.server.until(lambda status: status.sessions == status.subscriptions == 0)
     assert site.server.status.memory_bytes - memory < 5_000_000
+
+
+# --- clients of other makers ---
+
+
+async def look(site: Site, *program: str, secret: str = SECRET) -> dict[str, Any]:
+    """Run a client to its end; return what it found."""
+    words = (*program, site.server.url, str(site.folder), TOKEN, secret, site.client.uri)
+    process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
+    text, _ = await process.communicate()
+    found: dict[str, Any] = json.loads(text.splitlines()[-1])
+    return found
+
+
+@asynccontextmanager
+async def responding(server: OpcuaServer) -> AsyncIterator[None]:
+    """Let the first unit respond all the time."""
+
+    async def respond() -> None:
+        server.report(*scales(1, unix_now()))
+        while True:
+            server.report(*responds(1, unix_now()))
+            await asyncio.sleep(0.25)
+
+    task = asyncio.create_task(respond())
+    yield
+    task.cancel()
+
+
+async def test_node_opcua_reads_the_line(site: Site) -> None:
+    node = shutil.which("node")
+    if node is None or not (ROOT / "node_modules" / "node-opcua-client").exists():
+        pytest.skip("the client is a package of Node, which make development installs")
+    began = float(unix_now())
+    async with responding(site.server):
+        found = await look(site, node, str(SOURCES / "opcua_client.mjs"))
+    assert "error" not in found, found
+    assert found["actual"] == [123.4, "Good", "Double"]
+    assert datetime.fromisoformat(found["at"]).timestamp() > began - 60
+    assert found["unit"] == ["m/min", 12888]
+    assert found["unread"] == "BadWaitingForInitialData"
+    assert found["serial"] == "4711"
+    assert set(found["parts"]) >= PARTS
+    assert found["subscribed"] == 123.4
+    assert found["write"] == "BadNotWritable"
+
+
+@pytest.mark.soak
+async def test_gopcua_reads_the_line(site: Site, tmp_path: Path) -> None:
+    """Its module is fetched, and built in a minute."""
+    go = shutil.which("go") or shutil.which("go", path="/usr/local/go/bin")
+    if go is None:
+        pytest.skip("Go is not installed")
+    program = await _built(go, tmp_path / "go")
+    async with responding(site.server):
+        found = await look(site, str(program))
+    assert "error" not in found, found
+    assert found["actual"] == [123.4, 0]
+    assert "BadWaitingForInitialData" in found["unread"]
+    assert set(found["parts"]) >= PARTS
+    assert found["subscribed"] == 123.4
+    assert "BadNotWritable" in found["write"]
+    assert "error" in await look(site, str(program), secret="wrong")
+
+
+async def _built(go: str, folder: Path) -> Path:
+    _write_module(folder)
+    environment = {**os.environ, "GOFLAGS": "-mod=mod"}
+    process = await asyncio.create_subprocess_exec(
+        go, "build", "-o", "client", ".", cwd=folder, env=environment, stderr=asyncio.subprocess.PIPE
+    )
+    _, complaint = await process.communicate()
+    if process.returncode:
+        pytest.skip(f"gopcua cannot be built: {complaint.decode(errors='replace')[-300:]}")
+    return folder / "client"
+
+
+def _write_module(folder: Path) -> None:
+    folder.mkdir()
+    shutil.copy(SOURCES / "opcua_client.go", folder / "main.go")
+    (folder / "go.mod").write_text(f"module client\n\ngo 1.23\n\nrequire github.com/gopcua/opcua {GOPCUA}\n")
