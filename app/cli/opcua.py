@@ -1,4 +1,5 @@
-"""The OPC UA process of a server, which starts it: ``python -m app.cli.opcua``. It has no use for people."""
+"""Command of the OPC UA process, ``python -m app.cli.opcua``, which a server starts. People have no use for
+it."""
 
 from __future__ import annotations
 

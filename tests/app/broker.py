@@ -23,8 +23,8 @@ FAKETIME = "usr/lib/*-linux-gnu/faketime/libfaketimeMT.so.1"
 
 @dataclass
 class Broker:
-    """``more``: lines of its configuration; it listens on this machine only and keeps nothing. ``clock``: the
-    time that it believes in."""
+    """A mosquitto of a test, on this machine only; it keeps nothing. ``more``: lines of its configuration;
+    ``clock``: the time that it believes in."""
 
     folder: Path
     more: str = "allow_anonymous true"
@@ -54,7 +54,7 @@ class Broker:
         return {"LD_PRELOAD": library[0], "FAKETIME": f"@{self.clock}", "DONT_FAKE_MONOTONIC": "1"}
 
     async def start(self) -> None:
-        """Start it, and wait until it listens."""
+        """Start the broker, and wait until it listens."""
         self._begin()
         while True:
             try:
@@ -66,7 +66,7 @@ class Broker:
                 return
 
     def kill(self) -> None:
-        """End it without a word to anyone."""
+        """Kill the broker, which says nothing to its clients."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()
@@ -80,7 +80,7 @@ class Broker:
         self.kill()
 
     def client(self, **more: object) -> aiomqtt.Client:
-        """A client of it."""
+        """Return a client of the broker that is not connected yet."""
         return aiomqtt.Client("127.0.0.1", self.port, protocol=aiomqtt.ProtocolVersion.V311, **more)  # type: ignore[arg-type]
 
 
@@ -141,8 +141,7 @@ async def running(folder: Path, more: str = "allow_anonymous true") -> AsyncIter
 
 @asynccontextmanager
 async def listening(broker: Broker, host: Host, **login: str) -> AsyncIterator[None]:
-    """Let a host take what the broker has, from before the first message on, also of a broker that is started
-    again."""
+    """Let a host follow the broker for the time of the context, also after the broker was started again."""
     ready = asyncio.Event()
 
     async def follow() -> None:

@@ -56,13 +56,14 @@ def responds(unit: int, at: UnixTime, actual: int = 1234) -> list[Any]:
 
 
 def client_certificate(folder: Path, name: str = "Historian") -> OwnCertificate:
-    """A client's own certificate with its key, in ``folder``."""
+    """Make a certificate of a client with its key, in ``folder``."""
     return own_certificate(folder, (), name, datetime.now(UTC))
 
 
 @dataclass
 class OpcuaServer:
-    """The process. ``folder``: of its certificates; ``status``: the last it reported."""
+    """The OPC UA process of a test. ``folder``: of its certificates; ``status``: the newest that it
+    reported."""
 
     folder: Path
     bus: BusSettings = field(default_factory=line)
@@ -97,14 +98,14 @@ class OpcuaServer:
         self.send(Keys([Key(id_, name, secret_hash(SECRET), None) for id_, name in enumerate(names, 7)]))
 
     def trust(self, client: OwnCertificate) -> Path:
-        """Trust a client, by a file."""
+        """Trust a client, by its certificate in ``trusted``."""
         file = self.folder / "trusted" / f"{client.certificate.serial_number}.der"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(client.certificate.public_bytes(Encoding.DER))
         return file
 
     async def until(self, holds: Callable[[Status], object], within_s: float = 60.0) -> None:
-        """Wait until a status says what is expected."""
+        """Wait until the process reports a status that ``holds``."""
         end = time.monotonic() + within_s
         while not holds(self.status):
             assert time.monotonic() < end, self.status
@@ -112,7 +113,7 @@ class OpcuaServer:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[OpcuaServer]:
-        """Run it until the context ends."""
+        """Run the process until the context ends."""
         words = (sys.executable, "-P", "-m", "app.cli.opcua")
         self._process = await asyncio.create_subprocess_exec(*words, stdin=PIPE, stdout=PIPE)
         self._listening = asyncio.create_task(self._listen(self._process))
@@ -143,7 +144,7 @@ class OpcuaServer:
 async def connected(
     server: OpcuaServer, client: OwnCertificate, folder: Path, user: str = TOKEN, secret: str = SECRET
 ) -> AsyncIterator[Client]:
-    """A client of asyncua with a session. ``folder``: of the client's certificate."""
+    """Connect a client of asyncua with a session. ``folder``: of the certificate of the client."""
     made = await secured(server, client, folder)
     made.set_user(user)
     made.set_password(secret)
@@ -157,7 +158,7 @@ async def connected(
 
 
 async def secured(server: OpcuaServer, client: OwnCertificate, folder: Path) -> Client:
-    """A client of asyncua that is not connected yet."""
+    """Return a client of asyncua that is not connected yet."""
     made = Client(server.url, timeout=10)
     made.application_uri = client.uri
     mode = ua.MessageSecurityMode.SignAndEncrypt

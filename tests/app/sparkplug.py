@@ -20,7 +20,7 @@ PROPERTY = {1: "type", 2: "is_null", 3: "int", 6: "double", 7: "boolean", 8: "st
 
 
 def fields(content: bytes) -> Iterator[tuple[int, Any]]:
-    """The fields of a Protocol Buffers message: numbers as int, float or bytes."""
+    """Return the fields of a Protocol Buffers message: numbers as int, float or bytes."""
     at = 0
 
     def varint() -> int:
@@ -56,7 +56,7 @@ def named(content: bytes, names: dict[int, str]) -> dict[str, Any]:
 
 
 def decoded(payload: bytes) -> dict[str, Any]:
-    """A payload with its metrics."""
+    """Return a payload with its metrics."""
     known = {PAYLOAD[number]: value for number, value in fields(payload) if number != 2}
     known["metrics"] = [metric(value) for number, value in fields(payload) if number == 2]
     return known
@@ -108,7 +108,7 @@ class Host:
     _aliases: dict[int, tuple[str, str]] = field(default_factory=dict)
 
     def take(self, topic: str, payload: bytes) -> None:
-        """Take a message as a subscriber of the group gets it."""
+        """Check and apply a message of the group."""
         parts = topic.split("/")
         if parts[:2] != ["spBv1.0", self.group] or parts[3] != self.node:
             self.faults.append(f"topic {topic}")

@@ -28,8 +28,9 @@ Row = tuple[UnixTime, Mapping[str, Value]]
 
 @dataclass
 class Backlog:
-    """The spans that are to be sent of a bus. ``bd_seq``: the number of the last connection (Sparkplug 3.0,
-    6.4.20); ``received``: everything that was read up to then was received, but for the spans."""
+    """Spans of the history of a bus that the broker has not received. ``bd_seq``: the number of the last
+    connection (Sparkplug 3.0, 6.4.20); ``received``: everything that was read up to then was received, but
+    for the spans."""
 
     bus: str
     bd_seq: int = -1

@@ -59,7 +59,7 @@ _REBIRTH = Metric(REBIRTH, DataType.BOOLEAN)
 
 
 class Publication(NamedTuple):
-    """A message to publish."""
+    """Message to publish: its topic and its payload."""
 
     topic: str
     payload: bytes
@@ -67,8 +67,8 @@ class Publication(NamedTuple):
 
 @dataclass(slots=True)
 class Device:
-    """A unit as a device. ``first_alias``: that of its first tag, the others follow; ``sent``: the values
-    that were sent last, None while the device is dead; ``scale``: that of its birth."""
+    """Unit as a Sparkplug device. ``first_alias``: that of its first tag, the others follow; ``sent``: the
+    values that were sent last, None while the device is dead; ``scale``: that of its birth."""
 
     name: str
     unit: UnitLive
@@ -82,7 +82,7 @@ class Device:
 
 @dataclass(eq=False, repr=False)
 class EdgeNode:
-    """The node of a bus. ``alarms_of``: how many alarms of a unit are active."""
+    """Sparkplug edge node of a bus. ``alarms_of``: how many alarms of a unit are active."""
 
     bus: BusLive
     group: str
@@ -112,7 +112,7 @@ class EdgeNode:
 
     @property
     def name(self) -> str:
-        """The id of the node: the name of the bus."""
+        """The id of the node, which is the name of the bus."""
         return self.bus.settings.name
 
     @property
@@ -122,7 +122,7 @@ class EdgeNode:
 
     @property
     def document_topic(self) -> str:
-        """Where the summary of the line is."""
+        """The topic of the summary of the line."""
         return f"{LINES}/{self.group}/{self.name}"
 
     def take_command(self, topic: str, payload: bytes, now: UnixTime) -> list[Publication]:
@@ -157,7 +157,7 @@ class EdgeNode:
         return self.births(now)
 
     def end(self) -> None:
-        """Note that the connection ended: everything is dead."""
+        """Mark all devices as dead, after the end of a connection."""
         self._is_born = False
         for device in self.devices.values():
             device.sent = None
@@ -221,13 +221,13 @@ class EdgeNode:
                 self._changed.add(unit)
 
     def note_unit(self, unit: int) -> None:
-        """Note that something else of a unit changed, such as an alarm."""
+        """Note that an alarm of a unit changed, to be sent with `changes`."""
         if self._is_born and unit in self.devices:
             self._changed.add(unit)
 
     @property
     def is_behind(self) -> bool:
-        """Whether more waits than a connection that is alive lets wait."""
+        """Whether more readings wait than a live connection lets wait."""
         return len(self._readings) > MAX_QUEUED
 
     def changes(self, now: UnixTime) -> list[Publication]:

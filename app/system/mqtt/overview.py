@@ -31,14 +31,14 @@ log = structlog.get_logger()
 
 
 class _Page(msgspec.Struct):
-    """What a document has beside the report."""
+    """Part of a document that the report of a peer does not have."""
 
     page: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class LineDocuments:
-    """Makes the documents of the lines of this server. ``page``: the address of its pages."""
+    """Maker of the documents of the lines of this server. ``page``: the address of its pages."""
 
     board: LineBoard
     english: Translator
@@ -54,8 +54,8 @@ class LineDocuments:
 
 @dataclass(eq=False, repr=False)
 class BrokerLines:
-    """The lines that others publish on the broker, as peers of a board. ``board``: on which they are shown;
-    ``own``: the topics of the lines of this server; ``fault``: why none are read now."""
+    """Lines that other servers publish on the broker, shown on a board as those of peers. ``own``: the topics
+    of the lines of this server; ``fault``: why none are read now."""
 
     settings: MqttSettings
     board: LineBoard
@@ -81,7 +81,7 @@ class BrokerLines:
             failures += 1
 
     def state(self) -> Message:
-        """State in a sentence what is read."""
+        """Return a sentence about the lines of others that are shown."""
         if self.fault is not None:
             return Message.of("mqtt_overview_lacks", reason=self.fault)
         shown = number(str(len(self._peers)))
@@ -97,9 +97,9 @@ class BrokerLines:
                     self.take(str(message.topic), message.payload, is_retained=message.retain)
 
     def take(self, topic: str, payload: bytes, *, is_retained: bool) -> None:
-        """Take over a document. An empty one takes the line away; one that the broker kept shows a line
-        without saying that it is of the present. The broker's rules permit a topic, so what a document says
-        of itself counts only as far as its topic agrees."""
+        """Show the line of a document that was received. An empty one takes the line away; one that the
+        broker had kept shows it as stale. The broker's rules permit a topic, so what a document says of
+        itself counts only as far as its topic agrees."""
         if topic in self.own:
             return
         if not payload:

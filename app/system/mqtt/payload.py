@@ -31,8 +31,8 @@ class DataType(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A value that has a name. ``alias`` None: it is always named; ``properties``: such as its engineering
-    unit."""
+    """Named value of a node or device. ``alias`` None: it is always named; ``properties``: such as its
+    engineering unit."""
 
     name: str
     datatype: DataType
@@ -42,7 +42,7 @@ class Metric:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A metric that somebody else wants to set. ``value`` None: of a type that is not read."""
+    """Metric that a host wants to set. ``value`` None: of a type that is not read."""
 
     name: str
     alias: int | None
@@ -50,7 +50,7 @@ class Command:
 
 
 class PayloadError(ValueError):
-    """Bytes that are no Sparkplug payload."""
+    """Error of bytes that are no Sparkplug payload."""
 
 
 # --- encoding ---

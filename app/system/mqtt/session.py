@@ -81,8 +81,8 @@ def require_package() -> None:
 async def connected(
     settings: MqttSettings, identifier: str, will: Publication | None = None
 ) -> AsyncIterator[aiomqtt.Client]:
-    """Connect to the broker, for the time of the context. Raises BrokerError, also for what is raised of the
-    connection within it."""
+    """Connect to the broker for the time of the context. Raises BrokerError, also when the connection ends
+    within the context."""
     require_package()
     import aiomqtt
 
@@ -121,7 +121,8 @@ async def connected(
 
 
 def _tls(settings: MqttSettings) -> ssl.SSLContext | None:
-    """Return what the broker is trusted by, and what this server shows. Raises BrokerError."""
+    """Return the TLS context: the authority that the broker is trusted by, and the certificate of this
+    server. Raises BrokerError."""
     if not settings.uses_tls:
         return None
     context = ssl.create_default_context()
@@ -167,9 +168,9 @@ def identifier_for(*parts: str) -> str:
 
 @dataclass(slots=True)
 class NodeStatus:
-    """The state of a node. ``fault``: why it is not connected; ``waits``: for its primary host;
-    ``host_is_behind``: whether the newest message of that host is older than the one before by its own clock;
-    ``sent``: messages since the start."""
+    """State of the connection of a node. ``fault``: why it is not connected; ``waits``: whether it waits for
+    its primary host; ``host_is_behind``: whether the newest message of that host is older than the one before
+    by its own clock; ``sent``: messages since the start."""
 
     is_connected: bool = False
     fault: Message | None = None
@@ -179,8 +180,8 @@ class NodeStatus:
 
 
 class Nodes(tuple["NodeSession", ...]):
-    """The sessions of all nodes; empty where no broker is configured. ``overview``: what reads the lines of
-    others, where that is wanted."""
+    """Sessions of all nodes; empty where no broker is configured. ``overview``: the reader of the lines of
+    others, where one is wanted."""
 
     overview: BrokerLines | None = None
 
@@ -219,14 +220,14 @@ class NodeSession:
         self._wake.set()
 
     def note_unit(self, unit: int) -> None:
-        """Note that an alarm of a unit changed."""
+        """Note that an alarm of a unit changed, and wake the session."""
         self.node.note_unit(unit)
         self._wake.set()
 
     # --- connections, one after the other ---
 
     async def follow(self) -> None:
-        """Publish until canceled; after a failure it waits and connects again."""
+        """Publish until canceled; connect again after each loss, later each time."""
         failures = 0
         while True:
             began = monotonic_now()
@@ -338,7 +339,7 @@ class NodeSession:
         self.status.waits = False
 
     def _add_missed(self, backlog: Backlog) -> None:
-        """Note what was read while there was no connection, up to what each birth has given."""
+        """Add the time without a connection to the backlog, for each unit up to the reading in its birth."""
         now = micros(self._clock())
         ends = {
             number: micros(device.sent_until) if device.sent is not None else now
@@ -367,7 +368,7 @@ class NodeSession:
             await asyncio.sleep(max(FLUSH_S, (self.status.sent - before) / MESSAGES_S))
 
     def _note_silence(self, backlog: Backlog) -> None:
-        """After a silence the worker hands over what it read meanwhile, to the history only."""
+        """Add a silence of the worker to the backlog: what it read meanwhile comes to the history only."""
         silence = self.node.bus.silence
         if silence is not None and silence != self._silence:
             self._silence = silence
@@ -402,7 +403,8 @@ class NodeSession:
     async def _send_piece(
         self, client: aiomqtt.Client, backlog: Backlog, unit: int, span: tuple[int, int]
     ) -> None:
-        """Send the readings of a unit over a span, and note it once they were received."""
+        """Send the readings of a unit over a span as historical, and remove the span once they were
+        received."""
         rows = await self._history.read(partial(self._past.read, unit=unit, span=span))
         was_born = False
 
@@ -417,7 +419,7 @@ class NodeSession:
             backlog.sent(unit, span[1])
 
     async def _confirm(self, client: aiomqtt.Client, backlog: Backlog) -> None:
-        """Wait until the broker has everything that was sent."""
+        """Wait until the broker has received everything that was sent, and note up to when that is."""
         sent_until = max((each.sent_until for each in self.node.devices.values()), default=UnixTime(0.0))
         await client.publish(f"{self.node.document_topic}/received", b"", QUALITY_OF_SERVICE)
         backlog.received = max(backlog.received, micros(sent_until))
@@ -426,7 +428,7 @@ class NodeSession:
         await self._database.write(lambda connection: write_backlog(connection, backlog))
 
     def lag_s(self) -> float:
-        """Return for how many seconds readings were not received."""
+        """Return the seconds of readings that the broker has not received."""
         if self.backlog is None or not self.backlog.received:
             return 0.0
         waiting = self.backlog.waiting_s()
@@ -435,7 +437,7 @@ class NodeSession:
         return waiting + max(0.0, float(self._clock()) - self.backlog.received / SECOND)
 
     def state(self) -> Message:
-        """State in a sentence how the node is connected."""
+        """Return a sentence about the connection of the node."""
         place, node = self._settings.place, self.node.name
         if self.status.host_is_behind and not self.status.is_connected:
             return Message.of("mqtt_waits_clock", node=node, host=self._settings.primary_host)
@@ -449,7 +451,7 @@ class NodeSession:
 
 
 class _HostState(msgspec.Struct):
-    """The state of a host application (Sparkplug 3.0, 6.4.27)."""
+    """State of a host application, as it publishes it (Sparkplug 3.0, 6.4.27)."""
 
     online: bool
     timestamp: int

@@ -1,8 +1,8 @@
-"""Who may connect by OPC UA: the certificate of this server, the clients that it trusts by file, and the
-tokens that programs sign in with.
+"""Certificates and tokens that give access by OPC UA: the certificate of this server, the clients that it
+trusts by file, and the tokens that programs sign in with.
 
 The folder has ``own`` (certificate and key), ``trusted`` (a client is trusted while its certificate is there)
-and ``rejected`` (those of clients that tried; an engineer moves one to ``trusted``).
+and ``rejected`` (certificates of clients that tried; an engineer moves one to ``trusted``).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class AccessError(LinesideError):
 
 @dataclass(frozen=True, slots=True)
 class OwnCertificate:
-    """The certificate of this server and its key. ``uri``: the application URI, which it holds."""
+    """Certificate of this server with its key and the application URI that it states."""
 
     certificate: x509.Certificate
     key: rsa.RSAPrivateKey
@@ -65,7 +65,7 @@ class OwnCertificate:
 
 
 def certificate_file(folder: Path) -> Path:
-    """Return where the certificate of this server is."""
+    """Return the path of the certificate of this server."""
     return folder / "own" / "certificate.pem"
 
 
@@ -151,14 +151,14 @@ def uri_of(certificate: x509.Certificate) -> str:
 
 @dataclass(slots=True)
 class TrustList:
-    """The clients that are trusted: those whose certificate is a file in ``trusted``."""
+    """List of the clients that are trusted: those whose certificate is a file in ``trusted``."""
 
     folder: Path
     _files: dict[Path, tuple[int, int]] = field(default_factory=dict)
     _trusted: dict[Path, bytes] = field(default_factory=dict)
 
     def read(self) -> None:
-        """Read what changed in the folder."""
+        """Read the files of the folder ``trusted`` that changed."""
         found = _stamps(self.folder / "trusted")
         self._trusted = {path: thumb for path, thumb in self._trusted.items() if path in found}
         for path, stamp in found.items():
@@ -169,7 +169,7 @@ class TrustList:
         self._files = found
 
     def trusts(self, certificate: bytes) -> bool:
-        """Return whether a certificate, as DER, is one of those that were read."""
+        """Return whether a client is trusted by its certificate, as DER."""
         return thumbprint(certificate) in self._trusted.values()
 
     def reject(self, certificate: bytes) -> None:
@@ -195,7 +195,7 @@ class TrustList:
 
 
 def _stamps(folder: Path) -> dict[Path, tuple[int, int]]:
-    """Return the files of certificates in a folder, with what shows that one was changed."""
+    """Return the certificate files of a folder, each with its time of change and its size."""
     found: dict[Path, tuple[int, int]] = {}
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
@@ -213,13 +213,13 @@ def _loaded(data: bytes) -> x509.Certificate:
 
 
 def thumbprint(certificate: bytes) -> bytes:
-    """Return what identifies a certificate."""
+    """Return the SHA-256 of a certificate."""
     return hashlib.sha256(certificate).digest()
 
 
 @dataclass(slots=True)
 class TokenList:
-    """The tokens of this server that programs sign in with: their name is the user, their secret the
+    """List of the tokens that programs sign in with: the name of a token is the user, its secret the
     password."""
 
     keys: Mapping[str, Key] = field(default_factory=dict)

@@ -1,5 +1,5 @@
-"""The OPC UA server behind its limits: who may open a channel and a session, how much each may want, and that
-nothing is changed.
+"""Limits of the OPC UA server: who may open a channel and a session, how much a client may ask for, and the
+refusal of every change.
 
 asyncua leaves the following open, so it is decided here, by overriding its public methods: a channel without
 security may ask for endpoints only; a certificate is judged before its channel opens; a session belongs to
@@ -108,41 +108,41 @@ class Refusals:
     by_reason: Counter[str] = field(default_factory=Counter)
 
     def note(self, reason: str, client: object = "") -> None:
-        """Note a refusal."""
+        """Count a refusal, and log the first of each reason."""
         self.by_reason[reason] += 1
         if self.by_reason[reason] == 1:
             log.warning("OPC UA request refused", reason=reason, client=str(client)[:100])
 
     @property
     def total(self) -> int:
-        """How many there were."""
+        """The number of refusals of all reasons."""
         return self.by_reason.total()
 
 
 class ViewerSession(InternalSession):
-    """A session that reads. It belongs to the client whose channel made it."""
+    """Session of a client that only reads. It belongs to the connection that created it."""
 
     iserver: ViewerServer
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.items: dict[int, set[int]] = {}
-        """By subscription, its monitored items."""
+        """The ids of monitored items, by subscription."""
         self.key: Key | None = None
         self._certificate: bytes | None = None
         self.reads = asyncio.Event()
-        """Whether the client reads what it is sent."""
+        """Set while the client reads what it is sent."""
         self.reads.set()
         super().__init__(*args, **options)
 
     async def create_session(self, params: Any, sockname: Any = None) -> Any:
-        """Create it, for a client that shows a certificate with its own application URI."""
+        """Create the session of a client whose certificate has its application URI."""
         if not params.ClientCertificate:
             raise self.iserver.refusal("BadCertificateInvalid", self.name)
         self._certificate = params.ClientCertificate
         return await super().create_session(params, sockname)
 
     def activate_session(self, params: Any, peer_certificate: bytes | None) -> Any:
-        """Sign a program in, on the secure channel of the client that made the session."""
+        """Sign a program in by its token, on the secure channel of the client that created the session."""
         if peer_certificate is None or peer_certificate != self._certificate:
             raise self.iserver.refusal("BadSecurityChecksFailed", self.name)
         try:
@@ -154,7 +154,7 @@ class ViewerSession(InternalSession):
         return result
 
     async def close_session(self, delete_subs: bool = True) -> None:  # noqa: ARG002
-        """Close it with its subscriptions: they cannot be taken over by another session."""
+        """Close the session and its subscriptions, so that no other session can take these over."""
         await super().close_session(True)
         self.items.clear()
 
@@ -180,12 +180,12 @@ class ViewerSession(InternalSession):
     # --- nothing is changed ---
 
     async def write(self, params: Any) -> Any:
-        """Refuse each write."""
+        """Refuse to write."""
         self.iserver.refusals.note("write", self.name)
         return [ua.StatusCode(ua.StatusCodes.BadNotWritable) for _ in params.NodesToWrite]
 
     async def call(self, params: Any) -> Any:
-        """Refuse each call of a method."""
+        """Refuse to call methods."""
         self.iserver.refusals.note("call", self.name)
         denied = ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)
         return [ua.CallMethodResult(StatusCode=denied) for _ in params]
@@ -259,7 +259,8 @@ class ViewerSession(InternalSession):
         return [done.get(each, unknown) for each in ids]
 
     def publish(self, acks: Any = None) -> Any:
-        """Take acknowledgments of own subscriptions."""
+        """Acknowledge notifications of the session's own subscriptions; one of another session counts as
+        unknown."""
         self._forget_expired()
         if not self.items:
             raise ServiceError(ua.StatusCodes.BadNoSubscription)
@@ -278,18 +279,18 @@ class ViewerSession(InternalSession):
             raise ServiceError(ua.StatusCodes.BadSubscriptionIdInvalid)
 
     def _bound_queue(self, wanted: Any) -> None:
-        """A queue without a limit is one with ours."""
+        """Limit the queue of a monitored item; one without a limit gets ours."""
         wanted.QueueSize = min(max(1, wanted.QueueSize), MAX_QUEUE)
 
     async def _admit(self, wanted: Any, most: int) -> None:
-        """Wait until the client has read what it was sent, and refuse too much at once."""
+        """Wait until the client has read what it was sent; refuse a request for more than ``most`` nodes."""
         await self.reads.wait()
         if len(wanted) > most:
             raise self.iserver.refusal("BadTooManyOperations", self.name)
 
 
 class ViewerServer(InternalServer):
-    """The server of sessions that read."""
+    """Server whose sessions only read, with its certificate, its trust list and the tokens of programs."""
 
     def __init__(self, own: OwnCertificate, trust: TrustList, tokens: TokenList) -> None:
         super().__init__(Tokens(tokens))
@@ -309,17 +310,17 @@ class ViewerServer(InternalServer):
         self.max_lifetime_count, self.max_keep_alive_count = MAX_LIFETIME, MAX_KEEP_ALIVE
 
     def refusal(self, code: str, client: object = "") -> ServiceError:
-        """Note a refusal and return it, to be raised."""
+        """Count a refusal by its status code, and return the error to raise."""
         self.refusals.note(code, client)
         return ServiceError(getattr(ua.StatusCodes, code))
 
     @property
     def items(self) -> int:
-        """How many items are monitored."""
+        """The number of monitored items of all sessions."""
         return sum(len(items) for session in self.sessions.values() for items in session.items.values())
 
     def create_session(self, name: str, user: User | None = None, external: bool = False) -> ViewerSession:
-        """Create the one session of a connection."""
+        """Create the session of a connection, which may have one."""
         if len(self.sessions) >= MAX_SESSIONS or any(each.name == name for each in self.sessions.values()):
             raise self.refusal("BadTooManySessions", name)
         user = user or User(UserRole.Anonymous)
@@ -360,8 +361,8 @@ class ViewerServer(InternalServer):
 
 
 class TrustedPolicy(SecurityPolicyFactory):
-    """The one security policy of a connection, for clients that are trusted. ``refuse``: ends the connection
-    with a reason."""
+    """Security policy *Basic256Sha256* with *Sign & Encrypt*, for clients that are trusted. ``refuse``: ends
+    the connection with a reason."""
 
     def __init__(self, server: ViewerServer, refuse: Callable[[str], None]) -> None:
         mode = ua.MessageSecurityMode.SignAndEncrypt
@@ -370,11 +371,11 @@ class TrustedPolicy(SecurityPolicyFactory):
         )
         self._trust, self._refuse = server.trust, refuse
         self.peer: bytes | None = None
-        """The certificate of the client, once it was trusted."""
+        """The certificate of the client, after it was found to be trusted."""
 
     def matches(self, uri: str, mode: Any = None) -> bool:
-        """Return whether the policy is the one that a client wants. A channel without security is left to
-        the server, which lists its endpoints there and nothing else."""
+        """Return whether the policy is the one that a client wants. False for a channel without security, on
+        which the server lists its endpoints and nothing else."""
         if uri.endswith("#None"):
             return False
         if not super().matches(uri, mode):
@@ -406,7 +407,8 @@ def _is_valid_now(certificate: bytes) -> bool:
 
 
 class GuardedConnection(OPCUAProtocol):
-    """A connection of a client, bounded in what it sends, what it does not read, and how long it takes."""
+    """Connection of a client, limited in what it sends, what it does not read, and how long it takes to its
+    session."""
 
     def __init__(self, gate: Gate) -> None:
         super().__init__(gate.server, [], gate.connections, gate.closing, gate.limits)
@@ -441,7 +443,7 @@ class GuardedConnection(OPCUAProtocol):
             self.closing_tasks.append(asyncio.create_task(session.close_session(True)))
 
     def data_received(self, data: bytes) -> None:
-        """Take whole chunks of the protocol, each of a size that is allowed."""
+        """Pass each complete chunk on to asyncua; refuse what is no chunk, or too large."""
         if self.processor is None or self.transport is None or self.transport.is_closing():
             return
         self._received += data
@@ -461,7 +463,7 @@ class GuardedConnection(OPCUAProtocol):
             self._rest_after(size)
 
     def _rest_after(self, size: int) -> None:
-        """Read no more for a while from a client that asks too often, or too much."""
+        """Pause reading from a client that sends too many or too large requests."""
         pause = self._requests.pour(1.0 + size / REQUEST_BYTES, monotonic_now())
         if pause > 0.0 and self._resting is None and self.transport is not None:
             self._gate.server.refusals.note("rate", self.peer_name)
@@ -477,7 +479,7 @@ class GuardedConnection(OPCUAProtocol):
             self.transport.resume_reading()
 
     def pause_writing(self) -> None:
-        """Read no more from a client that does not read; give it up if that lasts."""
+        """Pause reading from a client that does not read; give it up if that lasts."""
         self._is_full = True
         if self.session is not None:
             self.session.reads.clear()
@@ -496,7 +498,7 @@ class GuardedConnection(OPCUAProtocol):
         self._read_again()
 
     def refuse(self, code: str) -> None:
-        """End the connection with an error that the client shows."""
+        """Send an error that the client shows, and close the connection."""
         self._gate.server.refusals.note(code, self.peer_name)
         if self.transport is not None and not self.transport.is_closing():
             error = ua.ErrorMessage(ua.StatusCode(getattr(ua.StatusCodes, code)), code)
@@ -504,14 +506,14 @@ class GuardedConnection(OPCUAProtocol):
             self.transport.close()
 
     def give_up(self, reason: str) -> None:
-        """End the connection without a word: nobody reads it."""
+        """Abort the connection of a client that does not read, or has no session."""
         self._gate.server.refusals.note(reason, self.peer_name)
         if self.transport is not None:
             self.transport.abort()
 
     @property
     def session(self) -> ViewerSession | None:
-        """Its session, if it is signed in."""
+        """The session of the connection, once a program has signed in; None before."""
         session = None if self.processor is None else self.processor.session
         return session if isinstance(session, ViewerSession) and session.is_activated() else None
 
@@ -528,7 +530,7 @@ def forget_loggers() -> None:
 
 @dataclass(eq=False)
 class Gate:
-    """The port of the server, with its connections."""
+    """Port of the OPC UA server, with its connections and their limits."""
 
     server: ViewerServer
     connections: list[GuardedConnection] = field(default_factory=list)
@@ -566,6 +568,6 @@ class Gate:
             connection.refuse("BadUserAccessDenied")
 
     def close(self) -> None:
-        """End all connections."""
+        """Close all connections, and tell the clients that the server ends."""
         for connection in tuple(self.connections):
             connection.refuse("BadServerHalted")

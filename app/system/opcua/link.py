@@ -29,8 +29,8 @@ class _Tagged(msgspec.Struct, frozen=True, tag_field="is"):
 
 
 class Begin(_Tagged, frozen=True, tag="begin"):
-    """First message to the process, with its settings. ``folder``: of its certificates; ``names``: of this
-    machine; ``buses``: the settings of each, as JSON."""
+    """First message to the process, with its settings. ``folder``: of the certificates; ``names``: of this
+    machine, for its certificate; ``buses``: the settings of each bus, as JSON."""
 
     site: str
     version: str
@@ -133,7 +133,7 @@ class Frames:
 
 
 def followed(updates: Iterable[Update]) -> list[Any]:
-    """Return what the process needs of updates; of the figures of a bus only how long a scan takes."""
+    """Return those updates that the process needs; of the figures of a bus only how long a scan takes."""
     found: list[Any] = []
     for update in updates:
         if isinstance(update, BusFigures):

@@ -73,7 +73,8 @@ def require_package() -> None:
 
 
 class OpcuaProcess:
-    """The process, as long as the server runs. ``alarms_of``: the standing alarms of a unit."""
+    """Runner of the OPC UA process: starts it, feeds it with the live state, watches it, and starts it again.
+    ``alarms_of``: the standing alarms of a unit."""
 
     def __init__(
         self,
@@ -97,7 +98,7 @@ class OpcuaProcess:
 
     @property
     def place(self) -> str:
-        """Where it listens, for people."""
+        """The address at which the process listens, for people."""
         return f"{self._begin.host}:{self._begin.port}"
 
     # --- what the line reports ---
@@ -107,7 +108,7 @@ class OpcuaProcess:
             self._updates[bus] += updates
 
     def note_alarm(self, alarm: Alarm) -> None:
-        """Note that an alarm changed."""
+        """Note that an alarm of a unit changed, for the next message to the process."""
         definition = alarm.definition
         if self._is_fed and definition.bus in self._updates and definition.unit is not None:
             self._changed_alarms.add((definition.bus, definition.unit))
@@ -115,7 +116,7 @@ class OpcuaProcess:
     # --- one process after the other ---
 
     async def follow(self) -> None:
-        """Keep a process until canceled."""
+        """Keep a process running until canceled."""
         delay = ReconnectDelay(random.random)
         while True:
             began = monotonic_now()
@@ -148,7 +149,7 @@ class OpcuaProcess:
             await cancel(tasks)
 
     async def end(self) -> None:
-        """End the process by the end of its input, and by SIGKILL after a while."""
+        """End the process by closing its input, and by SIGKILL if it does not end."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -162,7 +163,7 @@ class OpcuaProcess:
         await process.wait()
 
     async def _feed(self, process: Process) -> None:
-        """Send the complete state, then what changes."""
+        """Send the process the complete state of each bus, then what changes."""
         self._send(process, self._begin)
         for bus in self._buses:
             self._send(process, state_of(bus))
@@ -191,7 +192,8 @@ class OpcuaProcess:
         return UnitAlarms(bus, {unit: list(map(_standing, self._alarms_of(bus, unit))) for unit in units})
 
     def _send(self, process: Process, message: ToProcess) -> None:
-        """Write without waiting. Raises ProcessError for a process that does not read."""
+        """Write a message to the process without waiting. Raises ProcessError if the process does not
+        read."""
         pipe = process.stdin
         assert pipe is not None
         if pipe.transport.get_write_buffer_size() > MAX_UNREAD:
@@ -199,7 +201,7 @@ class OpcuaProcess:
         pipe.write(frame(message))
 
     async def _listen(self, process: Process) -> None:
-        """Take the statuses of the process. Raises ProcessError once it ends, or is silent."""
+        """Keep the newest status of the process. Raises ProcessError once it ends, or is silent."""
         assert process.stdout is not None
         frames, patience_s = Frames(from_process), SILENT_AT_START_S
         while True:
@@ -233,7 +235,7 @@ class OpcuaProcess:
             await asyncio.sleep(KEYS_EVERY_S)
 
     async def _note_use(self) -> None:
-        """Store that the tokens of the sessions were used."""
+        """Store when the tokens of open sessions were used last."""
         now, used = self._clock(), set(self.status.accounts)
         if not used:
             return
@@ -250,7 +252,7 @@ class OpcuaProcess:
 
     @property
     def to_do(self) -> Message | None:
-        """What an engineer has to do about it; None if nothing."""
+        """What an engineer has to do for OPC UA to work; None for nothing."""
         if self.fault is not None:
             return Message("opcua_check")
         if self.status.waiting:
@@ -258,7 +260,7 @@ class OpcuaProcess:
         return None
 
     def state(self) -> Message:
-        """State in a sentence how it does."""
+        """Return a sentence about whether OPC UA is served, and to how many sessions."""
         if self.fault is not None:
             return Message.of("opcua_lacks", reason=self.fault)
         if not self.status.is_serving:
@@ -288,6 +290,7 @@ def _keys(connection: StoreConnection) -> list[Key]:
 
 
 def _begin_group() -> None:
-    """Called in the new process: Ctrl-C reaches it through the server, and it yields to it."""
+    """Lower the priority of the new process, and take it out of the process group of the terminal, so that
+    Ctrl-C reaches it by the server."""
     os.setpgrp()
     os.nice(NICE)

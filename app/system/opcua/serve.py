@@ -48,7 +48,7 @@ log = structlog.get_logger()
 
 
 class Follower:
-    """The live state as the server reports it, and what of it is to be written."""
+    """Live state in the OPC UA process, and which units have changed since their nodes were written."""
 
     def __init__(self, live: LiveState) -> None:
         self.live = live
@@ -60,7 +60,7 @@ class Follower:
         self._links: dict[tuple[str, int], str] = {}
 
     def take(self, message: Changes | UnitAlarms | Keys) -> None:
-        """Apply what the server reports."""
+        """Apply a message of the server."""
         match message:
             case Changes():
                 self._apply(self.live.buses[message.bus], message)
@@ -80,7 +80,7 @@ class Follower:
         self._others |= {(name, unit) for unit in changed_by(bus, others)[0]}
 
     def judge_ages(self) -> None:
-        """Note the units whose link is another by now."""
+        """Note the units whose link state has changed by the time that passed."""
         now = unix_now()
         for name, bus in self.live.buses.items():
             for number, unit in bus.units.items():
@@ -90,7 +90,7 @@ class Follower:
                     self._others.add((name, number))
 
     def changed(self) -> list[tuple[tuple[str, int], bool]]:
-        """Return the units of which something is to be written, and whether more than their reading."""
+        """Return the units whose nodes are to be written, and whether more than their reading has changed."""
         found = [(place, place in self._others) for place in sorted(self._readings | self._others)]
         self._readings.clear()
         self._others.clear()
@@ -98,7 +98,8 @@ class Follower:
 
 
 async def serve(source: AsyncIterator[object], report: StatusPipe) -> None:
-    """Serve what ``source`` reports until it ends. Raises LinesideError if that is not possible."""
+    """Serve OPC UA clients with what the messages of ``source`` report, until it ends. Raises LinesideError
+    if that is not possible."""
     begin = await anext(source)
     assert isinstance(begin, Begin)
     buses = [BusSettings.model_validate_json(each) for each in begin.buses]
@@ -157,7 +158,7 @@ async def _follow(source: AsyncIterator[object], follower: Follower) -> None:
 
 
 async def _write(follower: Follower, nodes: LineNodes) -> None:
-    """Write what the server reports as soon as it does, and what only grows older every `TICK_S`."""
+    """Write the nodes of what the server has reported as soon as it has, and judge ages every `TICK_S`."""
     judge_at = monotonic_now()
     while True:
         now = unix_now()
@@ -173,7 +174,8 @@ async def _write(follower: Follower, nodes: LineNodes) -> None:
 
 
 class StatusPipe:
-    """Reports once a second how the process does. ``gate``: once it serves."""
+    """Writer of the status of the process to the server, once a second. ``gate``: set once clients are
+    served."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor

@@ -90,7 +90,7 @@ class UnitNodes:
 
 
 class LineNodes:
-    """The nodes of all buses."""
+    """Nodes of all buses in the address space of the server."""
 
     def __init__(self, server: Server, manufacturer: str, serial_number: str) -> None:
         self._server = server
@@ -101,7 +101,7 @@ class LineNodes:
     # --- build ---
 
     async def build(self, buses: Sequence[BusLive]) -> None:
-        """Make all nodes, a unit at a time."""
+        """Make the nodes of all buses, a unit at a time so that the process responds meanwhile."""
         self._di = await self._server.register_namespace(DEVICES)
         self._machinery = await self._server.register_namespace(MACHINERY)
         await self._build_types()

@@ -43,7 +43,7 @@ def configuration(folder: Path, url: str, more: str = "", name: str = "Mill 7", 
 
 @asynccontextmanager
 async def site(folder: Path, broker: Broker | Relay, more: str = "") -> AsyncIterator[House]:
-    """A site with a line of three units that respond."""
+    """Run a site with a line of three units that respond."""
     config = configuration(folder, f"mqtt://127.0.0.1:{broker.port}", more)
     async with complete_app(folder, config=config) as house:
         yield house
@@ -64,7 +64,7 @@ async def responding(worker: PlayedWorker) -> AsyncIterator[None]:
 
 
 def as_received(sent: Reading) -> tuple[int, float]:
-    """The time of a reading in ms, and its speed."""
+    """Return the time of a reading in ms, and its speed, as a host gets them."""
     return round(float(sent.at) * 1e6) // 1000, (sent.actual or 0) / 10
 
 

@@ -28,13 +28,13 @@ PASSWORD = "of the test"
 
 
 def block(begin: str) -> str:
-    """The one block that begins with a line."""
+    """Return the one block of the documentation that begins with a line."""
     (found,) = (text for _, text in BLOCKS if text.startswith(begin))
     return str(found)
 
 
 async def genuine(tmp_path: Path) -> bytes:
-    """The document of a line, as the broker has it."""
+    """Return the document of a line, as the broker has it."""
     async with running(tmp_path) as broker, broker.client() as reader:
         await reader.subscribe(f"{LINES}/+/+")
         async with site(tmp_path / "site", broker) as house:
@@ -70,7 +70,7 @@ async def test_the_function_of_node_red_runs(tmp_path: Path) -> None:
 
 @pytest.fixture
 def broker(tmp_path: Path) -> Broker:
-    """A broker with the documented rules, for another server too, and one who may read everything."""
+    """Run a broker with the documented rules, for another server too, and one who may read everything."""
     mill7 = block("user mill7")
     mill8 = mill7.replace("mill7", "mill8").replace("Mill 7", "Mill 8")
     (tmp_path / "acl").write_text(f"{mill7}\n{mill8}\n{block('user scada')}\nuser observer\ntopic read #\n")

@@ -39,7 +39,7 @@ async def feed(worker: PlayedWorker, sent: list[Reading], rounds: int) -> None:
 
 
 def received(host: Host, unit: int) -> list[tuple[int, object]]:
-    """The speeds of a unit that a host was given, by their time."""
+    """Return the speeds of a unit that a host was given, by their time."""
     return sorted((at, value) for at, value, _ in host.readings[f"Unit {unit}", "Speed/Actual"])
 
 
@@ -60,7 +60,7 @@ def is_faulty(status: session.NodeStatus) -> bool:
 
 
 async def test_each_reading_comes_once_over_losses(tmp_path: Path) -> None:
-    """It is in order too: what was missed, and what is of the present."""
+    """Each reading of a line comes once and in order, over losses of the connection."""
     host = Host("dry-end", "Mill 7")
     async with running(tmp_path) as broker, listening(broker, host):
         relay = Relay(broker)
@@ -94,7 +94,7 @@ async def test_each_reading_comes_once_over_losses(tmp_path: Path) -> None:
 
 
 async def test_a_broker_that_drops_every_second_connection_is_followed(tmp_path: Path) -> None:
-    """The screen and the history never wait for it."""
+    """Screen and history go on while every second connection to the broker is cut."""
     host = Host("dry-end", "Mill 7")
     async with running(tmp_path) as broker, listening(broker, host):
         relay = Relay(broker, is_cut=lambda number: number % 2 == 1)
@@ -133,7 +133,7 @@ async def test_a_host_that_floods_rebirth_gets_one(tmp_path: Path) -> None:
 
 
 async def test_two_servers_of_one_name_are_told_so(tmp_path: Path) -> None:
-    """Neither is ended by it."""
+    """Two servers with one client id are told so, and both go on."""
     async with (
         running(tmp_path) as broker,
         site(tmp_path / "first", broker) as first,

@@ -54,7 +54,7 @@ def command(name: str, value: bool = True) -> bytes:
 
 
 class Line:
-    """A node and the host that follows it."""
+    """An edge node and a host that follows it."""
 
     def __init__(self, deadbands: Deadbands | None = None) -> None:
         self.now = BEGIN
@@ -246,14 +246,15 @@ def test_payloads_are_read_by_another_decoder(alias: int, number: float, text: s
 
 
 def wrapped(kind: DataType, value: int) -> int:
-    """A negative integer as the unsigned one that is sent."""
+    """Return a negative integer as the unsigned one that is sent."""
     small, large = ("<i", "<I") if kind == DataType.INT32 else ("<q", "<Q")
     found: int = struct.unpack(large, struct.pack(small, value))[0]
     return found
 
 
 class NodeMachine(RuleBasedStateMachine):
-    """Whatever happens on the line, the host knows the same of it as the server after each message."""
+    """State machine: whatever happens on the line, the host knows the same of it as the server after each
+    message."""
 
     @initialize()
     def begin(self) -> None:

@@ -29,7 +29,7 @@ topic lineside/v1/lines/# out 1
 
 @asynccontextmanager
 async def overview(folder: Path, broker: Broker) -> AsyncIterator[tuple[House, LineBoard]]:
-    """A server without a line of its own, which shows those of the broker."""
+    """Run a server without a line of its own, which shows those of the broker."""
     url = f"mqtt://127.0.0.1:{broker.port}"
     config = configuration(folder, url, "overview = true", "Plant", bus=False)
     async with complete_app(folder, config=config) as house:
@@ -37,7 +37,7 @@ async def overview(folder: Path, broker: Broker) -> AsyncIterator[tuple[House, L
 
 
 def is_live(board: LineBoard) -> bool:
-    """Whether every line is of the present, and there is one."""
+    """Return whether there are lines and all are of the present."""
     lines = board.lines()
     return bool(lines) and not any(line.is_stale for line in lines)
 
@@ -88,7 +88,7 @@ async def test_a_server_with_lines_does_not_show_its_own_twice(tmp_path: Path) -
 
 
 async def test_a_foreign_document_is_not_shown_as_ours(tmp_path: Path) -> None:
-    """What it says of itself counts only as far as its topic agrees, which the broker's rules permit."""
+    """A document is shown under the group and bus of its topic, whatever it says of itself."""
     async with running(tmp_path) as broker, overview(tmp_path / "overview", broker) as (_, board):
         async with site(tmp_path / "site", broker), broker.client() as other:
             await until(lambda: is_live(board), "the line is shown")
@@ -109,8 +109,8 @@ async def test_a_foreign_document_is_not_shown_as_ours(tmp_path: Path) -> None:
 
 
 async def test_two_copies_behind_bridged_brokers(tmp_path: Path) -> None:
-    """The line is on the broker of its mill, which hands it to that of the plant; of two overviews there, one
-    ends, and the broker of the mill is killed."""
+    """Two overviews on the broker of the plant show a line on the broker of its mill; one overview ends, then
+    the broker of the mill is killed."""
     for name in ("mill", "plant"):
         (tmp_path / name).mkdir()
     plant, mill = Broker(tmp_path / "plant"), Broker(tmp_path / "mill")

@@ -26,13 +26,13 @@ IN_CLEAR = "allow_anonymous true"
 
 
 def with_tls(folder: Path, name: str = "server") -> str:
-    """The lines of a broker that shows a certificate, and takes those of its own authority."""
+    """Return the configuration of a broker that shows a certificate, and takes those of its own authority."""
     files = f"cafile {folder}/ca.pem\ncertfile {folder}/{name}.pem\nkeyfile {folder}/{name}.key"
     return f"{files}\nrequire_certificate true\nuse_identity_as_username true"
 
 
 async def refusal(settings: MqttSettings) -> str:
-    """Why a connection cannot be made, in words; empty where it is."""
+    """Return why a connection cannot be made; empty where it can."""
     try:
         async with connected(settings, "test") as client:
             await client.publish("test", b"", qos=1)
@@ -83,7 +83,7 @@ async def test_tls_on_one_side_only_is_named(tmp_path: Path, monkeypatch: pytest
 
 
 async def test_a_line_is_published_over_tls(tmp_path: Path) -> None:
-    """Beside the listener with TLS the broker has one in clear, on which the host listens."""
+    """A line is published over TLS; the host listens to the same broker in clear."""
     host = Host("dry-end", "Mill 7")
     files = certificates(tmp_path / "files")
     secure = free_port()

@@ -1,4 +1,4 @@
-"""What bounds a connection of an OPC UA client, with a transport that the test plays."""
+"""Limits of a connection of an OPC UA client, with a transport that the test plays."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def process_of(house: House) -> OpcuaProcess:
 
 @asynccontextmanager
 async def site(folder: Path, port: int) -> AsyncIterator[House]:
-    """A site that serves OPC UA, with a token for programs and one that is only for a worker."""
+    """Run a site that serves OPC UA, with a token for programs and one that is only for a worker."""
     async with complete_app(folder, config=configuration(folder, port)) as house:
         key = Token(0, TOKEN, Role.VIEWER, "test", UnixTime(0.0), None)
         worker = Token(0, "cabinet", Role.WORKER, "test", UnixTime(0.0), None, "dry-end")
@@ -120,7 +120,7 @@ async def test_a_client_reads_what_the_units_report_also_after_the_process_was_k
 
 
 def pid_of(port: int) -> int:
-    """The process of this test that listens at a port."""
+    """Return the OPC UA process that this test has started."""
     for entry in Path(f"/proc/{os.getpid()}/task").iterdir():
         for child in (entry / "children").read_text().split():
             if b"app.cli.opcua" in Path(f"/proc/{child}/cmdline").read_bytes():

@@ -50,7 +50,7 @@ ACTUAL = ua.NodeId("dry-end/1/Speed/Actual", OWN)
 
 @dataclass
 class Site:
-    """A server and a client that it trusts. ``folder``: of the client's certificate."""
+    """An OPC UA process and a client that it trusts. ``folder``: of the certificate of the client."""
 
     server: OpcuaServer
     client: OwnCertificate
@@ -168,7 +168,7 @@ async def test_the_quality_of_a_value_follows_its_age(site: Site) -> None:
 
 
 class Changes:
-    """What a subscription delivers."""
+    """Subscriber that keeps the values of a subscription."""
 
     def __init__(self) -> None:
         self.values: list[object] = []
@@ -246,7 +246,8 @@ async def test_without_security_only_the_endpoint_is_told(site: Site) -> None:
 
 
 async def test_a_session_is_not_taken_over_by_its_number(site: Site) -> None:
-    """asyncua numbers its sessions, so that another client can guess their tokens."""
+    """A session cannot be used from another connection, though asyncua numbers sessions so that their tokens
+    can be guessed."""
     async with site.connected(), AsyncExitStack() as stack:
         thief = Client(site.server.url, timeout=5)
         await thief.connect_sessionless()
@@ -345,7 +346,7 @@ async def test_what_is_no_message_ends_its_connection_at_once(site: Site, data: 
 
 
 async def test_a_connection_without_a_session_ends(site: Site) -> None:
-    """Half-open: a client that says nothing, and one that stops within a message."""
+    """A connection ends that says nothing, or stops within a message."""
     nothing, half = await asyncio.gather(raw(site, b""), raw(site, b"HELF" + struct.pack("<I", 40) + b"\x00"))
     assert (nothing, half) == (b"", b"")
 
@@ -363,7 +364,7 @@ async def test_connections_of_an_address_are_bounded(site: Site) -> None:
 
 
 async def reads_on(site: Site) -> None:
-    """Assert that another client reads what is reported now."""
+    """Assert that a new client reads what is reported now."""
     actual = 100 + int(float(unix_now())) % 1000
     site.server.report(*scales(1, unix_now()), *responds(1, unix_now(), actual=actual))
     async with site.connected() as client:
@@ -462,7 +463,7 @@ async def test_node_opcua_reads_the_line(site: Site) -> None:
 
 @pytest.mark.soak
 async def test_gopcua_reads_the_line(site: Site, tmp_path: Path) -> None:
-    """Its module is fetched, and built in a minute."""
+    """gopcua reads the line; its module is fetched and built, which takes a minute."""
     go = shutil.which("go") or shutil.which("go", path="/usr/local/go/bin")
     if go is None:
         pytest.skip("Go is not installed")
