@@ -133,6 +133,9 @@ def _config(app: ASGIApp, gates: Gates) -> Config:
         ws="websockets-sansio",
         ws_per_message_deflate=False,
         ws_max_size=MAX_MESSAGE_BYTES,
+        # Pages and workers send by themselves, and are given up where they do not (app.line.live.hub,
+        # app.line.feed.bus_feed). On a busy machine, late pings ended connections that worked.
+        ws_ping_interval=None,
         access_log=False,
         proxy_headers=False,  # app.core.server.addresses does it, for the proxies that are named
         log_config=None,

@@ -8,6 +8,8 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
+from app.line.live.browser import Browser
+from app.line.live.hub import Hub
 from app.system.configuration.service import SystemsBeside
 from app.system.mqtt.node import LINES
 from app.system.peers.board import LineBoard, LineTiles
@@ -15,7 +17,7 @@ from bus.messages import in_english
 from tests.app.broker import Broker, running
 from tests.app.complete_app import House, complete_app
 from tests.app.fake_worker import until
-from tests.app.system.test_mqtt_broker import configuration, connected, node_of, site
+from tests.app.system.test_mqtt_broker import configuration, connected, site
 
 BRIDGE = """allow_anonymous true
 connection plant
@@ -66,15 +68,29 @@ async def test_an_overview_shows_the_lines_of_the_broker_with_their_age(tmp_path
             await until(lambda: not board.lines(), "a line that was taken away is gone")
 
 
-async def test_a_document_that_the_broker_kept_is_not_of_the_present(tmp_path: Path) -> None:
+async def quality_on_page(house: House) -> str:
+    """Return how a page that opens now is shown the one line."""
+    browser, hub = Browser("ann", "viewer", "en"), house.services[Hub]
+    hub.join(browser)
+    hub.follow(browser, (), "", lines=True)
+    messages = [json.loads(text) for text in await browser.next()]
+    (line,) = (fields for message in messages if message["is"] == "lines" for fields in message["f"].values())
+    return str(line["quality"])
+
+
+async def test_the_pages_of_a_copy_that_is_gone_are_shown_the_truth_by_another(tmp_path: Path) -> None:
+    """A copy keeps nothing: another one has the document that the broker kept, which is not of the present,
+    until the next one."""
     async with running(tmp_path) as broker:
-        async with site(tmp_path / "site", broker) as house:
-            await connected(house)
-            await until(lambda: (node_of(house).backlog or 0) and node_of(house).status.sent > 0, "sent")
-            await asyncio.sleep(1.2)
-        async with overview(tmp_path / "overview", broker) as (house, board):
+        async with site(tmp_path / "site", broker), overview(tmp_path / "first", broker) as (first, board):
+            await until(lambda: is_live(board), "the line is shown")
+            assert await quality_on_page(first) == "live"
+        async with overview(tmp_path / "second", broker) as (second, board):
             await until(board.lines, "the document is read")
-            assert [line.is_stale for line in board.lines()] == [True]
+            assert await quality_on_page(second) == "stale"
+            async with site(tmp_path / "site", broker):
+                await until(lambda: is_live(board), "the line is published again")
+                assert await quality_on_page(second) == "live"
 
 
 async def test_a_server_with_lines_does_not_show_its_own_twice(tmp_path: Path) -> None:
