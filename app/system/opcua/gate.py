@@ -48,7 +48,7 @@ MIN_PUBLISHING_MS, MAX_PUBLISHING_MS = 100.0, 60_000.0
 MAX_QUEUE = 20
 MAX_UNCONFIRMED = 10
 MAX_LIFETIME, MAX_KEEP_ALIVE = 3_000, 1_000
-MAX_CHUNK, MAX_MESSAGE = 65_535, 1_048_576
+MIN_CHUNK, MAX_CHUNK, MAX_MESSAGE = 16, 65_535, 1_048_576
 MAX_UNREAD = 1_048_576
 """Bytes that a client has not read; it is read from no more until it has."""
 READ_WITHIN_S = 10.0
@@ -56,9 +56,8 @@ REQUESTS_PER_S, MAX_REQUESTS_AT_ONCE = 200.0, 1_000.0
 REQUEST_BYTES = 1_024
 """A message counts as one request for each of so many bytes."""
 MAX_PENDING = 20
-MAX_READS, MAX_BROWSES, MAX_PATHS, MAX_PATH = 1_000, 100, 500, 20
+MAX_READS, MAX_BROWSES, MAX_PATH = 1_000, 100, 20
 MAX_REFERENCES = 5_000
-_KINDS = (b"HEL", b"OPN", b"MSG", b"CLO")
 SWEEP_S = 2.0
 LOGGERS = "asyncua.server.monitored_item_service."
 log = structlog.get_logger()
@@ -172,7 +171,7 @@ class ViewerSession(InternalSession):
         return results
 
     async def translate_browsepaths_to_nodeids(self, params: Any) -> Any:
-        await self._admit(params, MAX_PATHS)
+        await self._admit(params, MAX_READS)
         if any(not 0 < len(path.RelativePath.Elements) <= MAX_PATH for path in params):
             raise self.iserver.refusal("BadTooManyOperations", self.name)
         return await super().translate_browsepaths_to_nodeids(params)
@@ -214,8 +213,6 @@ class ViewerSession(InternalSession):
         of_session = sum(map(len, self.items.values()))
         if of_session + wanted > MAX_ITEMS_OF_SESSION or self.iserver.items + wanted > MAX_ITEMS:
             raise self.iserver.refusal("BadTooManyMonitoredItems", self.name)
-        for item in params.ItemsToCreate:
-            self._bound_queue(item.RequestedParameters)
         results = await super().create_monitored_items(params)
         made = self.items[params.SubscriptionId]
         made.update(result.MonitoredItemId for result in results if result.StatusCode.is_good())
@@ -224,7 +221,8 @@ class ViewerSession(InternalSession):
     async def modify_monitored_items(self, params: Any) -> Any:
         self._check_own(params.SubscriptionId)
         for item in params.ItemsToModify:
-            self._bound_queue(item.RequestedParameters)
+            wanted = item.RequestedParameters
+            wanted.QueueSize = min(max(1, wanted.QueueSize), MAX_QUEUE)
         return await super().modify_monitored_items(params)
 
     async def delete_monitored_items(self, params: Any) -> Any:
@@ -278,10 +276,6 @@ class ViewerSession(InternalSession):
         if subscription not in self.items:
             raise ServiceError(ua.StatusCodes.BadSubscriptionIdInvalid)
 
-    def _bound_queue(self, wanted: Any) -> None:
-        """Limit the queue of a monitored item; one without a limit gets ours."""
-        wanted.QueueSize = min(max(1, wanted.QueueSize), MAX_QUEUE)
-
     async def _admit(self, wanted: Any, most: int) -> None:
         """Wait until the client has read what it was sent; refuse a request for more than ``most`` nodes."""
         await self.reads.wait()
@@ -301,7 +295,7 @@ class ViewerServer(InternalServer):
         self.allow_remote_admin = False
         self.supported_tokens = (ua.UserNameIdentityToken,)
         self.min_session_timeout_ms, self.max_session_timeout_ms = MIN_SESSION_MS, MAX_SESSION_MS
-        self.max_pending_activation_seconds = SIGN_IN_S
+        self.max_pending_activation_seconds = 0.0  # `Gate.sweep` ends those too that do not read
         self.max_connections = MAX_CONNECTIONS
         self.max_pending_messages_per_connection = MAX_PENDING
         self.max_subscriptions = MAX_SUBSCRIPTIONS
@@ -449,10 +443,8 @@ class GuardedConnection(OPCUAProtocol):
         self._received += data
         while len(self._received) >= 8:
             size = int.from_bytes(self._received[4:8], "little")
-            if bytes(self._received[:3]) not in _KINDS or size < 16:
-                self.refuse("BadTcpMessageTypeInvalid")
-                return
-            if size > MAX_CHUNK:
+            # What is not of this protocol, such as a request of HTTP or TLS, has an absurd size here.
+            if not MIN_CHUNK <= size <= MAX_CHUNK:
                 self.refuse("BadTcpMessageTooLarge")
                 return
             if len(self._received) < size:
