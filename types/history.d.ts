@@ -149,20 +149,13 @@ type View = import("../static/js/trends-view.js").View;
 /** The time at a place of the window, in pixels from its left edge. */
 type TimeAt = (clientX: number) => number;
 
-/** How the alarms of a priority are drawn; `shape`: the path of an outline within 1 × 1. Colours by name. */
-interface AlarmLook {
-  number: string;
-  fill: string;
-  ink: string;
-  shape: string;
-}
-
-/** An alarm where it is drawn, in pixels of the canvas; `label`: whose it is and what, where there is room. */
-interface PlacedAlarm extends AlarmLook {
+/** An alarm where it is drawn, in percent of the span; `label`: whose it is and what, `index`: its place in the list. */
+interface PlacedAlarm extends Alarm {
+  index: number;
   row: number;
   x: number;
-  until: number;
-  place: string;
+  end: number;
+  room: number;
   label: string;
 }
 

@@ -2,7 +2,6 @@
 import { now } from "./clock.js";
 import { fetchAlarms, fetchMarks } from "./history-requests.js";
 import { formatTime } from "./site-time.js";
-import { alarmContent } from "./trends-alarms.js";
 import { Catalogue } from "./trends-catalogue.js";
 import { comparison, moved } from "./trends-compare.js";
 import { bindControls, showControls } from "./trends-controls.js";
@@ -12,7 +11,7 @@ import { Legend } from "./trends-legend.js";
 import { isBit } from "./trends-look.js";
 import { bindNotes, noteContent } from "./trends-notes.js";
 import { Picture } from "./trends-plot.js";
-import { clearList, drawCursors, drawList, drawRows, eventContent, fineness, summaryText, valuesText } from "./trends-table.js";
+import { alarmContent, clearList, drawCursors, drawList, drawRows, eventContent, fineness, summaryText, valuesText } from "./trends-table.js";
 import { length, shortTime } from "./trends-time.js";
 import { View } from "./trends-view.js";
 
@@ -234,14 +233,14 @@ export class TrendsPage {
     this.drawAll();
   }
 
-  /** Open the list at the alarm or note that is above the curves at a place of the screen; whether one is.
+  /** Open the list at the alarm or note that was pressed above the curves; whether one was.
    * @param {MouseEvent} event */
-  openItem({ clientX, clientY }) {
-    const found = this.picture.itemAt(clientX, clientY);
-    if (!found) return false;
-    const [list] = listOf(found.list);
+  openItem({ target }) {
+    const item = /** @type {HTMLElement} */ (target).closest("[data-list]");
+    if (!item) return false;
+    const [list] = listOf(/** @type {"alarms" | "notes"} */ (item.dataset.list));
     /** @type {HTMLDetailsElement} */ (list.closest("details")).open = true;
-    list.querySelectorAll("button")[found.place]?.focus();
+    list.querySelectorAll("button")[Number(item.dataset.index)]?.focus();
     return true;
   }
 

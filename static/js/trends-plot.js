@@ -3,7 +3,7 @@ import { zone } from "./clock.js";
 import { joined } from "./trends-data.js";
 import { drawLabels, lastValue } from "./trends-labels.js";
 import { colour, css, DIMMED, forgetColors, isBit, look, PAST } from "./trends-look.js";
-import { drawOverlay, laneItem, lanesHeight } from "./trends-overlay.js";
+import { lanesHeight, overlayPlugin } from "./trends-overlay.js";
 import { axisLabels, axisNumbers } from "./trends-time.js";
 
 const LANE = 30;
@@ -174,6 +174,7 @@ export class Picture {
       series.push(...strokes(result, scaleOf(result), lanes > 0));
     }
     const range = () => this.range;
+    const shown = () => ({ overlay: this.overlay(), span: this.range, unknown: results.length ? this.unknown : [] });
     const above = () => {
       this.above = lanesHeight(this.overlay(), this.range);
       return this.above;
@@ -207,14 +208,9 @@ export class Picture {
       hooks: {
         setCursor: [(plot) => this.on.cursor(cursorAt(plot))],
         setSelect: [(plot) => this.selected(plot)],
-        draw: [
-          (plot) => {
-            const words = lanes ? null : this.words;
-            drawOverlay(plot, this.overlay(), this.range, results.length ? this.unknown : [], words);
-            if (!lanes) drawLabels(plot, this.ends(scaleOf), margin.right);
-          },
-        ],
+        draw: [(plot) => !lanes && drawLabels(plot, this.ends(scaleOf), margin.right)],
       },
+      plugins: [overlayPlugin(shown, lanes ? null : this.words)],
       tzDate: (seconds) => uPlot.tzDate(new Date(seconds * 1000), zone),
     };
     return new uPlot(options, [[]], element);
@@ -257,14 +253,6 @@ export class Picture {
     if (!this.curves) return (this.range[0] + this.range[1]) / 2;
     const box = this.curves.over.getBoundingClientRect();
     return this.curves.posToVal(clientX - box.left, "x");
-  }
-
-  /** The alarm or note at a place of the screen above the curves.
-   * @param {number} clientX @param {number} clientY */
-  itemAt(clientX, clientY) {
-    if (!this.curves) return null;
-    const { left, top } = this.curves.over.getBoundingClientRect();
-    return clientY < top ? laneItem(this.curves, this.overlay(), clientX - left) : null;
   }
 
   /** Put the cursor on a time.

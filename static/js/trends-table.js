@@ -147,3 +147,17 @@ export function eventContent(mark, place) {
   const until = mark.until === null ? "" : ` – ${formatTime(mark.until)}`;
   return [`${formatTime(mark.t)}${until} · ${where}${what}${change}${mark.who ? ` (${mark.who})` : ""}`];
 }
+
+/** An alarm in a list. `words` has the priorities and `active`.
+ * @param {Alarm} alarm @param {TrendWords} words */
+export function alarmContent({ t, until, priority, place, name }, words) {
+  const mark = document.createElement("span");
+  mark.className = "alarm-priority alarm-priority--word";
+  mark.dataset.is = priority;
+  const shape = document.createElement("i");
+  shape.className = "alarm-priority__shape";
+  shape.ariaHidden = "true";
+  mark.append(shape, words[priority] ?? "");
+  const end = until === null ? words.active : formatTime(until);
+  return [mark, `${formatTime(t)} – ${end} · ${place && `${place} · `}${name}`];
+}

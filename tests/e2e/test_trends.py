@@ -66,10 +66,6 @@ STROKES = """canvas => {
   };
   return Object.fromEntries([11, 51, 91].map((part) => [part, strokes(part)]));
 }"""
-URGENT_PIXELS = """canvas => {
-  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-  return data.filter((value, i) => i % 4 === 0 && value > 180 && data[i + 1] < 50 && data[i + 2] < 50).length;
-}"""
 NOTHING = "\N{EN DASH}"
 PHONE = {"width": 360, "height": 740}
 
@@ -343,13 +339,13 @@ def test_an_alarm_is_marked_in_the_picture_and_listed(site: Site, shared_page: O
     try:
         eventually(marked, "the alarm in the journal")
         page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/2/actual&span=600")
-        page.locator("#trend-alarms summary").click()
         listed = page.locator("#trend-alarms-list li").filter(has_text="Emergency stop")
         expect(listed.first).to_contain_text("urgent")
-        canvas = page.locator("#trend-plot canvas")
-        eventually(lambda: canvas.evaluate(URGENT_PIXELS) > 0, "the mark")
+        mark = page.locator("#trend-plot .trends__alarm[data-is=urgent]").last
+        mark.locator(".alarm-priority__shape").click()
+        expect(page.locator("#trend-alarms-list button:focus")).to_contain_text("Emergency stop")
         page.locator("#trend-marks").uncheck()
-        eventually(lambda: canvas.evaluate(URGENT_PIXELS) == 0, "no mark")
+        expect(mark).to_have_count(0)
     finally:
         site.line.remote.do("input", unit=2, input="estop", on=False)
 

@@ -4,25 +4,24 @@ import { test } from "node:test";
 import { openPage } from "./page.js";
 
 openPage();
-const { alarmRows, placed } = await import("../../static/js/trends-alarms.js");
+const { alarmRows, placed } = await import("../../static/js/trends-overlay.js");
 
 const alarm = (priority, t, until) => ({ priority, t, until });
-const drawn = (alarms) =>
-  placed(alarms, [100, 200], (seconds) => seconds - 100).map(({ number, row, x, until }) => [number, row, x, until]);
+const drawn = (alarms) => placed(alarms, [100, 200]).map(({ priority, row, x, end, room }) => [priority, row, x, end, room]);
 
 test("each is drawn from where it began to where it ended, within the span", () => {
   assert.deepEqual(drawn([alarm("low", 50, 120), alarm("low", 130, 140), alarm("low", 180, null)]), [
-    ["4", 0, 0, 20],
-    ["4", 0, 30, 40],
-    ["4", 0, 80, 100],
+    ["low", 0, 0, 20, 10],
+    ["low", 0, 30, 40, 40],
+    ["low", 0, 80, 100, 0],
   ]);
   assert.deepEqual(drawn([alarm("low", 50, 100), alarm("low", 200, null)]), []);
 });
 
 test("the rows are those of the priorities that occur, and the most important is drawn last", () => {
   assert.deepEqual(drawn([alarm("urgent", 110, 120), alarm("medium", 110, 120), alarm("high", 10, 20)]), [
-    ["3", 1, 10, 20],
-    ["1", 0, 10, 20],
+    ["medium", 1, 10, 20, 80],
+    ["urgent", 0, 10, 20, 80],
   ]);
 });
 
