@@ -38,7 +38,8 @@ settings.load_profile("lineside")
 pytest_plugins = ["tests.processes"]
 
 COMPLETE_SITES = {"e2e", "path"}
-HISTORY_MIGRATIONS = MIGRATIONS.parents[1] / "history" / "migrations"
+APP = MIGRATIONS.parents[2]
+STORES = (MIGRATIONS, APP / "line" / "history" / "migrations", APP / "records" / "handover" / "migrations")
 
 
 MEMORY = Path("/dev/shm")
@@ -75,6 +76,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         draw_once()
     gc.collect()
     gc.freeze()
+    # To look often for what tests leave behind takes a thirtieth of their time.
+    gc.set_threshold(10_000, 20, 20)
     gc.enable()
 
 
@@ -118,7 +121,7 @@ def catalogs_compiled_once() -> Iterator[None]:
 def stores_made_once() -> Iterator[None]:
     """A new store is a copy of one that has taken all its steps, and none waits for the disk: no test of this
     process ends its power supply. The processes that tests start and kill write as they do everywhere."""
-    models = {folder: model_of(folder) for folder in (MIGRATIONS, HISTORY_MIGRATIONS)}
+    models = {folder: model_of(folder) for folder in STORES}
     open_for_writing = app.core.database.database.open_for_writing
 
     def copy_if_new(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
@@ -148,7 +151,9 @@ def model_of(folder: Path) -> tuple[sqlite3.Connection, list[Migration]]:
     """A store in memory that has taken the steps of a folder, and these steps."""
     model = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
     model.execute("PRAGMA auto_vacuum = INCREMENTAL")
-    return model, bring_up_to_date(model, Path("model"), folder)
+    taken = bring_up_to_date(model, Path("model"), folder)
+    assert taken, folder
+    return model, taken
 
 
 @pytest.fixture(scope="session", autouse=True)

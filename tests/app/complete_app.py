@@ -15,7 +15,6 @@ from contextlib import asynccontextmanager, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from unittest.mock import AsyncMock
 
 import httpx
 import pytest
@@ -274,6 +273,10 @@ async def complete_app(
             await house.close()
 
 
+async def _nothing_newest(*_: object) -> None:
+    """As of a history that stores nothing."""
+
+
 @asynccontextmanager
 async def commands_app(folder: Path, *, control: bool = False) -> AsyncIterator[House]:
     """Run the features up to the commands, with three units. Any person may do what their role allows,
@@ -282,7 +285,7 @@ async def commands_app(folder: Path, *, control: bool = False) -> AsyncIterator[
         # Opening its store is a third of what such an app costs.
         for name in ("start", "append", "close"):
             patch.setattr(History, name, lambda *_: None)
-        patch.setattr(History, "newest", AsyncMock(return_value=None))
+        patch.setattr(History, "newest", _nothing_newest)
         options: dict[str, Any] = {"bus": bus_settings(), "features": UP_TO_COMMANDS, "control": control}
         async with complete_app(folder, **options) as house:
             house.services[Rights].check = house.rights.check  # type: ignore[method-assign]

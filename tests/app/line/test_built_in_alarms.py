@@ -21,6 +21,7 @@ from bus.instants import Monotonic, UnixTime
 from tests.app.alarm_bus import AT_SPEED, REMOTE, AlarmBus
 from tests.app.alarm_model import FOREVER, ModelAlarm
 from tests.app.notification_servers import certificate
+from tests.sizes import sizes
 
 CODES = (
     "unit_offline link_degraded estop_active not_at_speed deviation running_without_run ratio_out_of_limits "
@@ -54,7 +55,7 @@ def model_of(code: str) -> ModelAlarm:
     ("code", "abnormal"),
     [("deviation", {"actual": 1150}), ("analog_out_of_limits", {"analog": 255})],
 )
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", sizes(0, 1, 2, 3, 4))
 def test_a_random_history_of_readings_equals_the_model(
     bus: AlarmBus, code: str, abnormal: dict[str, int], seed: int
 ) -> None:

@@ -316,7 +316,10 @@ ACTS = st.lists(
 )
 
 
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=settings.default.max_examples // 8,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(acts=ACTS)
 async def test_random_acts_between_readings_leave_the_alarms_that_a_model_has(
     tmp_path_factory: pytest.TempPathFactory, acts: list[tuple[str, int, int]]

@@ -312,7 +312,7 @@ def test_every_text_is_judged(text: str) -> None:
 
 def test_a_random_password_is_never_easy() -> None:
     random, signs = Random(1), string.ascii_letters + string.digits
-    assert not any(is_easy_password("".join(random.choices(signs, k=16))) for _ in range(2_000))
+    assert not any(is_easy_password("".join(random.choices(signs, k=16))) for _ in range(500))
 
 
 ANN = Attempt("ann", "192.0.2.1")

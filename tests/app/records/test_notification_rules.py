@@ -206,6 +206,11 @@ def filled_in(roster: DutyRoster) -> list[set[str]]:
     return week
 
 
+FEW = settings(max_examples=settings.default.max_examples // 3)
+"""Each example fills a week in, minute by minute."""
+
+
+@FEW
 @given(st.lists(periods, max_size=3), st.integers(0, 7 * DAY - 1))
 def test_people_on_duty_equal_a_week_filled_in(several: list[DutyPeriod], minute: int) -> None:
     roster = DutyRoster(periods=tuple(several))
@@ -215,6 +220,7 @@ def test_people_on_duty_equal_a_week_filled_in(several: list[DutyPeriod], minute
     assert set(roster.on_duty(local)) == (week[minute] or set(roster.addresses()))
 
 
+@FEW
 @given(st.lists(periods, min_size=1, max_size=3))
 def test_gaps_are_the_minutes_that_have_no_one(several: list[DutyPeriod]) -> None:
     roster = DutyRoster(periods=tuple(several))

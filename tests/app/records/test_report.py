@@ -247,7 +247,7 @@ def read_units(shelf: Shelf, span: tuple[int, int]) -> list[UnitReport]:
     return [shelf.database.read_now(lambda c, unit=unit: report.read(c, shelf.tail, unit)) for unit in (1, 2)]  # type: ignore[misc]
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=settings.default.max_examples // 3)
 @given(
     st.lists(
         st.tuples(
