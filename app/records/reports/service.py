@@ -221,6 +221,8 @@ def _at(text: str) -> datetime:
 
 
 STYLE = "css/pages/report-document.css"
+_MAX_STOPS = 200
+"""Stops that a page or a file has, the newest; the CSV has all."""
 
 
 class ReportDocuments:
@@ -251,12 +253,26 @@ class ReportDocuments:
 
 
 def shown(report: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the variables of templates: the report with the cause of each stop as a message, its summary."""
-    found = readable(report)
-    for unit in found["units"]:
-        for stop in unit.get("stops", ()):
-            stop["reason"] = Message(f"report_stop_{stop['cause']}")
-    return {"report": found, "summary": summary(report), "is_read": _is_read(report)}
+    """Return the variables of templates: the report with the number of stops of each unit, the newest stops
+    of all units with their causes as messages, its summary."""
+    rows = [(unit, stop) for unit in report["units"] for stop in unit.get("stops", ())]
+    newest = sorted(rows, key=lambda row: row[1]["start"])[-_MAX_STOPS:]
+    return {
+        "report": readable({**report, "units": [_with_counts(unit) for unit in report["units"]]}),
+        "stops": [
+            (unit, {**readable(stop), "reason": Message(f"report_stop_{stop['cause']}")})
+            for unit, stop in newest
+        ],
+        "stops_in_all": len(rows),
+        "summary": summary(report),
+        "is_read": _is_read(report),
+    }
+
+
+def _with_counts(unit: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a unit with the number of its stops and how long they lasted instead of them."""
+    stops = unit.get("stops", ())
+    return {**unit, "stops": len(stops), "stopped_s": sum(stop["seconds"] for stop in stops)}
 
 
 def summary(report: Mapping[str, Any]) -> tuple[Message, ...]:
