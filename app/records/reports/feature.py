@@ -35,6 +35,7 @@ from app.records.notification.service import Notification
 from app.records.reports.report import SpanReport
 from app.records.reports.rules import SpanName
 from app.records.reports.service import (
+    SHOWN_STOPS,
     ReportDocuments,
     Reports,
     ReportSchedule,
@@ -99,7 +100,7 @@ async def get_report_document(
     _: Viewer, reports: ReportsOf, documents: DocumentsOf, wanted: ReportOfQuery
 ) -> Response:
     """Return a report as one HTML file that needs no server, in the language of the site."""
-    report = await reports.report(wanted.span, wanted.scope)
+    report = await reports.report(wanted.span, wanted.scope, SHOWN_STOPS)
     headers = APART | _attachment(f"{file_name(report, wanted.scope)}.html")
     text = documents.document(report, wanted.scope)
     return Response(text, media_type="text/html; charset=utf-8", headers=headers)
@@ -145,7 +146,7 @@ async def report_page(
         if name is None and (since or until):
             wanted = reports.span(formats.typed_time(since), formats.typed_time(until))
         scope = reports.scope_of(place)
-        report = await reports.report(wanted, scope)
+        report = await reports.report(wanted, scope, SHOWN_STOPS)
     except Problem as problem:
         fault = problem
     chosen = name or ("" if since or until else "shift")

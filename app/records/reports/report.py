@@ -4,6 +4,7 @@ hand-over sheet."""
 from __future__ import annotations
 
 from dataclasses import fields
+from sys import maxsize
 from typing import Annotated, Any, NamedTuple, NotRequired
 
 from pydantic import Field
@@ -84,6 +85,8 @@ class ReportedUnit(TypedDict):
         ]
     ]
     stops: NotRequired[list[ReportedStop]]
+    stop_count: NotRequired[Annotated[int, Field(description="How often it stood.")]]
+    stopped_s: NotRequired[Annotated[float, Field(description="How long its stops lasted.")]]
     speed_average: NotRequired[
         Annotated[float | None, Field(description="While it ran, in display units; null: it never ran.")]
     ]
@@ -126,8 +129,10 @@ def span_report(
     now: UnixTime,
     scope: Scope,
     found: FoundUnits,
+    most_stops: int = maxsize,
 ) -> dict[str, Any]:
-    """Read a report from the stores, in a transaction. ``found``: what the units did, in floor order."""
+    """Read a report from the stores, in a transaction. ``found``: what the units did, in floor order;
+    ``most_stops``: how many of each unit it has, the newest."""
     until, signed = min(span.end, now), signed_sheet(connection, span.start)
     where, values = scope.conditions()
     came = connection.execute(
@@ -141,7 +146,9 @@ def span_report(
         "line": line_figures(found, count_alarms(connection, Shift(span.start, until), scope)),
         "notes": sheet["notes"][-MAX_OF_SPAN:],
         "signed": signed_json(signed if signed and signed.shift == span and not scope.bus else None),
-        "units": [_unit(bus, each, counts, round(until - span.start, DIGITS)) for bus, each in found],
+        "units": [
+            _unit(bus, each, counts, round(until - span.start, DIGITS), most_stops) for bus, each in found
+        ],
         "alarms": [{**transition_json(JournalEntry(*entry)), "at_end": at_end} for at_end, *entry in came],
     }
 
@@ -155,7 +162,9 @@ def _counts(
     return {(bus, unit): times for bus, unit, times in rows}
 
 
-def _unit(bus: BusSettings, found: UnitReport, counts: CountsByUnit, lasts_s: float) -> ReportedUnit:
+def _unit(
+    bus: BusSettings, found: UnitReport, counts: CountsByUnit, lasts_s: float, most_stops: int
+) -> ReportedUnit:
     unit = next(each for each in bus.unit if each.id == found.unit)
     place = bus.name, unit.id
     shown: ReportedUnit = {
@@ -169,7 +178,7 @@ def _unit(bus: BusSettings, found: UnitReport, counts: CountsByUnit, lasts_s: fl
         "commands": counts.commands.get(place, 0),
     }
     if found.runs is not None:
-        _add_runs(shown, found.runs, unit, lasts_s)
+        _add_runs(shown, found.runs, unit, lasts_s, most_stops)
     return shown
 
 
@@ -178,8 +187,10 @@ def _draw_shown(draw: DrawFigures) -> ReportedDraw:
     return {"average": average, "least": least, "greatest": greatest}
 
 
-def _add_runs(shown: ReportedUnit, figures: RunFigures, unit: UnitSettings, lasts_s: float) -> None:
-    ran = figures.running
+def _add_runs(
+    shown: ReportedUnit, figures: RunFigures, unit: UnitSettings, lasts_s: float, most_stops: int
+) -> None:
+    ran, stopped = figures.running, sum(stop.until - stop.at for stop in figures.stops)
     shown["known_s"] = figures.known / SECOND
     shown["unread_s"] = round(max(0.0, lasts_s - figures.known / SECOND), DIGITS)
     shown["running_s"] = ran / SECOND
@@ -195,6 +206,8 @@ def _add_runs(shown: ReportedUnit, figures: RunFigures, unit: UnitSettings, last
             "seconds": (stop.until - stop.at) / SECOND,
             "cause": stop.cause,
         }
-        for stop in figures.stops
+        for stop in figures.stops[-most_stops:]
     ]
+    shown["stop_count"] = len(figures.stops)
+    shown["stopped_s"] = round(stopped / SECOND, DIGITS)
     shown["length"], shown["length_unit"] = length_of(figures, unit)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from datetime import datetime
+from sys import maxsize
 from typing import Any
 from zoneinfo import ZoneInfo
 
@@ -122,8 +123,9 @@ class Reports:
             raise Problem(404, "unknown_unit", Message.of("report_unknown_place", place=place))
         return self.scope(bus or None, unit)
 
-    async def report(self, span: Shift, scope: Scope) -> dict[str, Any]:
-        """Make the report of a span, up to now if it is under way. Raises Problem 422, and StoreError."""
+    async def report(self, span: Shift, scope: Scope, most_stops: int = maxsize) -> dict[str, Any]:
+        """Make the report of a span, up to now if it is under way, with at most so many stops of each unit,
+        the newest. Raises Problem 422, and StoreError."""
         now = unix_now()
         fault = span_fault(span, now, self._count(scope))
         if fault is not None:
@@ -132,7 +134,7 @@ class Reports:
 
         def read(connection: StoreConnection) -> dict[str, Any]:
             with snapshot(connection):
-                return span_report(connection, self.settings, span, now, scope, found)
+                return span_report(connection, self.settings, span, now, scope, found, most_stops)
 
         return await self._database.read_costly(read)
 
@@ -191,14 +193,12 @@ def stops_text(report: Mapping[str, Any], form: CsvForm) -> str:
 
 def _unit_rows(report: Mapping[str, Any]) -> Iterator[tuple[Cell, ...]]:
     for unit in report["units"]:
-        stops = [stop["seconds"] for stop in unit["stops"]] if "stops" in unit else None
-        stopped = (None, None) if stops is None else (len(stops), round(sum(stops), 3))
         draw = unit["draw"] or {}
         yield (
             *_place(unit),
             *(_at(report["start"]), _at(report["until"])),
             *(unit.get(column.name) for column in _FIGURES),
-            *stopped,
+            *(unit.get("stop_count"), unit.get("stopped_s")),
             *(unit.get(column.name) for column in _MORE),
             *(draw.get(column.name.removeprefix("draw_")) for column in _DRAW),
             *(unit.get(column.name) for column in _COUNTS),
@@ -221,8 +221,8 @@ def _at(text: str) -> datetime:
 
 
 STYLE = "css/pages/report-document.css"
-_MAX_STOPS = 200
-"""Stops that a page or a file has, the newest; the CSV has all."""
+SHOWN_STOPS = 200
+"""How many stops a page or an HTML file has, the newest; the CSV has all."""
 
 
 class ReportDocuments:
@@ -248,31 +248,26 @@ class ReportDocuments:
     async def attachment(self, notice: ReportNotice) -> Attachment:
         """Make the attachment of a mail. Raises Problem for a unit that is gone, and StoreError."""
         scope = self._reports.scope(notice.bus, notice.unit)
-        report = await self._reports.report(Shift(UnixTime(notice.start), UnixTime(notice.end)), scope)
+        span = Shift(UnixTime(notice.start), UnixTime(notice.end))
+        report = await self._reports.report(span, scope, SHOWN_STOPS)
         return Attachment(f"{file_name(report, scope)}.html", self.document(report, scope), summary(report))
 
 
 def shown(report: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the variables of templates: the report with the number of stops of each unit, the newest stops
-    of all units with their causes as messages, its summary."""
+    """Return the variables of templates: the report, the newest stops of all units with their causes as
+    messages, its summary."""
     rows = [(unit, stop) for unit in report["units"] for stop in unit.get("stops", ())]
-    newest = sorted(rows, key=lambda row: row[1]["start"])[-_MAX_STOPS:]
+    newest = sorted(rows, key=lambda row: row[1]["start"])[-SHOWN_STOPS:]
     return {
-        "report": readable({**report, "units": [_with_counts(unit) for unit in report["units"]]}),
+        "report": readable({**report, "units": [{**unit, "stops": []} for unit in report["units"]]}),
         "stops": [
             (unit, {**readable(stop), "reason": Message(f"report_stop_{stop['cause']}")})
             for unit, stop in newest
         ],
-        "stops_in_all": len(rows),
+        "stop_count": sum(unit.get("stop_count", 0) for unit in report["units"]),
         "summary": summary(report),
         "is_read": _is_read(report),
     }
-
-
-def _with_counts(unit: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a unit with the number of its stops and how long they lasted instead of them."""
-    stops = unit.get("stops", ())
-    return {**unit, "stops": len(stops), "stopped_s": sum(stop["seconds"] for stop in stops)}
 
 
 def summary(report: Mapping[str, Any]) -> tuple[Message, ...]:

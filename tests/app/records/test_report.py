@@ -398,7 +398,7 @@ def test_any_span_has_the_same_report_and_its_units_as_csv(config: Path) -> None
     assert head.startswith("bus,unit,name,start,end,known_s,running_s,length,length_unit,stops,stopped_s,")
     assert unwind.startswith("dry-end,1,Unwind,2026-11-20T06:00")
     assert ",599.75,300.0,300.0,m,1,299.75,0.0,172200.25,60.0,60.0,m/min," in unwind
-    assert ",0.0,0.0,,,0,0," in rewind
+    assert ",0.0,0.0,,,0,0.0," in rewind
     head, stop = called(config, "--stops", *span).stdout.splitlines()
     assert head == "bus,unit,name,began,ended,seconds,reason"
     assert stop.startswith(
