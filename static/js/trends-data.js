@@ -76,17 +76,17 @@ export function joined(results, shift = (value) => value) {
 
 /** The value of a result at a time: its last point before; null in a gap or before its first.
  * @param {Result} result @param {number} at */
-export function valueAt(result, at) {
-  let low = 0;
-  let high = result.t.length;
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (result.t[middle] <= at) low = middle + 1;
-    else high = middle;
-  }
-  if (!low) return null;
-  const last = low === result.t.length && at - result.t[low - 1] > 2 * result.bucket_s + STILL_S;
-  return last ? null : result.avg[low - 1];
+export function valueAt({ t, avg, bucket_s }, at) {
+  const last = t.findLastIndex((each) => each <= at);
+  const isOld = last === t.length - 1 && at - t[last] > 2 * bucket_s + STILL_S;
+  return last < 0 || isOld ? null : avg[last];
+}
+
+/** The last value of a result within a span, null where there is none.
+ * @param {Result} result @param {Span} span */
+export function lastValue({ t, avg }, [from, to]) {
+  const last = t.findLastIndex((at, i) => at <= to && avg[i] !== null);
+  return t[last] >= from ? avg[last] : null;
 }
 
 /** The part of a span, up to now, before the first of all readings, and the part after the last, where it is a
@@ -108,18 +108,9 @@ export function unread(results, [from, to], now) {
 
 /** Least, average and greatest of all that is shown, and the holes in it.
  * @param {Result} result */
-export function summary(result) {
-  let least = Number.POSITIVE_INFINITY;
-  let greatest = Number.NEGATIVE_INFINITY;
-  let total = 0;
-  let count = 0;
-  for (let i = 0; i < result.t.length; i++) {
-    const [average, low, high] = [result.avg[i], result.min[i], result.max[i]];
-    if (average === null || low === null || high === null) continue;
-    least = Math.min(least, low);
-    greatest = Math.max(greatest, high);
-    total += average;
-    count += 1;
-  }
-  return count ? { least, greatest, average: total / count, holes: result.t.length - count } : null;
+export function summary({ avg, min, max }) {
+  const [averages, lows, highs] = [avg, min, max].map((column) => column.filter((value) => value !== null));
+  if (!averages.length) return null;
+  const average = averages.reduce((sum, value) => sum + value, 0) / averages.length;
+  return { least: Math.min(...lows), greatest: Math.max(...highs), average, holes: avg.length - averages.length };
 }

@@ -12,8 +12,7 @@ const KEY_PAN = 0.25;
  * @param {(event: MouseEvent) => boolean} item */
 export function gestures(element, view, time, cursor, item) {
   element.addEventListener("wheel", (event) => wheel(event, view, time), { passive: false });
-  pull(element, view, time);
-  press(element, view, time, item);
+  pull(element, view, time, (event) => item(event) || press(view, time(event.clientX)));
   element.addEventListener("keydown", (event) => key(event, view, cursor));
 }
 
@@ -27,9 +26,10 @@ function wheel(event, view, time) {
   event.preventDefault();
 }
 
-/** The mouse or a finger pulls the picture, two fingers pinch; with Shift the mouse selects a span (uPlot's own).
- * @param {HTMLElement} element @param {View} view @param {TimeAt} time */
-function pull(element, view, time) {
+/** The mouse or a finger pulls the picture, two fingers pinch; with Shift the mouse selects a span (uPlot's own). What
+ * did not move is pressed.
+ * @param {HTMLElement} element @param {View} view @param {TimeAt} time @param {(event: MouseEvent) => void} pressed */
+function pull(element, view, time, pressed) {
   /** Where each pointer is. @type {Map<number, number>} */
   const held = new Map();
   let isMoving = false;
@@ -55,22 +55,15 @@ function pull(element, view, time) {
       held.delete(pointerId);
       element.classList.toggle(PULLED, held.size > 0);
     });
+  element.addEventListener("click", (event) => event.shiftKey || isMoving || pressed(event));
 }
 
-/** A press that does not move sets cursor A, the next B, the third takes both away; above the curves it opens what is
- * there.
- * @param {HTMLElement} element @param {View} view @param {TimeAt} time @param {(event: MouseEvent) => boolean} item */
-function press(element, view, time, item) {
-  let begun = 0;
-  element.addEventListener("pointerdown", (event) => {
-    begun = event.clientX;
-  });
-  element.addEventListener("click", (event) => {
-    if (event.shiftKey || Math.abs(event.clientX - begun) > STILL || item(event)) return;
-    if (view.a === null) view.change({ a: time(event.clientX) });
-    else if (view.b === null) view.change({ b: time(event.clientX) });
-    else view.change({ a: null, b: null });
-  });
+/** The first press sets cursor A, the next B, the third takes both away.
+ * @param {View} view @param {number} at */
+function press(view, at) {
+  if (view.a === null) view.change({ a: at });
+  else if (view.b === null) view.change({ b: at });
+  else view.change({ a: null, b: null });
 }
 
 /** @param {View} view @param {TimeAt} time @param {number[]} before @param {number[]} after */

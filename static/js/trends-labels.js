@@ -28,13 +28,6 @@ export function apart(wanted, height, [top, bottom]) {
   return found;
 }
 
-/** The last value of a result within a span, null where there is none.
- * @param {Result} result @param {Span} span */
-export function lastValue({ t, avg }, [from, to]) {
-  for (let i = t.length - 1; i >= 0 && t[i] >= from; i--) if (t[i] <= to && avg[i] !== null) return avg[i];
-  return null;
-}
-
 /** Write them, each tied to the height at which its line ends: by a hair in gray, which is no part of the line.
  * @param {uPlot} plot @param {LineEnd[]} ends @param {number} width of the space right of the chart, in pixels */
 export function drawLabels(plot, ends, width) {

@@ -1,7 +1,6 @@
 // The legend: what each line is, and what it reads at the cursor or last; a press dims a line, or all others.
 import { formatTime } from "./site-time.js";
-import { valueAt } from "./trends-data.js";
-import { lastValue } from "./trends-labels.js";
+import { lastValue, valueAt } from "./trends-data.js";
 import { swatch } from "./trends-look.js";
 import { shownValue } from "./trends-values.js";
 

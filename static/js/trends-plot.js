@@ -1,7 +1,7 @@
 // The picture: curves with their bands above, bits as lanes below, one time axis for both.
 import { zone } from "./clock.js";
-import { joined } from "./trends-data.js";
-import { drawLabels, lastValue } from "./trends-labels.js";
+import { joined, lastValue } from "./trends-data.js";
+import { drawLabels } from "./trends-labels.js";
 import { colour, css, DIMMED, forgetColors, isBit, look, PAST } from "./trends-look.js";
 import { lanesHeight, overlayPlugin } from "./trends-overlay.js";
 import { axisLabels, axisNumbers } from "./trends-time.js";
@@ -286,19 +286,10 @@ const dots = (plot, series) => alone(plot.data[series]);
 /** The places of values with a hole on either side: no line shows them. Dots elsewhere would fill the dashes.
  * @param {ArrayLike<number | null | undefined>} column */
 export function alone(column) {
-  /** @type {number[]} */
-  const found = [];
-  /** @type {number[]} Places since the last hole. */
-  let run = [];
-  for (let i = 0; i <= column.length; i++) {
-    if (column[i] === undefined && i < column.length) continue;
-    if (column[i] !== null && i < column.length) run.push(i);
-    else {
-      if (run.length === 1) found.push(run[0]);
-      run = [];
-    }
-  }
-  return found;
+  const known = Array.from(column, (value, place) => ({ value, place })).filter(({ value }) => value !== undefined);
+  /** @param {number} i */
+  const isHole = (i) => (known[i]?.value ?? null) === null;
+  return known.filter((_, i) => !isHole(i) && isHole(i - 1) && isHole(i + 1)).map(({ place }) => place);
 }
 
 /** @param {string} name @param {number} width */

@@ -6,7 +6,8 @@ import { openPage } from "./page.js";
 openPage();
 const { isBit, look } = await import("../../static/js/trends-look.js");
 const { alone } = await import("../../static/js/trends-plot.js");
-const { apart, lastValue } = await import("../../static/js/trends-labels.js");
+const { lastValue } = await import("../../static/js/trends-data.js");
+const { apart } = await import("../../static/js/trends-labels.js");
 
 test("32 lines differ in hue or dash, eight in both", () => {
   const looks = Array.from({ length: 32 }, (_, place) => look(place));
