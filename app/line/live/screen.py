@@ -261,6 +261,10 @@ class Screen:
     sources: Sources
     shown: Groups = field(default_factory=dict)
     _views: dict[str, UnitView] = field(default_factory=dict)
+    _briefs: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """What a tile says of its unit, and since when, by unit."""
+    _worst: str = ""
+    """The unit of the verdict, which says since when; its tile does not."""
 
     def render(self, bus_name: str, units: Iterable[int], now: UnixTime, *, include_bus: bool) -> Groups:
         """Render the units of a report; return the changed fields."""
@@ -273,7 +277,14 @@ class Screen:
             changed |= self.put(bus_name, bus_fields(bus, self.translator, now) | recipe)
         if include_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
             changed |= self.put(LINE_GROUP, self._line(now))
+            before, self._worst = self._worst, str(self.shown[LINE_GROUP]["at"]).removeprefix("/units/")
+            for key in {before, self._worst} & self._briefs.keys():
+                merge_groups(changed, self.put(key, {"brief": self._brief(key)}))
         return changed
+
+    def _brief(self, key: str) -> str:
+        what, since = self._briefs[key]
+        return what if key == self._worst else f"{what} {since}".rstrip()
 
     def render_aged(self, now: UnixTime) -> Groups:
         """Render everything whose quality has changed by time alone."""
@@ -319,20 +330,22 @@ class Screen:
         ladder = unit_cause(bus, unit, now)
         cause = shown_cause(bus, unit, ladder, now, blocked=block, drifted=drifted.words)
         view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
-        self._views[unit_key(bus_name, number)] = view
+        key = unit_key(bus_name, number)
+        self._views[key] = view
         fields = unit_fields(bus, unit, view.link, self.translator)
         texts = cause_texts(cause, self.translator, now) if cause is not None else None
         alarm = self.sources.unit_alarm(bus_name, number, self.translator, now)
         moves = joined(fields["state_text"])
-        status = moves
+        status, self._briefs[key] = moves, (moves, "")
         if texts is not None:
+            self._briefs[key] = texts.brief, texts.since
             status = texts.text if _says_since(alarm, cause, bus_name, number) else texts.line
         fields |= draw_fields(draw_of(bus, unit, now), self.translator)
         return fields | {
             "level": view.level,
             "cause": texts.line if texts is not None and view.level else "",
             "status": status,
-            "brief": texts.brief if texts is not None else moves,
+            "brief": self._brief(key),
             "check": check_text(cause, self.translator),
             "rung": broken_rung(ladder),
             "blocked": blocked,

@@ -316,6 +316,15 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     }
     assert changed["dry/2"]["status"] == "Still turning: emergency stop active since 00:01"
     assert changed["dry/2"]["brief"] == "Still turning: emergency stop"
+    live.buses["dry"].apply([reading(1, at=100.3, inputs=1)])
+    changed = shown.render("dry", [1], 100.3, include_bus=False)
+    briefs = [shown.shown[f"dry/{unit}"]["brief"] for unit in (1, 2)]
+    assert sorted(brief.removeprefix("Still turning: emergency stop") for brief in briefs) == [
+        "",
+        " since 00:01",
+    ]
+    live.buses["dry"].apply([reading(1, at=100.4)])
+    shown.render("dry", [1], 100.4, include_bus=False)
     live.buses["dry"].apply([reading(2, at=100.4)])
     well = shown.render("dry", [2], 100.4, include_bus=False)["line_summary"]
     assert (well["verdict"], well["at"], well["counts"]) == ("Running 120.0 m/min · all 2 at speed", "", "")
