@@ -1,4 +1,5 @@
 // The legend: what each line is, and what it reads at the cursor or last; a press dims a line, or all others.
+import { element, refill } from "./element.js";
 import { formatTime } from "./site-time.js";
 import { lastValue, valueAt } from "./trends-data.js";
 import { swatch } from "./trends-look.js";
@@ -17,8 +18,8 @@ export class Legend {
     this.drawn = "";
     list.addEventListener("click", ({ target }) => {
       const button = target.closest("button");
-      if (button?.dataset.key) toggle(button.dataset.key);
-      else if (button?.dataset.only) only(button.dataset.only);
+      if (button?.dataset.only) only(button.dataset.only);
+      else if (button?.dataset.key) toggle(button.dataset.key);
     });
   }
 
@@ -39,29 +40,20 @@ export class Legend {
 
   /** @param {Curve[]} curves */
   make(curves) {
-    const focused = this.list.contains(document.activeElement) ? document.activeElement?.closest("button") : null;
-    this.rows = curves.map((curve) => ({ curve, past: undefined, value: part("b"), before: part("small") }));
-    this.list.replaceChildren(
-      ...this.rows.map(({ curve, value, before }) => {
-        const button = document.createElement("button");
-        button.type = "button";
-        button.setAttribute("role", "switch");
-        button.dataset.key = curve.key;
-        const name = part("bdi");
-        name.textContent = `${curve.place + 1} ${curve.name}`;
-        button.append(swatch(curve.place, curve.value), name, value, before);
-        const only = document.createElement("button");
-        only.type = "button";
-        only.dataset.only = curve.key;
-        only.textContent = this.words.only;
-        only.setAttribute("aria-label", `${this.words.onlyThis}: ${curve.name}`);
-        const item = document.createElement("li");
-        item.append(button, only);
-        return item;
-      }),
+    this.rows = curves.map((curve) => ({ curve, past: undefined, value: element("b"), before: element("small") }));
+    const { only, onlyThis } = this.words;
+    refill(
+      this.list,
+      this.rows.map(({ curve: { key, name, place, value: kind }, value, before }) =>
+        element(
+          "li",
+          {},
+          {},
+          element("button", { type: "button", role: "switch" }, { key }, swatch(place, kind), element("bdi", {}, {}, `${place + 1} ${name}`), value, before),
+          element("button", { type: "button", ariaLabel: `${onlyThis}: ${name}` }, { key: `only ${key}`, only: key }, only),
+        ),
+      ),
     );
-    const buttons = [...this.list.querySelectorAll("button")];
-    buttons.find(({ dataset }) => focused && dataset.key === focused.dataset.key && dataset.only === focused.dataset.only)?.focus();
   }
 
   /** What all read at a time, or last within a span. @param {number | null} at @param {Span} range */
@@ -79,6 +71,3 @@ export class Legend {
 /** @param {Curve} curve @param {number | null} value */
 const withMeasure = (curve, value) =>
   shownValue(curve, value) + (value !== null && curve.measure ? ` ${curve.measure}` : "");
-
-/** @param {"b" | "small" | "bdi"} tag */
-const part = (tag) => document.createElement(tag);

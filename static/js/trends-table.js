@@ -1,4 +1,5 @@
 // The values as a table: what A and B read, least, average, greatest; and what happened meanwhile as a list.
+import { element, refill } from "./element.js";
 import { formatTime } from "./site-time.js";
 import { summary, valueAt } from "./trends-data.js";
 import { isBit, swatch } from "./trends-look.js";
@@ -7,62 +8,30 @@ import { number, shownValue, UNKNOWN } from "./trends-values.js";
 
 const words = () => document.getElementById("trend-words").dataset;
 
-/** With the head of its column, which a phone shows beside it.
- * @param {HTMLTableRowElement} row @param {string} content */
-function cell(row, content, head = "") {
-  const td = row.insertCell();
-  td.className = "number";
-  if (head) td.dataset.head = head;
-  td.textContent = content;
-  return td;
-}
-
 /** One row for each value; `on`: remove(name), choose(place).
  * @param {HTMLTableSectionElement} body @param {Curve[]} results @param {RowActions} on */
 export function drawRows(body, results, on) {
   const { tHead } = /** @type {HTMLTableElement} */ (body.parentElement);
-  const heads = /** @type {HTMLTableSectionElement} */ (tHead).rows[0].cells;
-  const focused = body.contains(document.activeElement) ? /** @type {HTMLElement} */ (document.activeElement) : null;
-  const place = focused?.closest("tr")?.sectionRowIndex ?? 0;
-  body.replaceChildren(
-    ...results.map((result, place) => {
-      const row = document.createElement("tr");
-      const head = document.createElement("th");
-      head.scope = "row";
-      const axis = document.createElement("button");
-      axis.type = "button";
-      axis.className = "trends__axis";
-      axis.dataset.key = `axis ${result.key}`;
-      axis.append(swatch(place, result.value), result.name + (result.measure ? ` [${result.measure}]` : ""));
-      axis.addEventListener("click", () => on.choose(place));
-      head.append(axis);
-      row.append(head);
-      const found = summary(result);
-      const read = [null, null, null, found?.least, found?.average, found?.greatest];
-      read.forEach((value, i) => {
-        cell(row, shownValue(result, value), heads[i + 1].textContent);
-      });
-      const remove = document.createElement("button");
-      remove.type = "button";
-      remove.className = "button button--small";
-      remove.textContent = "×";
-      remove.dataset.key = result.key;
-      remove.setAttribute("aria-label", `${words().remove}: ${result.name}`);
-      remove.addEventListener("click", () => on.remove(result.key));
-      cell(row, "").append(remove);
-      return row;
-    }),
-  );
-  if (focused) twinOf(focused, body, place).focus();
-}
-
-/** Where the focus goes when rows are redrawn: to the same button, else (its value was taken away) to the one
- * that came in its place, at last to where a value is added.
- * @param {HTMLElement} button @param {HTMLTableSectionElement} body @param {number} place */
-function twinOf(button, body, place) {
-  const same = [...body.querySelectorAll("button")].find(({ dataset }) => dataset.key === button.dataset.key);
-  const next = body.rows[Math.min(place, body.rows.length - 1)]?.querySelector("button[aria-label]");
-  return same ?? next ?? document.getElementById("trend-add").elements.unit;
+  const heads = [.../** @type {HTMLTableSectionElement} */ (tHead).rows[0].cells].map(({ textContent }) => textContent ?? "");
+  const place = document.activeElement?.closest("tr")?.sectionRowIndex ?? 0;
+  const rows = results.map((result, place) => {
+    const { key, name, measure, value } = result;
+    const title = name + (measure ? ` [${measure}]` : "");
+    const axis = element("button", { type: "button", className: "trends__axis" }, { key: `axis ${key}` }, swatch(place, value), title);
+    axis.addEventListener("click", () => on.choose(place));
+    const remove = element("button", { type: "button", className: "button button--small", ariaLabel: `${words().remove}: ${name}` }, { key }, "×");
+    remove.addEventListener("click", () => on.remove(key));
+    const found = summary(result);
+    const read = [null, null, null, found?.least, found?.average, found?.greatest];
+    // With the head of its column, which a phone shows beside it.
+    const cells = read.map((each, i) => element("td", { className: "number" }, { head: heads[i + 1] }, shownValue(result, each)));
+    return element("tr", {}, {}, element("th", { scope: "row" }, {}, axis), ...cells, element("td", { className: "number" }, {}, remove));
+  });
+  // The focus of a value that was taken away goes to the one that came in its place, at last to where a value is added.
+  refill(body, rows, () => {
+    const next = body.rows[Math.min(place, body.rows.length - 1)]?.querySelector("button[aria-label]");
+    return /** @type {HTMLElement | null} */ (next) ?? document.getElementById("trend-add").elements.unit;
+  });
 }
 
 /** What A and B read; B − A where both are set.
@@ -116,20 +85,15 @@ export const fineness = (results) => {
  * @template {Mark | Alarm | Note} T @param {HTMLElement} list @param {HTMLElement} count @param {{ items: T[], more: boolean }} found
  * @param {Content<T>} content @param {(seconds: number) => void} put */
 export function drawList(list, count, { items, more }, content, put) {
-  const focused = list.contains(document.activeElement) ? document.activeElement?.textContent : null;
   count.textContent = items.length + (more ? ` – ${words().more}` : "");
-  list.replaceChildren(
-    ...items.map((item) => {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.append(...content(item));
-      button.addEventListener("click", () => put(item.t));
-      const line = document.createElement("li");
-      line.append(button);
-      return line;
-    }),
-  );
-  if (focused) [...list.querySelectorAll("button")].find(({ textContent }) => textContent === focused)?.focus();
+  const lines = items.map((item) => {
+    const parts = content(item);
+    const key = parts.map((part) => (typeof part === "string" ? part : part.textContent)).join("");
+    const button = element("button", { type: "button" }, { key }, ...parts);
+    button.addEventListener("click", () => put(item.t));
+    return element("li", {}, {}, button);
+  });
+  refill(list, lines);
 }
 
 /** What it had listed is not known any more.
@@ -151,13 +115,8 @@ export function eventContent(mark, place) {
 /** An alarm in a list. `words` has the priorities and `active`.
  * @param {Alarm} alarm @param {TrendWords} words */
 export function alarmContent({ t, until, priority, place, name }, words) {
-  const mark = document.createElement("span");
-  mark.className = "alarm-priority alarm-priority--word";
-  mark.dataset.is = priority;
-  const shape = document.createElement("i");
-  shape.className = "alarm-priority__shape";
-  shape.ariaHidden = "true";
-  mark.append(shape, words[priority] ?? "");
+  const shape = element("i", { className: "alarm-priority__shape", ariaHidden: "true" });
+  const mark = element("span", { className: "alarm-priority alarm-priority--word" }, { is: priority }, shape, words[priority] ?? "");
   const end = until === null ? words.active : formatTime(until);
   return [mark, `${formatTime(t)} – ${end} · ${place && `${place} · `}${name}`];
 }
