@@ -159,7 +159,7 @@ async def connected(
 
 async def secured(server: OpcuaServer, client: OwnCertificate, folder: Path) -> Client:
     """Return a client of asyncua that is not connected yet."""
-    made = Client(server.url, timeout=10)
+    made = Client(server.url, timeout=60)
     made.application_uri = client.uri
     mode = ua.MessageSecurityMode.SignAndEncrypt
     files = (folder / "own" / "certificate.pem", folder / "own" / "key.pem")

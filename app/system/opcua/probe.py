@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import struct
 
-WITHIN_S = 3.0
+WITHIN_S = 10.0
 MAX_ACKNOWLEDGE = 28
 EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 

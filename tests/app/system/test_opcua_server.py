@@ -235,7 +235,7 @@ async def test_a_revoked_token_ends_its_sessions(site: Site) -> None:
 
 
 async def test_without_security_only_the_endpoint_is_told(site: Site) -> None:
-    plain = Client(site.server.url, timeout=5)
+    plain = Client(site.server.url, timeout=60)
     (endpoint,) = await plain.connect_and_get_server_endpoints()
     assert endpoint.SecurityPolicyUri.endswith("#Basic256Sha256")
     assert endpoint.SecurityMode == ua.MessageSecurityMode.SignAndEncrypt
@@ -249,7 +249,7 @@ async def test_a_session_is_not_taken_over_by_its_number(site: Site) -> None:
     """A session cannot be used from another connection, though asyncua numbers sessions so that their tokens
     can be guessed."""
     async with site.connected(), AsyncExitStack() as stack:
-        thief = Client(site.server.url, timeout=5)
+        thief = Client(site.server.url, timeout=60)
         await thief.connect_sessionless()
         stack.push_async_callback(thief.disconnect_sessionless)
         read = ua.ReadRequest()
