@@ -19,11 +19,8 @@ LINESIDE = Path(sys.executable).with_name("lineside")
 @pytest.mark.parametrize(
     "words",
     [
-        ("--version",),
-        (),
         ("no-such-command",),
         ("decode", "--json", "10021001811003"),
-        ("check", "--config", "absent.toml"),
         ("serve", "--config", "absent.toml"),
     ],
 )

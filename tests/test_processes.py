@@ -36,7 +36,7 @@ def run(folder: Path, *options: str, **files: str) -> subprocess.CompletedProces
     for name, text in files.items():
         (folder / f"test_{name}.py").write_text(text, "utf-8")
     command = (sys.executable, "-m", "pytest", "-p", "tests.processes", "-p", "no:cacheprovider", *options)
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
 
 

@@ -327,18 +327,25 @@ ATTACKS: dict[str, tuple[int, Attack]] = {
     ),
 }
 """By name: on how many connections at a time, and what is done on each, again and again."""
+EACH, FEW = "each", 4
 
 
 async def main(name: str, url: str, seconds: float, core: int, tokens: dict[str, str]) -> None:
-    """Attack for so long, on one core."""
+    """Attack for so long, on one core; `EACH`: with one attack after the other, on few connections."""
     os.sched_setaffinity(0, {core})
     parts = urlsplit(url)
     tls = ssl._create_unverified_context() if parts.scheme == "https" else None
-    target = Target(parts.hostname or "", parts.port or 80, tokens, time.monotonic() + seconds, tls)
-    count, one = ATTACKS[name]
-    with suppress(TimeoutError):
-        await asyncio.wait_for(many(target, count, one), seconds + 1)
-    await asyncio.sleep(target.end - time.monotonic())
+    for each in ATTACKS if name == EACH else (name,):
+        target = Target(parts.hostname or "", parts.port or 80, tokens, time.monotonic() + seconds, tls)
+        count, one = ATTACKS[each]
+        try:
+            await asyncio.wait_for(many(target, min(count, FEW) if name == EACH else count, one), seconds + 1)
+        except TimeoutError:
+            continue
+        except Exception as error:
+            error.add_note(f"in the attack {each}")
+            raise
+        await asyncio.sleep(target.end - time.monotonic())
 
 
 if __name__ == "__main__":

@@ -68,11 +68,12 @@ def requests_of(route: APIRoute) -> Iterator[tuple[str, str, dict[str, Any]]]:
     for method in sorted(route.methods):
         if "{" in route.path:
             yield method, filled(route.path, HOSTILE), {"params": query}
-        yield method, present, {"params": query}
-        if method not in ("GET", "HEAD"):
-            yield method, present, {"data": fields}
-            yield method, present, {"json": {HOSTILE: HOSTILE, "value": HOSTILE, "raw": HOSTILE}}
-            yield method, present, {"json": {"value": HOSTILE}, "headers": {"idempotency-key": HOSTILE}}
+        if method in ("GET", "HEAD"):
+            yield method, present, {"params": query}
+        else:
+            yield method, present, {"params": query, "data": fields}
+            body = {HOSTILE: HOSTILE, "value": HOSTILE, "raw": HOSTILE}
+            yield method, present, {"json": body, "headers": {"idempotency-key": HOSTILE}}
 
 
 def filled(path: str, text: str) -> str:
