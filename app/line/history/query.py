@@ -128,9 +128,7 @@ def _run(source: StoredUnit, query: SeriesQuery) -> QueryResult:
 
 def scale_of(source: StoredUnit, query: SeriesQuery) -> Scaling:
     """Return the scales of a value over all time."""
-    steps = tables.parameter_steps(source.connection, source.unit)
-    ratio = query.bus.follower_speed == "ratio"
-    return scaling(query.value, steps, ratio=ratio, estop_healthy=query.bus.estop_healthy)
+    return scaling(query.value, tables.parameter_steps(source.connection, source.unit), query.bus)
 
 
 def _points(source: StoredUnit, query: SeriesQuery, marks: Marks) -> tuple[Resolution, Points]:

@@ -34,7 +34,6 @@ from app.line.history.series.values import (
     VALUES,
     LinearScale,
     Marks,
-    ParameterStep,
     Scaling,
     scaling,
     usual_interval,
@@ -78,15 +77,14 @@ _FORMAT = 1
 """Raised with every change of what figures are, so that stored ones are worked out anew."""
 
 
-def pack_figures(figures: PartFigures, basis: int) -> bytes:
-    """Pack figures under a checksum of them and of their basis (:func:`basis_of`)."""
-    data = msgspec.json.encode(figures)
-    return crc32(data, basis).to_bytes(_SEAL_BYTES) + data
+def _seal(data: bytes, basis: int) -> bytes:
+    """Return a checksum of packed figures and of their basis (:func:`basis_of`)."""
+    return crc32(data, basis).to_bytes(_SEAL_BYTES)
 
 
 def is_sealed(packed: bytes, basis: int) -> bool:
     """Return whether packed figures are as they were stored, and of this basis."""
-    return crc32(packed[_SEAL_BYTES:], basis).to_bytes(_SEAL_BYTES) == packed[:_SEAL_BYTES]
+    return _seal(packed[_SEAL_BYTES:], basis) == packed[:_SEAL_BYTES]
 
 
 def basis_of(connection: tables.StoreConnection, bus: BusSettings, unit: int) -> int:
@@ -110,8 +108,8 @@ def work_out(connection: tables.StoreConnection, bus: BusSettings, unit: int, ho
     key = tables.find_unit(connection, bus.name, unit)
     assert key is not None
     span = hour, hour + HOUR
-    figures = BusReport(bus, unit, span).figures(connection, Tail(), unit, span)
-    tables.write_figures(connection, key, hour, pack_figures(figures, basis_of(connection, bus, unit)))
+    data = msgspec.json.encode(BusReport(bus, unit, span).figures(connection, Tail(), unit, span))
+    tables.write_figures(connection, key, hour, _seal(data, basis_of(connection, bus, unit)) + data)
 
 
 class BusReport:
@@ -155,7 +153,7 @@ class BusReport:
         key, end = tables.find_unit(connection, self._bus.name, unit), self._span[1]
         steps = [] if key is None else tables.parameter_steps(connection, key)
         is_ratio = self._bus.follower_speed == "ratio" and was_follower(steps, end)
-        return None if is_ratio else speed_scaling(self._bus, steps).at(end)
+        return None if is_ratio else scaling(VALUES["actual"], steps, self._bus).at(end)
 
     def _parts(self, connection: tables.StoreConnection, tail: Tail, unit: int) -> Iterator[PartFigures]:
         """Yield the figures of each part of the span, in order of time."""
@@ -194,7 +192,7 @@ class BusReport:
         source = stored_unit(connection, tail, self._bus.name, unit, start - MINUTE, end + MINUTE)
         if source is None:
             return RunFigures(), []
-        scales = speed_scaling(self._bus, tables.parameter_steps(connection, source.unit))
+        scales = scaling(VALUES["actual"], tables.parameter_steps(connection, source.unit), self._bus)
         marks = source.marks(start - MINUTE, end + MINUTE)
         edges = (edge for edge in span if edge % MINUTE)
         changes = sorted({*edges, *marks.lost, *marks.found, *scales.since})
@@ -206,12 +204,6 @@ class BusReport:
         figures = run_figures(counted, self._bus.estop_healthy, scales)
         figures.by_minute = bool(minutes.unsteady) and not is_readable
         return figures, _at_speed(counted, scales)
-
-
-def speed_scaling(bus: BusSettings, steps: Sequence[ParameterStep]) -> Scaling:
-    """Return the scales of the speeds of a unit, by the values of its parameters."""
-    ratio = bus.follower_speed == "ratio"
-    return scaling(VALUES["actual"], steps, ratio=ratio, estop_healthy=bus.estop_healthy)
 
 
 class _Minutes:

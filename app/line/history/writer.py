@@ -133,9 +133,18 @@ class Upkeep:
             self._search = self._unworked(now - now % HOUR)
         for found in self._search:
             if found is not None:
-                self._database.write_now(lambda c, found=found: work_out(c, *found))  # type: ignore[misc]
+                self._work_out_one(*found)
             if monotonic_now() >= deadline:
                 return
+
+    def _work_out_one(self, bus: BusSettings, unit: int, hour: int) -> None:
+        try:
+            self._database.write_now(lambda c: work_out(c, bus, unit, hour))
+        except StoreError:
+            raise
+        except Exception:
+            # A report reads this hour from its readings; that the others are stored matters more.
+            log.exception("figures", bus=bus.name, unit=unit, hour=hour)
 
     def _unworked(self, newest: int) -> Iterator[tuple[BusSettings, int, int] | None]:
         """Yield each unit and hour without figures, the newest hours of a bus first, and None after each

@@ -20,6 +20,7 @@ from app.line.history.series.values import (
     splice,
     usual_interval,
 )
+from tests.app.history_line import BUS
 
 POLLS = [i * SECOND // 5 for i in range(100)]
 USUAL = SECOND // 5
@@ -149,13 +150,8 @@ def test_a_pause_ends_an_interval() -> None:
 
 
 def shown(name: str, raw: int, steps: list[tuple[int, int, int]], at: int = 100, **how: object) -> float:
-    found = scaling(
-        VALUES[name],
-        [ParameterStep(*step) for step in steps],
-        ratio=bool(how.get("ratio")),
-        estop_healthy=1 if how.get("healthy", 1) else 0,
-    )
-    return found.at(at).apply(raw)
+    bus = BUS.model_copy(update=how)
+    return scaling(VALUES[name], [ParameterStep(*step) for step in steps], bus).at(at).apply(raw)
 
 
 def test_decimals_divide_a_raw_speed() -> None:
@@ -179,17 +175,17 @@ def test_the_analog_input_spans_low_to_high() -> None:
 
 def test_a_falling_analog_input_is_known_as_such() -> None:
     steps = [ParameterStep(0, 22, 100), ParameterStep(0, 23, 0)]
-    assert scaling(VALUES["analog"], steps, ratio=False, estop_healthy=1).at(0).falling
+    assert scaling(VALUES["analog"], steps, BUS).at(0).falling
 
 
 def test_a_follower_may_speak_in_ratios() -> None:
     steps = [(0, 3, 1), (0, 8, 1)]
-    assert shown("commanded", 10_000, steps, ratio=True) == 1.0
-    assert shown("commanded", 10_000, steps, ratio=False) == 1000.0
-    assert shown("commanded", 10_000, [(0, 3, 1), (0, 8, 0)], ratio=True) == 1000.0
+    assert shown("commanded", 10_000, steps, follower_speed="ratio") == 1.0
+    assert shown("commanded", 10_000, steps, follower_speed="speed") == 1000.0
+    assert shown("commanded", 10_000, [(0, 3, 1), (0, 8, 0)], follower_speed="ratio") == 1000.0
 
 
 def test_an_emergency_stop_is_one_when_it_is_active() -> None:
     assert [shown("estop", raw, []) for raw in (0, 1)] == [1.0, 0.0]
-    assert [shown("estop", raw, [], healthy=0) for raw in (0, 1)] == [0.0, 1.0]
+    assert [shown("estop", raw, [], estop_healthy=0) for raw in (0, 1)] == [0.0, 1.0]
     assert [shown("run", raw, []) for raw in (0, 1)] == [0.0, 1.0]

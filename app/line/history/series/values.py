@@ -139,11 +139,12 @@ class Scaling:
             i = j
 
 
-def scaling(value: Value, steps: Sequence[ParameterStep], *, ratio: bool, estop_healthy: int) -> Scaling:
-    """Return the scales of a value; with ``ratio`` CS and AS of a follower are ratios (by the bus's
-    dialect)."""
+def scaling(value: Value, steps: Sequence[ParameterStep], bus: BusSettings) -> Scaling:
+    """Return the scales of a value over all time. CS and AS of a follower may be ratios, by the dialect of
+    the bus."""
+    ratio = bus.follower_speed == "ratio"
     if value.kind == "bit":
-        inverted = value.name == "estop" and estop_healthy == 1
+        inverted = value.name == "estop" and bus.estop_healthy == 1
         return Scaling([0], [LinearScale(1, -1, 1, 0) if inverted else LinearScale(decimals=0)])
     known: dict[int, int] = {}
     for step in sorted(steps, reverse=True):
