@@ -11,7 +11,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.site import AT_REST, Site, eventually
-from tests.e2e.test_second_tap import CLOCK
+from tests.e2e.test_unit import CLOCK
 from tests.sizes import sizes
 
 PANEL = {"width": 1280, "height": 800}
@@ -140,7 +140,7 @@ def tap_twice(page: Page, button: Locator) -> None:
 
 
 @pytest.mark.parametrize(
-    "context", [{"viewport": PANEL}, {"viewport": PHONE, "has_touch": True, "is_mobile": True}]
+    "context", sizes({"viewport": PANEL}, {"viewport": PHONE, "has_touch": True, "is_mobile": True})
 )
 @pytest.mark.usefixtures("stopped")
 def test_two_taps_on_one_place_acknowledge_one_alarm(
@@ -195,9 +195,9 @@ def test_a_second_tap_that_hits_the_row_below_acknowledges_nothing(
 
 
 @pytest.mark.usefixtures("stopped")
-def test_a_new_alarm_moves_no_row(site: Site, browser_page: OpensPages) -> None:
+def test_a_new_alarm_moves_no_row(site: Site, shared_page: OpensPages) -> None:
     stop(site, 2, active=False)
-    page = opened(browser_page(viewport=PANEL), site)
+    page = opened(shared_page(viewport=PANEL), site)
     before = places(page)
     stop(site, 5, active=True)
     try:
@@ -270,10 +270,10 @@ IS_CUT = "part => part.scrollWidth > part.clientWidth || part.scrollHeight > par
 @pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
 @pytest.mark.usefixtures("stopped")
 def test_the_head_of_a_phone_names_unit_cause_and_time(
-    site: Site, browser_page: OpensPages, locale: str
+    site: Site, shared_page: OpensPages, locale: str
 ) -> None:
     """Where the name of the unit is a long one, that gives way to the cause and its time."""
-    page = opened(browser_page(viewport=PHONE, locale=locale), site, "/events")
+    page = opened(shared_page(viewport=PHONE, locale=locale), site, "/events")
     verdict = page.locator(".top__words")
     name = verdict.locator(".verdict__name")
     expect(verdict).to_contain_text(re.compile(r"\d\d:\d\d"))

@@ -64,6 +64,7 @@ def test_scripts_and_pages_show_the_zone_of_the_server(far_site: Site, browser_p
     assert is_now_there(to.time())
 
 
+@pytest.mark.soak
 def test_charts_end_at_the_servers_now(far_site: Site, browser_page: OpensPages) -> None:
     page = browser_page("viewer", far_site)
     page.add_init_script(HOUR_AHEAD)
@@ -73,6 +74,7 @@ def test_charts_end_at_the_servers_now(far_site: Site, browser_page: OpensPages)
     assert abs(datetime.fromisoformat(ends) - datetime.now(SERVER)) < NEAR
 
 
+@pytest.mark.soak
 def test_a_browser_that_does_not_know_the_zone_shows_utc_with_a_notice(
     far_site: Site, browser_page: OpensPages
 ) -> None:

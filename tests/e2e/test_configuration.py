@@ -11,14 +11,14 @@ from playwright.sync_api import expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.site import AT_REST, Site
-from tests.sizes import sizes
 
 PHONE = {"width": 360, "height": 740}
 MAX_MS = 60_000
 """For a server to end and to start."""
 
 
-@pytest.mark.parametrize("locale", sizes(ENGLISH, GERMAN))
+@pytest.mark.soak
+@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
 def test_port_and_units_of_a_bus_fit_the_page_up_to_their_review(
     line_server: Callable[..., Site], browser_page: OpensPages, flaws: Callable[..., list[str]], locale: str
 ) -> None:

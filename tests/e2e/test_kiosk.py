@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import signal
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from functools import cache, partial
 from typing import Any
 
 import pytest
@@ -37,8 +37,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 
 @pytest.fixture(scope="module")
-def panels(site: Site, browser: Browser) -> dict[str, Any]:
-    """Two panels as an admin adds them on the page, by name: one to look, one to operate. Their cookies."""
+def panels(site: Site, browser: Browser) -> Callable[[str], Any]:
+    """Return the cookies of a panel. An admin adds two on the page: one to look, one to operate."""
     context = browser.new_context(base_url=site.url)
     context.add_init_script(FORGETS_TAPS)
     page = context.new_page()
@@ -57,7 +57,7 @@ def panels(site: Site, browser: Browser) -> dict[str, Any]:
         form.get_by_role("button", name="Add the panel").click()
         expect(page.locator(f'[data-user="{name}"]')).to_contain_text("panel")
     context.close()
-    return {name: _signed_in(browser, site, name) for name in ("wall", "first")}
+    return cache(partial(_signed_in, browser, site))
 
 
 def _signed_in(browser: Browser, site: Site, name: str) -> Any:
@@ -82,13 +82,13 @@ def _signed_in(browser: Browser, site: Site, name: str) -> Any:
 
 
 @pytest.fixture
-def panel(browser: Browser, site: Site, panels: dict[str, Any]) -> Iterator[Callable[..., Page]]:
+def panel(browser: Browser, site: Site, panels: Callable[[str], Any]) -> Iterator[Callable[..., Page]]:
     """``panel("first", "/")``: a page of a panel with a touch screen and a clock that the test can set."""
     contexts: list[BrowserContext] = []
 
     def open_page(name: str, path: str, *, clock: bool = False) -> Page:
         context = browser.new_context(
-            base_url=site.url, storage_state=panels[name], viewport=PANEL, has_touch=True
+            base_url=site.url, storage_state=panels(name), viewport=PANEL, has_touch=True
         )
         contexts.append(context)
         context.add_init_script(FORGETS_TAPS)
@@ -137,6 +137,7 @@ def test_a_panel_only_looks_unless_it_is_given_more(panel: Callable[..., Page]) 
     expect(first_page.locator("#setpoint")).to_be_visible()
 
 
+@pytest.mark.soak
 def test_a_panel_stays_awake_and_renews_the_lock_when_it_is_shown_again(panel: Callable[..., Page]) -> None:
     page = panel("wall", "/")
     eventually(lambda: page.evaluate("window.locks.length") == 1, "one wake lock")
@@ -240,21 +241,6 @@ def test_cleaning_by_touch_sets_nothing(site: Site, panel: Callable[..., Page]) 
     assert received_writes(site) == before
 
 
-def test_it_can_be_installed(browser_page: OpensPages) -> None:
-    page = browser_page(viewport=PANEL, service_workers="allow")
-    page.goto("/")
-    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
-    devtools = page.context.new_cdp_session(page)
-    manifest = devtools.send("Page.getAppManifest")
-    assert manifest["errors"] == []
-    assert [
-        error["errorId"] for error in devtools.send("Page.getInstallabilityErrors")["installabilityErrors"]
-    ] in (
-        [],
-        ["in-incognito"],
-    )
-
-
 @pytest.mark.soak
 @pytest.mark.provokes("WebSocket", "fetch", "ERR_")
 def test_without_a_network_it_shows_a_notice_and_comes_back(browser_page: OpensPages) -> None:
@@ -296,11 +282,3 @@ def test_a_form_pressed_as_the_server_dies_is_not_sent_again(site: Site, browser
     expect(page).to_have_url(HOME)
     expect(page.locator(LIVE)).to_be_attached()
     assert site.unit(2)["blocked"] is None
-
-
-def test_the_icons_are_there(browser_page: OpensPages) -> None:
-    page = browser_page(None)
-    manifest = page.request.get("/manifest.webmanifest").json()
-    assert manifest["display"] == "standalone"
-    assert {page.request.get(icon["src"]).status for icon in manifest["icons"]} == {200}
-    assert {Path(icon["src"]).suffix for icon in manifest["icons"]} == {".svg", ".png"}

@@ -1,17 +1,21 @@
-"""The line as used by a person who knows only the command, the configuration and the API."""
+"""The line, its wallboard, the pages around it, and how anything is found."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import atan, degrees
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
+from tests.e2e.limits import PAGE_MS
 from tests.e2e.site import Site
-from tests.sizes import in_turn
+from tests.e2e.test_screen import PHONE, opened
+from tests.sizes import sizes
 
 OFFICE = {"width": 1280, "height": 800}
 
@@ -31,6 +35,7 @@ BOXES = """selector => [...document.querySelectorAll(selector)].map(each => {
 KEEP_THEIR_PLACES = ".tile, .tile__actual, .tile__actual .value__number, .totals > [data-is], .views"
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(
     ("size", "locale"), [(OFFICE, ENGLISH), ({"width": 360, "height": 740}, GERMAN)], ids=["panel", "phone"]
 )
@@ -59,18 +64,15 @@ def test_no_tile_moves_when_an_emergency_stop_comes_or_a_unit_is_opened(
         site.line.remote.do("input", unit=2, input="estop", on=False)
 
 
+@pytest.mark.soak
+@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
 @pytest.mark.parametrize(
-    ("opened", "locale"),
-    in_turn(
-        [("/login", None), ("/users", "admin"), ("/account", "viewer"), ("/nothing", "viewer")],
-        (ENGLISH, GERMAN),
-        first=2,
-    ),
+    "address", [("/login", None), ("/users", "admin"), ("/account", "viewer"), ("/nothing", "viewer")]
 )
 def test_a_page_beside_the_line_is_accessible(
-    shared_page: OpensPages, flaws: Callable[..., list[str]], opened: tuple[str, str | None], locale: str
+    shared_page: OpensPages, flaws: Callable[..., list[str]], address: tuple[str, str | None], locale: str
 ) -> None:
-    path, role = opened
+    path, role = address
     page = shared_page(role, locale=locale)
     page.goto(path)
     assert flaws(page, locale) == []
@@ -152,3 +154,123 @@ def test_a_token_is_revoked_after_a_confirmation(
     page.get_by_role("button", name="Revoke plc").click()
     expect(revoke).to_have_count(0)
     assert httpx.get(f"{site.url}/api/v1/me", headers=bearer).status_code == 401
+
+
+def test_it_can_be_installed(browser_page: OpensPages) -> None:
+    page = browser_page(viewport=OFFICE, service_workers="allow")
+    page.goto("/")
+    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
+    devtools = page.context.new_cdp_session(page)
+    manifest = devtools.send("Page.getAppManifest")
+    assert manifest["errors"] == []
+    assert [
+        error["errorId"] for error in devtools.send("Page.getInstallabilityErrors")["installabilityErrors"]
+    ] in (
+        [],
+        ["in-incognito"],
+    )
+    stated = page.request.get("/manifest.webmanifest").json()
+    assert stated["display"] == "standalone"
+    assert {page.request.get(icon["src"]).status for icon in stated["icons"]} == {200}
+    assert {Path(icon["src"]).suffix for icon in stated["icons"]} == {".svg", ".png"}
+
+
+# --- anything is found by keyboard, over any page, and on a phone under the thumb ---------------------
+
+
+@pytest.mark.parametrize("judge", sizes("axe", "flaws"))
+def test_a_parameter_is_found_and_opened_by_keyboard(
+    shared_page: OpensPages, request: pytest.FixtureRequest, judge: str
+) -> None:
+    page = opened(shared_page("engineer", viewport=OFFICE, locale=ENGLISH), "/units/line/1")
+    page.keyboard.press("Control+k")
+    page.keyboard.type("accel")
+    place = page.locator(".find__place").first
+    expect(place).to_contain_text("(parameter 6)")
+    assert request.getfixturevalue(judge)(page) == []
+    page.keyboard.press("ArrowDown")
+    expect(place).to_be_focused()
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/units/line/1/parameters#parameter-6", timeout=PAGE_MS)
+
+
+@pytest.mark.soak
+def test_a_phone_has_the_other_pages_one_press_away(
+    shared_page: OpensPages, flaws: Callable[..., list[str]]
+) -> None:
+    page = opened(shared_page("engineer", viewport=PHONE, locale=ENGLISH), "/")
+    expect(page.locator(".rail__item:visible")).to_have_count(5)
+    page.get_by_role("button", name="More").click()
+    recipes = page.get_by_role("navigation").get_by_role("link", name="Recipes")
+    expect(recipes).to_be_in_viewport(ratio=1)
+    assert flaws(page, ENGLISH) == []
+    recipes.click()
+    page.wait_for_url("**/recipes", timeout=PAGE_MS)
+
+
+def test_the_legend_is_one_key_away(shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=OFFICE, locale=ENGLISH), "/")
+    page.keyboard.press("?")
+    expect(page.locator("#legend")).to_contain_text("Only an outline")
+    page.keyboard.press("Escape")
+    expect(page.locator("#legend")).to_be_hidden()
+
+
+# --- the wallboard: readable across the hall, complete in one window ----------------------------------
+
+HALL = {"width": 1920, "height": 1080}
+INCH_MM, DIAGONAL_IN = 25.4, 24
+MM_PER_PX = DIAGONAL_IN * INCH_MM / (HALL["width"] ** 2 + HALL["height"] ** 2) ** 0.5
+DISTANCE_MM = 6000
+MIN_MINUTES_OF_ARC = 16
+CAPITAL_PX = """words => {
+  const { fontFamily, fontSize, fontWeight } = getComputedStyle(words);
+  const context = document.createElement("canvas").getContext("2d");
+  context.font = `${fontWeight} ${fontSize} ${fontFamily}`;
+  return context.measureText("H").actualBoundingBoxAscent;
+}"""
+CUT_OFF = """all => all.filter(each => each.scrollHeight > each.clientHeight + 1
+  || each.scrollWidth > each.clientWidth + 1).map(each => each.className)"""
+LONG = "Stopped: emergency stop active since 28 Feb, 23:59: " + "reason " * 20
+
+
+def minutes_of_arc(pixels: float) -> float:
+    return 60 * degrees(2 * atan(pixels * MM_PER_PX / 2 / DISTANCE_MM))
+
+
+def nothing_is_cut_off(page: Page, places: str) -> None:
+    """Wait until it is so: the page fits its words to the window after the window has its size."""
+    page.wait_for_function(
+        f"places => ({CUT_OFF})([...document.querySelectorAll(places)]).length === 0", arg=places
+    )
+
+
+def test_the_verdict_is_read_from_six_meters_and_nothing_is_cut_off(shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=HALL, locale=ENGLISH), "/wallboard")
+    words = page.locator(".wall__words")
+    expect(words).to_have_attribute("data-fitted", "0")
+    assert minutes_of_arc(words.evaluate(CAPITAL_PX)) >= MIN_MINUTES_OF_ARC
+    expect(page.locator(".section")).to_have_count(8)
+    for size in (HALL, {"width": 1280, "height": 800}):
+        page.set_viewport_size(size)
+        assert page.evaluate("document.documentElement.scrollHeight - innerHeight") <= 0
+        nothing_is_cut_off(page, ".wall__words, .web, .wall__fact dd")
+    # Of a few sections, a roll has room for its draw above and its name below.
+    page.locator(".section:nth-child(n + 4)").evaluate_all("all => all.forEach(each => each.remove())")
+    for size in (HALL, {"width": 1280, "height": 800}):
+        page.set_viewport_size(size)
+        nothing_is_cut_off(page, ".web")
+    page.locator(".wall__cause").evaluate("(cause, text) => { cause.textContent = text; }", LONG)
+    page.set_viewport_size(HALL)
+    expect(words).not_to_have_attribute("data-fitted", "0")
+    assert words.evaluate_all(CUT_OFF) == []
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
+def test_the_wallboard_is_accessible_and_fits_its_window(
+    shared_page: OpensPages, flaws: Callable[..., list[str]], locale: str
+) -> None:
+    page = opened(shared_page("viewer", viewport=PHONE, locale=locale), "/wallboard")
+    expect(page.locator(".rail")).to_have_count(0)
+    assert flaws(page, locale) == []

@@ -27,6 +27,7 @@ def site(line_server: Callable[..., Site], peer: Site, tmp_path_factory: pytest.
     return line_server(2, line_options=AT_REST, toml=toml)
 
 
+@pytest.mark.soak
 def test_a_peer_that_dies_costs_its_tile_and_returns(
     site: Site, peer: Site, browser_page: OpensPages, flaws: Callable[..., list[str]]
 ) -> None:

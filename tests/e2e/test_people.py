@@ -291,9 +291,7 @@ def staged_and_saved(site: Site, holder: httpx.Client) -> Iterator[int]:
     holder.request("DELETE", f"{api}/units/1/block")
 
 
-@pytest.mark.parametrize(
-    "limits", [{"highest": 800}, {"lowest": 950}, {"per_minute": 100}], ids=["highest", "lowest", "rate"]
-)
+@pytest.mark.parametrize("limits", sizes({"highest": 800}, {"lowest": 950}, {"per_minute": 100}))
 def test_a_limit_holds_on_every_path(
     site: Site, holder: httpx.Client, staged_and_saved: int, limits: dict[str, int]
 ) -> None:
@@ -377,7 +375,7 @@ UNREACHABLE = """() => [...document.querySelectorAll(
     .map(element => element.outerHTML.slice(0, 120))"""
 
 
-@pytest.mark.parametrize("every", sizes(7, 1))
+@pytest.mark.parametrize("every", sizes(10, 1))
 def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by_keyboard(
     site: Site, shared_page: OpensPages, pages: list[str], every: int
 ) -> None:
@@ -421,17 +419,16 @@ MAX_AT_ONCE = 7
 """All of them together leave a small machine no time."""
 
 
-@pytest.mark.parametrize("every", sizes(7, 1))
+@pytest.mark.soak
 @pytest.mark.provokes("WebSocket", "fetch")
 def test_every_page_is_covered_without_its_server_and_sends_nothing(
-    site: Site, browser_page: OpensPages, pages: list[str], every: int
+    site: Site, browser_page: OpensPages, pages: list[str]
 ) -> None:
     context = browser_page("admin", viewport=PANEL).context
     before = received_writes(site), newest_event(site)
-    walked = pages[::every]
-    opened_tabs = [context.new_page() for _ in walked[:MAX_AT_ONCE]]
-    for first in range(0, len(walked), MAX_AT_ONCE):
-        paths = walked[first : first + MAX_AT_ONCE]
+    opened_tabs = [context.new_page() for _ in pages[:MAX_AT_ONCE]]
+    for first in range(0, len(pages), MAX_AT_ONCE):
+        paths = pages[first : first + MAX_AT_ONCE]
         tabs = {path: opened(tab, path) for path, tab in zip(paths, opened_tabs, strict=False)}
         covered_while_the_server_stands(site, tabs)
         for path, tab in tabs.items():
@@ -464,6 +461,7 @@ def newest_event(site: Site) -> int:
     return max((event["id"] for event in events if event["kind"] not in automatic), default=0)
 
 
+@pytest.mark.soak
 @pytest.mark.provokes("WebSocket", "fetch")
 def test_a_form_that_was_held_up_on_the_way_is_not_carried_out(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page("operator", viewport=PANEL), "/units/line/2")
@@ -553,6 +551,7 @@ def test_nothing_moves_with_reduced_motion(browser_page: OpensPages) -> None:
     assert page.evaluate(moving) == []
 
 
+@pytest.mark.soak
 def test_a_token_is_copied_and_its_page_is_loaded_again_without_it(browser_page: OpensPages) -> None:
     page = browser_page("admin", locale=ENGLISH, permissions=["clipboard-read", "clipboard-write"])
     page.goto("/users")

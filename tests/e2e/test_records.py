@@ -10,7 +10,6 @@ from playwright.sync_api import expect
 
 from tests.e2e.conftest import TOO_WIDE, OpensPages
 from tests.e2e.site import AT_REST, Site, eventually
-from tests.sizes import sizes
 
 PHONE = {"width": 360, "height": 800}
 MAX_SCREENS = 12
@@ -42,7 +41,8 @@ def site(line_server: Callable[..., Site]) -> Site:
     return made
 
 
-@pytest.mark.parametrize("path", sizes("/events", "/alarms/journal", "/alarms", "/shifts", "/shifts/present"))
+@pytest.mark.soak
+@pytest.mark.parametrize("path", ["/events", "/alarms/journal", "/alarms", "/shifts", "/shifts/present"])
 def test_a_page_full_of_records_is_not_endless(shared_page: OpensPages, path: str) -> None:
     page = shared_page("admin", viewport=PHONE)
     page.goto(path)
@@ -52,7 +52,8 @@ def test_a_page_full_of_records_is_not_endless(shared_page: OpensPages, path: st
     assert page.evaluate("document.documentElement.scrollHeight / innerHeight") <= MAX_SCREENS
 
 
-@pytest.mark.parametrize("path", sizes("/recipes/1", "/sets", "/sets/1", "/recipes", "/trends"))
+@pytest.mark.soak
+@pytest.mark.parametrize("path", ["/recipes/1", "/sets", "/sets/1", "/recipes", "/trends"])
 def test_a_long_word_widens_no_page(shared_page: OpensPages, path: str) -> None:
     page = shared_page("admin", viewport=PHONE)
     form = {"name": WORD, "query": "s=line/1/actual"}

@@ -15,7 +15,6 @@ from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.limits import PROCEDURE_MS, PROCEDURE_S
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
-from tests.sizes import in_turn
 
 OFFICE = {"width": 1280, "height": 900}
 PHONE = {"width": 360, "height": 740}
@@ -51,6 +50,7 @@ def of_unit(page: Page, name: str) -> Locator:
     return part
 
 
+@pytest.mark.soak
 def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
     site: Site, shared_page: OpensPages
 ) -> None:
@@ -200,6 +200,7 @@ def responded_since(served: Site, number: int, moment: datetime) -> bool:
     )
 
 
+@pytest.mark.soak
 def test_a_restore_is_reviewed_first_and_verified_afterwards(site: Site, shared_page: OpensPages) -> None:
     page = shared_page("engineer", viewport=OFFICE)
     address = take_set(page)
@@ -325,6 +326,7 @@ def test_one_parameter_over_many_units(site: Site, shared_page: OpensPages) -> N
     expect(unwind.get_by_role("textbox")).to_have_value("")
 
 
+@pytest.mark.soak
 def test_what_a_unit_is_already_is_not_written_again(site: Site, shared_page: OpensPages) -> None:
     page = shared_page("engineer", viewport=PHONE)
     page.goto("/batch/line?number=9")
@@ -343,21 +345,14 @@ def test_what_a_unit_is_already_is_not_written_again(site: Site, shared_page: Op
     assert len(writes(site, 0x86)) == before + 1
 
 
+@pytest.mark.soak
+@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
 @pytest.mark.parametrize(
-    ("path", "locale"),
-    in_turn(
-        [
-            "/sets",
-            "/units/line/1/restore",
-            "/batch/line",
-            "/recipes",
-            "/swap/line/1",
-            "/sets/compare",
-            "/sets/compare?left=live:line:1&right=live:line:2",
-        ],
-        (ENGLISH, GERMAN),
-        first=3,
-    ),
+    "path",
+    [
+        *("/sets", "/units/line/1/restore", "/batch/line", "/recipes", "/swap/line/1", "/sets/compare"),
+        "/sets/compare?left=live:line:1&right=live:line:2",
+    ],
 )
 def test_accessible_and_as_wide_as_the_screen(
     shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str

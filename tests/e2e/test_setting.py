@@ -148,6 +148,7 @@ def test_a_click_without_a_response_has_an_unknown_outcome(site: Site, browser_p
     assert writes(site) == before
 
 
+@pytest.mark.soak
 def test_out_of_range_is_refused_with_the_nearest(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/3")
     before = writes(site)
@@ -249,6 +250,7 @@ def test_by_touch_every_number_has_a_pad_that_names_it_and_its_limits(browser_pa
     expect(page.locator('[data-together="offset"]')).to_have_value("-5")
 
 
+@pytest.mark.soak
 def test_a_refused_parameter_value_offers_the_nearest(shared_page: OpensPages) -> None:
     page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
@@ -260,6 +262,7 @@ def test_a_refused_parameter_value_offers_the_nearest(shared_page: OpensPages) -
     expect(row.locator("[name=value]")).to_be_focused()
 
 
+@pytest.mark.soak
 def test_a_small_nudge_needs_no_review(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/7")
     was = state(site, 7)["setpoint"]
@@ -269,6 +272,7 @@ def test_a_small_nudge_needs_no_review(site: Site, shared_page: OpensPages) -> N
     expect(page.get_by_role("button", name=f"Undo: set {was / 10:.1f}")).to_be_visible()
 
 
+@pytest.mark.soak
 def test_staging_changes_nothing_until_executed(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/8")
     was = state(site, 8)["setpoint"]
@@ -306,6 +310,7 @@ def test_discard_leaves_nothing_staged_while_an_input_stands_above_the_setpoint(
             site.line.remote.do("input", unit=unit, input=input, on=False)
 
 
+@pytest.mark.soak
 def test_an_output_is_switched_behind_a_review(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/2")
     was = state(site, 2)["outputs"]
@@ -410,6 +415,7 @@ def test_a_dangerous_parameter_wants_a_word(site: Site, shared_page: OpensPages)
     assert writes(site) == before
 
 
+@pytest.mark.soak
 def test_a_block_is_shown_and_lifted(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/7")
     page.get_by_role("button", name="Set now").click()
@@ -426,6 +432,7 @@ def test_a_block_is_shown_and_lifted(site: Site, shared_page: OpensPages) -> Non
     expect(page.locator("#setpoint")).to_be_visible()
 
 
+@pytest.mark.soak
 def test_the_line_goes_to_zero(site: Site, shared_page: OpensPages) -> None:
     eventually(lambda: all(site.unit(unit)["link"] == "online" for unit in range(1, 9)), "every unit online")
     page = opened(shared_page(viewport=PANEL), "/")

@@ -69,10 +69,10 @@ def is_shown(page: Page, unit: int, level: str) -> None:
 
 @pytest.mark.parametrize(("size", "locale"), in_turn([PANEL, PHONE], (ENGLISH, GERMAN)))
 def test_nothing_moves_while_the_story_runs(
-    site: Site, browser_page: OpensPages, size: Any, locale: str
+    site: Site, shared_page: OpensPages, size: Any, locale: str
 ) -> None:
     site.end_alarms()
-    page = opened(browser_page("operator", viewport=size, locale=locale), "/")
+    page = opened(shared_page("operator", viewport=size, locale=locale), "/")
     page.wait_for_load_state("networkidle")
     page.evaluate(COUNT_SHIFTS)
     remote = site.line.remote
@@ -101,11 +101,9 @@ def test_nothing_moves_while_the_story_runs(
 
 
 def test_eight_units_and_the_verdict_are_in_the_first_screen_of_a_phone(
-    site: Site, browser_page: OpensPages
+    site: Site, shared_page: OpensPages
 ) -> None:
-    page = opened(
-        browser_page("operator", viewport=PHONE, locale=GERMAN, has_touch=True, is_mobile=True), "/"
-    )
+    page = opened(shared_page("operator", viewport=PHONE, locale=GERMAN, has_touch=True, is_mobile=True), "/")
     site.line.remote.do("input", unit=2, input="estop", on=True)
     try:
         is_shown(page, 2, "urgent")
@@ -125,13 +123,13 @@ def test_eight_units_and_the_verdict_are_in_the_first_screen_of_a_phone(
 
 
 def test_what_is_read_aloud_of_the_line_and_the_alarms_is_in_order(
-    site: Site, browser_page: OpensPages
+    site: Site, shared_page: OpensPages
 ) -> None:
     site.end_alarms()
     # Of the second unit it has come so often by now that it chatters.
     site.line.remote.do("input", unit=3, input="estop", on=True)
     try:
-        page = opened(browser_page("operator", viewport=PANEL), "/?view=tiles")
+        page = opened(shared_page("operator", viewport=PANEL), "/?view=tiles")
         expect(page.locator(".well__verdict")).to_contain_text("Stopped")
         head = page.evaluate(SPOKEN, ".top")
         assert head[1:3] == ["1 alarm active", "1 to acknowledge"]
@@ -182,15 +180,14 @@ TOUCHING = """() => {
 do not count."""
 
 
-@pytest.mark.parametrize("path", ["/", "/units/line/2", "/setpoints", "/alarms"])
-def test_no_two_targets_of_a_phone_touch(site: Site, shared_page: OpensPages, path: str) -> None:
+def test_no_two_targets_of_a_phone_touch(site: Site, shared_page: OpensPages) -> None:
     site.line.remote.do("input", unit=2, input="estop", on=True)
+    page = shared_page("operator", viewport=PHONE, locale=GERMAN, has_touch=True, is_mobile=True)
     try:
-        page = opened(
-            shared_page("operator", viewport=PHONE, locale=GERMAN, has_touch=True, is_mobile=True), path
-        )
-        expect(page.locator(".top__alarm")).to_have_attribute("data-is", re.compile("urgent"))
-        assert page.evaluate(TOUCHING) == []
+        for path in ("/", "/units/line/2", "/setpoints", "/alarms"):
+            opened(page, path)
+            expect(page.locator(".top__alarm")).to_have_attribute("data-is", re.compile("urgent"))
+            assert page.evaluate(TOUCHING) == [], path
     finally:
         site.line.remote.do("input", unit=2, input="estop", on=False)
         site.end_alarms()
@@ -205,13 +202,13 @@ HEADINGS_AND_CONTROLS = """root => [...document.querySelectorAll(
 
 
 def test_what_is_read_aloud_of_the_other_pages_of_an_operator_is_in_order(
-    site: Site, browser_page: OpensPages
+    site: Site, shared_page: OpensPages
 ) -> None:
     site.end_alarms()
     site.line.remote.do("input", unit=4, input="estop", on=True)
     site.line.remote.do("mode", unit=7, to="local")
     try:
-        page = opened(browser_page("operator", viewport=PANEL), "/units/line/4")
+        page = opened(shared_page("operator", viewport=PANEL), "/units/line/4")
         expect(page.locator(".cause")).to_contain_text("Stopped: emergency stop active")
         expect(page.locator(".cause .alarm-words")).to_contain_text("Emergency stop")
         head = page.locator(".top__verdict .verdict__cause")

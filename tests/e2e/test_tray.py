@@ -27,9 +27,9 @@ def site(line_server: Callable[..., Site]) -> Site:
 
 
 @pytest.fixture
-def page(browser_page: OpensPages) -> Page:
+def page(shared_page: OpensPages) -> Page:
     """The setpoints of the line, of an engineer with an empty tray."""
-    opened = browser_page("engineer", viewport=PANEL)
+    opened = shared_page("engineer", viewport=PANEL)
     goto(opened, "/tray")
     empty = opened.get_by_role("button", name="Empty the tray")
     if empty.count():
@@ -147,6 +147,7 @@ def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
     assert sum(event.get("origin") == "change tray" for event in events) == 5
 
 
+@pytest.mark.soak
 def test_twelve_units_take_six_presses_and_the_number(site: Site, page: Page) -> None:
     goto(page, "/")
     presses = 0

@@ -139,7 +139,7 @@ def test_the_page_draws_and_follows_now(shared_page: OpensPages) -> None:
     expect(page.locator('[data-span="600"]')).to_have_attribute("aria-pressed", "true")
     expect(page.locator("#trends")).not_to_have_attribute("data-drawn", first or "")
     assert view_of(page)["span"] == "600"
-    assert page.locator("#trend-plot canvas").count() == 1
+    expect(page.locator("#trend-plot canvas")).to_have_count(1)
     page.locator("[data-preset=shift]").click()
     expect(page.locator("[data-preset=shift]")).to_have_attribute("aria-pressed", "true")
     assert view_of(page)["preset"] == "shift"
@@ -350,7 +350,8 @@ def test_an_alarm_is_marked_in_the_picture_and_listed(site: Site, shared_page: O
         site.line.remote.do("input", unit=2, input="estop", on=False)
 
 
-@pytest.mark.parametrize(("locale", "actual"), sizes((GERMAN, "ist"), (ENGLISH, "actual")))
+@pytest.mark.soak
+@pytest.mark.parametrize(("locale", "actual"), [(GERMAN, "ist"), (ENGLISH, "actual")])
 def test_it_is_accessible(
     shared_page: OpensPages, flaws: Callable[..., list[str]], locale: str, actual: str
 ) -> None:

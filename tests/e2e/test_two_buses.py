@@ -51,6 +51,7 @@ def state(line: Line, unit: int) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.soak
 def test_an_abnormal_unit_is_named_with_its_bus(site: Site, shared_page: OpensPages) -> None:
     """Both buses have a unit of that name."""
     wet(site).remote.do("input", unit=2, input="estop", on=True)

@@ -1,15 +1,19 @@
-"""The page of a unit: the cause first, and all that an operator needs in the window."""
+"""The page of a unit: the cause first, and all that an operator needs in the window; what undo offers; and a
+second tap within a second, which does nothing.
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.pages import opened
-from tests.e2e.site import Site
+from tests.e2e.site import Site, eventually
 from tests.sizes import sizes
 
 PANEL, PHONE = {"width": 1280, "height": 800}, {"width": 360, "height": 800}
@@ -99,3 +103,256 @@ def test_a_speed_is_set_by_three_presses_and_the_number_with_nothing_to_close(
     expect(page.locator("#setpoint-error [data-review-done=good]")).to_be_in_viewport(ratio=1)
     expect(page.locator("[data-review]")).to_have_count(0)
     assert (presses, site.unit(4)["commanded"]) == (3, "93.5")
+
+
+# --- undo offers the value before the command that it follows, or is not offered ----------------------
+
+UNIT = 8
+
+
+@pytest.fixture
+def unit_page(site: Site, shared_page: OpensPages) -> Page:
+    """The page of a unit at 115.0."""
+    site.set_speed(UNIT, value="115.0")
+    found = shared_page(viewport=PANEL)
+    found.goto(f"{site.url}/units/line/{UNIT}")
+    expect(found.locator("body")).to_have_attribute("data-link", "live")
+    expect(found.locator("#setpoint")).to_have_value("115.0")
+    return found
+
+
+@pytest.fixture
+def page(unit_page: Page) -> Page:
+    """The page of the unit set to 111.0, with the way back to 115.0 on it."""
+    unit_page.locator("#setpoint").fill("111.0")
+    send(unit_page, "Set now")
+    expect(undo(unit_page)).to_have_text("Undo: set 115.0…")
+    return unit_page
+
+
+def undo(page: Page) -> Locator:
+    return page.get_by_role("button", name=re.compile("Undo"))
+
+
+def send(page: Page, opens_review: str) -> None:
+    """One reviewed command, until its review is gone."""
+    page.get_by_role("button", name=opens_review).click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]").last).to_be_visible()
+    close = page.locator("dialog[open] [data-review-cancel]")
+    if close.count():
+        close.click()
+    expect(page.locator("[data-review]")).to_have_count(0)
+
+
+def stage(page: Page, value: str) -> None:
+    page.locator("#setpoint").fill(value)
+    send(page, "Stage…")
+    expect(page.locator(f'[data-live="line/{UNIT}.staged"]').first).to_have_text(re.compile(value))
+
+
+@pytest.mark.soak
+def test_after_execute_staged_undo_offers_what_was_commanded_before_it(site: Site, page: Page) -> None:
+    stage(page, "119.0")
+    send(page, "Execute staged")
+    expect(undo(page)).to_have_text("Undo: set 111.0…")
+    undo(page).click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("reads 111.0")
+    assert site.unit(UNIT)["commanded"] == "111.0"
+
+
+@pytest.mark.soak
+def test_each_command_has_its_own_undo_and_the_one_before_comes_back(page: Page) -> None:
+    page.get_by_role("button", name="Up by 0.2").click()
+    expect(undo(page)).to_have_text("Undo: set 111.0…")
+    page.goto("/alarms")
+    page.goto(f"/units/line/{UNIT}")
+    undo(page).click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("reads 111.0")
+    expect(undo(page)).to_have_text("Undo: set 115.0…")
+
+
+@pytest.mark.soak
+def test_an_output_is_switched_back(site: Site, page: Page) -> None:
+    on = site.unit(UNIT)["outputs"][2]
+    page.get_by_role("button", name="Switch output 3").click()
+    page.locator("[data-review-act]").click()
+    result = page.locator("#outputs-result [data-review-done=good]")
+    expect(result).to_be_visible()
+    # The page offers it too, once it has seen the command.
+    result.get_by_role("button", name=re.compile("Undo: switch output 3")).click()
+    page.locator("[data-review-act]").click()
+    expect(result).to_contain_text("output 3 is on" if on else "output 3 is off")
+    assert site.unit(UNIT)["outputs"][2] == on
+
+
+def test_what_was_typed_is_a_draft_on_the_next_page(unit_page: Page) -> None:
+    unit_page.locator("#setpoint").fill("66.6")
+    unit_page.goto("/alarms")
+    unit_page.goto(f"/units/line/{UNIT}")
+    expect(unit_page.locator("[data-draft]")).to_contain_text("not sent")
+    expect(unit_page.locator("#setpoint")).to_have_value("66.6")
+    unit_page.get_by_role("button", name="Discard draft").click()
+    expect(unit_page.locator("#setpoint")).not_to_have_value("66.6")
+    unit_page.reload()
+    expect(unit_page.locator("[data-draft]")).to_have_count(0)
+
+
+def test_what_was_staged_is_no_draft_any_more(site: Site, unit_page: Page) -> None:
+    unit_page.locator("#setpoint").fill("66.6")
+    unit_page.get_by_role("button", name="Stage…").click()
+    unit_page.locator("[data-review-act]").click()
+    expect(unit_page.locator("[data-review-done=good]")).to_be_visible()
+    assert site.unit(UNIT)["staged"] == "66.6"
+    unit_page.goto("/alarms")
+    unit_page.goto(f"/units/line/{UNIT}")
+    expect(unit_page.locator("#setpoint")).not_to_have_value("66.6")
+    expect(unit_page.locator("[data-draft]")).to_have_count(0)
+    site.set_speed(UNIT, value="60.0")
+
+
+@pytest.mark.soak
+def test_setting_the_line_to_zero_ends_the_undo_before_it_and_has_none(site: Site, page: Page) -> None:
+    before = [site.unit(number)["commanded"] for number in range(1, UNIT + 1)]
+    try:
+        send(page, "Set line to zero")
+        # Requested apart, as an offer that lapses would be gone in time, too.
+        offered = page.request.get(f"{site.url}/bus/line/undo?unit={UNIT}")
+        assert offered.ok
+        assert "<button" not in offered.text()
+        expect(undo(page)).to_have_count(0)
+    finally:
+        for number, value in enumerate(before, 1):
+            site.set_speed(number, value=value)
+
+
+@pytest.mark.soak
+def test_an_execute_is_refused_where_the_setpoint_has_moved_since_the_review(site: Site, page: Page) -> None:
+    stage(page, "119.0")
+    page.get_by_role("button", name="Execute staged").click()
+    was = page.locator('[data-review] [name="was"]')
+    expect(was).to_have_value("1110")
+    was.evaluate("field => (field.value = '1150')")
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=bad]")).to_be_visible()
+    eventually(lambda: site.unit(UNIT)["commanded"] == "111.0", "nothing was executed")
+
+
+# --- a second tap; the time of the page is the test's -------------------------------------------------
+
+CLOCK = """const real = Date.now;
+Date.now = () => Number(sessionStorage.getItem("test-now") ?? real());"""
+TAPPED = 7
+
+
+@pytest.fixture
+def still_page(site: Site, browser_page: OpensPages) -> Page:
+    """The page of a unit, on which no time passes."""
+    site.set_speed(TAPPED, value="100.0")
+    found = browser_page(viewport=PANEL, taps=True)
+    found.add_init_script(CLOCK)
+    found.goto(f"{site.url}/units/line/{TAPPED}")
+    expect(found.locator("body[data-link=live]")).to_be_attached()
+    expect(found.locator("#setpoint")).to_have_value("100.0")
+    found.evaluate("sessionStorage.setItem('test-now', Date.now())")
+    return found
+
+
+@pytest.fixture
+def step(still_page: Page) -> Locator:
+    return still_page.get_by_role("button", name="Up by 0.2")
+
+
+def let_pass(page: Page, ms: int) -> None:
+    # A press is dropped while the response to the one before is on its way.
+    expect(page.locator(".htmx-request")).to_have_count(0)
+    page.evaluate("ms => sessionStorage.setItem('test-now', Date.now() + ms)", ms)
+
+
+def commanded(site: Site) -> str:
+    found: str = site.unit(TAPPED)["commanded"]
+    return found
+
+
+def test_a_second_tap_on_a_button_changes_nothing(site: Site, still_page: Page, step: Locator) -> None:
+    step.click()
+    expect(still_page.locator("#setpoint")).to_have_value("100.2")
+    let_pass(still_page, 999)
+    step.click()
+    let_pass(still_page, 1)
+    step.click()
+    expect(still_page.locator("#setpoint")).to_have_value("100.4")
+    eventually(lambda: commanded(site) == "100.4", "two steps of three presses")
+
+
+def test_a_second_tap_does_not_confirm_what_the_first_one_opened(site: Site, still_page: Page) -> None:
+    still_page.locator("#setpoint").fill("110.0")
+    still_page.get_by_role("button", name="Set now").click()
+    act = still_page.locator("[data-review-act]")
+    expect(act).to_be_visible()
+    place = still_page.get_by_role("button", name="Set now", include_hidden=True).bounding_box()
+    assert place is not None
+    x, y = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
+    act.evaluate(
+        """(act, [x, y]) => {
+            const { left, top, width, height } = act.getBoundingClientRect();
+            act.style.translate = `${x - left - width / 2}px ${y - top - height / 2}px`;
+        }""",
+        [x, y],
+    )
+    still_page.mouse.click(x, y)
+    expect(act).to_be_visible()
+    expect(still_page.locator("[data-pending]")).to_have_count(0)
+    let_pass(still_page, 1000)
+    still_page.mouse.click(x, y)
+    expect(still_page.locator("[data-review-done=good]")).to_be_visible()
+    assert commanded(site) == "110.0"
+
+
+@pytest.fixture
+def stopped(site: Site) -> Iterator[str]:
+    """The id of an alarm to acknowledge."""
+    site.line.remote.do("input", unit=TAPPED, input="estop", on=True)
+    with site.api() as client:
+        query = {"unit": TAPPED, "state": "unack_active"}
+
+        def found() -> list[str]:
+            alarms = client.get("/alarms", params=query).json()["alarms"]
+            return [alarm["id"] for alarm in alarms if alarm["code"] == "estop_active"]
+
+        yield eventually(found, "an alarm")[0]
+        site.line.remote.do("input", unit=TAPPED, input="estop", on=False)
+        eventually(
+            lambda: client.get("/alarms", params=query | {"state": "normal"}).json()["alarms"], "normal"
+        )
+
+
+@pytest.mark.soak
+def test_a_second_tap_presses_nothing_on_the_page_that_the_first_one_opened(
+    site: Site, still_page: Page, stopped: str
+) -> None:
+    still_page.goto(f"{site.url}/alarms/{stopped}")
+    place = still_page.locator("main").get_by_role("button", name="Acknowledge alarm").bounding_box()
+    assert place is not None
+    x, y = place["x"] + 20, place["y"] + 20
+    still_page.mouse.click(x, y)
+    expect(still_page).to_have_url(re.compile(r"/alarms(\?.*)?$"))
+    still_page.evaluate(
+        """([x, y]) => {
+            const button = document.createElement("button");
+            button.style.cssText = `position: fixed; z-index: 99; left: ${x - 50}px; top: ${y - 50}px;
+                width: 100px; height: 100px`;
+            button.addEventListener("click", () => (button.dataset.pressed = ""));
+            button.id = "under-the-finger";
+            document.body.append(button);
+        }""",
+        [x, y],
+    )
+    under = still_page.locator("#under-the-finger")
+    still_page.mouse.click(x, y)
+    expect(under).not_to_have_attribute("data-pressed", "")
+    let_pass(still_page, 1000)
+    still_page.mouse.click(x, y)
+    expect(under).to_have_attribute("data-pressed", "")
