@@ -48,6 +48,9 @@ AT_REST = ("--no-script", "--no-unrest", "--turnaround-ms", "20")
 """Units to which nothing happens but what the test does. They respond as late as drives do, so that the
 processes of a line do half as much for as long as it is there."""
 
+ONE_REQUEST = httpx.Limits(max_keepalive_connections=0)
+"""For each connection of a client: the server closes one that is idle, maybe as the next request is sent."""
+
 
 def eventually(condition: Callable[[], Any], what: str, *, within: float = UNIT_S) -> Any:
     """The first true result of ``condition``; fails with ``what`` when there is none in time."""
@@ -250,7 +253,14 @@ class Site:
         headers = {"Authorization": f"Bearer {self.tokens[role]}"} if role else {}
         url = f"{self.url}/api/v1"
         # Loading certificates takes longer than a call.
-        return httpx.Client(base_url=url, headers=headers, timeout=CALL_S, trust_env=False, verify=False)
+        return httpx.Client(
+            base_url=url,
+            headers=headers,
+            timeout=CALL_S,
+            limits=ONE_REQUEST,
+            trust_env=False,
+            verify=False,
+        )
 
     def unit(self, number: int = 1, bus: str = "line") -> dict[str, Any]:
         """A unit as the API shows it now."""

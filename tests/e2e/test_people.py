@@ -14,7 +14,7 @@ from playwright.sync_api import Page, expect
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus
 from tests.e2e.limits import CALL_S, PROCEDURE_S
 from tests.e2e.pages import LIVE, opened
-from tests.e2e.site import AT_REST, Site, eventually
+from tests.e2e.site import AT_REST, ONE_REQUEST, Site, eventually
 from tests.e2e.site import site as one_site
 from tests.sizes import sizes
 
@@ -38,6 +38,7 @@ def holder(site: Site) -> Iterator[httpx.Client]:
         base_url=site.url,
         headers={"Authorization": f"Bearer {site.tokens['admin']}"},
         timeout=CALL_S,
+        limits=ONE_REQUEST,
         trust_env=False,
     ) as client:
         assert (

@@ -21,7 +21,7 @@ FOLLOWER = 1
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
     """Three units on ``line``, two on ``wet``; unit 3 of ``line`` follows the first."""
-    return line_server(3, line_options=(*AT_REST, "--speedup", "3"), more={"wet": 2})
+    return line_server(3, line_options=AT_REST, more={"wet": 2})
 
 
 @pytest.fixture
