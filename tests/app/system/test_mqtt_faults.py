@@ -69,7 +69,7 @@ async def test_each_reading_comes_once_over_losses(tmp_path: Path) -> None:
             await until(lambda: len(host.values) == 3, "every unit is born")
             first = {unit: received(host, unit) for unit in UNITS}
             sent: list[Reading] = []
-            for births in range(2, 5):
+            for births in range(2, 4):
                 await feed(worker, sent, 10)
                 # What is on its way in the moment of the loss may come twice: nothing is.
                 await until(partial(has, host, "Unit 16", (sent[-1].actual or 0) / 10), "received")
@@ -102,7 +102,7 @@ async def test_a_broker_that_drops_every_second_connection_is_followed(tmp_path:
             sent: list[Reading] = []
             lines = asyncio.create_task(feed(await house.worker(), sent, 100_000))
             status = node_of(house).status
-            for _ in range(3):
+            for _ in range(2):
                 await until(lambda: len(host.values) == 3, "every unit is born")
                 births = host.births
                 relay.cut()
@@ -112,7 +112,7 @@ async def test_a_broker_that_drops_every_second_connection_is_followed(tmp_path:
                 assert len(sent) > count, "the line is followed meanwhile"
                 assert house.live.units[1].reading in sent[-4:]
             lines.cancel()
-    assert relay.count >= 7
+    assert relay.count >= 5
     assert host.faults == []
 
 

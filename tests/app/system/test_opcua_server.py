@@ -7,6 +7,7 @@ import asyncio
 import json
 import os
 import shutil
+import socket
 import struct
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
@@ -377,7 +378,9 @@ async def test_a_client_that_does_not_read_is_given_up(site: Site) -> None:
         browse = ua.BrowseRequest()
         widest = ua.BrowseDescription(NodeId=ua.NodeId(ua.ObjectIds.Structure))
         browse.Parameters.NodesToBrowse = [widest] * 18
-        client.uaclient.protocol.transport.pause_reading()
+        transport = client.uaclient.protocol.transport
+        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        transport.pause_reading()
         send = client.uaclient.protocol.send_request
         asked = [asyncio.create_task(send(browse, timeout=100)) for _ in range(gate.MAX_PENDING)]
         await site.server.until(lambda status: status.refused > refused and status.sessions == 0)
