@@ -171,7 +171,8 @@ def _others_can_write(folder: Path) -> bool:
 
 def free_bytes(folder: Path) -> int:
     """Return how many bytes this user may still write there."""
-    return shutil.disk_usage(folder).free
+    found = os.statvfs(folder)
+    return found.f_bavail * found.f_frsize
 
 
 class Reserve:
@@ -189,7 +190,7 @@ class Reserve:
         self._to_make = True
         free, held = free_bytes(folder), self._held()
         self._make(held, min(size, (free + held) // 2))
-        self._note(free)
+        self._note(free, self._held())
 
     def keep(self) -> None:
         """Make room for a transaction, or take the space back if the disk has it. If the disk fails, the
@@ -198,9 +199,11 @@ class Reserve:
             free, held = free_bytes(self._path.parent), self._held()
             if free < MIN_FREE and held:
                 os.truncate(self._path, max(0, held - MIN_FREE + free))
-            elif free >= MIN_FREE_OF_OTHERS + self._size - held:
+                held = self._held()
+            elif held < self._size and free >= MIN_FREE_OF_OTHERS + self._size - held:
                 self._make(held, self._size)
-            self._note(free)
+                held = self._held()
+            self._note(free, held)
 
     @property
     def notice(self) -> Message | None:
@@ -236,7 +239,7 @@ class Reserve:
         except FileNotFoundError:
             return 0
 
-    def _note(self, free: int) -> None:
+    def _note(self, free: int, held: int) -> None:
         self._is_short = free < MIN_FREE_OF_OTHERS
-        self.left = self._held() / self._size
+        self.left = held / self._size
         """The part of the space that is still there, 0 to 1."""

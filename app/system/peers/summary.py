@@ -192,8 +192,9 @@ def _by_priority(alarms: Iterable[Alarm]) -> Counts:
 
 
 READ_EVERY_S = 1.0
-MAX_READ = 10
-"""Events of a line that are read: the last of a shown kind is nearly always among them."""
+READ = (1, 10)
+"""Events of a line that are read, more only where none of a shown kind is among the first: after each command
+its own is the last."""
 SHOWN: frozenset[EventKind] = frozenset(
     ("block", "bus", "command", "estop", "mode", "recipe", "restore", "run", "swap", "unit", "worker")
 )
@@ -237,11 +238,18 @@ class LastEvents:
         """Read the last event of each line that has a new one. A change of several units is one."""
         for bus in sorted(self._changed):
             with suppress(StoreError):
-                found, _ = await self.events.page(Filter(bus=bus, folded=True), MAX_READ)
+                last = await self._last_shown(bus)
                 self._changed.discard(bus)
-                last = next((event for event in found if _is_shown(event)), None)
                 if last is not None and last["time"]:
                     self._last[bus] = EventSummary(float(last["time"]), self._text(last))
+
+    async def _last_shown(self, bus: str) -> Event | None:
+        for count in READ:
+            found, _ = await self.events.page(Filter(bus=bus, folded=True), count)
+            last = next((event for event in found if _is_shown(event)), None)
+            if last is not None:
+                return last
+        return None
 
     def _text(self, event: Event) -> Message:
         """Return the text of an event, such as ``Dryer 2 · speed set: 120.0 → 121.0``, with the result where
