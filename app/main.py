@@ -101,6 +101,8 @@ def create_app(
         version=VERSION,
         lifespan=_lifespan,
         openapi_url=None,
+        # Nothing here is a provider of OpenTelemetry, which FastAPI would look for at each request.
+        telemetry={"tracing": False, "metrics": False, "logs": False},
     )
     app.state.services = services
     for feature in FEATURES:
