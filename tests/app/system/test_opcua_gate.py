@@ -14,7 +14,7 @@ from asyncua import ua
 from asyncua.common.utils import ServiceError
 
 from app.system.opcua import gate
-from app.system.opcua.access import TokenList, TrustList, own_certificate
+from app.system.opcua.access import OwnCertificate, TokenList, TrustList, own_certificate
 from app.system.opcua.gate import Gate, GuardedConnection, ViewerServer
 from tests.app.fake_worker import until
 
@@ -49,9 +49,13 @@ class PlayedTransport:
         return self.was_aborted
 
 
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> OwnCertificate:
+    return own_certificate(tmp_path_factory.mktemp("own"), (), "Mill 7", datetime.now(UTC))
+
+
 @pytest.fixture
-def made(tmp_path: Path) -> Gate:
-    own = own_certificate(tmp_path, (), "Mill 7", datetime.now(UTC))
+def made(own: OwnCertificate, tmp_path: Path) -> Gate:
     return Gate(ViewerServer(own, TrustList(tmp_path), TokenList()))
 
 
