@@ -89,7 +89,6 @@ class House:
     """What `commands_app` permits: everything that a test does not withdraw."""
     _browsers: dict[str, tuple[str, httpx.AsyncClient]] = field(default_factory=dict)
     _tokens: list[str] = field(default_factory=list)
-    _people: set[tuple[str, Role]] = field(default_factory=set)
     _keys: dict[Role, str] = field(default_factory=dict)
     _workers: list[PlayedWorker] = field(default_factory=list)
 
@@ -101,10 +100,10 @@ class House:
         return client
 
     async def add(self, name: str, role: Role) -> None:
-        """A person with the password of all; the same one to every case of a test."""
-        if (name, role) not in self._people:
+        """A person with the password of all, unless there is one, of an earlier case of the same test."""
+        users = await self.services[Database].read(store.users)
+        if not any((user.name, user.role) == (name, role) for user in users):
             await self.services[Accounts].add_user(name, role, PASSWORD, **BY)
-            self._people.add((name, role))
 
     async def signed_in(self, role: Role, name: str = "") -> httpx.AsyncClient:
         """A new browser of a person who has signed in."""
@@ -117,9 +116,10 @@ class House:
 
     async def token(self, role: Role) -> str:
         """A bearer token."""
-        if role not in self._keys:
+        name, tokens = f"key-{role}", await self.services[Database].read(store.tokens)
+        if name not in {token.name for token in tokens}:
             bus = "dry-end" if role is Role.WORKER else ""
-            self._keys[role] = await self.services[Accounts].create_token(f"key-{role}", role, bus=bus, **BY)
+            self._keys[role] = await self.services[Accounts].create_token(name, role, bus=bus, **BY)
         return self._keys[role]
 
     async def program(self, role: Role) -> httpx.AsyncClient:
