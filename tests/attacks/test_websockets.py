@@ -16,7 +16,6 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from app.core.server.connections import client_connection
 from app.core.server.gate import CLOSING_S, MAX_HELD_BYTES, MAX_MESSAGE_BYTES, Gate
 from tests.app.gated import PATIENCE_S, Port, everything, gated, until
-from tests.for_each import for_each
 
 FEED_PATH = "/feed"
 HANDSHAKE = (
@@ -94,7 +93,7 @@ async def site() -> AsyncIterator[Site]:
         yield site
 
 
-@for_each(
+@pytest.mark.parametrize(
     "flood",
     [
         frame(TEXT) + frame(CONT) * 100_000,
@@ -103,6 +102,7 @@ async def site() -> AsyncIterator[Site]:
         frame(FIN | PONG) * 100_000,
         frame(FIN | TEXT, b"x" * (2 * MAX_MESSAGE_BYTES)),
     ],
+    ids=["fragments", "empty pings", "pings", "pongs", "a large message"],
 )
 async def test_a_flood_without_a_message_ends_its_socket(site: Site, flood: bytes) -> None:
     reader = await site.connect()
@@ -165,9 +165,10 @@ async def test_a_burst_of_handshakes_stands_in_front_of_no_other_sender(site: Si
         assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
 
 
-@for_each(
+@pytest.mark.parametrize(
     "sent",
     [frame(FIN | CLOSE, struct.pack("!H", 4401)), frame(FIN | PING) * 2000],
+    ids=["its Close frame", "a flood"],
 )
 async def test_what_follows_the_close_of_the_server_ends_the_connection(site: Site, sent: bytes) -> None:
     reader = await site.connect()
@@ -236,6 +237,7 @@ async def test_a_worker_may_send_much_at_once_after_hello(site: Site) -> None:
         frame(FIN | TEXT, b"x" * (2 * MAX_MESSAGE_BYTES), size=3_000_000),
         frame(TEXT, b"x" * MAX_MESSAGE_BYTES) + frame(CONT, b"x" * 1024),
     ],
+    ids=["a frame", "fragments"],
 )
 async def test_only_a_small_message_comes_before_hello(site: Site, begun: bytes) -> None:
     reader = await site.connect(FEED_PATH)
