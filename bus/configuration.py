@@ -6,7 +6,7 @@ import difflib
 import json
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import date
 from io import StringIO
 from pathlib import Path
@@ -148,6 +148,27 @@ def toml_of(value: Any) -> str:
         case date():
             return value.isoformat()
     return repr(value)
+
+
+def bus_lines(bus: Mapping[str, Any]) -> list[str]:
+    """Return the lines of a ``[[bus]]`` as a person would write them: a ``[[bus.unit]]`` for each of its
+    ``unit``, and a ``[bus.unit.labels]`` where that has labels."""
+    tables = [("[[bus]]", bus)]
+    for unit in bus["unit"]:
+        tables.append(("\n[[bus.unit]]", unit))
+        if "labels" in unit:
+            tables.append(("[bus.unit.labels]", unit["labels"]))
+    return [line for head, table in tables for line in (head, *_table_lines(table))]
+
+
+def _table_lines(table: Mapping[str, Any]) -> Iterator[str]:
+    for key, value in table.items():
+        if key in ("unit", "labels") and not isinstance(value, str):
+            continue  # a table of its own
+        if isinstance(value, dict):
+            yield from (f"{key}.{inner} = {toml_of(each)}" for inner, each in value.items())
+        else:
+            yield f"{key} = {toml_of(value)}"
 
 
 def lines_of(text: str) -> list[str]:

@@ -16,7 +16,7 @@ from app.cli.starting import listen, listen_from
 from app.core.server.service_manager import ServiceManager
 from app.errors import StoreError
 from app.settings import load
-from bus.configuration import toml_of
+from bus.configuration import bus_lines
 from bus.instants import monotonic_now
 from bus.messages import Message
 from bus.settings import UnitSettings
@@ -78,9 +78,6 @@ def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
 def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:
     """Return the lineside.toml of a demo."""
     unit = [each.model_dump(exclude_defaults=True) for each in units]
-    sections = {
-        "site": {"name": "Demo line", "simulated": True},
-        "server": {"port": port},
-        "bus": [{"name": "demo", "port": str(line), "draw_percent": [-0.5, 1.0], "unit": unit}],
-    }
-    return "".join(f"{name} = {toml_of(value)}\n" for name, value in sections.items())
+    bus = {"name": "demo", "port": str(line), "draw_percent": [-0.5, 1.0], "unit": unit}
+    site = ["[site]", 'name = "Demo line"', "simulated = true", "", "[server]", f"port = {port}", ""]
+    return "".join(f"{each}\n" for each in (*site, *bus_lines(bus)))

@@ -21,7 +21,7 @@ from app.cli.command import ADDRESS, PATH, TCP_PORT, complain, json_option, repo
 from app.core.web.shape import maybe_shown, message_shown
 from app.line.commands.trace_file import is_trace_line, parse_trace_line
 from bus.catalogue import parameters as numbers
-from bus.configuration import toml_of
+from bus.configuration import bus_lines
 from bus.contract import Frame
 from bus.errors import CallerError, LinesideError
 from bus.line.examination import PASSES, Found, conclude, no_response_s, settings_seen
@@ -328,12 +328,7 @@ def _bus_found(port: str, found: Sequence[Found], turnaround_ms: float) -> dict[
 def bus_table(port: str, found: Sequence[Found], turnaround_ms: float) -> str:
     """Return the bus as TOML, with a comment for each device that is not part of it."""
     bus = _bus_found(port, found, turnaround_ms)
-    tables = [("[[bus]]", bus), *(("\n[[bus.unit]]", unit) for unit in bus["unit"])]
-    lines = [
-        line
-        for head, table in tables
-        for line in (head, *(f"{key} = {toml_of(table[key])}" for key in table if key != "unit"))
-    ]
+    lines = bus_lines(bus)
     own = {(unit["id"], bus["baud"]) for unit in bus["unit"]}
     lines += [
         f"# Address {one.unit} at {one.baud} baud: {one.kind}."
