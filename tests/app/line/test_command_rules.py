@@ -18,6 +18,7 @@ from app.line.commands.rules import (
     SetpointRange,
     parameter_bounds,
     reason_of,
+    setpoint_parameter,
     setpoint_range,
     slows_all,
     unread_for_range,
@@ -449,3 +450,27 @@ def test_what_has_to_be_read_first(
     known: dict[int, int | None], limits: Limits, raw: int, unread: tuple[int, ...]
 ) -> None:
     assert unread_for_range(unit(known), limits, raw) == unread
+
+
+IN_PRESET, IN_UP, IN_DOWN, IN_FOLLOWER = (1 << bit for bit in (2, 4, 5, 6))
+ON = reading(1).inputs
+
+
+@pytest.mark.parametrize(
+    ("inputs", "follower_speed", "expected"),
+    [
+        (ON, "ratio", None),
+        (ON | IN_PRESET, "ratio", 20),
+        (ON | IN_UP, "speed", 20),
+        (ON | IN_DOWN, "ratio", 20),
+        (ON | IN_FOLLOWER, "ratio", None),
+        (ON | IN_FOLLOWER | IN_PRESET, "ratio", 37),
+        (ON | IN_FOLLOWER, "speed", 37),
+    ],
+)
+def test_a_setpoint_that_the_status_does_not_show_is_in_a_parameter(
+    inputs: int, follower_speed: str, expected: int | None
+) -> None:
+    bus = bus_with(reading(1, inputs=inputs), follower_speed=follower_speed)
+    assert setpoint_parameter(bus.units[1], bus) == expected
+    assert setpoint_parameter(bus.units[2], bus) is None, "it was never read"
