@@ -45,7 +45,7 @@ browser-tests: development
 
 other-tests: development
 	node --test tests/js/*.test.js
-	nice -n 5 $(BIN)/pytest --processes 4 --ignore tests/e2e tests/path tests
+	nice -n 5 $(BIN)/pytest --processes 6 --ignore tests/e2e tests/path tests
 
 # What takes long, alone on the machine: it measures. Then each property with many random examples. 56 minutes.
 soak: development

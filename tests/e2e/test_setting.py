@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from tests.e2e.conftest import OpensPages, focus
+from tests.e2e.limits import PAGE_S
 from tests.e2e.site import Site, eventually
 
 PANEL = {"width": 1280, "height": 800}
@@ -461,8 +462,13 @@ def test_a_unit_that_is_blocked_meanwhile_has_no_field_among_the_setpoints(
             expect(page.locator('[data-unit="line/2"] .by-block__why')).to_have_text(
                 "commands blocked: belt off (operator-program)"
             )
-            page.get_by_role("button", name="Select all").click()
-            expect(page.locator('[data-unit="line/1"] [data-tick]')).to_be_checked()
+
+            def others_selected() -> bool:
+                page.get_by_role("button", name="Select all").click()
+                return page.locator('[data-unit="line/1"] [data-tick]').is_checked()
+
+            # A unit that is stale for a moment is left out, too.
+            eventually(others_selected, "unit 1 selected", within=PAGE_S)
             expect(page.locator('[data-unit="line/2"] [data-tick]')).not_to_be_checked()
         finally:
             client.delete("/buses/line/units/2/block").raise_for_status()
