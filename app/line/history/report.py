@@ -240,8 +240,8 @@ class _Minutes:
         return sum(each.readings for each in self.unsteady)
 
     def stretches(self, source: StoredUnit, start: int, end: int, marks: Marks | None) -> list[RunStretch]:
-        """Return what the unit did between two times, µs. ``marks``: to read the unsteady minutes with; None:
-        their averages count as well."""
+        """Return the stretches in which the unit ran or stood, in order, between two times in µs since 1970.
+        ``marks``: when the unit was lost and found; None counts unsteady minutes by their averages."""
         found: list[RunStretch] = []
         rows = (
             row

@@ -93,8 +93,8 @@ class Flow:
         self._count += units
 
     def pause_s(self, *, is_steady: bool = False) -> float:
-        """Return the seconds to wait before the next update: 0 except of steady units, in a flood, or with
-        very many pages."""
+        """Return the seconds to wait before pages are sent the next update. It is 0 unless all changed units
+        are steady, changes come in a flood, or very many pages are open."""
         flooded = self._flooded or self._count > FLOOD
         gap_s = max(self._gap_s, WINDOW_S if flooded else 0.0, STEADY_S if is_steady else 0.0)
         return max(0.0, self._sent_at + gap_s - self.clock())

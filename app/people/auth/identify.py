@@ -388,7 +388,7 @@ class Identity:
 
 
 def _is_use_due(token: Token, now: UnixTime) -> bool:
-    """Return whether the use of a token is to be stored again."""
+    """Return whether the time at which a token was last used is due to be stored."""
     return token.used_at is None or now - token.used_at > rules.USE_NOTED_EVERY_S
 
 

@@ -112,7 +112,7 @@ class EdgeNode:
 
     @property
     def name(self) -> str:
-        """The id of the node, which is the name of the bus."""
+        """Return the id of the Sparkplug edge node, which is the name of its bus."""
         return self.bus.settings.name
 
     @property
