@@ -1,4 +1,4 @@
-"""Whose request is next: commands first, then the schedule. No clock, no port."""
+"""The arbiter of the wire, which decides whose request is next: commands first, then the schedule. Pure."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from bus.wire.exchange import PendingResponses
 
 
 class CommandQueue:
-    """The queue of commands: writes before reads before what is slow; within a claim the first come first,
-    but for the slow.
+    """The queue of commands, by priority: writes, then reads, then slow reads in the gaps of the scan;
+    commands of one priority in the order of their arrival.
 
-    A command waits while an earlier one claims a unit that it claims too, and ends unsent when its time
-    is over before its turn has come.
+    A command waits while an earlier one claims a unit that it claims too, and ends unsent when its deadline
+    passes before its turn has come.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class CommandQueue:
         self._all.sort(key=lambda each: each.priority)
 
     def cancel(self, command_id: str) -> None:
-        """Give one up where nothing is half done."""
+        """Cancel a command: it ends unsent, or, once begun, at a point where nothing is half done."""
         for run in self._all:
             if run.id == command_id:
                 run.context.cancelled = True
@@ -52,7 +52,8 @@ class CommandQueue:
     def next_request(
         self, now: Monotonic, pending_of: Callable[[int], PendingResponses], *, slow: bool = False
     ) -> tuple[CommandRun, Request] | None:
-        """Return who sends what now; ``slow``: of those that take the gaps only, else of all the others."""
+        """Return the next command that sends and its request; ``slow``: of those for gaps only, else of the
+        others."""
         for run in self._all:
             if (run.priority is Priority.SLOW) != slow or run.result is not None:
                 continue
@@ -60,7 +61,7 @@ class CommandQueue:
                 request = run.next_request(now, pending_of)
                 if request is not None:
                     if slow:
-                        # In turn: reads of several units then follow each other without a fence between.
+                        # Put it last: reads of several units in turn need no fence between them.
                         self._all.remove(run)
                         self._all.append(run)
                     return run, request
@@ -75,12 +76,12 @@ class CommandQueue:
 
     @property
     def write_waits(self) -> bool:
-        """Whether anything would write."""
+        """Whether a command that writes is waiting or under way."""
         return any(run.priority is Priority.WRITE and run.result is None for run in self._all)
 
     @property
     def slow_waits(self) -> bool:
-        """Whether anything would use a gap."""
+        """Whether a command that takes the gaps of the scan is waiting or under way."""
         return any(run.priority is Priority.SLOW for run in self._all)
 
     @property
@@ -89,7 +90,7 @@ class CommandQueue:
         return any(run.begun and len(run.units) > 1 for run in self._all)
 
     def moments(self) -> list[Monotonic]:
-        """Return when one of them resumes, or gives up waiting for its turn."""
+        """Return when each command resumes, or gives up waiting for its turn."""
         return [run.resume_at if run.begun else run.deadline for run in self._all]
 
     def _may_run(self, run: CommandRun, now: Monotonic) -> bool:
@@ -106,28 +107,30 @@ class CommandQueue:
 
 
 COMMANDS_AT_A_STRETCH_S = 0.5
-"""Operators' writes without end leave one poll in this time, unless a change of many units is under way."""
+"""The longest series of operators' writes before one poll goes between, unless many units are being
+changed."""
 RESERVED_S = 0.015
-"""A turn is left free so long for a write that is announced: its way through the app and onto its disk."""
+"""How long the wire is kept free for an announced write to pass through the app and onto its disk."""
 ANNOUNCED_S = 0.25
-"""A read so soon after a write was announced gives what the write is judged by: the turn after it is left
-free too."""
+"""How long after the announcement of a write a read may belong to its checks: the turn after such a read is
+kept free for the write too."""
 PACE = 0.8
-"""On a port faster than its baud rate a scan still takes this part of the time it would on the wire."""
+"""The least part of the time on the wire that a read takes on a port that is faster than its baud rate."""
 _TRIES = {TaskKind.FIRST: 1, TaskKind.PROBE: 1}
 
 
 class NextRequest(NamedTuple):
-    """The next use of the wire. ``run``: the command that sends; None: the schedule."""
+    """The next use of the wire. ``run``: the command that sends; None for a request of the schedule."""
 
     request: Request
     run: CommandRun | None = None
 
 
 class Arbiter:
-    """``next_request``, then ``settle`` with how its exchange ended.
+    """The arbiter of one bus: call ``next_request``, then ``settle`` with how its exchange ended.
 
-    ``pending_of``: what a unit may still send late. ``exchange_s``: what a read takes on the wire.
+    ``pending_of``: the responses that a unit may still send late. ``exchange_s``: the seconds of a read on
+    the wire.
     """
 
     def __init__(
@@ -159,7 +162,7 @@ class Arbiter:
             self._reserved_until = now + RESERVED_S
 
     def next_request(self, now: Monotonic) -> NextRequest | None:
-        """Return the request to send now; None: nothing before one of ``moments``."""
+        """Return the request to send now, or None if nothing is due before one of ``moments``."""
         if len(self.commands) and self._leave_a_poll(now):
             if self._routine is None and (poll := self.schedule.next_poll(now)) is not None:
                 self._routine = _routine(poll)
@@ -167,10 +170,10 @@ class Arbiter:
         return self._command_request(now) or self._routine_request(now)
 
     def foresee(self, under_way: NextRequest, now: Monotonic) -> NextRequest | None:
-        """Return what follows ``under_way`` if its response is an ordinary one; None where that decides it.
+        """Return what follows ``under_way`` if its response is an ordinary one; None if that is not certain.
 
-        An ordinary response to a poll changes nothing about whose request is next. Only a command does, and
-        then what was foreseen has its turn after it.
+        An ordinary response to a poll does not change whose request is next. Only a new command does, and
+        then the foreseen request follows the command.
         """
         if len(self.commands) or now < self._reserved_until or not self._is_poll(under_way):
             return None
@@ -190,7 +193,7 @@ class Arbiter:
         self._pace(self._routine[1].send.request, now)
 
     def settle(self, turn: NextRequest, exchange: ExchangeResult) -> bool:
-        """Take the result of ``turn``; return whether it is tried again, because nothing responded."""
+        """Take the result of ``turn``; return whether the request is repeated because nothing responded."""
         run = turn.run
         if run is not None:
             self._read_last = run.priority is Priority.READ
@@ -205,7 +208,7 @@ class Arbiter:
         return self._settle_routine(*self._routine, exchange)
 
     def moments(self) -> list[Monotonic]:
-        """Return when something may become due that is not now."""
+        """Return the moments at which something that is not due now may become due."""
         routine = self.schedule.moments(slow_waits=self.commands.slow_waits)
         return [self._not_before, self._reserved_until, *self.commands.moments(), *routine]
 
@@ -220,8 +223,8 @@ class Arbiter:
         return NextRequest(request, run)
 
     def _leave_a_poll(self, now: Monotonic) -> bool:
-        """Return whether a poll goes first: reads of parameters take every second turn at most, so that they
-        do not blind others."""
+        """Return whether a poll goes before the next command: reads of parameters take at most every second
+        turn, so that polling goes on beside them."""
         if self.commands.group_changes or len(self.schedule.poll_order) == 0:
             return False
         if self._routine is None and not self.schedule.poll_may_leave(now):
@@ -268,7 +271,7 @@ class Arbiter:
         return NextRequest(request)
 
     def _settle_routine(self, task: Task, attempts: SendAttempts, exchange: ExchangeResult) -> bool:
-        # A poll at 300 baud takes longer than commands may keep the schedule waiting: it waits from here on.
+        # A poll at 300 baud takes longer than commands may delay the schedule: its wait counts from the end.
         self._routine_at = exchange.ended
         again = attempts.settle(exchange)
         self.schedule.spent(task, exchange.began, exchange.ended, responded=exchange.reply is not None)

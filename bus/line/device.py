@@ -1,4 +1,4 @@
-"""A local serial port, through pySerial and pyserial-asyncio, and its settings kept as they were set.
+"""A local serial port, through pySerial and pyserial-asyncio, whose settings are kept as they were set.
 
 Every program that may open the device can change its settings for all others: a terminal, a getty, a modem
 prober. With foreign settings responses vanish for good, and with *echo* the kernel sends each response back
@@ -38,7 +38,7 @@ from bus.line.port import (
 from bus.messages import Message
 
 IFLAG, OFLAG, CFLAG, LFLAG, _, OSPEED, CC = range(7)
-"""Of what ``termios.tcgetattr`` gives."""
+"""The indexes of the list that ``termios.tcgetattr`` returns."""
 _FLAGS = {
     IFLAG: "IGNBRK BRKINT IGNPAR PARMRK INPCK ISTRIP INLCR IGNCR ICRNL IUCLC IXON IXANY IXOFF IMAXBEL",
     OFLAG: "OPOST OLCUC ONLCR OCRNL ONOCR ONLRET OFILL OFDEL",
@@ -53,7 +53,7 @@ _COUNTS = {termios.VMIN: "min", termios.VTIME: "time"}
 
 
 def differences(wanted: list[object], found: list[object]) -> list[str]:
-    """Return how ``found`` differs from ``wanted``, both of ``tcgetattr``, in the words of stty(1). Pure."""
+    """Return how ``found`` differs from ``wanted``, both from ``tcgetattr``, in words of stty(1). Pure."""
     return list(_differences(wanted, found))
 
 
@@ -76,8 +76,8 @@ def _differences(wanted: list, found: list) -> Iterator[str]:  # type: ignore[ty
 
 @dataclass(frozen=True, slots=True)
 class _Control:
-    """A setting beside those of termios, where the device has it: ``get`` and ``set`` are ioctl_tty(2)
-    requests, ``mask`` is what is kept of the integer at ``offset`` in their argument of ``size`` bytes."""
+    """A setting that termios does not hold. ``get`` and ``set`` are ioctl_tty(2) requests, whose argument of
+    ``size`` bytes has an integer at ``offset``, of which ``mask`` is the kept part."""
 
     name: str
     get: int
@@ -87,7 +87,7 @@ class _Control:
     mask: int = 0xFFFF_FFFF
 
     def read(self, descriptor: int) -> int | None:
-        """Return the kept part, or None where the device has no such setting."""
+        """Return the kept part, or None if the device has no such setting."""
         with suppress(OSError):
             return int(struct.unpack_from("I", self._argument(descriptor), self.offset)[0]) & self.mask
         return None
@@ -105,7 +105,7 @@ class _Control:
 
 _RS485_ENABLED = 1
 _RS485 = _Control("rs485", 0x542E, 0x542F, size=32)
-"""Linux; the standard library names neither request."""
+"""The ioctls of Linux, which the standard library does not name."""
 _MODEM_LINES = _Control(
     "dtr/rts", termios.TIOCMGET, termios.TIOCMSET, mask=termios.TIOCM_DTR | termios.TIOCM_RTS
 )
@@ -119,7 +119,7 @@ _CONTROLS = (
 
 
 class PortSettings:
-    """Of an open device, by its descriptor. A setting that it does not have is left out."""
+    """The settings of an open device, by its descriptor, without those that the device does not have."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -127,7 +127,7 @@ class PortSettings:
         self.keep()
 
     def keep(self) -> None:
-        """Make the port raw, whatever was set before, and keep its settings so. Raises termios.error."""
+        """Make the port raw, whatever was set before, and keep its settings so. Raise termios.error."""
         attributes = termios.tcgetattr(self._descriptor)
         attributes[IFLAG] = attributes[OFLAG] = attributes[LFLAG] = 0
         termios.tcsetattr(self._descriptor, termios.TCSANOW, attributes)
@@ -135,15 +135,15 @@ class PortSettings:
         self._wanted = termios.tcgetattr(self._descriptor)
         controls = {each: each.read(self._descriptor) for each in _CONTROLS}
         if (controls[_RS485] or 0) & _RS485_ENABLED:
-            # The kernel itself switches RTS then.
+            # In this mode the kernel itself switches RTS.
             controls[_MODEM_LINES] = None
         self._controls = {each: value for each, value in controls.items() if value is not None}
 
     def restore(self) -> bool:
-        """Put back what another program changed; return whether there was anything.
+        """Restore what another program changed; return whether anything had changed.
 
-        What came in meanwhile is dropped: *istrip* takes the highest bits of bytes, and an even number of
-        them leaves the checksum right. Raises termios.error where the port is gone.
+        Bytes received meanwhile are dropped: *istrip* clears the highest bit of each byte, and an even number
+        of cleared bits leaves the checksum right. Raise termios.error if the port is gone.
         """
         found = termios.tcgetattr(self._descriptor)
         if found == self._wanted:
@@ -156,7 +156,7 @@ class PortSettings:
         return True
 
     def restore_controls(self) -> None:
-        """Put back what is beside the settings of termios; with a USB adapter each may take a millisecond."""
+        """Restore the settings that termios does not hold; with a USB adapter each may take a millisecond."""
         for control, wanted in self._controls.items():
             found = control.read(self._descriptor)
             if found is not None and found != wanted:
@@ -164,15 +164,15 @@ class PortSettings:
                 control.write(self._descriptor, wanted)
 
     def take_changed(self) -> list[str]:
-        """Return what was put back since the last call, in the words of stty(1)."""
+        """Return the settings restored since the last call, in the words of stty(1)."""
         changed, self._changed = list(self._changed), {}
         return changed
 
 
 _TIOCGEXCL = 0x80045440
-"""Linux, 3.8 and newer; the standard library does not name it."""
+"""The request of Linux 3.8 and newer, which the standard library does not name."""
 COMPARE_S = 60.0
-"""Between two looks at the modem lines and the like, and at once after a request without a response."""
+"""Seconds between comparisons of the modem lines and the like, which also follow each missing response."""
 
 
 class DevicePort:
@@ -202,7 +202,7 @@ class DevicePort:
         self._serial.listen(now=now)
 
     def drop_output(self) -> None:
-        """Forget what has not left, after a request without a response."""
+        """Drop bytes that have not left yet, after a request without a response."""
         self._is_silent = True
         with suppress(termios.error, OSError):
             termios.tcflush(self._descriptor, termios.TCOFLUSH)
@@ -232,13 +232,13 @@ class DevicePort:
             return
         self._protocol.closed = True
         self.drop_output()
-        # Once it closes after a failed read, abort() would have pyserial-asyncio 0.6 close it a second time.
+        # After a failed read it closes by itself, and abort() would have pyserial-asyncio 0.6 close it twice.
         if not self._transport.is_closing():
             self._transport.abort()
 
 
 async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
-    """Open the device at ``path``. Raises PortUnavailable."""
+    """Open the device at ``path``. Raise PortUnavailable if that fails."""
     loop = asyncio.get_running_loop()
     try:
         instance = GatedSerial(path, baudrate=baud, timeout=0, write_timeout=0, exclusive=True)
@@ -247,7 +247,7 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
     if is_claimed(instance.device, path):
         instance.close()
         raise PortUnavailable(in_use(path))
-    # An FTDI adapter would keep bytes for 16 ms; ports that know no such setting refuse it.
+    # An FTDI adapter would keep bytes for 16 ms; ports without this setting refuse it.
     with suppress(ValueError, OSError, NotImplementedError, AttributeError):
         instance.set_low_latency_mode(True)
     protocol = PortProtocol(receiver, Message.of("adapter_gone", port=path))
@@ -261,11 +261,11 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
 
 
 def is_claimed(descriptor: int, path: str) -> bool:
-    """Return whether another program claims the port exclusively (ioctl_tty(2), TIOCEXCL; nothing here does).
-    Root may open such a port all the same, and one that is open already stays so: two hosts on one line.
+    """Return whether another program claims the port exclusively (ioctl_tty(2), TIOCEXCL); nothing here does.
 
-    The claim ends with the last descriptor of the device. On a pseudo-terminal the simulator of the line may
-    keep one, so there it applies while another process has it open.
+    Root may open such a port all the same, and a port that is open already stays so: two hosts on one line.
+    The claim ends with the last descriptor of the device. The simulator of the line may keep one of a
+    pseudo-terminal, so there the claim counts only while another process has it open.
     """
     claimed = array("i", [0])
     with suppress(OSError):
@@ -274,10 +274,10 @@ def is_claimed(descriptor: int, path: str) -> bool:
 
 
 class GatedSerial(serial.Serial):
-    """The loop watches a gate in front of the port and not the port itself.
+    """A port of pySerial that the event loop watches through a gate.
 
-    The gate is an epoll descriptor in which the port is the only one. To open or to close it is one system
-    call; to take a descriptor out of uvloop and to put it back is eight, 38 times a second.
+    The gate is an epoll descriptor that holds only the port. Opening or closing it is one system call;
+    removing a descriptor from uvloop and adding it again is eight, 38 times a second.
     """
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
@@ -287,10 +287,10 @@ class GatedSerial(serial.Serial):
         self.device: int = self.fd
         self._gate.register(self.device, select.EPOLLIN)
         self.settings: PortSettings | None = None
-        """Until a DevicePort has it, nothing is requested."""
+        """The settings to restore when bytes come in; None before a DevicePort is made."""
 
     def fileno(self) -> int:
-        """What becomes readable when there is something that is wanted, or the port is gone."""
+        """Return the descriptor of the gate, readable when wanted bytes have come in or the port is gone."""
         return self._gate.fileno()
 
     def listen(self, *, now: bool) -> None:
@@ -298,9 +298,9 @@ class GatedSerial(serial.Serial):
             self._gate.modify(self.device, select.EPOLLIN if now else 0)
 
     def read(self, size: int = 1) -> bytes:
-        """Return the available bytes, none that came in under foreign settings.
+        """Return the available bytes, without those that came in under foreign settings.
 
-        The loop has seen that there are some, so this is not checked again.
+        The event loop calls this only when there are some, so this is not checked again.
         """
         try:
             data = os.read(self.device, size)
@@ -316,7 +316,7 @@ class GatedSerial(serial.Serial):
         return data
 
     def flush(self) -> None:
-        """Drop what has not left; pyserial-asyncio would wait on its loop until it has."""
+        """Drop what has not left; pyserial-asyncio would block its loop until everything has."""
         with suppress(termios.error, serial.SerialException, OSError):
             self.reset_output_buffer()
 

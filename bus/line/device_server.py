@@ -1,4 +1,4 @@
-"""Device servers: bytes as they are over TCP, or with serial settings by RFC 2217 (serialx, an extra)."""
+"""Device servers: raw bytes over TCP, or with serial settings by RFC 2217 (serialx, an extra)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bus.messages import Message
 
 CONNECT_TIMEOUT_S = 3.0
 TCP_LOST_AFTER_MS = 800
-"""Unacknowledged bytes for so long mean that the device server is gone."""
+"""How long bytes may stay unacknowledged before the device server counts as gone, in milliseconds."""
 MAX_TEXT_BYTES = 400
 MAX_SHOWN = 100
 _TEXT = re.compile(rb"[\x20-\x7e\r\n\t]+")
@@ -27,8 +27,8 @@ _TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
 
 
 class TcpProtocol(PortProtocol):
-    """A protocol that holds back what begins as a text: no frame does. ser2net sends a second client a text
-    that its port is in use, and closes the connection."""
+    """A protocol that holds back received text, because no frame begins as one. ser2net sends a second client
+    a text that its port is in use, and closes the connection."""
 
     def __init__(self, receiver: Receiver, name: str) -> None:
         super().__init__(receiver, Message.of("connection_closed", port=name))
@@ -51,7 +51,7 @@ class TcpProtocol(PortProtocol):
 
 
 def reported_end(received: bytes, port: str) -> Message | None:
-    """Return why a device server ended the connection, where all that it has sent is a text."""
+    """Return why a device server ended the connection, or None if it has sent anything other than a text."""
     if not received or len(received) > MAX_TEXT_BYTES or not _TEXT.fullmatch(received):
         return None
     text = " ".join(received.decode("ascii").split())[:MAX_SHOWN]
@@ -76,8 +76,8 @@ class TcpPort:
         """Do nothing: TCP delivers complete segments."""
 
     def drop_output(self) -> None:
-        """Do nothing, because the kernel's buffer cannot be emptied; a server that takes nothing is lost by
-        its timeout."""
+        """Do nothing: the kernel's buffer cannot be emptied. A server that takes nothing is lost by its
+        timeout."""
 
     def retune(self, baud: int) -> None:
         raise WireError(Message.of("port_own_baud", port=self._name, baud=baud))
@@ -94,7 +94,7 @@ class TcpPort:
 
 
 async def open_socket(url: str, receiver: Receiver) -> OpenPort:
-    """Open ``socket://host:port``. Raises PortUnavailable."""
+    """Open ``socket://host:port``. Raise PortUnavailable if that fails."""
     host, number = address_of(url)
     loop = asyncio.get_running_loop()
     protocol = TcpProtocol(receiver, url)
@@ -108,7 +108,7 @@ async def open_socket(url: str, receiver: Receiver) -> OpenPort:
 
 
 def not_connected(url: str, error: Exception) -> Message:
-    """Return why a connection to a device server was not made, by what that raised."""
+    """Return why a connection to a device server failed, by the exception that was raised."""
     match error:
         case TimeoutError():
             return Message.of("device_server_no_response", port=url)
@@ -120,7 +120,7 @@ def not_connected(url: str, error: Exception) -> Message:
 
 
 def detect_loss_soon(connection: socket.socket | None) -> None:
-    """Send each request at once, and find out soon that the other end is gone."""
+    """Send each request at once, and detect within a second that the other end is gone."""
     if connection is None:
         return
     with suppress(OSError):
@@ -133,7 +133,7 @@ def detect_loss_soon(connection: socket.socket | None) -> None:
 
 
 def address_of(url: str) -> tuple[str, int]:
-    """Return host and port number. Raises PortUnavailable where one is missing."""
+    """Return host and port number of ``url``. Raise PortUnavailable if one is missing."""
     parts = urlsplit(url)
     try:
         number = parts.port
@@ -145,13 +145,13 @@ def address_of(url: str) -> tuple[str, int]:
 
 
 MAX_NOTED_BYTES = 4096
-"""Of what a server sends first."""
+"""How many of the first bytes that a server sends are kept for its error text."""
 _OPTIONS = re.compile(rb"\xff(?:\xfa.*?\xff\xf0|[\xfb-\xfe].)", re.DOTALL)
-"""Of Telnet (RFC 855): a negotiation, or a request with its option."""
+"""A Telnet option (RFC 855): a subnegotiation, or a request with its option."""
 
 
 async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
-    """Open ``rfc2217://host:port`` at ``baud``. Raises PortUnavailable."""
+    """Open ``rfc2217://host:port`` at ``baud``. Raise PortUnavailable if that fails."""
     try:
         import serialx
     except ImportError as error:
@@ -180,19 +180,19 @@ async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
 
 @dataclass(slots=True)
 class _UnconfirmedConnection:
-    """What a server has sent before its settings are confirmed."""
+    """The bytes that a server has sent before its settings are confirmed."""
 
     is_accepted: bool = False
     received: bytes = b""
 
     def reported_end(self, url: str) -> Message | None:
-        """Return why the server ended it; ser2net states that its port is in use as data, after its
-        options."""
+        """Return why the server ended the connection, or None. ser2net sends as data, after its options, that
+        its port is in use."""
         return reported_end(_OPTIONS.sub(b"", self.received), url)
 
 
 def _parsed(feed: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
-    """Wrap ``feed`` of the parser, raising OSError for what is not RFC 2217."""
+    """Wrap ``feed`` of the parser so that it raises OSError for bytes that are not RFC 2217."""
 
     def parse(data: bytes) -> Any:
         try:
@@ -204,13 +204,13 @@ def _parsed(feed: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
 
 
 def _rfc2217_transport(opening: _UnconfirmedConnection) -> Any:
-    """Return serialx's transport, changed to take servers as they are. ``opening``: what it notes meanwhile.
+    """Return serialx's transport class, adapted to real servers; ``opening`` notes what they send meanwhile.
 
     Many never acknowledge the masks of line and modem states (RFC 2217, 3), which mean nothing on RS-422, and
-    many send first: what they send before the connection is confirmed would be an error. A command that
-    cannot be parsed is the fault of the server: it is raised as OSError, because asyncio prints any other
-    with its traceback. serialx has neither a setting nor a public method for all that, so inner ones are
-    overridden, and its version is bounded.
+    many send first: bytes before the connection is confirmed would be an error. A command that cannot be
+    parsed is the fault of the server: it is raised as OSError, because asyncio prints any other with its
+    traceback. serialx has neither a setting nor a public method for all that, so inner ones are overridden,
+    and its version is bounded.
     """
     from serialx.platforms.serial_rfc2217 import RFC2217SerialTransport
     from serialx.platforms.serial_rfc2217.types import SetLinestateMaskCmd, SetModemstateMaskCmd

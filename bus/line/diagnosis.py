@@ -1,9 +1,9 @@
-"""What the counts of a bus show: its figures, the likely cause of faults, a second master. Pure.
+"""The diagnosis of a bus from its counts: its figures, the likely cause of faults, a second master. Pure.
 
 The figures are taken about once a second from counters that only grow. Faults of one unit point to its drop
-or its address; of all, to the adapter, the main cable or the termination; of all from one place on, to the
-cable there. Damaged bytes at many units point to the shielding, at one address to two units that share it.
-Where all but one unit respond twice, or damaged, that one responds for the others too. Where it does so for a
+or its address; of all units to the adapter, the main cable or the termination; of all units behind one place
+to the cable there. Damaged bytes at many units point to the shielding, at one address to two units that share
+it. If all units but one respond twice, or damaged, that one responds for the others too. If it does so for a
 unit that is off, no frame shows it, only the address that it reads in #17.
 """
 
@@ -23,36 +23,36 @@ from bus.line.roster import Roster, UnitRecord, WireCounts
 from bus.messages import Message
 
 MIN_RESPONSES = 3
-"""Fewer are chance."""
+"""The least number of unrequested responses that are more than chance."""
 WITHIN_S = 2.0
 CLEAR_AFTER_S = 10.0
-"""After so long without one it writes again."""
+"""How long the wire must be free of unrequested responses, in seconds, before this host writes again."""
 MAX_OUTSTANDING = 16
 LATE_WITHIN_S = 60.0
 """How many responses of a unit may be late, and by how much. A unit without a response is polled at most ten
-times in a minute, so a connection that stood still as long delivers no response too many."""
+times in a minute, so after a standstill of a minute no response comes that this does not explain."""
 
 
 class SecondMaster:
-    """The evidence of another host on the wire: ``note`` each unrequested response; ``is_present`` while this
-    host must not write, but for what stops a unit, because two hosts would set each other's speeds.
+    """The evidence of another host on the wire: ``note`` each unrequested response. While it ``is_present``
+    this host sends no write except those that stop a unit, because two hosts would set each other's speeds.
 
-    A host does not receive the requests of another, only what the units respond to them: frames that come
-    beside the response to its own request, or while it awaits none. A unit with a wrong address responds in
-    the place of the one that was requested. A unit that is late sends as many responses as it had requests,
-    all of them at once where a device server or its network stood still. What a unit sends while it is
-    requested may be its own fault.
+    A host does not receive the requests of another, only the responses of the units to them: frames beside
+    the response to its own request, or while it awaits none. A unit with a wrong address responds in the
+    place of the one that was requested. A unit that is late sends as many responses as it had requests, all
+    of them at once if a device server or its network stood still. A frame that a unit sends while it is
+    itself requested may be its own fault.
     """
 
     def __init__(self) -> None:
         self.noted = 0
-        """Responses that no request of this host explains, since the worker started."""
+        """Responses that no request of this host explains, counted since the worker started."""
         self._noted: deque[Monotonic] = deque(maxlen=MIN_RESPONSES)
         self._until: Monotonic | None = None
         self._outstanding: defaultdict[int, deque[Monotonic]] = defaultdict(
             lambda: deque(maxlen=MAX_OUTSTANDING)
         )
-        """By unit, when this host sent each request that the unit has not responded to."""
+        """When this host sent each request that has no response yet, by unit."""
 
     def requested(self, unit: int, now: Monotonic) -> None:
         """Note that this host sent a request."""
@@ -64,8 +64,8 @@ class SecondMaster:
             self._outstanding[unit].pop()
 
     def explains(self, unit: int, now: Monotonic) -> bool:
-        """Return whether a response of a unit may be one to an earlier request of this host, which it then
-        counts as."""
+        """Return whether a response of a unit may belong to an earlier request of this host; that request is
+        then settled."""
         outstanding = self._outstanding[unit]
         while outstanding and now - outstanding[0] > LATE_WITHIN_S:
             outstanding.popleft()
@@ -75,7 +75,7 @@ class SecondMaster:
         return False
 
     def note(self, now: Monotonic) -> None:
-        """Note that a unit responded to what this host did not request."""
+        """Note that a unit responded to something that this host did not request."""
         self.noted += 1
         self._noted.append(now)
         is_frequent = len(self._noted) == MIN_RESPONSES and now - self._noted[0] <= WITHIN_S
@@ -98,7 +98,7 @@ class _Mark:
 
 
 class Figures:
-    """Differences over the last seconds, totals since the start."""
+    """The figures of a bus: differences over the last seconds, and totals since the start."""
 
     def __init__(self) -> None:
         self._marks: deque[_Mark] = deque()
@@ -106,7 +106,7 @@ class Figures:
     def measure(
         self, now: Monotonic, at: UnixTime, counts: WireCounts, roster: Roster, schedule: PollSchedule
     ) -> BusFigures:
-        """Return the figures of this moment: ``now`` on the line's clock, ``at`` since the epoch."""
+        """Return the present figures. ``now``: on the line's clock; ``at``: Unix time in seconds."""
         units = {unit: roster[unit].statistics.figures() for unit in roster.configured}
         self._marks.append(_Mark(now, replace(counts), units))
         while len(self._marks) > 1 and self._marks[1].at <= now - WINDOW_S:
@@ -145,19 +145,19 @@ def _symptoms_of(record: UnitRecord, before: UnitFigures, after: UnitFigures) ->
 
 
 TROUBLED = 0.1
-"""A unit has a fault when it misses or damages more than this part of its responses."""
+"""The part of its responses from which on a unit that misses or damages them has a fault."""
 FEW = 3
-"""Fewer events than this are chance."""
+"""The least number of events that are more than chance."""
 MANY = 3
-"""The number of units from which one can be distinguished from all others."""
+"""The least number of units from which one can be distinguished from all others."""
 LATE_PART = 0.05
 MUCH_NOISE_BYTES = 100
 COLLIDED_BYTES = 20
-"""The remains of a few simultaneous responses of two units; units that are off leave nothing."""
+"""The least number of bytes that collided responses of two units leave; units that are off leave none."""
 
 
 class UnitSymptoms(msgspec.Struct, frozen=True):
-    """One unit's counts in the window. ``spoilt``: wrong checksum. ``own_address``: #17, None if not read."""
+    """The counts of one unit in the window. ``spoilt``: wrong checksum. ``own_address``: #17, if read."""
 
     unit: int
     offline: bool = False
@@ -186,12 +186,12 @@ class UnitSymptoms(msgspec.Struct, frozen=True):
 
     @property
     def twice(self) -> bool:
-        """Unrequested frames carry its address: a late response would have timed out before."""
+        """Whether unrequested frames carry its address; a late response would have timed out before."""
         return self.slow and self.timeouts < FEW
 
 
 def diagnose(units: Sequence[UnitSymptoms], noise_bytes: int, echoes: int) -> list[Message]:
-    """Return one or two causes, none when all is well."""
+    """Return one or two likely causes of faults, none if all is well."""
     found = [_in_another_name(units), _garbled(units), _collided(units, noise_bytes) or _unresponsive(units)]
     if (all_twice := responds_for_all(units)) != 0:
         found.append(Message.of("diagnosis_all_twice", unit=all_twice))
@@ -208,7 +208,7 @@ def diagnose(units: Sequence[UnitSymptoms], noise_bytes: int, echoes: int) -> li
 
 
 def responds_for_all(units: Sequence[UnitSymptoms]) -> int:
-    """Return the unit that responds to every address, as all others are received twice; 0: none."""
+    """Return the unit that responds to every address, as all others are received twice; 0 for none."""
     responding = [each for each in units if not each.unresponsive]
     alone = [each for each in responding if not each.twice]
     return alone[0].unit if len(alone) == 1 and len(responding) >= MANY and alone[0].responses else 0

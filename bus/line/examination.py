@@ -1,10 +1,10 @@
-"""Examines the addresses of a scan by reads only. Pure: requests out, outcomes in.
+"""The examination of the addresses of a scan, by reads only. Pure: requests out, outcomes in.
 
-An address is sent 81h. A timeout ends it there, which makes a scan as fast as the wire allows. A device that
-responds is read further, always 81h and 85h in turn, so that no late or duplicate response can pass for
-another: its address (#17, which also shows whether it counts parameters in BCD), the last parameter that it
-has (the older list ends at #20), the width of a value, and how it takes and sends a checksum of 10h. A unit
-that turns at speed meanwhile shows its healthy e-stop level.
+An address is sent 81h. A timeout ends its examination, which makes a scan as fast as the wire allows. A
+device that responds is read further, always 81h and 85h in turn, so that no late or duplicate response can
+pass for another: its address (#17, which also shows whether it counts parameters in BCD), the last parameter
+that it has (the older list ends at #20), the width of a value, and how it takes and sends a checksum of 10h.
+A unit that turns at speed meanwhile shows the healthy level of its e-stop.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _HIGHEST = max(PARAMETERS)
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The device at one address. ``own_address``: the value of its #17, None where it was not read."""
+    """The device found at one address. ``own_address``: the value of its #17, None if it was not read."""
 
     unit: int
     baud: int
@@ -57,15 +57,15 @@ class Found:
     checksum_10h: Checksum10h | None = None
     reply_bytes: tuple[int, ...] = ()
     estop_healthy: Literal[0, 1] | None = None
-    """Its e-stop bit while it turns at speed; None where it never did."""
+    """The level of its e-stop bit while it turns at speed; None if it never did."""
     responds_within_s: float | None = None
     late: bool = False
     """Whether some of its responses came after their window."""
 
 
 def remarks_on(one: Found, *, garbled: int, requests: int, uncertain: bool) -> tuple[Message, ...]:
-    """Return remarks about a DIGIMAX IV; of ``requests``, ``garbled`` had noise, some (``uncertain``)
-    nothing."""
+    """Return remarks about a DIGIMAX IV. ``garbled``: how many of ``requests`` had noise; ``uncertain``:
+    whether some had no response."""
     remarks = _on_its_address(one)
     last = len(one.parameters)
     if last < _HIGHEST:
@@ -92,7 +92,7 @@ def _on_its_address(one: Found) -> list[Message]:
 
 
 def conclude(found: Sequence[Found]) -> list[Message]:
-    """Return what only all addresses together show."""
+    """Return the remarks that only all addresses together show."""
     remarks = [LATE] if any(one.late for one in found) else []
     owners = [one.own_address for one in found if one.own_address not in (None, one.unit)]
     for owner in sorted({owner for owner in owners if owner is not None}):
@@ -105,7 +105,7 @@ def conclude(found: Sequence[Found]) -> list[Message]:
 
 
 def settings_seen(found: Sequence[Found]) -> dict[str, Setting]:
-    """Return the keys of ``[[bus]]`` as these units want them, None where nothing showed it or units
+    """Return the keys of ``[[bus]]`` that suit these units; None if nothing showed the value or units
     differ."""
     return {name: values.pop() if len(values) == 1 else None for name, values in _seen(found).items()}
 
@@ -119,7 +119,7 @@ def _seen(found: Sequence[Found]) -> dict[str, set[Setting]]:
             for one in units
             if one.counts_in_bcd or one.own_address == one.unit
         },
-        # 0 where a value is as wide as its type.
+        # 0 stands for a value that is as wide as its type.
         "parameter_reply_bytes": {
             one.reply_bytes[0] if len(one.reply_bytes) == 1 else 0 for one in units if one.reply_bytes
         },
@@ -132,7 +132,7 @@ STATUS_READS = 4
 TRIES = 2
 """How often a read is sent to a unit before it counts as having no response."""
 GARBLED_SHARE = 0.25
-"""Above this part of damaged or duplicate responses the cause is more than noise."""
+"""The part of damaged or duplicate responses above which the cause is more than noise."""
 OWN_ADDRESS_IN_BCD = 0x17
 FIRST_OF_EACH_TYPE = tuple({row.type: number for number, row in reversed(list(PARAMETERS.items()))}.values())
 _PLAIN, _DOUBLED = Dialect(), Dialect(checksum_10h="twice")
@@ -141,7 +141,7 @@ _READABLE = [number for number, parameter in PARAMETERS.items() if not parameter
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """One read. ``doubled``: a checksum of 10h is sent twice."""
+    """One read of a scan. ``doubled``: whether a checksum of 10h is sent twice."""
 
     request: Request
     doubled: bool = False
@@ -153,18 +153,18 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class ProbeOutcome:
-    """What came within one window."""
+    """Everything that came within the window of one probe."""
 
     reply: Reply | None = None
     noise: LineNoise = NO_NOISE
     checksum_10h: Checksum10h | None = None
-    """How the response's checksum came, where it was 10h."""
+    """How often the response's checksum of 10h was sent; None for any other checksum."""
     responded_after_s: float | None = None
-    """From the request's last byte to the response's first."""
+    """Seconds from the request's last byte to the response's first."""
 
     @property
     def no_response(self) -> bool:
-        """Nothing came at all."""
+        """Whether nothing came at all."""
         return self.reply is None and self.noise == NO_NOISE
 
 
@@ -174,14 +174,14 @@ Probing = Generator[Probe, ProbeOutcome, ProbeOutcome]
 
 @dataclass
 class Examination:
-    """``run`` examines one address; None where there is no device. The requests are in the plain dialect."""
+    """The examination of one address: ``run`` yields probes and returns what was found, or None."""
 
     unit: int
     baud: int
     outcomes: list[ProbeOutcome] = field(default_factory=list)
     uncertain: bool = False
     doubles: bool = False
-    """It accepts a checksum of 10h only doubled, so the requests are sent that way."""
+    """Whether the unit accepts a checksum of 10h only doubled, so requests are sent that way."""
 
     def run(self) -> Examining:
         status = yield from self._first_status()
@@ -191,7 +191,7 @@ class Examination:
         self.doubles = takes == "twice"
         own, counts_in_bcd = yield from self._own_address()
         last = yield from self._last_parameter(counts_in_bcd)
-        # How wide a value comes shows only where the types have different widths.
+        # The width of a value shows only if types have different widths.
         for number in FIRST_OF_EACH_TYPE:
             if number <= last:
                 yield from self._read(_number_byte(number, counts_in_bcd))
@@ -229,8 +229,8 @@ class Examination:
         return outcome
 
     def _first_status(self) -> Generator[Probe, ProbeOutcome, StatusReply | None]:
-        """Send the first 81h, to unit 111 also doubled: its checksum is 10h, which some units take only
-        twice."""
+        """Send the first 81h. For unit 111 its checksum is 10h, which some units accept only doubled, so it
+        is tried both ways."""
         status = yield from self._status(STATUS_READS)
         if self.outcomes[-1].no_response and checksum(bytes((self.unit, ReadStatusRequest.COMMAND))) == DLE:
             self.doubles = True
@@ -238,7 +238,7 @@ class Examination:
         return status
 
     def _status(self, looks: int) -> Generator[Probe, ProbeOutcome, StatusReply | None]:
-        """Send 81h until the response is a unit's; an address without a response at first is left."""
+        """Send 81h up to ``looks`` times until a unit's status comes; give up if nothing comes at first."""
         for look in range(looks):
             outcome = yield from self._probe(ReadStatusRequest(self.unit))
             if isinstance(outcome.reply, StatusReply):
@@ -248,7 +248,7 @@ class Examination:
         return None
 
     def _read(self, number: int) -> Generator[Probe, ProbeOutcome, Reply | None]:
-        """Send 85h, with 81h before it as the fence."""
+        """Send 85h for parameter ``number``, each time after an 81h as the fence."""
         for _ in range(TRIES):
             yield from self._status(TRIES)
             outcome = yield from self._probe(ReadParameterRequest(self.unit, number))
@@ -268,7 +268,7 @@ class Examination:
         return reply.raw, False
 
     def _last_parameter(self, counts_in_bcd: bool) -> Generator[Probe, ProbeOutcome, int]:
-        """Search by halving: the existing ones are taken to be a run from #1 on. The password is not read."""
+        """Search by halving, taking the parameters to be a run from #1 on. The password is not read."""
         low, high = -1, len(_READABLE)
         probe = high - 1
         while high - low > 1:
@@ -282,7 +282,7 @@ class Examination:
         return _READABLE[low] if low >= 0 else 0
 
     def _takes_checksum_10h(self) -> Generator[Probe, ProbeOutcome, Checksum10h | None]:
-        """Send a read whose checksum is 10h plainly and, without a response, doubled."""
+        """Send a read whose checksum is 10h, plainly, then doubled; return which one was accepted."""
         number = number_for_checksum_10h(self.unit)
         if number == 0 or (number not in _READABLE and number in PARAMETERS):
             return None
@@ -307,8 +307,8 @@ class Examination:
         return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS_OR_ELSE,))
 
     def _surplus(self) -> tuple[int, int]:
-        """Return how many responses were late, as a unit owes one to each request, and how many none
-        explains."""
+        """Return how many responses were late, at most one for each request without one, and how many are
+        duplicates."""
         awaited = late = doubled = 0
         for outcome in self.outcomes:
             paid = min(awaited, outcome.noise.late)
@@ -321,8 +321,8 @@ class Examination:
         return "twice" if "twice" in seen else "once" if "once" in seen else None
 
     def _estop_healthy(self) -> Literal[0, 1] | None:
-        """Return the healthy e-stop level, where the motor turned at speed each time: then its chain is
-        healthy."""
+        """Return the healthy e-stop level if the motor turned at speed in every status, since its chain is
+        healthy then."""
         replies = [outcome.reply for outcome in self.outcomes]
         statuses = [reply for reply in replies if isinstance(reply, StatusReply)]
         for status in statuses:
@@ -334,12 +334,12 @@ class Examination:
 
 
 def _number_byte(number: int, in_bcd: bool) -> int:
-    """Return the PRM byte for ``number``, to be sent in the plain dialect."""
+    """Return the byte PRM for parameter ``number``, to be sent in the plain dialect."""
     return number // 10 * 16 + number % 10 if in_bcd else number
 
 
 def number_for_checksum_10h(unit: int) -> int:
-    """Return the PRM byte that gives an 85h to ``unit`` the checksum 10h; 0, unreadable, for unit 107."""
+    """Return the byte PRM that gives an 85h to ``unit`` the checksum 10h; 0 (unreadable) for 107."""
     return (checksum(bytes((unit, ReadParameterRequest.COMMAND))) - DLE) & 0xFF
 
 
@@ -348,7 +348,7 @@ MAX_PASSES = 4
 
 
 def no_response_s(baud: int, turnaround_s: float) -> float:
-    """Return the cost of an address without a response: the request, the turnaround, one byte, the margin."""
+    """Return the seconds that an address without a response costs: request, turnaround, one byte, margin."""
     request = encode_request(ReadStatusRequest(1), Dialect())
     return wire_seconds(len(request) + 1, baud) + turnaround_s + MARGIN_S
 
@@ -366,7 +366,7 @@ class Passes:
         self._addresses = len(self._remaining)
         self._found = 0
         self._done = 0
-        """Complete passes."""
+        """The number of complete passes."""
 
     @property
     def settled(self) -> int:
@@ -376,7 +376,7 @@ class Passes:
 
     @property
     def done(self) -> int:
-        """Return the same in complete addresses."""
+        """Return how many addresses are done."""
         return self.settled // PASSES
 
     def __iter__(self) -> Iterator[int]:
@@ -389,7 +389,7 @@ class Passes:
                 self._remaining, self._without_response = self._without_response, deque()
 
     def note(self, *, found: bool) -> None:
-        """Note whether the address that was given last responded."""
+        """Note whether the address that was yielded last responded."""
         unit = self._remaining.popleft()
         if found:
             self._found += 1

@@ -1,13 +1,11 @@
 """The loop of one bus: next request → exchange → settle. One exchange at a time, in one coroutine.
 
-``bus.line.arbiter`` decides whose request is next, ``bus.line.link`` carries out the
-exchange.
+``bus.line.arbiter`` decides whose request is next, ``bus.line.link`` carries out the exchange.
 
 Between the last byte of a response and the first of the next request the wire is idle, and 0.1 ms of that is
 0.004 of the rate. Therefore, while the response to a poll is under way, the turn after it is chosen and its
-exchange prepared. Where that response is an ordinary one, which changes nothing about whose turn is next, the
-prepared request leaves first, and what the response led to is settled and reported while the next one is
-under way.
+exchange prepared. An ordinary response changes nothing about whose turn is next: after one the prepared
+request leaves first, and the results are settled and reported while the next response is under way.
 """
 
 from __future__ import annotations
@@ -56,7 +54,7 @@ from bus.wire.exchange import Exchange
 CLOSED_TO_OFFLINE_S = 3.0
 NOT_OPENED = Message("port_not_opened")
 MAX_PORT_REMARKS = 5
-"""The newest ones are kept."""
+"""How many remarks about the port are kept, the newest."""
 
 
 class NextExchange(NamedTuple):
@@ -67,10 +65,8 @@ class NextExchange(NamedTuple):
 
 
 class LineLoop:
-    """``report`` receives every event, in order, while the response to the next request is under way.
-
-    Times of events are Unix time, those of the loop the line's own.
-    """
+    """The loop of one bus. ``report`` receives every event, in order, while the next response is under way.
+    Times of events are Unix time, times of the loop are the line's own, in seconds."""
 
     def __init__(
         self,
@@ -94,20 +90,20 @@ class LineLoop:
         self._figures = Figures()
         self._arbiter = Arbiter(self.schedule, self.link.pending, self._exchange_s)
         self.commands = self._arbiter.commands
-        """All that wait or are under way."""
+        """All commands that wait or are under way."""
         self._baud_search = BaudSearch(clock.now())
         self._closed_at = clock.now()
         self._port_remarks: dict[str, tuple[Message, Monotonic]] = {}
-        """What is wrong about the port, until when it is in the diagnosis."""
+        """The remarks about the port by subject, each with the moment until which the diagnosis shows it."""
         self._resting: Completion[None] = Completion()
         self._ended: tuple[NextRequest, CurrentExchange] | None = None
         self._foreseen: NextExchange | None = None
-        """What follows the exchange under way where its response is an ordinary one."""
+        """The exchange that follows the one under way if its response is an ordinary one."""
 
     # --- the loop ------------------------------------------------------------------------------
 
     async def run(self, port: OpenPort) -> Message:
-        """Use ``port`` until it is lost; why it was."""
+        """Use ``port`` until it is lost; return why it was."""
         return await run_at_once(self._take_turns(port))
 
     async def _take_turns(self, port: OpenPort) -> Message:
@@ -145,7 +141,7 @@ class LineLoop:
         return None
 
     def _prepare(self, turn: NextRequest) -> NextExchange:
-        """Raises CallerError for a request that no frame can carry."""
+        """Prepare the exchange of ``turn``. Raise CallerError for a request that no frame can carry."""
         attempts = turn.run.attempts if turn.run is not None else None
         dialect = attempts.dialect_of(turn.request) if attempts is not None else None
         exchange = self.link.prepare(turn.request, dialect)
@@ -154,7 +150,7 @@ class LineLoop:
         return NextExchange(turn, exchange)
 
     def _has_left(self, sent: NextExchange) -> None:
-        """Settle, report and prepare the next turn while the response is under way."""
+        """Settle, report and prepare the next turn while the response to ``sent`` is under way."""
         self._settle()
         turn, run = sent.turn, sent.turn.run
         if sent is self._foreseen:
@@ -166,7 +162,7 @@ class LineLoop:
         self._foreseen = self._prepare(following) if following is not None else None
 
     def _settle(self) -> None:
-        """Take the result of the exchange that has ended."""
+        """Take the result of the exchange that has ended, if any."""
         if self._ended is None:
             return
         self.link.account()
@@ -205,11 +201,11 @@ class LineLoop:
             self.schedule.responded(request.unit, now)
             is_changed = former not in (None, record.raw(number)) and number not in SETPOINTS
             if is_changed or (isinstance(request, WriteParameterRequest) and not isinstance(reply, Nak)):
-                # Who has changed one parameter at the keypad may have changed the scale too.
+                # A person who has changed one parameter at the keypad may have changed the scale too.
                 self.schedule.parameters.need(request.unit)
 
     async def _rest(self, now: Monotonic) -> None:
-        """Wait until something may be due that was not at ``now``, or the loop is woken."""
+        """Wait until something may become due that was not at ``now``, or until the loop is woken."""
         self._report()
         self._resting = Completion()
         moments = [moment for moment in self._arbiter.moments() if now < moment < NEVER]
@@ -244,7 +240,7 @@ class LineLoop:
         self._wake()
 
     def still_closed(self, cause: Message) -> None:
-        """Note that another attempt to open it failed."""
+        """Note that another attempt to open the port failed."""
         now = self.clock.now()
         self._port_closed(cause)
         if now - self._closed_at > CLOSED_TO_OFFLINE_S:
@@ -252,7 +248,8 @@ class LineLoop:
         self._report()
 
     def note_port(self, remark: Message, *, about: str, lasts_s: float) -> None:
-        """Have ``remark`` in the diagnosis for a while; while there is one ``about`` the same, that stays."""
+        """Show ``remark`` in the diagnosis for ``lasts_s``; an earlier one ``about`` the same is
+        prolonged."""
         known, _ = self._port_remarks.pop(about, (remark, None))
         self._port_remarks[about] = known, self.clock.now() + lasts_s
         if len(self._port_remarks) > MAX_PORT_REMARKS:
@@ -269,15 +266,15 @@ class LineLoop:
             self.port_is_back()
 
     def port_is_back(self) -> None:
-        """Report the port as open. One that was lost is back with the first response, or once it has stayed
-        open for a while: a device server that ends may still accept connections."""
+        """Report the port as open. A lost port is back with the first response, or once it has stayed open
+        for a while, since a device server that shuts down may still accept connections."""
         if self.link.open and self.state.link == "closed":
             self.state = self._port_is("open")
             self._events.append(self.state)
             self._wake()
 
     def _port_lost(self) -> Message:
-        """End whatever was under way as unknown, and return the cause; nothing is sent later."""
+        """End everything under way as unknown, so that nothing is sent later, and return the cause."""
         assert self.link.loss is not None
         self._foreseen = self.trace.witness = None
         self._settle()
@@ -320,7 +317,7 @@ class LineLoop:
         self._arbiter.reserve(self.clock.now())
 
     def submit(self, run: CommandRun) -> None:
-        """Carry out ``run``: its first request is the next one, if its priority allows."""
+        """Queue ``run``: its first request is the next one, if its priority allows."""
         self._foreseen = None
         self.commands.add(run)
         if self.link.open:
@@ -330,12 +327,12 @@ class LineLoop:
             self._report()
 
     def cancel(self, command_id: str) -> None:
-        """Give up a command at a point where nothing is half done."""
+        """Cancel a command at its next point where nothing is half done."""
         self.commands.cancel(command_id)
         self._report()
 
     def apply(self, command_id: str, effect: LineEffect) -> None:
-        """Carry out what a procedure does beside its requests."""
+        """Carry out a step of a procedure that is no request and no pause."""
         at = self.clock.epoch(self.clock.now())
         match effect:
             case ReportProgress():

@@ -1,12 +1,12 @@
-"""One exchange at a time over an open port: its deadlines, and what else comes in.
+"""One exchange at a time over an open port: its deadlines, and everything else that comes in.
 
-The window of a response (``bus.line.timing``) begins when the request's last byte has left the wire, which is
-computed, not waited for.
+The window of a response (``bus.line.timing``) begins when the request's last byte has left the wire, a moment
+that is computed, not waited for.
 
 On a port that is as slow as its baud rate (``PortPace``), a frame that is complete before the response can be
-is a leftover of an earlier exchange. On such a port nothing can be done before the response can be complete,
-so until shortly before that moment bytes are left to gather. What has gathered by then is still seen to be
-early.
+is a leftover of an earlier exchange. On such a port bytes are left to gather until shortly before the
+response can be complete, because nothing could be done with them before. Whatever has gathered by then is
+still recognized as early.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ T = TypeVar("T")
 
 
 class Completion(Generic[T]):
-    """One result, set once and awaited by one coroutine that ``run_at_once`` runs.
+    """A result that is set once and awaited by one coroutine, which ``run_at_once`` runs.
 
     The waiter continues in the same turn of the event loop in which the result is set. A task continues one
     turn later, which is 0.026 ms of an idle wire for each poll, 0.001 of the rate. So ``set`` runs the
@@ -64,7 +64,7 @@ class Completion(Generic[T]):
         self.resume: Callable[[], None] | None = None
 
     def set(self, result: T) -> None:
-        """Run the coroutine that awaits it."""
+        """Set the result and run the coroutine that awaits it."""
         self.result, self.is_set = result, True
         if self.resume is not None:
             self.resume()
@@ -76,7 +76,7 @@ class Completion(Generic[T]):
 
 
 async def run_at_once(coroutine: Coroutine[Completion[Any], None, T]) -> T:
-    """Run ``coroutine``, which awaits nothing but completions, until it ends; a cancellation closes it."""
+    """Run ``coroutine``, which awaits nothing but completions, until it ends; cancellation closes it."""
     ended: asyncio.Future[T] = asyncio.get_running_loop().create_future()
 
     def step() -> None:
@@ -104,14 +104,14 @@ class CurrentExchange(msgspec.Struct):
     ends_sending: Monotonic
     """When the request's last byte has left."""
     last_moment: Monotonic
-    """No response can come later, whenever this process receives it."""
+    """The moment after which no response can come, even if this process receives it later."""
     ended: Monotonic = Monotonic(0.0)
     is_ordinary: bool = False
     """Whether the response came alone, at a time at which it is expected."""
     garbled: bool = False
     unexpected: bool = False
     unrequested: bool = False
-    """Whether a unit responded to what this host has not requested."""
+    """Whether a unit responded to something that this host has not requested."""
     late: int = 0
     overdue: tuple[int, ...] = ()
 
@@ -143,16 +143,16 @@ class CurrentExchange(msgspec.Struct):
 StrayFrame = Echo | Foreign | Duplicate | Late | Unexpected
 
 LISTEN_FRACTION = 0.93
-"""For this part of the least time bytes are left to gather, because each few that are received alone cost as
-much as a response; less than ``port_pace.EARLY``."""
+"""The part of the least time during which bytes gather, because receiving a few alone costs as much as a
+response; it is less than ``EARLY`` in ``bus.line.timing``."""
 SECRET_LINGERS_S = 5.0
-"""For so long after an exchange with a secret (#21) what is no response may be a piece of it, or a copy."""
+"""How long after an exchange with a secret (#21) other bytes may be a piece or a copy of it, in seconds."""
 AHEAD_S = 0.002
-"""This long before a response can be complete they are received: a loop's timers count milliseconds."""
+"""How long before a response can be complete bytes are taken: a loop's timers count milliseconds."""
 
 
 class Link:
-    """``prepare`` an exchange, ``send`` it, await how it ended and ``account`` for that."""
+    """The link of one bus: ``prepare`` an exchange, ``send`` it, await its end and ``account`` for it."""
 
     def __init__(
         self,
@@ -176,7 +176,7 @@ class Link:
         self._current: CurrentExchange | None = None
         self._ending: Completion[CurrentExchange] = Completion()
         self._last: Exchange | None = None
-        """The exchange before, for what comes in while none is under way."""
+        """The previous exchange, in whose context bytes are read that come in while none is under way."""
         self._last_response = b""
         self._unaccounted: CurrentExchange | None = None
         self._pace = PortPace()
@@ -190,7 +190,7 @@ class Link:
     # --- the port ------------------------------------------------------------------------------
 
     def attach(self, port: OpenPort, baud: int) -> None:
-        """Use a port that was opened; nothing that was under way before can still arrive."""
+        """Use a newly opened port; nothing that was under way before can still arrive."""
         self._port = port
         self._last = None
         self.loss, self.has_responses = None, False
@@ -198,7 +198,7 @@ class Link:
         self._pace = PortPace()
 
     def retune(self, baud: int) -> None:
-        """Go on at ``baud``. Raises WireError where the port cannot."""
+        """Continue at ``baud``. Raise WireError if the port cannot."""
         if self._port is not None:
             self._port.retune(baud)
         self._go_at(baud)
@@ -226,8 +226,8 @@ class Link:
     def pending(self, unit: int) -> PendingResponses:
         """Return the responses of ``unit`` that may still come late or twice.
 
-        However slow the port: this process may have been kept from running, and what came meanwhile
-        looks as if it came just now. Therefore the order of frames is trusted, their time is not.
+        This holds for fast ports too: the process may have been kept from running, and bytes that came
+        meanwhile look as if they came just now. Therefore the order of frames is trusted, their time is not.
         """
         return self._pending.about(unit)
 
@@ -237,7 +237,7 @@ class Link:
         self._forget()
 
     def _forget(self) -> None:
-        """Forget all that came in before."""
+        """Forget everything that came in before."""
         self._overdue: list[int] = []
         self._decoder = FrameDecoder(self._dialect)
         self._pending = PendingByUnit(self._dialect)
@@ -245,9 +245,9 @@ class Link:
     # --- one exchange --------------------------------------------------------------------------
 
     def prepare(self, request: Request, dialect: Dialect | None = None) -> Exchange:
-        """Return an exchange to ``send``, in ``dialect`` where it is not the bus's own.
+        """Return an exchange to ``send``, in ``dialect`` if given, else in the dialect of the bus.
 
-        While another one is under way, with another unit, it is the one after that. Raises CallerError for a
+        An exchange under way must be with another unit; the new one then follows it. Raise CallerError for a
         request that no frame can carry.
         """
         pending = self.pending(request.unit)
@@ -257,10 +257,8 @@ class Link:
         return self._exchange(request, dialect, pending)
 
     def send(self, exchange: Exchange) -> Completion[CurrentExchange] | None:
-        """Begin ``exchange``; how it ended is awaited. None where nothing was sent, as the port is lost.
-
-        A port that is lost later, or that took only a part, ends the exchange without a response.
-        """
+        """Begin ``exchange`` and return a completion of its end, or None if nothing was sent because the port
+        is lost. A port that is lost later, or that took only a part, ends the exchange without a response."""
         assert self._current is None
         if self._port is None:
             return None
@@ -280,8 +278,8 @@ class Link:
         return ending
 
     def account(self) -> None:
-        """Count the exchange that has ended and keep it in the trace, once. It is called after the next
-        request has left, because that must not wait for it."""
+        """Count the exchange that has ended and put it into the trace, once. This is called after the next
+        request has left, so that the request does not wait for it."""
         if self._unaccounted is None:
             return
         ended, self._unaccounted = self._unaccounted, None
@@ -326,14 +324,14 @@ class Link:
             self._end(current, now)
 
     def _is_ordinary(self, current: CurrentExchange, events: list[ExchangeEvent], now: Monotonic) -> bool:
-        """Return whether ``events`` are the response, when it is expected, and nothing else has come."""
+        """Return whether ``events`` are only the response, at a time at which it is expected."""
         if len(events) != 1 or type(events[0]) is not Responded or current.has_noise or self._overdue:
             return False
         current.is_ordinary = self._pace.on_time(now - current.began, self._least_s(current.exchange))
         return current.is_ordinary
 
     def _least_s(self, exchange: Exchange) -> float:
-        """Return what the request and its response take on the wire."""
+        """Return how many seconds the request and its response take on the wire at least."""
         return (len(exchange.sent) + len(exchange.frame)) * self._byte_s
 
     def _exchange(self, request: Request, dialect: Dialect | None, pending: PendingResponses) -> Exchange:
@@ -352,7 +350,7 @@ class Link:
         self._note(began, "out", exchange.sent, exchange)
 
     def _end(self, current: CurrentExchange, now: Monotonic) -> None:
-        """End the exchange under way. This is the last step here, as the next exchange begins meanwhile."""
+        """End the exchange under way, as the caller's last step, because the next exchange begins in it."""
         self._current, self._last, self._unaccounted = None, current.exchange, current
         current.ended = now
         self._ending.set(current)
@@ -372,7 +370,7 @@ class Link:
             self._note_stray(now, event.frame.wire, exchange, unit=event.frame.body[0])
 
     def _take_stray_frame(self, event: StrayFrame, addressed: int, now: Monotonic) -> None:
-        """Count a good frame that is not the response of ``addressed``."""
+        """Count a valid frame that is not the response of unit ``addressed``."""
         match event:
             case Echo():
                 self.counts.echoes += 1
@@ -392,7 +390,8 @@ class Link:
             self._current.unexpected = True
 
     def _judge_sender(self, event: Foreign, now: Monotonic) -> None:
-        """Note a response that no request of this host explains; beside an exchange once that has ended."""
+        """Note a response that no request of this host explains, at once or as the exchange under way
+        ends."""
         if self.second_master.explains(event.unit, now):
             return
         if self._current is not None:
@@ -401,9 +400,9 @@ class Link:
             self.second_master.note(now)
 
     def _is_another_s_late(self, event: Foreign) -> bool:
-        """Return whether another unit's frame is late: that unit has not responded to an earlier request,
-        or this is the last response a second time. It ends no uncertainty about that unit: it may be of a
-        third one that responds to a wrong address."""
+        """Return whether a frame of another unit is late: that unit owes a response to an earlier request, or
+        this frame equals the last response. The unit still owes its response: a third unit with a wrong
+        address may have sent the frame."""
         is_overdue = bool(self.pending(event.unit).outstanding)
         if is_overdue:
             self._overdue.append(event.unit)
@@ -413,7 +412,7 @@ class Link:
         self._roster[unit].statistics.counts.late += 1
 
     def _take_noise(self, noise: Noise, unit: int, now: Monotonic) -> None:
-        """Count noise; after a response with a wrong checksum no other comes, so only quiet is waited for."""
+        """Count noise. No other response follows one with a wrong checksum, so then only quiet is awaited."""
         self.counts.noise_bytes += len(noise.data)
         if noise.reason is Fault.CHECKSUM:
             self._roster[unit].statistics.counts.checksum_errors += 1
@@ -424,7 +423,7 @@ class Link:
             self._window.shorten(now + QUIET_BYTES * self._byte_s)
 
     def _take_response(self, now: Monotonic) -> None:
-        """Await another response where this one came too early to be that of the request."""
+        """Count a response that came too early to be that of the request as late, and await another."""
         current = self._current
         if current is None or self._pace.believes(now - current.began, self._least_s(current.exchange)):
             return
@@ -436,7 +435,7 @@ class Link:
     # --- waiting -------------------------------------------------------------------------------
 
     def _listen_at(self, exchange: Exchange, began: Monotonic, window_ends: Monotonic) -> Monotonic | None:
-        """Return the moment shortly before the response can be complete, on a port that is as slow as its
+        """Return the moment shortly before the response can be complete, or None on a port faster than its
         baud rate."""
         if not self.is_paced or exchange.request.unit == 0:
             return None
@@ -449,14 +448,14 @@ class Link:
         current = self._current
         if current is None:
             return
-        # Of a broadcast nothing ever comes: it may be on its way still, and the next request follows it.
+        # A broadcast has no response: it may still be on its way, and the next request follows it.
         if current.exchange.awaiting and self._port is not None:
             self._port.drop_output()
         current.exchange.give_up()
         self._end(current, now)
 
     def _note(self, now: Monotonic, way: Direction, data: bytes, exchange: Exchange) -> None:
-        """Keep what is known to belong to ``exchange``."""
+        """Put a frame into the trace that is known to belong to ``exchange``."""
         hidden = exchange.secret
         if hidden:
             self._secret_until = now + SECRET_LINGERS_S
@@ -465,7 +464,7 @@ class Link:
     def _note_stray(
         self, now: Monotonic, data: bytes, exchange: Exchange | None, *, unit: int = 0, valid: bool = True
     ) -> None:
-        """Keep what is no response, but not its bytes while it may be a late response with a secret (#21)."""
+        """Put other bytes into the trace, hidden while they may be a late response with a secret (#21)."""
         secret = exchange is not None and exchange.secret
         hidden = secret or now < self._secret_until or self._pending.may_hold_secret(unit)
         self._trace.add(TracedFrame(self._clock.epoch(now), "in", data, valid, hidden))

@@ -1,8 +1,8 @@
-"""The port of a line, opened, or only tried, and kept open: an absent or occupied one is waited for, and a
-lost one is reopened.
+"""The port of a line: opened, only tried, or kept open. An absent or occupied port is waited for, a lost one
+reopened.
 
-An open port is single-use: it is opened, used, lost or closed, and then reopened. Closing never waits: what
-has not left yet is dropped, so nothing is ever sent late.
+An open port is single-use: it is opened, used, lost or closed, and then reopened. Closing never waits: bytes
+that have not left yet are dropped, so nothing is ever sent late.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from bus.pacing import STABLE_S, ReconnectDelay, is_worth_logging
 
 
 async def open_port(port: str, baud: int, receiver: Receiver) -> OpenPort:
-    """Open a device path, ``socket://host:port`` or ``rfc2217://host:port``. Raises PortUnavailable."""
+    """Open a device path, ``socket://host:port`` or ``rfc2217://host:port``. Raise PortUnavailable."""
     if port.startswith("socket://"):
         return await open_socket(port, receiver)
     if port.startswith("rfc2217://"):
@@ -49,7 +49,7 @@ async def open_port(port: str, baud: int, receiver: Receiver) -> OpenPort:
 
 
 def port_fault(port: str) -> Message | None:
-    """Return why a device or the device server of a URL cannot be opened now, or None where it can."""
+    """Return why a device or device server (URL) cannot be opened now, or None if it can."""
     try:
         if "://" in port:
             _connect(port)
@@ -61,9 +61,9 @@ def port_fault(port: str) -> Message | None:
 
 
 def _open(path: str) -> None:
-    """Open a device and read its settings, which stay as they are. Raises PortUnavailable."""
+    """Open a device and read its settings without changing them. Raise PortUnavailable if that fails."""
     try:
-        # Else a port that waits for a carrier would block, and one without a terminal's user become it.
+        # Without these flags a port that waits for a carrier would block, or become the controlling terminal.
         descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     except OSError as error:
         raise PortUnavailable(why_not(path, error)) from error
@@ -82,7 +82,7 @@ def _open(path: str) -> None:
 
 
 def _connect(url: str) -> None:
-    """Connect to a device server. Raises PortUnavailable."""
+    """Connect to a device server. Raise PortUnavailable if that fails."""
     try:
         socket.create_connection(address_of(url), timeout=CONNECT_TIMEOUT_S).close()
     except (OSError, UnicodeError) as error:
@@ -91,11 +91,11 @@ def _connect(url: str) -> None:
 
 RETRY_S = 0.5
 CHECK_S = 0.5
-"""A lost port without a report is detected after this time."""
+"""How often an open port is checked, in seconds: a loss that is not reported is detected within this time."""
 OTHERS_S = 60.0
-"""Between two looks at who else has the port open; at once when a unit no longer responds."""
+"""Seconds between searches for other users of the port; one follows when a unit stops responding."""
 REMARK_S = 600.0
-"""How long the diagnosis has it that another program changed the settings of the port."""
+"""How long the diagnosis shows that another program changed the settings of the port, in seconds."""
 
 OpenFunction = Callable[[str, int, Receiver], Awaitable[OpenPort]]
 
@@ -103,7 +103,7 @@ _log = structlog.get_logger("bus.line")
 
 
 class Opener:
-    """The opener of the line's port. It opens the path anew each time, so that a by-id link may point to
+    """The opener of the line's port. The path is opened anew each time, so that a by-id link may point to
     another device."""
 
     def __init__(self, line: LineLoop, open_function: OpenFunction = open_port) -> None:
@@ -112,7 +112,7 @@ class Opener:
         self._port: OpenPort | None = None
         self._cause: Message | None = None
         self._causes = 0
-        """How often in a row another cause was seen than before."""
+        """How often in a row the cause differed from the one before."""
         self._backoff = ReconnectDelay(random.random)
         self.opening: _Opening | None = None
 
@@ -131,7 +131,7 @@ class Opener:
             self._port = None
 
     async def _open_until_lost(self) -> float:
-        """Open the port once and use it until it is lost; return in how many seconds to open it again."""
+        """Open the port once and use it until it is lost; return the seconds until it is reopened."""
         clock = self._line.clock
         began = clock.now()
         self.opening = opening = _Opening(self, self._line)
@@ -158,7 +158,7 @@ class Opener:
         return pause_s
 
     def _failed(self, failure: WireError, took_s: float) -> float:
-        """Return in how many seconds to try again; a port that is absent is looked for twice a second."""
+        """Return in how many seconds to try again; an absent port is tried twice a second."""
         pause_s = RETRY_S if took_s < RETRY_S else 0.0
         if isinstance(failure, EndedWhileOpening):
             pause_s = self._backoff.ended(0.0)
@@ -167,7 +167,7 @@ class Opener:
         return pause_s
 
     async def _check(self, port: OpenPort) -> None:
-        """Notice that the port is lost, or that another program uses it or changed its settings."""
+        """Detect that the port is lost, or that another program uses it or changed its settings."""
         silent: frozenset[int] = frozenset()
         looked_at = Monotonic(-math.inf)
         while True:
@@ -183,11 +183,11 @@ class Opener:
                 await self._note_others(changed)
 
     async def _note_others(self, changed: list[str]) -> None:
-        """Report which programs have the port open beside this one, and what one of them has ``changed``."""
+        """Report which other programs have the port open, and which settings one of them has ``changed``."""
         path = self._line.bus.port
         if not is_device(path):
             return
-        # In a thread: hundreds of processes may have thousands of files open.
+        # A thread does this, because hundreds of processes may have thousands of files open.
         programs = programs_of(await asyncio.to_thread(users_of, path))
         if changed:
             _log.warning("another program changed the settings of the port", port=path, changed=changed)
@@ -199,7 +199,7 @@ class Opener:
             self._line.note_port(remark, about=f"{remark}", lasts_s=OTHERS_S + 2 * CHECK_S)
 
     def _note_stable(self) -> None:
-        """Log an opening that lasts, even where the ones before were not worth it."""
+        """Log an opening that lasts, even if the ones before were too short to be logged."""
         self._causes = 0
         self._line.port_is_back()
         if not self._backoff.is_worth_logging:
@@ -218,7 +218,7 @@ class Opener:
 
 
 class _Opening:
-    """The receiver of one opening of the port; what an earlier opening still delivers is ignored."""
+    """The receiver of one opening of the port; bytes that an earlier opening still delivers are ignored."""
 
     def __init__(self, opener: Opener, line: LineLoop) -> None:
         self._opener = opener
@@ -226,7 +226,7 @@ class _Opening:
         self._loss: Message | None = None
 
     def check(self) -> None:
-        """Check that it still goes on. Raises EndedWhileOpening where it is over already."""
+        """Raise EndedWhileOpening if the connection has been lost already."""
         if self._loss is not None:
             raise EndedWhileOpening(self._loss)
 

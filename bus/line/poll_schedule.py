@@ -1,4 +1,5 @@
-"""What leaves next when no operator is waiting. Pure: time in seconds is passed in.
+"""The schedule of one bus: which frame leaves next when no operator waits. Pure: time in seconds is passed
+in.
 
 Order of claims on the wire, the first that may use it wins:
 
@@ -8,7 +9,7 @@ Order of claims on the wire, the first that may use it wins:
 4. a requested slow read (a backup, a scan), within a tenth of the wire while watched;
 5. the slow scan of the other parameters, within a hundredth;
 6. the scan of 81h, where watched units have more turns than the others; where the configuration limits it,
-   the wire rests between its polls.
+the wire rests between its polls.
 
 When no unit takes part in the scan, 3 to 5 may use all of it. Operators' writes do not pass through here:
 they come before everything (``bus.line.arbiter``).
@@ -38,10 +39,10 @@ from bus.instants import Monotonic
 UnitParameter = tuple[int, int]
 """A unit and the number of a parameter."""
 DECIMALS_EVERY = 4
-"""This many reads of the slow scan include one #3, and a first reading of all the others still ends soon."""
+"""One in so many reads of the slow scan is #3, so that a first reading of all others still ends soon."""
 _FIRST = (DECIMALS, FOLLOWER_MODE, MAX_DISPLAY)
-"""Of all units before the other needed ones, in this order: without decimals no speed can be shown right, and
-a setpoint waits until the mode and #2, which bound it, are read."""
+"""The parameters that are read of all units before the other needed ones, in this order: without decimals no
+speed can be shown right, and a setpoint waits until its bounds, the mode and #2, are read."""
 _RANKS = {number: rank for rank, number in enumerate(_FIRST)}
 
 
@@ -49,22 +50,23 @@ class ParameterQueue:
     """Two queues of 85h reads: those needed to show a unit right, and a slow scan of all others.
 
     The needed ones go number by number over all units, so that all units are shown right together. The slow
-    scan never ends: what was read goes to its end, which finds what was changed at a panel. Every fourth read
-    of it is #3 of the next unit, because decimals changed at a panel make every shown speed wrong.
+    scan never ends: a parameter that was read goes to its end, so that changes at a panel are found. Every
+    fourth read of it is #3 of the next unit, because decimals changed at a panel make every shown speed
+    wrong.
     """
 
     def __init__(self, numbers: Sequence[int], needed: Collection[int]) -> None:
         self._numbers = tuple(numbers)
         self._needed_numbers = frozenset(needed)
         self._needed: dict[UnitParameter, tuple[int, int, int]] = {}
-        """With the rank of each."""
+        """The needed parameters, each with its rank; the lowest rank is read first."""
         self._background: dict[UnitParameter, None] = {}
         self._decimals: dict[UnitParameter, None] = {}
         self._arrivals = 0
         self._turn = 0
 
     def learn_all(self, unit: int) -> None:
-        """Have everything about ``unit`` read, because it is new or has returned."""
+        """Queue every parameter of ``unit``, because it is new or has returned."""
         self.forget(unit)
         self.need(unit)
         for number in self._numbers:
@@ -72,12 +74,12 @@ class ParameterQueue:
                 self._add_background(unit, number)
 
     def need(self, unit: int) -> None:
-        """Read again what is needed to show ``unit`` right."""
+        """Queue again the parameters that are needed to show ``unit`` right."""
         for number in self._needed_numbers:
             self._add_needed(unit, number, _RANKS.get(number, len(_FIRST)))
 
     def forget(self, unit: int) -> None:
-        """Forget ``unit``, which does not respond."""
+        """Remove ``unit``, which does not respond, from all queues."""
         for queue in (self._needed, self._background, self._decimals):
             for entry in [entry for entry in queue if entry[0] == unit]:
                 del queue[entry]
@@ -109,12 +111,12 @@ class ParameterQueue:
         return bool(self._background or self._decimals)
 
     def was_read(self, unit: int, number: int, *, available: bool) -> None:
-        """Move it to the end of the slow scan; remove one that the unit does not have."""
+        """Queue a parameter again at the end of the slow scan, unless the unit does not have it."""
         if available and number in self._numbers:
             self._add_background(unit, number)
 
     def was_not_read(self, unit: int, number: int) -> None:
-        """Put a parameter without a response back into the queue it came from."""
+        """Put a parameter without a response back into its queue."""
         if number in self._needed_numbers:
             self._add_needed(unit, number, len(_FIRST))
         else:
@@ -140,7 +142,7 @@ class WireShare:
         self.fraction = fraction
         self.burst_s = burst_s
         self.ready_at = Monotonic(float("-inf"))
-        """The moment from which it may be used."""
+        """The moment from which the wire may be used again."""
 
     def ready(self, now: Monotonic) -> bool:
         return now >= self.ready_at
@@ -151,15 +153,15 @@ class WireShare:
 
 
 STEPS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 10.0)
-"""Back-off after each probe without a response."""
+"""The pauses in seconds after each further probe without a response."""
 ALONE_STEP_S = 1.0
-"""The longest back-off while no unit responds: no other unit is delayed."""
+"""The longest pause in seconds while no unit responds: probes then delay no other unit."""
 JITTER = 0.2
-"""A step is shortened by up to this part, so that units lost together do not stay in step."""
+"""The largest part by which a pause is shortened, so that units lost together are not probed together."""
 WIRE_SHARE = 0.05
 """The part of the wire for probes of all units without responses."""
 WIRE_SHARE_ALONE = 0.5
-"""The same while no unit responds: a line that is switched on again is found at once."""
+"""The part of the wire for probes while no unit responds: a line switched on again is found at once."""
 
 
 @dataclass(slots=True)
@@ -201,27 +203,27 @@ class ProbeBackoff:
             offline.due = now + self._wait(offline.step)
 
     def responded(self, unit: int, now: Monotonic) -> None:
-        """Note that ``unit`` responds again; others may have had the same cause, so they are due now."""
+        """Note that ``unit`` responds again; others may have had the same cause, so make them due now."""
         if self._units.pop(unit, None) is not None:
             for other in self._units.values():
                 other.due = min(other.due, now)
 
     def forgive(self, now: Monotonic) -> None:
-        """Make every unit due at once, the longest waiting first, the first whatever was spent before."""
+        """Make every unit due at once and restore the rations, whatever was spent before."""
         self._rations = _rations()
         for offline in self._units.values():
             offline.step, offline.due = 0, min(offline.due, now)
 
     def due(self, now: Monotonic) -> int | None:
-        """Return the unit to probe now, the longest overdue first, or None when none is due or the ration is
-        used."""
+        """Return the unit to probe now, the longest overdue first, or None if none is due or the ration is
+        used up."""
         if not self._units or not self._rations[self.alone].ready(now):
             return None
         unit = min(self._units, key=lambda each: self._due_of(self._units[each]))
         return unit if self._due_of(self._units[unit]) <= now else None
 
     def wake_at(self) -> Monotonic | None:
-        """Return when the next probe may leave; None when all units respond."""
+        """Return when the next probe may leave; None if all units respond."""
         if not self._units:
             return None
         first_due = min(self._due_of(offline) for offline in self._units.values())
@@ -238,21 +240,20 @@ class ProbeBackoff:
 
 
 def _rations() -> dict[bool, WireShare]:
-    """Return the ration of probes, which is larger while no unit responds."""
+    """Return the rations of probes, by whether no unit responds: the ration is larger then."""
     return {False: WireShare(WIRE_SHARE), True: WireShare(WIRE_SHARE_ALONE)}
 
 
 LOOK_ELSEWHERE_S = 3.0
-"""How long a line without any response is polled at one baud rate before the other."""
+"""How long a line without any response is polled at one baud rate before the other is tried, in seconds."""
 
 
 class BaudSearch:
-    """The search that decides at which rate a line without responses is polled: call ``turn`` between two
-    requests.
+    """The search for the baud rate of a line without responses: call ``turn`` between two requests.
 
     Units take a new baud rate (#18) when they are switched off and on, one after the other, without notice.
     Therefore such a line is polled at its old rate and at its new one in turn, until it responds at the new
-    one: no unit returns to the old rate, so from then on a timeout is just a timeout.
+    one: no unit returns to the old rate, so a timeout is only a timeout from then on.
     """
 
     def __init__(self, now: Monotonic) -> None:
@@ -262,15 +263,15 @@ class BaudSearch:
 
     def expect(self, baud: int, present: int) -> None:
         """Expect units that respond at ``present`` to come up at ``baud`` once they have been switched off
-        and on. The same rate twice ends a former expectation."""
+        and on. Equal rates end an earlier expectation."""
         self._expected, self._old = (None, None) if baud == present else (baud, present)
 
     def tuned(self, now: Monotonic) -> None:
-        """Note that the port goes at another rate from now on."""
+        """Note that the port goes at another rate from ``now`` on."""
         self._tuned_at = now
 
     def turn(self, now: Monotonic, baud: int, *, responds: bool) -> int | None:
-        """Return the rate to continue at where it is time to leave ``baud``, else None; ``responds``: whether
+        """Return the rate to continue at if it is time to leave ``baud``, else None. ``responds``: whether
         any unit does at ``baud``."""
         if responds and baud == self._expected:
             self._expected = self._old = None
@@ -282,11 +283,11 @@ class BaudSearch:
 MIN_SHARE_OF_A_TURN = 2 / 3
 """The least part of its rate without open pages that an unwatched unit keeps."""
 WATCHED_HZ = 10.0
-"""More polls a second of one unit than this show a person nothing new."""
+"""The most polls a second of one unit that show a person anything new."""
 
 
 class PollOrder:
-    """Units in floor order, each with its turn; a watched one has more turns than the others.
+    """The turns of the units in floor order; a watched unit has more turns than the others.
 
     Each unit has a *pass*; the lowest is next and moves on by the inverse of its share (stride scheduling),
     so no unit starves and equal units take exact turns. Whenever shares change the passes are spread evenly;
@@ -318,12 +319,12 @@ class PollOrder:
             self._weigh()
 
     def watch(self, units: Collection[int]) -> None:
-        """Poll these, where they take part, at once, and more often from now on."""
+        """Poll ``units``, if they take part, at once and more often from now on."""
         self._watched = frozenset(units)
         self._weigh()
 
     def next_unit(self) -> int | None:
-        """Return the unit whose turn it is; None when no unit takes part."""
+        """Return the unit whose turn it is; None if no unit takes part."""
         if not self._passes:
             return None
         unit = min(self._passes, key=self._turn_of)
@@ -340,7 +341,7 @@ class PollOrder:
         self._spread(others, plain)
 
     def _spread(self, units: list[int], stride: float) -> None:
-        """Spread them evenly over one stride from the present turn on, in the order in which they wait."""
+        """Spread ``units``, as they wait, evenly over one stride from the present turn on."""
         for rank, unit in enumerate(units):
             self._strides[unit] = stride
             self._passes[unit] = self._present + stride * rank / len(units)
@@ -364,17 +365,17 @@ def _strides(units: int, watched: int, poll_s: float) -> tuple[float, float]:
 NEEDED_SHARE = 0.8
 NEEDED_SHARE_OF_MANY = 0.5
 MANY_UNITS = 12
-"""With more units than this the first seconds are shared evenly, or readings would look stale."""
+"""With more units needed parameters get the smaller share, or readings would look stale meanwhile."""
 SLOW_SHARE_WATCHED = 0.08
-"""With fences and the slow scan beside it the scan then keeps nine tenths of its rate."""
+"""A share that, with fences and the slow scan beside it, leaves the scan nine tenths of its rate."""
 SLOW_SHARE_UNWATCHED = 0.95
 BACKGROUND_SHARE = 0.01
 BURST_POLLS = 2
-"""Short reads between long polls reach their share by saving up the time of so many polls."""
+"""So many polls' time can be saved up, so that short reads between long polls reach their share."""
 
 
 class TaskKind(StrEnum):
-    """Why a frame leaves."""
+    """The reason why a frame leaves."""
 
     FIRST = "first"
     POLL = "poll"
@@ -384,7 +385,7 @@ class TaskKind(StrEnum):
 
 
 class Task(msgspec.Struct, frozen=True):
-    """The next use of the wire. ``number``: the parameter, where one is read; SLOW has no unit."""
+    """The next use of the wire. ``number``: the parameter, if one is read; SLOW has no unit."""
 
     kind: TaskKind
     unit: int = 0
@@ -393,7 +394,7 @@ class Task(msgspec.Struct, frozen=True):
 
 
 class PollSchedule:
-    """The complete claim list of one bus. ``least_scan_s``: the shortest time that a scan may take."""
+    """The schedule of one bus with all claims on its wire. ``least_scan_s``: the shortest time of a scan."""
 
     def __init__(
         self, units: Iterable[int], poll_s: float, seed: int = 0, *, least_scan_s: float = 0.0
@@ -407,7 +408,7 @@ class PollSchedule:
         self._slow = WireShare(SLOW_SHARE_UNWATCHED, BURST_POLLS * poll_s)
         self._background = WireShare(BACKGROUND_SHARE)
         self._poll_s = poll_s
-        """What one completed poll takes, averaged, the unit's turnaround included."""
+        """The average seconds of one completed poll, the unit's turnaround included."""
         self._poll_fraction = 1.0
         self._least_scan_s = least_scan_s
         self._poll_due = Monotonic(-math.inf)
@@ -430,7 +431,7 @@ class PollSchedule:
         self._adapt()
 
     def stopped_responding(self, unit: int, now: Monotonic) -> None:
-        """Take ``unit`` out of the round, because it missed so often."""
+        """Take ``unit`` out of the scan, because it missed too many requests."""
         self.poll_order.leave(unit)
         self.parameters.forget(unit)
         if unit not in self.probes:
@@ -438,7 +439,7 @@ class PollSchedule:
         self._adapt()
 
     def spent(self, task: Task, began: Monotonic, ended: Monotonic, *, responded: bool) -> None:
-        """Note that ``task`` used the wire between these moments, in the shares and the averages."""
+        """Note that ``task`` used the wire from ``began`` to ``ended``, in the shares and the averages."""
         seconds = ended - began
         match task.kind:
             case TaskKind.PROBE if not responded:
@@ -456,7 +457,7 @@ class PollSchedule:
     # --- the next claim ------------------------------------------------------------------------
 
     def next(self, now: Monotonic, *, slow_waits: bool = False) -> Task | None:
-        """Return the next use of the wire, or None: nothing before a probe is due."""
+        """Return the next use of the wire, or None if nothing is due before one of ``moments``."""
         if self._unseen:
             return Task(TaskKind.FIRST, self._unseen.pop())
         unit = self.probes.due(now)
@@ -474,21 +475,21 @@ class PollSchedule:
         return now >= self._poll_due or len(self.poll_order) == 0
 
     def next_poll(self, now: Monotonic) -> Task | None:
-        """Return the unit whose turn it is, whatever else would be due."""
+        """Return the poll of the unit whose turn it is, whatever else is due."""
         unit = self.poll_order.next_unit()
         if unit is None:
             return None
         apart_s = self._least_scan_s / len(self.poll_order)
-        # A poll that leaves a little late does not delay those after it; what was missed is not made up for.
+        # A poll that leaves a little late does not delay those after it; missed polls are not made up for.
         self._poll_due = (self._poll_due if now - self._poll_due < apart_s else now) + apart_s
         return Task(TaskKind.POLL, unit)
 
     def moments(self, *, slow_waits: bool) -> list[Monotonic]:
-        """Return when the next use of the wire may be due that is not now."""
+        """Return the moments at which something that is not due now may become due."""
         probe = self.probes.wake_at()
         moments = [] if probe is None else [probe]
         if self._least_scan_s == 0 or len(self.poll_order) == 0:
-            # Then only probes are waited for: everything else is due at once.
+            # Without a limit of the scan only probes are waited for: everything else is due at once.
             return moments
         moments.append(self._poll_due)
         if self.parameters.any_needed:
@@ -500,7 +501,7 @@ class PollSchedule:
         return moments
 
     def _gap(self, now: Monotonic | None, *, slow_waits: bool) -> Task | None:
-        """Return what may use a gap now; ``now`` None: the wire is free anyhow."""
+        """Return the read that may use a gap now. ``now``: None if the wire is free anyhow."""
         if (now is None or self._needed.ready(now)) and (wanted := self.parameters.next_needed()):
             return Task(TaskKind.PARAMETER, *wanted, needed=True)
         if slow_waits and (now is None or self._slow.ready(now)):
@@ -516,7 +517,7 @@ class PollSchedule:
     # --- what it costs -------------------------------------------------------------------------
 
     def scan_s(self, more_units: int = 0) -> float:
-        """Return the seconds in which every online unit is polled once, with ``more_units`` more of them."""
+        """Return the seconds in which every online unit, and ``more_units`` beside, is polled once."""
         units = len(self.poll_order) + more_units
         possible_s = units * self._poll_s / max(self._poll_fraction, 0.05)
         return max(possible_s, self._least_scan_s) if units else possible_s

@@ -1,4 +1,4 @@
-"""A port as the rest of the line sees it, and why a device cannot be opened and who has it (Linux)."""
+"""The interface of a port to the line, and why a device cannot be opened and who has it open (Linux)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bus.messages import Message
 
 
 def why_not(path: str, error: Exception) -> Message:
-    """Return why ``path`` cannot be opened, by the ``error`` that this raised."""
+    """Return why ``path`` cannot be opened, by the ``error`` that opening it raised."""
     number = getattr(error, "errno", None) or _errno_in(error)
     if number == errno.ENOENT:
         return _missing(path)
@@ -32,12 +32,12 @@ def why_not(path: str, error: Exception) -> Message:
 
 
 def in_use(path: str) -> Message:
-    """Return that another program has it, and which."""
+    """Return a message that other programs use ``path``, with their names."""
     return used_by(path, users_of(path))
 
 
 def used_by(path: str, users: Iterable[tuple[int, str]]) -> Message:
-    """Return that these programs have it, by process id and name; without any, another program."""
+    """Return a message that ``users`` (process id and name) have ``path``; if empty, another program."""
     programs = programs_of(users)
     if not programs:
         return Message.of("port_in_use", port=path)
@@ -45,12 +45,12 @@ def used_by(path: str, users: Iterable[tuple[int, str]]) -> Message:
 
 
 def programs_of(users: Iterable[tuple[int, str]]) -> list[Message]:
-    """Return programs by process id and name as the value of a message."""
+    """Return programs, by process id and name, as the value of a message."""
     return [Message.of("process", program=name, pid=pid) for pid, name in users]
 
 
 def _errno_in(error: Exception) -> int | None:
-    """Return the number of an error; pySerial keeps some only in what they were raised from."""
+    """Return the errno of ``error``, or of its context, where pySerial leaves some; None without one."""
     for each in (error, error.__context__):
         if each is not None and each.args and isinstance(each.args[0], int):
             return each.args[0]
@@ -80,7 +80,7 @@ _PSEUDO_TERMINALS = Path("/dev/pts")
 
 
 def users_of(path: str) -> list[tuple[int, str]]:
-    """Return process id and name of the others that hold a lock on it, else of those that have it open."""
+    """Return process id and name of the others that lock ``path``, or without any, that have it open."""
     device = Path(path).resolve()
     own = {os.getpid(), *_simulators_of(device)}
     pids = _lockers(device) - own or {pid for pid in _pids() if _has_open(pid, device)} - own
@@ -88,18 +88,18 @@ def users_of(path: str) -> list[tuple[int, str]]:
 
 
 def is_device(path: str) -> bool:
-    """Return whether a device is there, and not the URL of a device server."""
+    """Return whether ``path`` is a device, and not the URL of a device server."""
     return Path(path).is_char_device()
 
 
 def is_pseudo_terminal(path: str) -> bool:
-    """Return whether this is a pseudo-terminal, at whose other end a program plays the device."""
+    """Return whether ``path`` is a pseudo-terminal, at whose other end a program plays the device."""
     return Path(path).resolve().parent == _PSEUDO_TERMINALS
 
 
 def _simulators_of(device: Path) -> set[int]:
-    """Return the programs at the other end of a pseudo-terminal: they are the line, and no other host on
-    it."""
+    """Return the programs at the other end of a pseudo-terminal: they simulate the line and are no other host
+    on it."""
     if not is_pseudo_terminal(str(device)):
         return set()
     end = f"tty-index:\t{device.name}\n"
@@ -145,7 +145,7 @@ def _is_same(pid: int, number: str, device: Path) -> bool:
 
 
 def _open_files(pid: int) -> Iterator[tuple[str, Path]]:
-    """Return the number of each descriptor of a process, and what it is of."""
+    """Yield the number of each descriptor of a process, and the file that it refers to."""
     with suppress(OSError):
         for descriptor in (_PROC / str(pid) / "fd").iterdir():
             with suppress(OSError):
@@ -159,52 +159,52 @@ def _name(pid: int) -> str:
 
 
 class PortUnavailable(WireError):
-    """The port cannot be opened now; the message has the reason and what to do."""
+    """Raised when the port cannot be opened now; the message has the reason and what to do."""
 
 
 class EndedWhileOpening(PortUnavailable):
-    """The other end took the connection and ended it before the port was open."""
+    """Raised when the other end accepted the connection and ended it before the port was open."""
 
 
 class PartlySent(WireError):
-    """The port took some of a request and broke: whether a unit received it is not known."""
+    """Raised when the port took a part of a request and broke: whether a unit received it is not known."""
 
 
 class Receiver(Protocol):
-    """Called with what comes from the port."""
+    """A receiver of the bytes of a port and of its loss."""
 
     def data_received(self, data: bytes) -> None:
         """Take bytes that came in."""
 
     def connection_lost(self, cause: Message) -> None:
-        """Note that the port is gone, and why. Called once, never after ``close``."""
+        """Note that the port is gone, and why. This is called once, never after ``close``."""
 
 
 class OpenPort(Protocol):
     """An open port. It is single-use: once lost or closed it is reopened as a new one."""
 
     def write(self, data: bytes) -> None:
-        """Hand over one request at once. Raises PartlySent where some of it was taken, else WireError."""
+        """Send one request at once. Raise PartlySent if only a part was taken, WireError if nothing was."""
 
     def listen(self, *, now: bool) -> None:
-        """Give what comes in at once, or let it gather until this is called again."""
+        """Deliver bytes at once if ``now``, else let them gather until the next call."""
 
     def drop_output(self) -> None:
-        """Forget what has not left yet."""
+        """Drop what has not left yet."""
 
     def retune(self, baud: int) -> None:
-        """Go on at ``baud``. Raises WireError where the port cannot."""
+        """Continue at ``baud``. Raise WireError if the port cannot."""
 
     def check(self) -> list[str]:
-        """Return what another program changed of its settings since the last call, which was put back. Raises
-        WireError when the port is gone and this was not reported yet."""
+        """Return the settings that another program has changed since the last call; they were restored. Raise
+        WireError if the port is gone and this was not reported yet."""
 
     def close(self) -> None:
-        """Give it back, at once."""
+        """Release the port at once."""
 
 
 class PortProtocol(asyncio.Protocol):
-    """Between an asyncio transport and a Receiver. ``gone``: what is reported when the port is lost."""
+    """The protocol between an asyncio transport and a Receiver. ``gone``: reported on a loss."""
 
     def __init__(self, receiver: Receiver, gone: Message) -> None:
         self.made: asyncio.Future[None] = asyncio.get_running_loop().create_future()

@@ -45,7 +45,7 @@ from bus.wire.commands import (
 
 @dataclass(slots=True)
 class WireCounts:
-    """What the bus carried."""
+    """The totals of what the wire has carried."""
 
     busy_s: float = 0.0
     noise_bytes: int = 0
@@ -54,12 +54,12 @@ class WireCounts:
 
 _SHORTEST_S = 0.0001
 _STEP = 1.08
-"""Response times are counted in classes each 8 % wider than the one before, from 0.1 ms to 8 s."""
+"""The ratio of neighboring classes of response times, which are 8 % apart, from 0.1 ms to 8 s."""
 _CLASSES = 148
 
 
 class ResponseTimes:
-    """Seconds from a request's last byte to the first byte of the response, as a histogram."""
+    """A histogram of the seconds from a request's last byte to the first byte of the response."""
 
     __slots__ = ("_classes", "count", "largest", "smallest")
 
@@ -78,11 +78,11 @@ class ResponseTimes:
         self.largest = seconds if self.largest is None else max(self.largest, seconds)
 
     def quantile(self, part: float) -> float | None:
-        """Return the time that ``part`` (0 to 1) of the responses did not exceed; None before the first."""
+        """Return the time in seconds that ``part`` (0 to 1) of the responses did not exceed, if any."""
         if self.smallest is None or self.largest is None:
             return None
         left = part * self.count
-        # Every second, twice for each unit of the line: the empty classes before the first are passed over.
+        # This runs every second, twice for each unit, so the empty classes before the first are skipped.
         for place in range(_class_of(self.smallest), _CLASSES):
             left -= self._classes[place]
             if left <= 0 and self._classes[place]:
@@ -98,7 +98,7 @@ def _class_of(seconds: float) -> int:
 
 
 class UnitStatistics:
-    """What became of every request to one unit."""
+    """The counts of all requests to one unit, by how they ended."""
 
     __slots__ = ("counts", "times")
 
@@ -115,7 +115,7 @@ class UnitStatistics:
         self.counts.responses += 1
         self.times.add(response_s)
         if isinstance(reply, Nak):
-            # A new dictionary, because the one before may have been reported.
+            # This makes a new dictionary, because the former one may have been reported.
             naks = self.counts.naks
             self.counts.naks = {**naks, reply.code: naks.get(reply.code, 0) + 1}
 
@@ -133,14 +133,14 @@ class UnitStatistics:
 UnitUpdate = Reading | ParameterValue | UnitLink | Staged
 MISSES_TO_STALE = 2
 MISSES_TO_OFFLINE = 3
-"""One lost response is retried at once and not reported."""
+"""So many misses in a row make a unit unresponsive; a single one is retried and not reported."""
 LOST_AFTER_S = 1.0
-"""Three requests pass in a tenth of a second on a short line: a burst of noise that long loses no unit."""
+"""So long unresponsive is offline: three requests pass in 0.1 s, and a short burst of noise loses no unit."""
 
 
 @dataclass(slots=True)
 class UnitRecord:
-    """One unit. ``misses``: requests in a row without a response since ``responded_at``."""
+    """The state of one unit. ``misses``: requests in a row without a response since ``responded_at``."""
 
     unit: int
     link: UnitLink
@@ -150,9 +150,9 @@ class UnitRecord:
     parameters: dict[int, ParameterValue] = field(default_factory=dict)
     staged: int | None = None
     staged_unknown: bool = False
-    """It did not acknowledge 82h, or was away while it held a staged speed: it may hold that, or another."""
+    """Whether its staged speed is unknown: 82h was not acknowledged, or it was away while it held one."""
     staged_scale: UnitScale = field(default_factory=dict)
-    """What the staged speed was converted with; empty where it was given raw."""
+    """The parameters with which the staged speed was converted; empty if it was given raw."""
     statistics: UnitStatistics = field(init=False)
 
     def __post_init__(self) -> None:
@@ -160,11 +160,11 @@ class UnitRecord:
 
     @property
     def unresponsive(self) -> bool:
-        """Return whether it need not be polled in every scan any more."""
+        """Whether the unit need not be polled in every scan any more."""
         return self.misses >= MISSES_TO_OFFLINE
 
     def lost(self, at: UnixTime) -> bool:
-        """Return whether it has been unresponsive for long enough; a clock that was set back counts as
+        """Return whether the unit has been unresponsive for long enough; a clock that was set back counts as
         long."""
         return self.unresponsive and (
             self.responded_at is None or not 0 <= at - self.responded_at < LOST_AFTER_S
@@ -172,18 +172,18 @@ class UnitRecord:
 
     @property
     def commanded(self) -> int | None:
-        """The commanded speed as last read; None when it never was, or is none that a unit can have."""
+        """The commanded speed as last read; None if it never was, or if no unit can have such a speed."""
         return plausible_speed(self.reading.commanded) if self.reading is not None else None
 
     def raw(self, number: int) -> int | None:
-        """Return a parameter as last read, or None when it never was, the unit does not have it, or it is
-        outside of its printed range."""
+        """Return a parameter as last read; None if it never was, the unit does not have it, or it is outside
+        of its documented range."""
         known = self.parameters.get(number)
         return plausible_parameter(number, known.raw) if known is not None else None
 
 
 class Roster:
-    """Every configured unit in floor order, and any other that a command was sent to."""
+    """Every configured unit in floor order, and any other to which a command was sent."""
 
     def __init__(self, units: Iterable[int], at: UnixTime) -> None:
         self.configured = tuple(units)
@@ -227,9 +227,9 @@ class Roster:
     def take_response(
         self, request: Request, reply: Reply, at: UnixTime, frame: bytes, *, is_probe: bool = False
     ) -> list[UnitUpdate]:
-        """Take ``reply``, the response to ``request``. A probe is not encoded in the unit's dialect: it shows
-        that the unit responds, but its parameter number and value are not certain.
-        """
+        """Take ``reply``, the response to ``request``, and return the updates. A probe is not encoded in the
+        unit's dialect: it shows that the unit responds, but its parameter number and value are not
+        certain."""
         record = self[request.unit]
         record.misses, record.responded_at = 0, at
         updates = self._link(record, "online", at, None)
@@ -251,7 +251,7 @@ class Roster:
         return updates if self.is_configured(record.unit) else []
 
     def missed(self, unit: int, at: UnixTime) -> list[UnitUpdate]:
-        """Count a request without a response."""
+        """Count a request without a response; return the updates of the link."""
         record = self[unit]
         record.misses += 1
         if record.lost(at):
@@ -261,21 +261,21 @@ class Roster:
         return []
 
     def port_closed(self, at: UnixTime, cause: Message, *, long: bool = False) -> list[UnitUpdate]:
-        """Note that no unit can be polled: who was online is stale, and after ``long`` offline."""
+        """Note that no unit can be polled: online units become stale, and if ``long``, stale ones offline."""
         was: UnitLinkState = "stale" if long else "online"
         becomes: UnitLinkState = "offline" if long else "stale"
         records = [record for record in self._records.values() if record.link.link == was]
         return [update for record in records for update in self._link(record, becomes, at, cause)]
 
     def stage(self, unit: int, raw: int | None, at: UnixTime, *, unknown: bool = False) -> list[UnitUpdate]:
-        """Note that ``unit`` has staged ``raw``; None: it holds none any more, or an unknown one."""
+        """Note that ``unit`` has staged ``raw``; None: it holds no staged speed, or an unknown one."""
         record = self[unit]
         former = record.staged, record.staged_unknown
         record.staged, record.staged_unknown, record.staged_scale = raw, unknown, {}
         return [] if former == (raw, unknown) else [Staged(unit, at, raw, unknown)]
 
     def stage_unanswered(self, unit: int, at: UnixTime) -> list[UnitUpdate]:
-        """Note that 82h got no response: ``unit`` may hold the new speed or what it held before. One that was
+        """Note that 82h got no response: ``unit`` may hold the new speed or its former one. A unit that was
         away already has most likely received nothing."""
         away = self[unit].link.link not in ("online", "stale")
         return [] if away else self.stage(unit, None, at, unknown=True)
@@ -288,7 +288,7 @@ class Roster:
         record.link = UnitLink(unit=record.unit, at=at, link=link, cause=cause)
         updates: list[UnitUpdate] = [record.link]
         if link == "offline" and record.staged is not None:
-            # It may have been switched off, and then it holds another speed when it is on again.
+            # The unit may have been switched off, and holds another speed when it is on again.
             updates += self.stage(record.unit, None, at, unknown=True)
         return updates if self.is_configured(record.unit) else []
 
@@ -300,7 +300,7 @@ def _stranger(unit: int, at: UnixTime) -> UnitRecord:
 def parameter_value(
     unit: int, number: int, reply: Reply | None, at: UnixTime, frame: bytes
 ) -> ParameterValue | None:
-    """Return the value in a response to 85h, None where it has none. NAK 82h: the unit lacks the
+    """Return the value in a response to 85h, or None if there is none. NAK 82h: the unit lacks the
     parameter."""
     match reply:
         case ParameterReply():

@@ -3,8 +3,8 @@
 The window of a response is that of a bus at work, but after the response it stays open until the line is
 quiet, to receive a second copy or a checksum byte that is sent twice. A unit that is slower than the
 turnaround it is allowed responds into the window of another request, where its response passes for noise or,
-worse, for that request's. A unit that seems to is sent one request with a long window; if it is slow, what
-was collected until then is invalid.
+worse, for the response to that request. A unit that seems to do so is sent one request with a long window; if
+it is slow, everything collected until then is invalid.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _PLAIN = Dialect()
 
 @asynccontextmanager
 async def scan_port(port: str, baud: int) -> AsyncIterator[ScanPort]:
-    """Open ``port`` for a scan. Raises WireError when it cannot be opened."""
+    """Open ``port`` for a scan. Raise WireError if it cannot be opened."""
     line = ScanPort(baud, RealClock())
     opened = await open_port(port, baud, line)
     line.attach(opened)
@@ -49,13 +49,13 @@ async def scan_port(port: str, baud: int) -> AsyncIterator[ScanPort]:
         yield line
     finally:
         opened.close()
-        # The transport gives the device back in the loop's next turn; until then it is in use by us.
+        # The transport gives the device back in the loop's next turn; until then this process has it.
         await asyncio.sleep(0)
 
 
 @dataclass(slots=True)
 class Collected:
-    """One exchange and all that arrived in its window. Times in seconds of the line's clock."""
+    """One exchange and everything that arrived in its window. Times are seconds of the line's clock."""
 
     exchange: Exchange
     ends_sending: Monotonic
@@ -75,7 +75,7 @@ class Collected:
 
 
 class ScanPort:
-    """An open port, or the one that ``attach`` is given: receives its bytes (``Receiver``)."""
+    """An open port of a scan, or the one that ``attach`` is given, and the ``Receiver`` of its bytes."""
 
     def __init__(self, baud: int, clock: LineClock) -> None:
         self.echoes = False
@@ -95,7 +95,7 @@ class ScanPort:
         self._window.attach(port, self._byte_s)
 
     async def listen(self, seconds: float) -> int:
-        """Return how many bytes arrive although nothing is requested. Raises WireError when the port is
+        """Return how many bytes arrive in ``seconds`` without a request. Raise WireError if the port is
         lost."""
         self._unrequested_bytes = 0
         await asyncio.sleep(seconds)
@@ -103,7 +103,7 @@ class ScanPort:
         return self._unrequested_bytes
 
     async def exchange(self, probe: Probe, turnaround_s: float) -> Collected:
-        """Send one request; a unit may begin within ``turnaround_s``. Raises WireError on a lost port."""
+        """Send one request; a unit may respond within ``turnaround_s``. Raise WireError on a lost port."""
         self._check()
         assert self._port is not None
         request = probe.request
@@ -165,13 +165,13 @@ class ScanPort:
 
 
 PATIENCE_S = 1.0
-"""No unit takes longer to respond; the manual names no such time."""
+"""The longest time in seconds that a unit takes to respond; the manual names no such time."""
 ALLOWANCE = 2.0
-"""What a slow unit is allowed from then on, as a multiple of what it took: units vary, and so do adapters."""
+"""The multiple of its response time that a slow unit is allowed from then on: all devices vary."""
 
 
 class SlowUnitError(Exception):
-    """A unit takes as long as it is allowed, or longer; ``allowance_s`` is what to allow instead."""
+    """Raised for a unit that takes as long as it is allowed, or longer; ``allowance_s``: allow so long."""
 
     def __init__(self, turnaround_s: float) -> None:
         super().__init__(turnaround_s)
@@ -179,7 +179,7 @@ class SlowUnitError(Exception):
 
 
 class Prober:
-    """The examination of addresses over ``line``. ``turnaround_s``: what a unit may take to begin its
+    """The examination of addresses over ``line``. ``turnaround_s``: how long a unit may take to begin its
     response."""
 
     def __init__(self, line: ScanPort, baud: int, turnaround_s: float) -> None:
@@ -191,7 +191,7 @@ class Prober:
         self._quick: set[int] = set()
 
     async def examine(self, unit: int) -> Found | None:
-        """Return everything about one address, or None where nothing responds. Raises SlowUnitError,
+        """Return everything about one address, or None if nothing responds. Raise SlowUnitError or
         WireError."""
         examination = Examination(unit, self._baud).run()
         try:
@@ -214,7 +214,7 @@ class Prober:
         return _outcome(collected)
 
     def _seem_late(self, collected: Collected) -> set[int]:
-        """Return the units whose response to an earlier request this may have been."""
+        """Return the units whose response to an earlier request may be among what was collected."""
         responded = {event.unit for event in collected.events if isinstance(event, Foreign)}
         if any(isinstance(event, Responded | Late) for event in collected.events):
             responded.add(collected.exchange.request.unit)
@@ -223,7 +223,7 @@ class Prober:
         return responded & recent - self._quick
 
     async def _measure(self, unit: int) -> None:
-        """Send a request with a long window. Raises SlowUnitError for a unit that needs more time."""
+        """Send a request with a long window. Raise SlowUnitError for a unit that needs more time."""
         if self._turnaround_s >= PATIENCE_S:
             return
         await self._line.listen(PATIENCE_S)
@@ -250,17 +250,15 @@ def _outcome(collected: Collected) -> ProbeOutcome:
 
 
 LISTEN_S = 0.2
-"""How long the line is received before the first request."""
+"""How long the line is listened to before the first request, in seconds."""
 MAX_UNREQUESTED_BYTES = 10
-"""More than this in that time, and responses cannot be distinguished from other traffic."""
+"""The most bytes in that time with which responses can be distinguished from other traffic."""
 
 
 @dataclass(slots=True)
 class BaudScan:
-    """What has responded so far at one baud rate. ``echoes``: the adapter receives what it sends.
-
-    ``turnaround_s``: within which a unit begins its response; it grows where a unit is slower.
-    """
+    """The results so far at one baud rate. ``echoes``: the adapter receives what it sends. ``turnaround_s``:
+    the time within which a unit begins its response; it grows if a unit is slower."""
 
     baud: int
     turnaround_s: float
@@ -275,8 +273,8 @@ async def scan_baud(
     """Request each of ``addresses`` and record in ``scan`` which respond, in their order.
 
     ``progress`` is called with how many of ``PASSES`` requests for each address are done; with a negative
-    number when all are repeated, because a unit is slower than was allowed. Raises WireError when the port
-    cannot be opened or is lost, or when unrequested bytes arrive.
+    number when all are repeated, because a unit is slower than was allowed. Raise WireError if the port
+    cannot be opened or is lost, or if unrequested bytes arrive.
     """
     async with scan_port(port, scan.baud) as line:
         await scan_addresses(scan, line, addresses, progress)

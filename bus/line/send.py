@@ -15,71 +15,69 @@ from bus.wire.exchange import PendingResponses
 
 READ_ATTEMPTS = 3
 WRITE_ATTEMPTS = 4
-"""The first and two more for a read, three more for a write."""
+"""The most attempts of a read and of a write, the first included."""
 
 
 class Send(msgspec.Struct, frozen=True):
-    """One request and its response. ``fresh``: only a response that nothing older can be taken for.
-
-    ``withdraws``: a write that puts back what a change has staged; it may leave after the deadline.
-    """
+    """One request and its response. ``fresh``: only a response that cannot be confused with an older one
+    counts. ``withdraws``: a write that takes back a staged speed; it may leave after the deadline."""
 
     request: Request
     fresh: bool = False
     withdraws: bool = False
     max_attempts: int = 0
     dialect: Dialect | None = None
-    """How to encode it, where not as the bus does."""
+    """The dialect in which to encode the request; None for that of the bus."""
     reports_sent: bool = False
-    """Its first departure is reported as the stage "sent"."""
+    """Whether the first time that it leaves is reported as the stage "sent"."""
 
     @property
     def attempts_allowed(self) -> int:
-        """Return how often a request is sent at most."""
+        """The most times that the request is sent."""
         return self.max_attempts or (WRITE_ATTEMPTS if is_write(self.request) else READ_ATTEMPTS)
 
 
 class LineNoise(msgspec.Struct, frozen=True):
-    """What else came in while a response was awaited."""
+    """Everything else that came in while a response was awaited."""
 
     garbled: bool = False
-    """Bytes that are no frame."""
+    """Whether bytes came that are no frame."""
     unexpected: bool = False
-    """Good frames that no unit gives as this response."""
+    """Whether valid frames came that no unit gives as this response."""
     late: int = 0
-    """Good frames of the unit beside the response: responses to earlier requests, or a second copy."""
+    """Valid frames of the unit beside the response: responses to earlier requests, or a second copy."""
 
 
 NO_NOISE = LineNoise()
 
 
 class SendStatus(StrEnum):
-    """How a Send ended."""
+    """The way in which a Send ended."""
 
     RESPONDED = "responded"
     SENT = "sent"
-    """A broadcast, to which no unit responds, has left."""
+    """The request was a broadcast, to which no unit responds, and has left."""
     TIMED_OUT = "timed out"
     TOO_LATE = "too late"
-    """The deadline passed before it could leave (again)."""
+    """The deadline passed before the request could leave (again)."""
     PORT_CLOSED = "port closed"
 
 
 class SendResult(msgspec.Struct, frozen=True):
-    """What a Send led to. Times: seconds since the epoch. ``attempts``: how often the request left."""
+    """The result of a Send. Times: seconds since the epoch. ``attempts``: how often the request left."""
 
     status: SendStatus
     reply: Reply | None = None
     attempts: int = 0
     sent_at: UnixTime | None = None
-    """The request's last byte on the wire."""
+    """When the request's last byte left."""
     responded_at: UnixTime | None = None
     frame: bytes = b""
     noise: LineNoise = NO_NOISE
 
     @property
     def refusal(self) -> int | None:
-        """The unit's error code where it responded with NAK."""
+        """The unit's error code if it responded with NAK."""
         return self.reply.code if isinstance(self.reply, Nak) else None
 
     @property
@@ -95,35 +93,33 @@ class SendResult(msgspec.Struct, frozen=True):
 
 
 MAX_FENCES = 8
-"""Fences with a response, each before a try without one: such a unit receives one frame in two."""
+"""The most responses to fences before attempts without one: such a unit receives every other frame."""
 
 
 class ExchangeResult(msgspec.Struct, frozen=True):
-    """How one exchange ended. ``reply`` None: no response in its window.
-
-    ``began`` and ``ended`` are the line's own time, ``sent_at`` and ``responded_at`` Unix time, in seconds.
-    """
+    """The result of one exchange. ``reply`` None: no response in its window. ``began`` and ``ended`` are the
+    line's own time, ``sent_at`` and ``responded_at`` Unix time, in seconds."""
 
     request: Request
     reply: Reply | None
     began: Monotonic
     ended: Monotonic
     sent_at: UnixTime
-    """The request's last byte on the wire."""
+    """When the request's last byte left."""
     responded_at: UnixTime | None = None
     frame: bytes = b""
     noise: LineNoise = NO_NOISE
     dialect: Dialect | None = None
-    """How the request was written."""
+    """The dialect in which the request was encoded."""
     overdue: tuple[int, ...] = ()
     """Units whose response to an earlier request came, once for each response."""
 
 
 class SendAttempts:
-    """Call ``next_request`` and ``settle`` in turn, until ``result`` is there.
+    """The attempts of one Send: call ``next_request`` and ``settle`` in turn, until there is a ``result``.
 
     A timeout of a fence counts like a timeout of the request: so many in a row mean no response. A write
-    never leaves after ``deadline`` (on the clock of ``now``), whatever the outcome of its earlier tries.
+    never leaves after ``deadline`` (on the clock of ``now``), whatever the outcome of its earlier attempts.
     """
 
     def __init__(self, send: Send, deadline: Monotonic = NEVER) -> None:
@@ -143,7 +139,7 @@ class SendAttempts:
         return self._attempts > 0
 
     def dialect_of(self, request: Request) -> Dialect | None:
-        """Return the dialect in which ``request`` is written, where it is not that of the bus."""
+        """Return the dialect in which ``request`` is encoded, or None for that of the bus."""
         return self.send.dialect if request == self.send.request else None
 
     def reports(self, request: Request) -> bool:
@@ -151,7 +147,7 @@ class SendAttempts:
         return self.send.reports_sent and not self.begun and request == self.send.request
 
     def next_request(self, now: Monotonic, pending: PendingResponses) -> Request | None:
-        """Return what to send now; None once ``result`` is there. ``pending``: of the addressed unit."""
+        """Return what to send now; None once there is a ``result``. ``pending``: of the addressed unit."""
         if self.result is not None:
             return None
         fence = self._fence(pending)
@@ -163,7 +159,7 @@ class SendAttempts:
         return self.send.request
 
     def settle(self, exchange: ExchangeResult) -> bool:
-        """Take the exchange of the last request; return whether it is retried for lack of a response."""
+        """Take the exchange of the last request; return whether it is repeated for lack of a response."""
         self._noise = exchange.noise
         self._late += exchange.noise.late
         is_fence = exchange.request != self.send.request
@@ -191,9 +187,9 @@ class SendAttempts:
             self._end(SendStatus.PORT_CLOSED)
 
     def _fence(self, pending: PendingResponses) -> Request | None:
-        """Return the fence that must go first, if any. A retry may take the response to the try before, which
-        is hardly older; a later request may not: a response that a buffer on the way kept for seconds would
-        be shown as new."""
+        """Return the fence that must go first, if any. A repeated request may take the response to its
+        attempt before, which is hardly older; a later request may not, because a response that a buffer on
+        the way kept for seconds would be shown as new."""
         fence = pending.fence_before(self.send.request)
         fresh = self.send.fresh or not self.begun
         if fence is None and fresh and self.send.request in pending.outstanding:

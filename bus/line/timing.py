@@ -2,7 +2,7 @@
 
 The clock is injected, so that tests run on a virtual one. The window of a response ends when the unit's
 turnaround is over and nothing is coming in any more, or at the latest when the longest response would be
-through, so endless bytes cannot hold it open. Before the response can be complete bytes may be left to
+complete, so endless bytes cannot hold it open. Before the response can be complete bytes may be left to
 gather: one wake-up instead of one for every few bytes. A process that was kept from running reads the port
 before it reports a timeout, because the response may be waiting.
 """
@@ -21,20 +21,21 @@ if TYPE_CHECKING:
     from bus.line.port import OpenPort
 
 SLEW_S = 0.001
-"""How far the wall clock's drift is followed in one ``settle``; a step of more than a second at once."""
+"""How far one ``settle`` follows the wall clock's drift, in seconds; a step beyond STEP_S is followed
+fully."""
 STEP_S = 1.0
 NEVER = Monotonic(math.inf)
 
 
 class Timer(Protocol):
-    """A call to come."""
+    """A scheduled call."""
 
     def cancel(self) -> None:
-        """Withdraw the call."""
+        """Cancel the call."""
 
 
 class LineClock(Protocol):
-    """``now`` never goes back; ``epoch`` is what other machines understand. Both in seconds."""
+    """The clock of a line, in seconds: ``now`` never goes back, ``epoch`` is what other machines use."""
 
     def now(self) -> Monotonic:
         """Return the line's own time."""
@@ -46,7 +47,7 @@ class LineClock(Protocol):
         """Follow the wall clock a little; called about once a second."""
 
     def call_at(self, when: Monotonic, callback: Callable[[], None]) -> Timer:
-        """Have ``callback`` run at ``when`` (of ``now``), or as soon as possible after."""
+        """Schedule ``callback`` to run at ``when`` (of ``now``), or as soon as possible after it."""
 
 
 class RealClock:
@@ -71,25 +72,22 @@ class RealClock:
 
 
 QUIET_BYTES = 4
-"""A response that pauses for so many byte times is over."""
+"""The pause of a response, in byte times, after which it is over."""
 MIN_QUIET_S = 0.005
 MIN_FRAME_GAP_S = 0.020
-"""Inside a frame. An FTDI adapter delivers what it received every 16 ms where its latency timer cannot be set
-(FTDI AN232B-04, 3.3).
-"""
+"""The least pause in seconds that ends a frame: an FTDI adapter whose latency timer cannot be set delivers
+received bytes every 16 ms (FTDI AN232B-04, 3.3)."""
 MARGIN_S = 0.010
-"""What the machine and the adapter may add to a unit's turnaround."""
+"""The time in seconds that the machine and the adapter may add to a unit's turnaround."""
 TIMER_SLACK_S = 0.0005
 LATE_S = 0.002
-"""An alarm later than this means that the process was kept from running."""
+"""The delay of an alarm in seconds from which on the process was kept from running."""
 RECHECK_S = 0.001
 
 
 class Window:
-    """``over`` is called once for each ``open``, with the present moment, unless ``close`` comes before.
-
-    Times in seconds on the line's own clock.
-    """
+    """The window of a response. ``over`` is called once for each ``open``, with the present moment, unless
+    ``close`` comes before. Times are seconds on the line's own clock."""
 
     def __init__(self, clock: LineClock, over: Callable[[Monotonic], None]) -> None:
         self._clock = clock
@@ -105,29 +103,29 @@ class Window:
         self._quiet_at = Monotonic(0.0)
 
     def attach(self, port: OpenPort | None, byte_s: float) -> None:
-        """Use another port, or none; ``byte_s``: what a byte takes on it."""
+        """Use another port, or none. ``byte_s``: the seconds of a byte on the wire."""
         self._port = port
         self._ends = self._listen_at = None
         self._quiet_s = max(QUIET_BYTES * byte_s, MIN_QUIET_S)
 
     def open(self, ends: Monotonic, last_moment: Monotonic, listen_at: Monotonic | None = None) -> None:
-        """Note that an exchange began. Until ``listen_at`` bytes may gather."""
+        """Open the window of an exchange. Until ``listen_at`` bytes may gather."""
         self._ends, self._last_moment, self._looked = ends, last_moment, False
         self._listen_from(listen_at)
         self._ring_at(ends if listen_at is None else listen_at)
 
     def received(self, now: Monotonic, *, inside_frame: bool) -> None:
-        """Note that bytes came in; ``inside_frame``: they end in the middle of what may be a frame."""
+        """Note that bytes came in; ``inside_frame``: whether they end amid what may be a frame."""
         self._quiet_at = now + (max(self._quiet_s, MIN_FRAME_GAP_S) if inside_frame else self._quiet_s)
 
     def shorten(self, ends: Monotonic) -> None:
-        """Wait for nothing but quiet from now on."""
+        """End the window at ``ends`` or as soon as the line is quiet after it."""
         if self._ends is not None and ends < self._ends:
             self._ends = ends
             self._ring_at(ends)
 
     def close(self) -> None:
-        """End the window. Its alarm is let come in vain, because most are set again before."""
+        """End the window. Its alarm still rings in vain, because most are set again before."""
         self._ends = None
         self._listen_from(None)
 
@@ -167,16 +165,15 @@ class Window:
 
 
 EARLY = 0.95
-"""A frame that is there in less than this part of the least time cannot be the response: no unit's clock is
-so fast that its UART could still be understood."""
+"""The part of the least time within which a frame cannot be the response: no unit's clock is so fast that its
+UART could still be understood."""
 EARLY_TO_BELIEVE = 3
 ON_TIME_TO_BELIEVE = 50
 
 
 class PortPace:
-    """A port may be faster than its baud rate (an unpaced simulator, a device server that buffers): that
-    shows at its first response, and then no response of it is too early.
-    """
+    """The pace of a port: as slow as its baud rate or faster (an unpaced simulator, a device server that
+    buffers). The first response shows it, and on a faster port no response is too early."""
 
     def __init__(self) -> None:
         self.paced: bool | None = None
@@ -187,7 +184,7 @@ class PortPace:
         return self.paced is True and took_s >= least_s * EARLY
 
     def believes(self, took_s: float, least_s: float) -> bool:
-        """Return whether a response that took ``took_s`` may be taken; ``least_s``: what it takes on the
+        """Return whether a response that took ``took_s`` may be taken. ``least_s``: its least time on the
         wire."""
         early = took_s < least_s * EARLY
         if self.paced is None:

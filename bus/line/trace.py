@@ -1,4 +1,4 @@
-"""The last frames, at most an hour of them, packed; their meaning is computed on demand."""
+"""The last frames of a line, at most an hour of them, packed; their meaning is computed on demand."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class _Piece:
 
 
 class Trace:
-    """A ring of packed records, bounded by time and by bytes."""
+    """A ring of packed frames, bounded by time and by bytes."""
 
     def __init__(self, kept_s: float = MAX_AGE_S, kept_bytes: int = MAX_BYTES) -> None:
         self._kept_s = kept_s
@@ -51,10 +51,10 @@ class Trace:
         self.follower: Callable[[TracedFrame], None] | None = None
         """Called with each frame as it passes, while the trace is followed."""
         self.witness: list[TracedFrame] | None = None
-        """The frames of the command under way are put down here as well."""
+        """The list that receives the frames of the command under way as well; None without one."""
 
     def add(self, passed: TracedFrame) -> None:
-        """Keep one; a secret one without its bytes, of noise without end only the beginning."""
+        """Keep one frame: without its bytes if it is secret, and only the beginning of endless noise."""
         data = b"" if passed.hidden else passed.data[:MAX_FRAME]
         if not self._pieces or len(self._pieces[-1].packed) >= PIECE_BYTES:
             self._pieces.append(_Piece(passed.at, bytearray()))
@@ -69,7 +69,7 @@ class Trace:
             self.follower(passed._replace(data=data))
 
     def since(self, at: UnixTime) -> Iterator[TracedFrame]:
-        """Yield the kept frames from ``at`` on, oldest first. New frames may come while it is read."""
+        """Yield the kept frames from ``at`` on, oldest first. New frames may come while they are read."""
         pieces = list(self._pieces)
         for place, piece in enumerate(pieces):
             if place + 1 == len(pieces) or pieces[place + 1].began > at:
@@ -77,7 +77,7 @@ class Trace:
 
     @property
     def size(self) -> int:
-        """Bytes in use."""
+        """The bytes in use."""
         return sum(len(piece.packed) for piece in self._pieces)
 
     def _drop_old(self, now: UnixTime) -> None:
@@ -98,8 +98,8 @@ def _unpack(packed: bytes) -> Iterator[TracedFrame]:
 
 
 class Interpreter:
-    """The interpreter that gives frames their meaning, in their order: a response is read in the context of
-    its request."""
+    """The interpreter of frames. Give it frames in their order: a response is read in the context of its
+    request."""
 
     def __init__(self, dialect: Dialect) -> None:
         self._dialect = dialect

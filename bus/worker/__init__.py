@@ -1,1 +1,1 @@
-"""One bus and its link to the app: what goes up, what comes down, and what is kept while the app is away."""
+"""The worker of one bus and its link to the app, with what it keeps while the app is away."""

@@ -20,18 +20,18 @@ from bus.messages import Message
 from bus.settings import Dialect
 
 MAX_READINGS = 30_000
-"""13 minutes of one bus at 9600 baud (38.4 readings a second). The oldest tenth goes at once."""
+"""13 minutes of one bus at 9600 baud (38.4 a second). Beyond it the oldest tenth is dropped."""
 MAX_OTHERS = 10_000
 FRAMES_OF_ONE = 10
 ENOUGH_WAITING = 1_000
-"""With so much waiting, what is of the moment only is not queued as well."""
+"""The length of the queue from which on momentary updates are not queued."""
 
 Passing = Progress | BusFigures | Frames
-"""Of the moment only: worth nothing later."""
+"""Momentary updates, which are worth nothing later."""
 
 
 class Outbox:
-    """``put`` in, ``next_batch`` out, ``delivered`` forgets.
+    """The queue of updates to the app: ``put`` in, ``next_batch`` out, ``delivered`` forgets.
 
     In the order of time: ``_sent`` are batches that the app has not confirmed, ``_waiting`` are updates that
     were never sent.
@@ -47,7 +47,7 @@ class Outbox:
         self.seq = 0
         """The number of the last batch made."""
         self._backlog = 0
-        """How many of those that wait were there when the app came back."""
+        """The number of waiting updates that were there when the app came back."""
         self.connected = False
         self.lost = 0
         """Updates dropped since the start because the app was away too long."""
@@ -72,8 +72,8 @@ class Outbox:
         self.connected = False
 
     def resume(self, delivered: int, *, oldest: UnixTime = UnixTime(0.0)) -> None:
-        """Resume with an app that has every batch up to ``delivered``; all else is backlog now, except what
-        is from before ``oldest`` (seconds since the epoch), which it would refuse."""
+        """Resume with an app that has every batch up to ``delivered``. All else becomes backlog, except
+        updates before ``oldest`` (seconds since the epoch), which the app would refuse."""
         self.delivered(delivered)
         updates = chain(chain.from_iterable(batch.updates for batch in self._sent), self._waiting)
         lasting = [update for update in updates if not isinstance(update, Passing)]
@@ -88,8 +88,8 @@ class Outbox:
         self.connected = True
 
     def next_batch(self, at: UnixTime, app_behind_s: float | None = None) -> Batch | None:
-        """Return the next to send, at epoch second ``at``, or None when nothing waits. ``app_behind_s``: see
-        Batch."""
+        """Return the next batch to send at ``at`` (epoch seconds), or None if nothing waits.
+        ``app_behind_s``: as in Batch."""
         count = min(MAX_UPDATES, self._backlog or MAX_UPDATES, len(self._waiting))
         if not count:
             self.filled.clear()
@@ -99,7 +99,7 @@ class Outbox:
         self._backlog = max(0, self._backlog - count)
         self.seq += 1
         batch = Batch(seq=self.seq, sent_at=at, updates=updates, live=live, app_behind_s=app_behind_s)
-        # Without what is of the moment: an app that never confirms must not fill the memory.
+        # Momentary updates are not kept: an app that never confirms must not fill the memory.
         self._others -= sum(_weight(update) for update in updates if isinstance(update, Passing))
         lasting = [update for update in updates if not isinstance(update, Passing)]
         if lasting:
@@ -119,8 +119,8 @@ class Outbox:
             self._others += step * _weight(update)
 
     def _drop_oldest(self, excess: int, bound: int, *, readings: bool) -> None:
-        """Drop the oldest readings, or others, that are too many; what is left keeps its order. A tenth of
-        ``bound`` goes at once, because each time everything is looked at."""
+        """Drop the oldest readings, or others, that are too many; the rest keeps its order. At least a tenth
+        of ``bound`` is dropped, because each call looks through everything."""
         to_drop = max(excess, bound // 10)
 
         def left(updates: Iterable[Update]) -> Iterator[Update]:
@@ -147,13 +147,13 @@ def _weight(update: Update) -> int:
 
 
 MAX_TRACES = 8
-"""Read at once, far more than people and programs request: a faulty app must not fill the memory."""
+"""Far more reads at once than people and programs request: a faulty app must not fill the memory."""
 FRAMES_AT_A_STRETCH = 25
 
 
 class TraceReports:
-    """The reports of the trace, which is read, not the wire. ``put`` receives the updates; ``epoch`` is the
-    time now."""
+    """The reports of the trace to the app, which do not use the wire. ``put`` receives the updates; ``epoch``
+    returns the present time."""
 
     def __init__(
         self, trace: Trace, dialect: Dialect, put: Callable[[list[Update]], None], epoch: Clock
@@ -167,11 +167,11 @@ class TraceReports:
         self._reading: set[asyncio.Task[None]] = set()
 
     def follow(self, *, wanted: bool) -> None:
-        """Report each frame from now on, or none any more."""
+        """Report each frame from now on, or stop reporting."""
         self._trace.follower = self._follow if wanted else None
 
     def read(self, command_id: str, action: ReadTrace) -> None:
-        """Begin to read a piece; its result follows."""
+        """Begin to read a piece of the trace; its result is reported later."""
         if len(self._reading) >= MAX_TRACES:
             self._put([Result(command_id, self._epoch(), "not_sent", Message("too_many_commands"))])
             return
@@ -190,7 +190,7 @@ class TraceReports:
         self._put([Frames(frames)])
 
     async def _read(self, command_id: str, action: ReadTrace) -> None:
-        """Read the trace in small pieces, so that the wire waits for none of it."""
+        """Read the trace in small pieces, so that the wire never waits for it."""
         interpreter, frames = Interpreter(self._dialect), []
         for passed in self._trace.since(action.since):
             frames.append(interpreter.frame(passed))

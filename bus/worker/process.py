@@ -1,4 +1,4 @@
-"""What every process of the program has: its log, and that a child dies with its parent."""
+"""The set-up that every process of the program shares: its log, and that a child ends with its parent."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class BestEffortStream(io.TextIOBase):
 
 
 def without_escapes(_logger: WrappedLogger, _method: str, event: EventDict) -> EventDict:
-    """Return a line of the log for a terminal, which obeys nothing that a client has sent."""
+    """Return a log event with escaped texts: a terminal would obey control codes that a client sent."""
     return {name: escaped(value) if isinstance(value, str) else value for name, value in event.items()}
 
 
 def configure_log() -> None:
-    """Log on standard error: for people on a terminal, one JSON object a line otherwise."""
+    """Log to standard error: for people on a terminal, otherwise one JSON object a line."""
     renderers = (
         [without_escapes, structlog.dev.ConsoleRenderer()]
         if sys.stderr.isatty()
@@ -61,7 +61,7 @@ def configure_log() -> None:
 
 
 PARENT = "LINESIDE_PARENT"
-"""The environment's name for the process that a child belongs to."""
+"""The environment variable that names the parent of a child process."""
 _PR_SET_PDEATHSIG = 1
 
 
@@ -77,7 +77,7 @@ def named_parent() -> int | None:
 
 
 def tie_to(parent: int) -> None:
-    """End this process by SIGTERM when ``parent`` ends; at once when it has ended. Called first of all."""
+    """End this process by SIGTERM when ``parent`` ends; at once if it has ended. Call this first of all."""
     if sys.platform != "linux":
         return
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)

@@ -1,4 +1,4 @@
-"""One bus worker: the line, the link to the app, and what passes between them."""
+"""One bus worker: the line, the link to the app, and the messages between them."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ from bus.worker.uplink import Uplink, UplinkTls, is_encrypted
 
 MAX_RESULTS = 2_000
 MAX_COMMANDS = 300
-"""At once, far more than people and programs request: a faulty app must not fill the memory."""
+"""Far more commands at once than people and programs request: a faulty app must not fill the memory."""
 FIGURES_S = 1.0
 FINISH_WITHIN_S = 1.4
-"""What a change in flight may take once the worker has to leave."""
+"""The seconds that a change in flight may take once the worker has to leave."""
 DELIVER_WITHIN_S = 0.3
 LOOK_S = 0.01
 
@@ -56,7 +56,7 @@ _log = structlog.get_logger("bus.worker")
 
 
 class BusWorker:
-    """Everything of one bus. ``run`` until cancelled; ``finish`` first for a good end."""
+    """The worker of one bus: ``run`` it until cancelled, and call ``finish`` first for an orderly end."""
 
     def __init__(
         self,
@@ -80,13 +80,13 @@ class BusWorker:
         self._leaving = False
 
     async def run(self) -> None:
-        """Run the line and its figures; the uplink is run beside it."""
+        """Run the line and its figures; the caller runs the uplink beside it."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._opener.run())
             tasks.create_task(self._report_figures())
 
     async def finish(self) -> None:
-        """Take no new command; what is under way ends or is withdrawn, within ``FINISH_WITHIN_S``."""
+        """Accept no new command; let those under way end or be withdrawn, within ``FINISH_WITHIN_S``."""
         self._leaving = True
         for run in self.line.commands:
             self.line.cancel(run.id)
@@ -127,7 +127,7 @@ class BusWorker:
         self.line.cancel(command_id)
 
     def command(self, command: Command) -> None:
-        """Carry it out once: a second request with its id returns the same result."""
+        """Carry out a command once: a second request with its id returns the same result."""
         if isinstance(command.action, ReadTrace):
             self._traces.read(command.id, command.action)
             return
@@ -150,13 +150,13 @@ class BusWorker:
             return
         kind = type(action).__name__
         _log.info("command", id=command_id, action=kind, time_left_s=round(deadline - now, 3))
-        # Reported with the next exchange, which mostly is the command's own.
+        # This is reported with the next exchange, which mostly is the command's own.
         self.line.apply(command_id, ReportProgress("waiting"))
         run = command_run_of(self.line, command_id, action, deadline, command.scales, typed=command.typed)
         self.line.submit(run)
 
     def _refusal(self, action: WireAction, time_left_s: float) -> tuple[Outcome, Message] | None:
-        """Return why nothing is sent for it, where that is plain at once."""
+        """Return the outcome and reason if ``action`` can be refused at once, else None."""
         if self._leaving:
             return "not_sent", Message("worker_stopping")
         if len(self.line.commands) >= MAX_COMMANDS:
@@ -217,12 +217,10 @@ async def run_worker(
     leave: asyncio.Event | None = None,
     tls: UplinkTls | None = None,
 ) -> None:
-    """Poll ``bus`` and report to the first of the addresses ``apps`` that takes it, until ``leave`` is set
-    (by default indefinitely). ``tls``: the files of addresses that begin with https; by default this
-    machine's authorities.
-
-    On leaving, a change in flight is finished or withdrawn first; that takes less than two seconds.
-    """
+    """Poll ``bus`` and report to the first of the addresses ``apps`` that accepts the worker, until ``leave``
+    is set (by default indefinitely). ``tls``: the files for addresses that begin with https; by default this
+    machine's authorities. On leaving, a change in flight is finished or withdrawn first; that takes less than
+    two seconds."""
     worker = BusWorker(bus)
     if tls is None and any(map(is_encrypted, apps)):
         tls = UplinkTls()
@@ -242,7 +240,7 @@ async def run_worker(
 
 
 PRIORITY = -10
-"""The worker sleeps 97 % of the time; when a response is complete its next request is due at once."""
+"""The niceness: the worker sleeps 97 % of the time, but must send as soon as a response is complete."""
 
 
 def run(
@@ -253,12 +251,12 @@ def run(
     child: bool = False,
     tls: UplinkTls | None = None,
 ) -> int:
-    """Run one worker until SIGTERM or SIGINT, a ``child`` also until its parent is gone; the exit code."""
+    """Run one worker until SIGTERM or SIGINT, a ``child`` also until its parent ends; return 0."""
     configure_log()
     if child:
         tie_to(named_parent() or os.getppid())
-    # A busy machine must not leave the wire idle: go before others where the system allows it, and keep
-    # what is loaded out of every garbage collection.
+    # A busy machine must not leave the wire idle: run before others if the system allows it, and keep what is
+    # loaded out of every garbage collection.
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
     gc.collect()

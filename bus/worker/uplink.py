@@ -1,7 +1,7 @@
 """The WebSocket to the app, reconnected whenever it ends, and its TLS.
 
-``bus.contract`` has the order of messages. A worker goes to addresses that it was started with, and to no
-other, so that its token goes only where the person who started it sent it.
+``bus.contract`` has the order of messages. A worker connects only to the addresses that it was started with,
+so that its token goes only where the person who started it sent it.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ def feed_url(url: str) -> str:
 
 
 def is_encrypted(url: str) -> bool:
-    """Return whether the feed at this address is opened by TLS."""
+    """Return whether the feed at ``url`` uses TLS."""
     return feed_url(url).startswith("wss:")
 
 
 class AppAddresses:
-    """``apps``: at least one address."""
+    """The addresses of the app and its spare, of which one is in use. ``apps``: at least one address."""
 
     def __init__(self, apps: Sequence[str]) -> None:
         self._feeds = tuple(dict.fromkeys(map(feed_url, apps)))
@@ -70,7 +70,7 @@ class AppAddresses:
 
     @property
     def feed(self) -> str:
-        """The one to connect to."""
+        """The address to connect to."""
         return self._feeds[self._at]
 
     @property
@@ -78,7 +78,7 @@ class AppAddresses:
         return len(self._feeds) > 1
 
     def leave(self) -> None:
-        """Go to the next: this one does not take the worker."""
+        """Go on to the next address, because this one does not accept the worker."""
         self._at = (self._at + 1) % len(self._feeds)
 
 
@@ -90,20 +90,20 @@ _OF_DASHBOARD = {
     64: "the dashboard's certificate is not for this address: use one of its names in --app, or create it "
     "again with --name",
 }
-"""By error of OpenSSL's verification (X509_V_ERR_…)."""
+"""The text for each error of OpenSSL's verification (X509_V_ERR_…)."""
 _UNKNOWN_AUTHORITY = frozenset({2, 18, 19, 20, 21})
 _ALERTS = {
     "CERTIFICATE_EXPIRED": "it has expired: renew it with 'lineside certificate create'",
     "UNKNOWN_CA": "the authority in client_ca of the dashboard has not signed it",
     "CERTIFICATE_REQUIRED": "none was shown: give --certificate and --key",
 }
-"""What the dashboard holds against the worker's certificate, by the end of an alert's name."""
+"""The objection of the dashboard to the worker's certificate, by the end of an alert's name."""
 _NO_TLS = frozenset({"WRONG_VERSION_NUMBER", "HTTP_REQUEST", "RECORD_LAYER_FAILURE"})
 
 
 class _LinkConnection(ClientConnection):
-    """A connection that keeps why it was lost: the library reports an alert during its opening handshake as a
-    mere end."""
+    """A connection that keeps why it was lost: the library reports a TLS alert during its opening handshake
+    as a mere end."""
 
     lost_by: Exception | None = None
 
@@ -114,8 +114,8 @@ class _LinkConnection(ClientConnection):
 
 @dataclass(slots=True)
 class UplinkTls:
-    """``ca``: the authority of the dashboard; None: those that this machine trusts. ``pair``: the worker's
-    certificate and its key, which are read again when they have changed."""
+    """The TLS of the uplink. ``ca``: the authority of the dashboard; None for those that this machine trusts.
+    ``pair``: the worker's certificate and key. All are read again when they have changed."""
 
     ca: Path | None = None
     pair: tuple[Path, Path] | None = None
@@ -124,8 +124,8 @@ class UplinkTls:
     _connection: _LinkConnection | None = field(default=None, init=False)
 
     def context(self) -> ssl.SSLContext:
-        """Return the context of the next connection, which verifies the dashboard and its name. Raises
-        TlsFileError."""
+        """Return the context of the next connection, which verifies the dashboard and its name. Raise
+        TlsFileError for a file that cannot be used."""
         stamps = tuple(map(stamp_of, (*((self.ca,) if self.ca else ()), *(self.pair or ()))))
         if self._context is None or stamps != self._stamps:
             self._context, self._stamps = self._made(), stamps
@@ -144,12 +144,12 @@ class UplinkTls:
         return context
 
     def connection(self, *args: Any, **options: Any) -> ClientConnection:
-        """Make the next one."""
+        """Make the next connection."""
         self._connection = _LinkConnection(*args, **options)
         return self._connection
 
     def fault(self, error: BaseException) -> str:
-        """Return the fault of a handshake, and at which end it is; empty where TLS has none."""
+        """Return the fault of a TLS handshake and at which end it is; empty if TLS is not at fault."""
         lost_by = self._connection.lost_by if self._connection else None
         errors = (*_causes(error), *_causes(lost_by))
         found = next((each for each in errors if isinstance(each, ssl.SSLError)), None)
@@ -190,14 +190,14 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 MIN_PAUSE_S = 0.1
 MAX_PAUSE_S = 2.0
 HURRY_S = 5.0
-"""For this time after the start or a lost link the pause stays short: the app is probably starting."""
+"""How long after the start or a lost link the pause stays short, in seconds: the app is probably starting."""
 REFUSED_PAUSE_S = 5.0
 NEXT_PAUSE_S = 1.0
-"""The same where there is another app."""
+"""The pause after a refusal if there is another address, in seconds."""
 STALLED_S = 4.0
-"""An app sends its time every second. One of several that sends nothing for so long is left for the next."""
+"""An app sends its time every second; after so long a silence the worker goes to the next of several."""
 MESSAGES_PER_S, MAX_MESSAGES_AT_ONCE = 500.0, 2_000.0
-"""Limits what is taken from the app; more waits in the socket, and polling continues."""
+"""The rate of messages accepted from the app; more wait in the socket, and polling continues."""
 OPEN_TIMEOUT_S = 5.0
 WELCOME_WITHIN_S = 10.0
 PING_S = 5.0
@@ -205,31 +205,31 @@ MAX_BYTES = 4_000_000
 MAX_DETAIL_BYTES = 4_000
 MAX_DETAIL = 300
 GOING_AWAY = 1001
-"""Close code of a worker that leaves: its bus is free at once. After any other end it may come back."""
+"""The close code of a worker that leaves: its bus is free at once. After any other end it may come back."""
 
 _log = structlog.get_logger("bus.uplink")
 
 
 class AppRequests(Protocol):
-    """The receiver of what the app requests of this worker; every call returns at once."""
+    """The receiver of the app's requests to this worker; every call returns at once."""
 
     def hello(self) -> Hello:
         """Return the first message, which names this worker."""
 
     def snapshot(self, seq: int) -> Snapshot:
-        """Return everything that is known now."""
+        """Return the complete state that is known now."""
 
     def command(self, command: Command) -> None:
         """Carry out a command."""
 
     def reserve(self) -> None:
-        """Keep the next turn of the wire free: a write is about to be requested."""
+        """Keep the next turn of the wire free, because a write is about to be requested."""
 
     def cancel(self, command_id: str) -> None:
-        """Give up a command at a point where nothing is half done."""
+        """Cancel a command at its next point where nothing is half done."""
 
     def watch(self, watch: Watch) -> None:
-        """Take the units that people look at."""
+        """Take the units that people have on an open page."""
 
 
 class _Problem(msgspec.Struct):
@@ -237,12 +237,12 @@ class _Problem(msgspec.Struct):
 
 
 class RefusedByAppError(Exception):
-    """The app does not want this worker; the text is the app's."""
+    """Raised when the app refuses this worker; the text is the app's."""
 
 
 class Uplink:
-    """``run`` until cancelled. ``apps``: the addresses of the server and of its spare;
-    ``tls``: of those that begin with https."""
+    """The link to the app: ``run`` it until cancelled. ``apps``: the addresses of the server and of its
+    spare; ``tls``: for those that begin with https."""
 
     def __init__(
         self,
@@ -265,9 +265,9 @@ class Uplink:
         self._logged = ""
         self._backoff = ReconnectDelay(random.random)
         self._accepted_at: float | None = None
-        """When the app accepted the connection; None where it did not."""
+        """When the app accepted the connection; None if it has not."""
         self._is_stalled = False
-        """The app sent nothing for too long, and another may have its place."""
+        """Whether the app sent nothing for too long, so that another may have taken its place."""
 
     async def run(self) -> None:
         loop = asyncio.get_running_loop()
@@ -289,7 +289,7 @@ class Uplink:
             await asyncio.sleep(pause * random.uniform(0.75, 1.25))
 
     async def _attempt(self) -> bool:
-        """Stay connected once, until that ends; return whether the app refused this worker."""
+        """Connect once and stay until the connection ends; return whether the app refused this worker."""
         try:
             await self._connect_once()
         except RefusedByAppError as error:
@@ -376,8 +376,8 @@ class Uplink:
             await asyncio.sleep(bucket.pour(1.0, Monotonic(loop.time())))
 
     async def _messages(self, socket: ClientConnection) -> AsyncIterator[str | bytes]:
-        """Yield what the app sends, to its end, which comes also where it sends nothing while there are
-        others."""
+        """Yield what the app sends until the connection ends. If there are several apps, silence ends it
+        too."""
         with suppress(ConnectionClosedOK):
             while True:
                 async with asyncio.timeout(STALLED_S if self._addresses.are_several else None) as patience:
@@ -406,7 +406,7 @@ class Uplink:
                 self._outbox.filled.set()
 
     async def _send(self, socket: ClientConnection) -> None:
-        """Send each update at once; what piles up while the socket is slow goes together."""
+        """Send each update at once; updates that pile up while the socket is slow go together."""
         while True:
             if self._snapshot_wanted:
                 self._snapshot_wanted = False
@@ -436,7 +436,7 @@ def _about_status(response: Response) -> str:
 
 
 def _problem_detail(body: bytes) -> str:
-    """Return the detail of an ``application/problem+json``, for the log: one line of bounded length."""
+    """Return the detail of an ``application/problem+json`` as one line of bounded length for the log."""
     try:
         detail = msgspec.json.decode(body[:MAX_DETAIL_BYTES], type=_Problem).detail
     except (msgspec.DecodeError, ValueError):

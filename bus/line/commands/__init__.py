@@ -1,1 +1,1 @@
-"""What carries out a command and reads it back, as pure procedures."""
+"""The procedures that carry out commands and read them back. Pure."""

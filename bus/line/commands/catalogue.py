@@ -1,4 +1,4 @@
-"""How a worker carries out each kind of command: its procedure, and its claim on the wire."""
+"""The procedure of each kind of command, and the units that it claims on the wire."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ from bus.messages import Message, joined
 from bus.wire.commands import ReadParameterRequest
 
 MOMENT_S = 0.5
-"""How long a unit that missed a request is left alone: its three tries pass in a tenth of a second."""
+"""How long a unit that missed a request is left alone: its three attempts pass in 0.1 s."""
 
 
 def read_parameters(record: UnitRecord, numbers: Sequence[int], context: CommandContext) -> Procedure:
-    """Send 85h for each of ``numbers``, all of the list when empty.
+    """Send 85h for each of ``numbers``, or for every parameter if empty.
 
     The first one without a response is read again at the end, and the rest a moment later: noise does not
-    cost a complete list. A second one means that the unit stopped responding, and ends it.
+    cost a complete list. A second one means that the unit stopped responding, and ends the reading.
     """
     wanted = tuple(numbers) or tuple(PARAMETERS)
     waiting, missed = deque(wanted), False
@@ -108,8 +108,8 @@ def command_run_of(
     *,
     typed: bool = False,
 ) -> CommandRun:
-    """Return ``action`` with its claim on the wire; its procedure is made in its turn. ``deadline``: line
-    time. ``scales``, ``typed``: as in ``bus.contract.Command``."""
+    """Return ``action`` as a command with its claim on the wire; its procedure begins when its turn comes.
+    ``deadline``: on the line's clock. ``scales``, ``typed``: as in ``bus.contract.Command``."""
     scales = scales or {}
     reads = max(map(len, scales.values()), default=0) if typed else 0
     command = CommandContext(
@@ -159,7 +159,7 @@ def _priority(action: WireAction) -> Priority:
 
 
 def _units_claimed(action: WireAction) -> frozenset[int]:
-    """Return the units that no other command may write to meanwhile; a broadcast reaches every unit."""
+    """Return the units to which no other command may write meanwhile; a broadcast reaches every unit."""
     if not action.writes:
         return NO_UNIT
     return frozenset(action.units) if isinstance(action, UnitAction) else EVERY_UNIT

@@ -1,8 +1,8 @@
-"""A command on its way through the line, and what its procedure may do: send, wait, report.
+"""A command on its way through the line, and the steps that its procedure can take: send, wait, report.
 
 A procedure is a generator without clock and port. ``sent = yield Send(...)`` has one request carried out with
-all its attempts; ``yield Wait(...)`` lets others use the wire; ``yield ReportProgress(...)`` reports how far
-it is. The line's loop runs it; a test runs it with made-up responses.
+all its attempts; ``yield Wait(...)`` leaves the wire to others; ``yield ReportProgress(...)`` reports
+progress. The line's loop runs it; a test runs it with made-up responses.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from bus.wire.exchange import PendingResponses
 
 
 class ProcedureResult(msgspec.Struct, frozen=True):
-    """What became of a command: the fields of ``bus.contract.Result`` that a procedure knows."""
+    """The result of a command: the fields of ``bus.contract.Result`` that a procedure knows."""
 
     outcome: Outcome
     message: Message | None = None
@@ -43,13 +43,13 @@ T = TypeVar("T")
 
 
 class Wait(msgspec.Struct, frozen=True):
-    """Seconds in which the procedure sends nothing."""
+    """A pause of the procedure, in seconds."""
 
     seconds: float
 
 
 class ReportProgress(msgspec.Struct, frozen=True):
-    """How far a command is."""
+    """A report of how far a command is."""
 
     stage: Stage
     unit: int | None = None
@@ -58,55 +58,55 @@ class ReportProgress(msgspec.Struct, frozen=True):
 
 
 class Unstage(msgspec.Struct, frozen=True):
-    """``unit`` holds no staged speed any more: it was executed, as read back, or withdrawn."""
+    """A note that ``unit`` holds no staged speed any more: it was executed, as read back, or withdrawn."""
 
     unit: int
 
 
 class NoteStagedScale(msgspec.Struct, frozen=True):
-    """The staged speed of ``unit`` was converted with ``scale``; with another it is another speed."""
+    """A note that the staged speed of ``unit`` was converted with ``scale``, with which alone it is valid."""
 
     unit: int
     scale: UnitScale
 
 
 class Retune(msgspec.Struct, frozen=True):
-    """Everything from here on goes at ``baud``."""
+    """A change of the port to ``baud`` for everything that follows."""
 
     baud: int
 
 
 class ExpectBaud(msgspec.Struct, frozen=True):
-    """Units come up at ``baud`` once they have been switched off and on; the present rate: where they are."""
+    """A note that units come up at ``baud`` when they are switched off and on; the present rate ends it."""
 
     baud: int
 
 
 LineEffect = ReportProgress | Unstage | NoteStagedScale | Retune | ExpectBaud
-"""What needs no waiting."""
+"""The steps that need no waiting."""
 ProcedureStep = Send | Wait | LineEffect
 Subprocedure = Generator[ProcedureStep, SendResult | None, T]
-"""Gets a SendResult for a Send, None for every other step."""
+"""A part of a procedure. Its ``yield`` returns a SendResult for a Send, and None for every other step."""
 Procedure = Subprocedure[ProcedureResult]
 
 
 @dataclass(slots=True)
 class CommandContext:
-    """What a procedure knows of the command it carries out, besides the action itself."""
+    """The context of a command: everything about it that its procedure knows besides the action."""
 
     dialect: Dialect
     cancelled: bool = False
-    """Give up at the next point where nothing is half done."""
+    """Whether the procedure is to end at its next point where nothing is half done."""
     time_left_s: float = float("inf")
-    """Until the deadline, as the procedure begins."""
+    """Seconds until the deadline, counted when the command was submitted."""
     exchange_s: float = 0.02
-    """What one write takes on this bus."""
+    """How long one write takes on this bus, in seconds."""
     overdue: Counter[int] = field(default_factory=Counter)
-    """How many responses of each unit came after their window since the command began."""
+    """The number of responses of each unit that came after their window since the command began."""
     scales: Mapping[int, UnitScale] = field(default_factory=dict)
-    """By unit, what its value was converted and bounded with."""
+    """The raw scale parameters of each unit with which its value was converted and bounded."""
     typed: bool = False
-    """The value was typed as the unit shows it: a unit with another scale is not written."""
+    """Whether the value was typed as the unit shows it: a unit with another scale is then not written."""
 
     def scale(self, unit: int) -> UnitScale:
         return self.scales.get(unit, {})
@@ -120,12 +120,12 @@ def send(step: Send) -> Subprocedure[SendResult]:
 
 
 class Priority(IntEnum):
-    """Which command comes first."""
+    """The priority of a command; the lowest number goes first."""
 
     WRITE = 0
     READ = 1
     SLOW = 2
-    """Only in the gaps of the scan."""
+    """Sent only in the gaps of the scan."""
 
 
 EVERY_UNIT = frozenset(range(256))
@@ -134,7 +134,7 @@ NO_UNIT: frozenset[int] = frozenset()
 
 @dataclass(eq=False)
 class CommandRun:
-    """``begin`` makes the procedure when its turn has come. ``units``: no other command may write to them."""
+    """One command on its way: ``begin`` makes its procedure in its turn; no other may write to ``units``."""
 
     id: str
     priority: Priority
@@ -144,7 +144,7 @@ class CommandRun:
     context: CommandContext
     begin: Callable[[], Procedure]
     on_effect: Callable[[LineEffect], None]
-    """Called with what the procedure does beside its requests."""
+    """Called with each step of the procedure that is no request and no pause."""
     frames: list[TracedFrame] = field(default_factory=list)
     resume_at: Monotonic = Monotonic(0.0)
     result: ProcedureResult | None = None
@@ -153,7 +153,7 @@ class CommandRun:
 
     @property
     def begun(self) -> bool:
-        """Whether its turn has come."""
+        """Whether the turn of the command has come."""
         return self._procedure is not None
 
     def next_request(self, now: Monotonic, pending_of: Callable[[int], PendingResponses]) -> Request | None:
@@ -169,7 +169,7 @@ class CommandRun:
         return None
 
     def settle(self, exchange: ExchangeResult, now: Monotonic) -> bool:
-        """Take the result of its exchange; return whether the request is sent again, as nothing responded."""
+        """Take the result of an exchange; return whether its request is repeated, as nothing responded."""
         assert self.attempts is not None
         again = self.attempts.settle(exchange)
         if self.attempts.result is not None:
@@ -177,7 +177,7 @@ class CommandRun:
         return again
 
     def close(self, now: Monotonic) -> None:
-        """End every request of it, because the port is gone."""
+        """End every request of the command, because the port is gone."""
         while self.result is None:
             if self.attempts is not None:
                 self.attempts.close()

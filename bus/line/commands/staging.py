@@ -1,9 +1,10 @@
-"""Many units changed as one: stage each, require every ACK, one broadcast, read back each. Pure procedures.
+"""Pure procedures that change many units as one: stage each, require every ACK, one broadcast, read back
+each.
 
 ===========  ==========================================================================================
 suspend      a unit outside the change that holds a staged speed would execute it too: it is given its
              present speed first, and its staged speed back at the end
-stage        82h to each, after its scale where its value was typed; the first that refuses, times out, comes
+stage        82h to each, after its scale if its value was typed; the first that refuses, times out, comes
              too late or has another scale ends the change
 broadcast    one 83h to unit 0, only when every 82h *of this very change* was acknowledged
 verify       81h to each, and its scale again; one that missed the broadcast gets a single 83h, once, within
@@ -57,13 +58,13 @@ EXECUTED_SINGLY = Message("executed_singly")
 Failure = tuple[Outcome, Message]
 CANCELED: Failure = ("not_sent", Message("canceled_before_execute"))
 Suspended = dict[int, tuple[int, UnitScale]]
-"""By unit a staged speed, and what that was converted with."""
+"""The staged speed of each unit, by address, and the scale with which it was converted."""
 
 
 @dataclass(slots=True)
 class Member:
-    """One unit of a change. ``before``: what it was last seen commanded. ``scale``: what its value was
-    converted with, ``guarded`` where a person typed that value."""
+    """One unit of a change. ``before``: its commanded speed as last read. ``scale``: the parameters with
+    which its value was converted, ``guarded`` if a person typed that value."""
 
     record: UnitRecord
     raw: int
@@ -71,10 +72,10 @@ class Member:
     scale: UnitScale
     guarded: bool
     sent: SendResult | None = None
-    """Its stage."""
+    """The result of the request that staged the speed."""
     outcome: UnitOutcome | None = None
     missed_broadcast: bool = False
-    """It does not show what it had staged."""
+    """Whether the unit does not show the speed that it had staged."""
 
     @property
     def unit(self) -> int:
@@ -82,7 +83,7 @@ class Member:
 
 
 def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandContext) -> Procedure:
-    """Carry out the complete change. ``setpoints``: unit → raw."""
+    """Change all units of ``setpoints`` (unit → raw) together, or none."""
     ordered = _likely_refusals_first(roster, setpoints, context)
     members = [
         Member(roster[unit], raw, roster[unit].commanded, context.scale(unit), context.typed)
@@ -109,7 +110,7 @@ def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandConte
 
 
 def execute_all(roster: Roster, context: CommandContext) -> Procedure:
-    """Send 83h to every unit, and read what each shows afterwards."""
+    """Send 83h to every unit, and read each one afterwards."""
     records = list(map(roster.__getitem__, roster.configured))
     unknown = [record.unit for record in records if record.staged_unknown]
     if unknown:
@@ -147,8 +148,8 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
 def _likely_refusals_first(
     roster: Roster, setpoints: Mapping[int, int], context: CommandContext
 ) -> list[tuple[int, int]]:
-    """Put units that were last seen offline or LOCAL first, because then nothing is staged in the others
-    yet."""
+    """Sort units that were last seen offline or LOCAL first, because nothing is staged in the others yet if
+    they refuse."""
 
     def well(unit: int) -> bool:
         record = roster[unit]
@@ -163,8 +164,8 @@ def _likely_refusals_first(
 def _suspend_others(
     roster: Roster, setpoints: Mapping[int, int], context: CommandContext
 ) -> Subprocedure[tuple[Suspended, Failure | None]]:
-    """Return the staged speeds that are to be given back, and why a unit outside the change may move with it;
-    None where none can."""
+    """Suspend the staged speeds of units outside the change. Return those to give back at the end, and why
+    the change must not go on; None if it may."""
     outside = [record for record in roster if record.unit not in setpoints]
     suspended: Suspended = {}
     for record in outside:
@@ -182,7 +183,7 @@ def _suspend_others(
 
 
 def _stage_all(members: list[Member], context: CommandContext) -> Subprocedure[Failure | None]:
-    """Stage each unit; return None when every one acknowledged, else how the change ended and why."""
+    """Stage each unit; return None if every one acknowledged, else how the change ended and why."""
     if (failure := (yield from _read_scales(members, context))) is not None:
         return failure
     for done, member in enumerate(members):
@@ -199,9 +200,9 @@ def _stage_all(members: list[Member], context: CommandContext) -> Subprocedure[F
 
 
 def _read_scales(members: list[Member], context: CommandContext) -> Subprocedure[Failure | None]:
-    """Read what the typed values were converted with; how the change ends where a unit has another scale.
+    """Read the scale of each typed value again; return how the change ends if a unit has another one by now.
 
-    One parameter of each unit in turn: the link polls a unit between two reads of it in a row, as their
+    The units are read in turn, one parameter each: between two reads of one unit the link polls it, as their
     responses look alike (``bus.wire.exchange``), and 24 units would take longer than the 2 s of a command.
     """
     readings = {member.unit: ScaleReading(member.unit, member.scale) for member in members if member.guarded}
@@ -231,7 +232,7 @@ def _why_stopped(member: Member, sent: SendResult) -> Failure:
 
 
 def _stage_present(record: UnitRecord, context: CommandContext) -> Subprocedure[int | None]:
-    """Stage the present speed, and return it, or None where the unit did not take it."""
+    """Stage the present speed and return it, or None if the unit did not take it."""
     present = yield from present_setpoint(record, context.dialect)
     if present is None:
         return None
@@ -243,7 +244,7 @@ def _stage_present(record: UnitRecord, context: CommandContext) -> Subprocedure[
 
 
 def _withdraw_all(members: list[Member], context: CommandContext) -> Subprocedure[None]:
-    """Withdraw the stage, instead of the broadcast, from each member whose memory may hold it."""
+    """Withdraw the staged speed of each member that may hold it, instead of the broadcast."""
     for member in members:
         if member.sent is None or not member.sent.may_have_acted:
             continue
@@ -256,7 +257,7 @@ def _withdraw_all(members: list[Member], context: CommandContext) -> Subprocedur
 
 
 def _restage(suspended: Suspended) -> Subprocedure[None]:
-    """Give each unit outside the change its staged speed back."""
+    """Stage again what each unit outside the change held before."""
     for unit, (staged, scale) in suspended.items():
         sent = yield from send(Send(StageSpeedRequest(unit, staged), withdraws=True))
         if sent.acknowledged:
@@ -264,7 +265,7 @@ def _restage(suspended: Suspended) -> Subprocedure[None]:
 
 
 def _stopped(members: list[Member], outcome: Outcome, reason: Message) -> ProcedureResult:
-    """Return the result of a change that ended before its broadcast, and the units that may be staged."""
+    """Return the result of a change that ended before its broadcast, with the units that may be staged."""
     untouched = Message("unit_untouched")
     units = [each.outcome or UnitOutcome(each.unit, "not_sent", untouched) for each in members]
     left = [each.unit for each in units if each.outcome == "unverified"]
@@ -284,7 +285,7 @@ def _stopped(members: list[Member], outcome: Outcome, reason: Message) -> Proced
 def _verify_all(
     members: list[Member], broadcast: SendResult, roster: Roster, context: CommandContext
 ) -> Procedure:
-    """Read back each member, then those that missed the broadcast, then the units outside the change."""
+    """Read back each member, execute singly where one missed the broadcast, and check the other units."""
     for done, member in enumerate(members):
         yield ReportProgress("proving", member.unit, done, len(members))
         yield from _verify(member, broadcast, context)
@@ -297,13 +298,13 @@ def _verify_all(
 
 
 def _verify(member: Member, broadcast: SendResult, context: CommandContext) -> Subprocedure[None]:
-    """Return whether it shows what it had staged."""
+    """Read a member back and set its outcome by whether it shows the speed that it had staged."""
     readback = yield from verify_speed(member.record, member.raw, context.dialect, before=member.before)
     staging, message = member.sent, None
     if readback.shown:
         yield Unstage(member.unit)
     else:
-        # It has the value staged where it missed the broadcast, and the next execute would take it over.
+        # A unit that missed the broadcast holds the value still, and the next execute would take it over.
         assert readback.why is not None
         message = Message.of("unit_may_hold", unit=member.unit, reason=readback.why, raw=member.raw)
     member.missed_broadcast = not readback.shown
@@ -317,7 +318,7 @@ def _verify(member: Member, broadcast: SendResult, context: CommandContext) -> S
 
 
 def _verify_scales(members: Sequence[Member]) -> Subprocedure[None]:
-    """Read the scale of each unit that was verified again, one parameter of each unit in turn."""
+    """Read the scale of each verified unit again, one parameter of each unit in turn."""
     succeeded = [each for each in members if each.outcome is not None and each.outcome.outcome in SUCCEEDED]
     readings = {member.unit: ScaleReading(member.unit, member.scale) for member in succeeded}
     while any(reading.remaining for reading in readings.values()):
@@ -329,7 +330,7 @@ def _verify_scales(members: Sequence[Member]) -> Subprocedure[None]:
 
 
 def _verify_unchanged(member: Member, broadcast: SendResult) -> Subprocedure[None]:
-    """Return whether a unit that had nothing staged from here is as before."""
+    """Read a unit for which nothing was staged from here, and set its outcome by whether it is as before."""
     readback = yield from verify_unchanged(member.record, member.before)
     message = Message("unit_unchanged")
     if readback.why is not None:
@@ -339,8 +340,8 @@ def _verify_unchanged(member: Member, broadcast: SendResult) -> Subprocedure[Non
 
 
 def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[None]:
-    """Execute at a unit that does not show its acknowledged stage: it may have missed the broadcast, as
-    it was switched off or set up at its keypad."""
+    """Execute at a unit that does not show its acknowledged staged speed. It may have missed the broadcast,
+    because it was being switched off or set up at its keypad."""
     now = ScaleReading(member.unit, member.scale if member.guarded else {})
     yield from now.read_all()
     if now.difference is not None:
@@ -355,7 +356,7 @@ def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[Non
 
 
 def _strays(roster: Roster, members: list[Member]) -> Subprocedure[list[Message]]:
-    """Return which units outside the change moved with it, staged by another host."""
+    """Return remarks about the units outside the change that moved with it, staged by another host."""
     inside = {member.unit for member in members}
     moved: list[Message] = []
     for record in map(roster.__getitem__, roster.configured):
@@ -368,7 +369,7 @@ def _strays(roster: Roster, members: list[Member]) -> Subprocedure[list[Message]
 
 
 def _executed(members: list[Member], broadcast: SendResult, remarks: Sequence[Message]) -> ProcedureResult:
-    """Return the outcome of all whose broadcast has left."""
+    """Return the result of a change whose broadcast has left."""
     outcomes = [member.outcome for member in members if member.outcome is not None]
     bad = [outcome for outcome in outcomes if outcome.outcome != "verified"]
     about = bad or [outcome for outcome in outcomes if outcome.message == EXECUTED_SINGLY]

@@ -1,10 +1,10 @@
-"""Commands to a complete bus: a change of its baud rate, and a scan between polls. Pure procedures.
+"""Pure procedures for a complete bus: a change of its baud rate, and a scan between polls.
 
-Whether a unit changes its rate (#18) at once or at its next power-up is not known (protocol, 4): after the
-writes each unit is polled at both rates. All at the new one: the host stays there. All at the old one: every
-#18 is read back, and the host follows when the units have been switched off and on. Anything else: every unit
-is written its old rate at whichever rate it responds, and where even that fails the result names the panels
-and what to set there.
+Whether a unit changes its rate (#18) at once or at its next power-up is not known (protocol, 4), so after the
+writes each unit is polled at both rates. If all respond at the new one, the host stays there. If all respond
+at the old one, every #18 is read back, and the host follows when the units have been switched off and on. In
+any other case every unit is written its old rate at whichever rate it responds; if even that fails, the
+result names the panels and what to set there.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ READ_ATTEMPTS = 2
 def change_baud(
     roster: Roster, old: int, new: int, context: CommandContext, *, own_rate: bool = True
 ) -> Procedure:
-    """Change from ``old``, the present rate, to ``new``. ``own_rate``: the port's rate can be set here."""
+    """Change from ``old``, the present rate, to ``new``. ``own_rate``: whether the port's rate can be set."""
     if not own_rate:
         return ProcedureResult("invalid", Message("baud_of_device_server"))
     if new not in BAUDS or new == old:
@@ -101,7 +101,7 @@ class _Change:
         return None
 
     def _took_it_anyway(self, unit: int, sent: SendResult) -> Subprocedure[bool]:
-        """Return whether a unit has the new rate although its ACK was lost, maybe sent at the new rate."""
+        """Return whether a unit has the new rate although its ACK, perhaps sent at that rate, was lost."""
         if sent.attempts == 0:
             return False
         yield Retune(self._new)
@@ -110,7 +110,7 @@ class _Change:
         return unit in found
 
     def _responding(self, units: Sequence[int]) -> Subprocedure[set[int]]:
-        """Return the ones of ``units`` that respond at the present rate."""
+        """Return those of ``units`` that respond at the present rate."""
         found: set[int] = set()
         for unit in units:
             sent = yield from send(Send(ReadStatusRequest(unit), fresh=True, max_attempts=READ_ATTEMPTS))
@@ -135,7 +135,7 @@ class _Change:
     # --- back ----------------------------------------------------------------------------------
 
     def _go_back(self, outcome: Outcome, reason: Message) -> Procedure:
-        """Write every unit its old rate at whichever rate it responds; read all back at the old one."""
+        """Write every unit its old rate at whichever rate it responds; read all back at the old rate."""
         yield Retune(self._new)
         yield from self._write_old(self._units)
         yield Retune(self._old)
@@ -164,26 +164,26 @@ class _Change:
 
 
 SHARE = 1 / 3
-"""Of the wire, at most: a unit that is polled keeps two thirds of its rate."""
+"""The largest part of the wire that a scan may use: polled units keep two thirds of their rate."""
 OVERDUE = 3
-"""From this many overdue responses on, a garbled one may be one of them beside another unit's."""
+"""From so many overdue responses on, a garbled one may be one of them that collided with another."""
 
 
 class ScanPace(NamedTuple):
-    """How fast the line goes, and how much of it a scan may take from the units that are polled."""
+    """The pace of a scan: the speed of the line, and the pauses that leave it to the polled units."""
 
     baud: int
     turnaround_s: float
 
     def rest_s(self, outcome: ProbeOutcome) -> float:
-        """Return the pause in seconds after a request that ended so."""
+        """Return the pause in seconds after a request with this outcome."""
         responds = outcome.reply is not None
         took_s = wire_seconds(POLL_BYTES, self.baud) if responds else no_response_s(*self)
         return took_s * (1 / SHARE - 1)
 
 
 class _LinkLostError(Exception):
-    """There is no link to the bus any more."""
+    """Raised by a scan when the link to the bus is lost."""
 
 
 def survey(first: int, last: int, pace: ScanPace, context: CommandContext) -> Procedure:
@@ -211,7 +211,7 @@ def survey(first: int, last: int, pace: ScanPace, context: CommandContext) -> Pr
 
 
 def _doubted(one: Found) -> Found:
-    """Reduce a finding to what is certain where responses come into the windows of other requests."""
+    """Reduce a finding to what is certain while responses come into the windows of other requests."""
     if one.kind == "digimax":
         return replace(one, late=True)
     return replace(one, kind="late", remarks=(), late=True)

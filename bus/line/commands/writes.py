@@ -1,10 +1,10 @@
-"""A write to one unit, from the frame to its one outcome. Pure (``bus.line.commands.procedure``).
+"""Pure procedures that write to one unit, from the frame to its one outcome
+(``bus.line.commands.procedure``).
 
-A write is verified only by what a later exchange shows. The commanded speed of an 81h is compared with the
-request. A follower (#8 = 1 or 2) is given a ratio, and the dialect decides whether its CS then is that ratio:
-where it is a speed, #37 is read, and only where the unit does not return it there, a CS that has become the
-ratio counts as the read-back. A unit may take a moment to show what it acknowledged, so a read-back that
-differs is repeated.
+A write is verified only by what a later exchange shows. The commanded speed (CS) of an 81h is compared with
+the request. A follower (#8 = 1 or 2) is given a ratio, and the dialect decides whether its CS is then that
+ratio. If CS is a speed, #37 is read; a CS that has become the ratio counts as read-back only if #37 does not
+return it. A unit may take a moment to show what it acknowledged, so a read-back that differs is repeated.
 """
 
 from __future__ import annotations
@@ -59,14 +59,15 @@ from bus.wire.commands import (
 )
 
 REREADS = 2
-"""How often a read-back that differs is read again."""
+"""How often a unit is read again when its read-back differs."""
 REREAD_AFTER_S = 0.1
 NO_READBACK = Message("readback_no_response")
 
 
 @dataclass(frozen=True, slots=True)
 class Readback:
-    """What the read-back showed. ``read_back`` None: there was none. ``why``: where not ``shown``."""
+    """The result of a read-back. ``read_back``: None if nothing was read. ``why``: the reason if not
+    ``shown``."""
 
     shown: bool
     read_back: int | None = None
@@ -78,37 +79,37 @@ Verification = Subprocedure[Readback]
 
 
 def read_status(unit: int) -> Subprocedure[tuple[StatusReply | None, SendResult]]:
-    """Send a fresh 81h, for whose response nothing older can be taken."""
+    """Send a fresh 81h, whose response cannot be confused with an older one."""
     sent = yield from send(Send(ReadStatusRequest(unit), fresh=True))
     return (sent.reply if isinstance(sent.reply, StatusReply) else None), sent
 
 
 def read_parameter(unit: int, number: int) -> Subprocedure[tuple[int | None, SendResult]]:
-    """Read a parameter by 85h; None when the unit does not have it, or does not respond."""
+    """Read a parameter by 85h; the value is None if the unit does not have it or does not respond."""
     sent = yield from send(Send(ReadParameterRequest(unit, number), fresh=True))
     return (sent.reply.raw if isinstance(sent.reply, ParameterReply) else None), sent
 
 
 class ScaleReading:
-    """The parameters that the value for one unit was converted with, read again one by one and compared."""
+    """The repeated, one by one compared reading of the parameters with which a unit's value was converted."""
 
     def __init__(self, unit: int, scale: UnitScale) -> None:
         self.unit = unit
         self.remaining = dict(scale)
-        """Expected raw value of the parameters that are still to be read, by number."""
+        """The expected raw value of each parameter that is still to be read, by number."""
         self._changes: list[str | Message] = []
         self._failure: tuple[Outcome, Message] | None = None
 
     @property
     def difference(self) -> tuple[Outcome, Message] | None:
-        """What the parameters read so far make of a command of which nothing was sent, and why; None where
-        they are as expected."""
+        """The outcome of a command of which nothing was sent, and the reason, by the parameters read so far;
+        None if they are as expected."""
         if self._failure is None and self._changes:
             return "refused", Message.of("scale_changed", unit=self.unit, changes=self._changes)
         return self._failure
 
     def read_next(self) -> Subprocedure[None]:
-        """Read the next parameter. One that cannot be read is the last."""
+        """Read the next parameter, which is the last if it cannot be read."""
         if not self.remaining:
             return
         number = next(iter(self.remaining))
@@ -127,14 +128,14 @@ class ScaleReading:
             self.remaining.clear()
 
     def read_all(self) -> Subprocedure[None]:
-        """Read what remains, also after a difference, so that the next value is converted right."""
+        """Read what remains, even after a difference, so that the next value is converted right."""
         while self.remaining:
             yield from self.read_next()
 
 
 def follows(record: UnitRecord, bits: StatusBits) -> Subprocedure[bool]:
-    """Return whether the unit is a follower: by #8, read now where it is not known or the status bit
-    disagrees."""
+    """Return whether the unit is a follower: by #8, which is read now if it is unknown or contradicts the
+    status bit."""
     mode = record.raw(FOLLOWER_MODE)
     if mode is None or bool(mode) != bits.follower:
         mode, _ = yield from read_parameter(record.unit, FOLLOWER_MODE)
@@ -142,7 +143,7 @@ def follows(record: UnitRecord, bits: StatusBits) -> Subprocedure[bool]:
 
 
 def _until_shown(look: Callable[[], Subprocedure[Readback | None]]) -> Verification:
-    """Call ``look``, and again where it differs; it returns None where the unit did not respond."""
+    """Call ``look`` until it shows the value or all rereads are used; it returns None without a response."""
     readback = Readback(False)
     for count in range(1 + REREADS):
         if count:
@@ -174,7 +175,7 @@ def verify_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int 
 
 
 def _speed_reads(commanded: int, bits: StatusBits) -> Message:
-    """Read the commanded speed, with the inputs that may stand above the setpoint."""
+    """Return a message with the commanded speed, and the inputs that may override the setpoint."""
     active = [name for name, on in (("preset", bits.preset), ("up", bits.up), ("down", bits.down)) if on]
     inputs: list[str | Message] = [Message(f"status_{name}") for name in active]
     if not bits.remote:
@@ -198,7 +199,7 @@ def _verify_ratio(
 
 
 def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
-    """Prove that a unit to which nothing was to happen still has the commanded speed it had."""
+    """Prove that a unit which was not to change still has its commanded speed, ``before``."""
     status, sent = yield from read_status(record.unit)
     if status is None:
         return Readback(False, None, None, NO_READBACK)
@@ -209,7 +210,7 @@ def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
 
 
 def verify_parameter(unit: int, number: int, raw: int) -> Verification:
-    """Prove that 85h reads ``raw``."""
+    """Prove that the unit returns ``raw`` for parameter ``number`` (85h)."""
 
     def look() -> Subprocedure[Readback | None]:
         shown, sent = yield from read_parameter(unit, number)
@@ -241,11 +242,11 @@ def verify_output(unit: int, number: int, on: bool) -> Verification:
 
 
 def present_setpoint(record: UnitRecord, dialect: Dialect) -> Subprocedure[int | None]:
-    """Return what 82h must put into a unit so that a stray execute changes nothing; None when it cannot be
-    read.
+    """Return the setpoint that 82h must put into a unit so that a stray execute changes nothing; None if it
+    cannot be read.
 
-    The commanded speed of a fresh 81h; a follower's ratio where CS is a speed; #20 while an input stands
-    above the setpoint.
+    This is the commanded speed of a fresh 81h, a follower's ratio if its CS is a speed, and #20 while an
+    input overrides the setpoint.
     """
     status, _ = yield from read_status(record.unit)
     if status is None:
@@ -265,12 +266,12 @@ UnitWrite: TypeAlias = SetSpeed | ExecuteSpeed | WriteOutput | WriteAnalogOutput
 
 
 def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext) -> Procedure:
-    """Send ``action`` to its unit and prove it, where a later exchange can show it.
+    """Send ``action`` to its unit and prove it, if a later exchange can show it.
 
-    The scale of a typed value is read before it is sent and again afterwards, and the value is not verified
-    in another one. That of a raw value is read afterwards alone, so that the record shows it as the unit
-    does. One parameter is read between the acknowledgement and an 81h that proves the write: there it needs
-    no fence, which the next one does (``bus.wire.exchange``).
+    The scale of a typed value is read before the value is sent and again afterwards; if it has changed, the
+    write is not verified. The scale of a raw value is read only afterwards, so that the record shows the
+    value as the unit does. One parameter is read between the acknowledgement and the 81h that proves the
+    write: in this place it needs no fence, but the next one does (``bus.wire.exchange``).
     """
     unit, scale, guarded = record.unit, context.scale(record.unit), context.typed
     if isinstance(action, ExecuteSpeed):
@@ -289,7 +290,7 @@ def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext
         elif guarded:
             yield NoteStagedScale(unit, scale)
     if isinstance(action, SetSpeed | ExecuteSpeed) and outcome.outcome == "verified":
-        yield Unstage(unit)  # also where its acknowledgement was lost
+        yield Unstage(unit)  # Also if its acknowledgement was lost.
     if not guarded and _shows_mode(record, scale, outcome):
         after.remaining.pop(FOLLOWER_MODE, None)
     if outcome.outcome in SUCCEEDED:
@@ -298,7 +299,7 @@ def write_to_unit(record: UnitRecord, action: UnitWrite, context: CommandContext
 
 
 def _is_present(record: UnitRecord, raw: int, context: CommandContext) -> Subprocedure[bool]:
-    """Return whether a unit has this setpoint already, so that executing it would change nothing."""
+    """Return whether a unit already has setpoint ``raw``, so that executing it would change nothing."""
     reading, shows_setpoint = record.reading, True
     if reading is not None:
         bits = status_bits(reading.outputs, reading.inputs, context.dialect.estop_healthy)
@@ -312,7 +313,7 @@ SUCCEEDED = ("verified", "acknowledged")
 
 
 def _shows_mode(record: UnitRecord, scale: UnitScale, outcome: UnitOutcome) -> bool:
-    """Return whether the 81h that proved a write also shows the mode (#8) of ``scale``, by its status bit."""
+    """Return whether the 81h that proved a write also shows the mode (#8) of ``scale`` by its status bit."""
     reading = record.reading
     if reading is None or reading.at != outcome.proven_at:
         return False
@@ -320,14 +321,14 @@ def _shows_mode(record: UnitRecord, scale: UnitScale, outcome: UnitOutcome) -> b
 
 
 def outcome_before_write(unit: int, difference: tuple[Outcome, Message]) -> UnitOutcome:
-    """Return the outcome at a unit that is not written, as its scale is another or cannot be read."""
+    """Return the outcome at a unit that is not written because its scale has changed or cannot be read."""
     outcome, reason = difference
     return UnitOutcome(unit, outcome, Message.of("scale_changed_nothing_sent", reason=reason))
 
 
 def outcome_in_scale(outcome: UnitOutcome, after: ScaleReading, *, guarded: bool) -> UnitOutcome:
-    """Return ``outcome``, or *unverified* where the unit shows a typed value (``guarded``) in another scale
-    by now: what it shows is then not what was typed."""
+    """Return ``outcome``, or *unverified* if a typed value (``guarded``) is shown in another scale by now:
+    the unit then shows something other than what was typed."""
     if outcome.outcome not in SUCCEEDED or not guarded or after.difference is None:
         return outcome
     message = Message.of("scale_changed_since", reason=after.difference[1])
@@ -342,7 +343,7 @@ def _write_unscaled(
         case SetSpeed(raw=raw, execute=True):
             readback = verify_speed(record, raw, dialect, before=before)
             return _write(SetAndExecuteSpeedRequest(unit, raw), readback, scale)
-        case SetSpeed(raw=raw):  # Not visible until it is executed.
+        case SetSpeed(raw=raw):  # A staged speed cannot be read until it is executed.
             return _write(StageSpeedRequest(unit, raw), None)
         case ExecuteSpeed():
             staged = record.staged
@@ -360,8 +361,8 @@ def _write_unscaled(
 def _write(
     request: Request, verification: Verification | None, scale: ScaleReading | None = None
 ) -> Subprocedure[UnitOutcome]:
-    """Send ``request`` and, unless refused, read it back. ``verification`` None: there is only the ACK.
-    ``scale``: one parameter of it is read before an 81h."""
+    """Send ``request`` and, unless refused, read it back. ``verification``: None if there is only the ACK.
+    ``scale``: one of its parameters is read before the 81h."""
     unit = request.unit
     sent = yield from send(Send(request, reports_sent=True))
     if not sent.may_have_acted:
@@ -406,7 +407,7 @@ def outcome_without_readback(unit: int, sent: SendResult) -> UnitOutcome:
 
 
 def not_sent(unit: int, sent: SendResult) -> tuple[Outcome, Message]:
-    """Return why nothing left for ``unit``."""
+    """Return the outcome and the reason when nothing was sent to ``unit``."""
     if sent.status is SendStatus.PORT_CLOSED:
         return "bus_closed", Message("bus_not_linked")
     if sent.status is SendStatus.TOO_LATE:
@@ -430,7 +431,7 @@ def outcome_with_readback(unit: int, sent: SendResult, readback: Readback) -> Un
 
 
 def _remark(unit: int, sent: SendResult, readback: Readback) -> Message | None:
-    """Return what the readback of a write leaves open, or None."""
+    """Return what the read-back of a write leaves open, or None."""
     if readback.shown:
         return None if sent.acknowledged else Message("verified_unacknowledged")
     response = Message("response_acknowledged" if sent.acknowledged else "response_missing")
