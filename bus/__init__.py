@@ -1,8 +1,8 @@
-"""The wire: one process per serial port polls, schedules, retries, verifies, stages and broadcasts."""
+"""The wire: one process for each serial port polls, schedules, retries, verifies, stages and broadcasts."""
 
 import sys
 from types import ModuleType
 from typing import cast
 
-# structlog imports it where it is installed, for tracebacks in color: 4 MiB of every process.
+# structlog imports it if it is installed, for tracebacks in color: 4 MiB of every process.
 sys.modules.setdefault("rich", cast(ModuleType, None))

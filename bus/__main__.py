@@ -22,7 +22,7 @@ WRONG_USE = 2
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Return the exit code: 0 after a stop on request, 2 for wrong use."""
+    """Run a worker; return 0 after a stop on request, 2 for wrong use."""
     os.umask(0o077)
     options = _parser().parse_args(arguments)
     token = sys.stdin.readline().strip() if options.child else os.environ.pop(TOKEN_VARIABLE, "")

@@ -1,4 +1,4 @@
-"""Reads lineside.toml; errors name the file, the line and what would be right."""
+"""The reading of lineside.toml; errors name the file, the line and a correct value."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ Model = TypeVar("Model", bound=BaseModel)
 
 SECRET_KEYS = ("url", "password", "token", "secret")
 HOLDS_SECRET = re.compile(rf"(?i)(?:^|[\s{{,.#\"'])(?:{'|'.join(SECRET_KEYS)})[\"']?\s*=")
-"""Of a text of TOML with a key whose value may be a secret."""
+"""A pattern for TOML text with a key whose value may be a secret."""
 _DECIMAL_COMMA = re.compile(r"[\w.]+\s*=\s*[+-]?\d+,\d+")
 _SYNTAX_PLACE = re.compile(r"\(at (?:line (\d+), column \d+|end of document)\)")
 
 
 class ConfigurationError(LinesideError):
-    """The configuration cannot be used; each fault names its place and what would be right."""
+    """Raised for a configuration that cannot be used; each fault names its place and a correct value."""
 
     def __init__(self, *faults: Message) -> None:
         super().__init__(Message.of("several", messages=list(faults)))
@@ -43,23 +43,23 @@ class ConfigurationError(LinesideError):
 
 
 class _OnlyBuses(BaseModel):
-    """What a worker reads of the file: the buses; the rest belongs to the dashboard."""
+    """The part of the file that a worker reads: the buses. The rest belongs to the dashboard."""
 
     bus: tuple[BusSettings, ...] = ()
 
 
 def load(path: Path, model: type[Model]) -> Model:
-    """Load the file as ``model``. Raises ConfigurationError ``FILE:LINE: what, and what would be right``."""
+    """Load the file as ``model``. Raise ConfigurationError ``FILE:LINE: fault, and a correct value``."""
     return parse(read(path), path, model)
 
 
 def parse(text: str, path: Path, model: type[Model]) -> Model:
-    """Parse the text of a file, or one that it may become, as ``model``. Raises ConfigurationError."""
+    """Parse ``text``, the present or a future content of the file at ``path``. Raise ConfigurationError."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(_syntax(path, text, error)) from error
-    except (ValueError, RecursionError) as error:  # of thousands of digits or of brackets
+    except (ValueError, RecursionError) as error:  # for thousands of digits or brackets
         raise ConfigurationError(Message.of("configuration_beyond_bounds", file=str(path))) from error
     try:
         return model.model_validate(data)
@@ -70,7 +70,7 @@ def parse(text: str, path: Path, model: type[Model]) -> Model:
 
 
 def load_bus(path: Path, name: str) -> BusSettings:
-    """Load one ``[[bus]]`` of the file, for its worker. Raises ConfigurationError."""
+    """Load one ``[[bus]]`` of the file, for its worker. Raise ConfigurationError."""
     buses = {bus.name: bus for bus in load(path, _OnlyBuses).bus}
     if name not in buses:
         raise ConfigurationError(
@@ -80,7 +80,7 @@ def load_bus(path: Path, name: str) -> BusSettings:
 
 
 def read(path: Path) -> str:
-    """Read the text of a configuration, with its line ends as they are. Raises ConfigurationError."""
+    """Read the text of a configuration, with its line ends as they are. Raise ConfigurationError."""
     try:
         return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
@@ -111,14 +111,14 @@ def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> Message:
 
 
 class LineNumbers:
-    """Where each key of a TOML text stands. A value inside an array or an inline table is found by
-    the line of the nearest key around it."""
+    """The line of each key of a TOML text. A value inside an array or an inline table is found by the line of
+    the nearest key around it."""
 
     def __init__(self, text: str) -> None:
         self._places = {path: each.first for each in statements(text) for path in each.paths}
 
     def line_of(self, path: KeyPath) -> int:
-        """Return the line (from 1) of a key, or of what it would stand in."""
+        """Return the line (from 1) of a key, or of the key or table that would contain it."""
         for length in range(len(path), 0, -1):
             if path[:length] in self._places:
                 return self._places[path[:length]]
@@ -126,7 +126,7 @@ class LineNumbers:
 
 
 class TomlStatement(NamedTuple):
-    """The header of a table, or a key with its value: what it names, and its lines (from 1)."""
+    """A statement of TOML: the header of a table, or a key with its value. Lines count from 1."""
 
     paths: tuple[KeyPath, ...]
     is_header: bool
@@ -135,7 +135,7 @@ class TomlStatement(NamedTuple):
 
 
 def toml_of(value: Any) -> str:
-    """Return a value on one line of TOML. Texts of JSON are texts of TOML, but for one control character."""
+    """Return a value on one line of TOML. JSON strings are TOML strings, except for one control character."""
     match value:
         case dict():
             return "{" + ", ".join(f"{toml_of(key)} = {toml_of(each)}" for key, each in value.items()) + "}"
@@ -172,8 +172,8 @@ def _table_lines(table: Mapping[str, Any]) -> Iterator[str]:
 
 
 def lines_of(text: str) -> list[str]:
-    """Return the lines of a TOML text with their ends. Other separators, which ``splitlines`` knows, may be
-    inside of a text or a comment."""
+    """Return the lines of a TOML text with their ends. ``splitlines`` would also split at separators that may
+    be inside of a string or a comment."""
     return StringIO(text, newline="\n").readlines()
 
 

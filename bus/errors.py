@@ -11,7 +11,7 @@ from bus.messages import Message
 
 
 class LinesideError(Exception):
-    """Base of every error this project raises on purpose. ``str`` of it is ``message`` in English."""
+    """Base of every error that this project raises on purpose. Its ``str`` is ``message`` in English."""
 
     def __init__(self, message: Message) -> None:
         super().__init__(str(message))
@@ -19,15 +19,15 @@ class LinesideError(Exception):
 
 
 class CallerError(LinesideError):
-    """The request cannot be carried out; nothing was sent."""
+    """Raised for a request that cannot be carried out; nothing was sent."""
 
 
 class WireError(LinesideError):
-    """The port, the cable or a response failed; whether the unit acted is not known."""
+    """Raised when the port, the cable or a response failed; the unit may have acted."""
 
 
 class UnitErrorCode(IntEnum):
-    """[ERR] of a NAK (manual, the command pages)."""
+    """The error byte [ERR] of a NAK (manual, the command pages)."""
 
     NOT_REMOTE = 0x80
     ILLEGAL_SPEED = 0x81
@@ -56,7 +56,7 @@ _UNIT_ERRORS: dict[int, Message] = {
 
 
 def unit_error(code: int) -> Message:
-    """Return what a NAK's error byte means (128-137 known; any other is shown by its number)."""
+    """Return the meaning of a NAK's error byte (128-137 known; any other is shown by its number)."""
     return _UNIT_ERRORS.get(code) or Message("error_not_in_manual", {"code": f"{code:02X}"})
 
 
@@ -65,5 +65,5 @@ def unit_refused(unit: int, code: int) -> Message:
 
 
 def unit_error_name(code: int) -> str:
-    """Return what a NAK's error byte means, in English."""
+    """Return the meaning of a NAK's error byte, in English."""
     return str(unit_error(code))

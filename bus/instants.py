@@ -1,8 +1,8 @@
-"""Moments on the two clocks, apart from each other and from durations for the type checker.
+"""Moments on the two clocks, as types that differ from each other and from durations.
 
-A moment and a duration are both floats at run time, and one in the place of the other is a command that
-acts an hour late or never. For mypy a moment is no float: a duration added to it gives a moment, the
-difference of two is a duration. ``float(moment)`` is the number for a library that wants one.
+A moment and a duration are both floats at run time, and one in the place of the other is a command that acts
+an hour late or never. For mypy a moment is no float: a duration added to it gives a moment, the difference of
+two is a duration. ``float(moment)`` is the number for a library that wants one.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ MIN_STEP_S = 1.0
 
 
 class ClockWatch:
-    """A watch that notices when the wall clock was set, by comparing it with the clock that only runs. A slow
+    """A watch that detects when the wall clock was set, by comparing it with the monotonic clock. A slow
     correction is no step."""
 
     def __init__(self, wall: UnixTime, running: Monotonic) -> None:
         self._difference = float(wall) - float(running)
 
     def step(self, wall: UnixTime, running: Monotonic) -> float:
-        """Return the seconds by which the wall clock was set since the last call; 0.0 when it was not."""
+        """Return the seconds by which the wall clock was set since the last call; 0.0 if it was not."""
         before, self._difference = self._difference, float(wall) - float(running)
         moved = self._difference - before
         return moved if abs(moved) >= MIN_STEP_S else 0.0

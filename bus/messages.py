@@ -18,7 +18,7 @@ from msgspec import Meta
 
 
 class Plural(NamedTuple):
-    """A text with a number of things: ``one`` where the message's ``n`` is 1, else ``many``."""
+    """A text with a number of things: ``one`` if the message's ``n`` is 1, else ``many``."""
 
     one: str
     many: str
@@ -26,13 +26,13 @@ class Plural(NamedTuple):
 
 EnglishText: TypeAlias = str | Plural
 TEXTS: dict[str, EnglishText] = {}
-"""By code: of the bus, and of the app where that is imported."""
+"""The English texts by code: those of the bus, and those of the app if it is imported."""
 PARAMETER_NAMES: dict[int, str] = {}
-"""By number: of the catalogue, where that is imported. Each language has its own in its catalog."""
+"""The English names of the parameters by number, filled by the catalogue of parameters."""
 
 
 def add_texts(package: Path) -> None:
-    """Add the texts of a package and its subpackages. Raises ValueError for a code that is there already."""
+    """Add the texts of a package and its subpackages. Raise ValueError for a code that exists already."""
     for path in sorted(package.rglob("texts.toml")):
         with path.open("rb") as file:
             found = tomllib.load(file)
@@ -53,8 +53,8 @@ class Catalog(Protocol):
         """The decimal sign."""
 
     def template(self, code: str, n: object) -> str | None:
-        """Return the text of a message, names in braces, for ``n`` things where it counts; None: no such
-        code."""
+        """Return the template of a message, with names in braces, for ``n`` things if it has a plural; None
+        for an unknown code."""
 
     def term(self, text: str) -> str:
         """Return a fixed word of the program in this language."""
@@ -63,8 +63,8 @@ class Catalog(Protocol):
         """Return a date or a time in ISO 8601 as readers of this language write it."""
 
     def isolated(self, text: str) -> str:
-        """Return what a person wrote, such as a name, as it is put into a text: letters from right to left
-        turn what is beside them on a screen. For all that programs read, as it is."""
+        """Return a text of a person, such as a name, so that letters written from right to left do not turn
+        what is beside it on a screen. A catalog for programs returns it unchanged."""
 
 
 class EnglishCatalog:
@@ -92,22 +92,22 @@ ENGLISH = EnglishCatalog()
 
 
 DEEPEST = 8
-"""Messages inside messages."""
+"""The most levels of messages inside messages."""
 MAX_TEXT = 4_000
-"""Characters of a value, and of a message once it is rendered."""
+"""The most characters of a value, and of a rendered message."""
 LARGEST = 50_000
-"""Of a message with all that is in it: the characters of its texts, and `VALUE_SIZE` for each value. What 255
-units have to report together is half of this."""
+"""The largest size of a message with all that it contains: the characters of its texts, and `VALUE_SIZE` for
+each value. A report of 255 units needs half of this."""
 VALUE_SIZE = 20
 NUMBER = "number"
-"""Code of a decimal number: ``value`` is written with a point, each language shows it with its own sign."""
+"""Code of a decimal number: ``value`` is written with a point, and shown with the language's sign."""
 TERM = "term"
-"""Code of a fixed word of the program: ``text`` is looked up in the catalog as it is."""
+"""Code of a fixed word of the program: ``text`` is looked up in the catalog unchanged."""
 LIST = "list"
 """Code of a list whose messages are joined by commas: ``items``."""
 PARAMETER = "parameter"
-"""Code of a parameter of a unit: each language shows its name with its ``number``. In a text, the brace of
-this name stands for the parameter of the message's own ``number``."""
+"""Code of a parameter of a unit, shown by its name with its ``number``. In a template, the brace of this name
+stands for the parameter of the message's own ``number``."""
 _TIME = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:\d\d)?)?")
 """A date or a time as programs write it."""
 _BRACES = re.compile(r"\{(\w+)\}")
@@ -121,12 +121,12 @@ ParamValue: TypeAlias = "int | Finite | ParamText | Message | ParamList"
 
 
 class Message(msgspec.Struct, frozen=True):
-    """``code`` names the text, ``params`` what its braces stand for; both are for programs too.
+    """A message: ``code`` names the text, ``params`` are the values of its braces; both are for programs too.
 
-    A text in ``params`` is shown as it is: it may come from a request, from a person or from another process.
-    Only a date or a time in ISO 8601 is written as the language does; of several, one form is stored.
-    What has to be translated is a message itself. A list is joined: messages by semicolons, else by commas.
-    Raises ValueError when it is nested too deeply, or too large.
+    A text in ``params`` is shown unchanged: it may come from a request, from a person or from another
+    process. Only a date or a time in ISO 8601 is written as the language does. A value that has to be
+    translated is a message itself. A list is joined: messages by semicolons, other values by commas. Raise
+    ValueError if a message is nested too deeply, or too large.
     """
 
     code: MessageCode
@@ -134,8 +134,8 @@ class Message(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, code: str, /, **params: ParamValue | list[Any]) -> Message:
-        """Make a message, its params as keywords. What would be nested too deeply, or too large, becomes text
-        in English, as another process may have sent it."""
+        """Make a message, its params as keywords. Params that nest too deeply, or are too large, become
+        English text, because they may come from another process."""
         try:
             return cls(code, params)
         except ValueError:
@@ -182,17 +182,17 @@ class Message(msgspec.Struct, frozen=True):
 
 @lru_cache(512)
 def _pieces(template: str) -> tuple[str, ...]:
-    """Split a template into its texts, and between them the names of its braces."""
+    """Split a template into an alternating sequence of texts and the names of its braces."""
     return tuple(_BRACES.split(template))
 
 
 def in_english(message: Message | None) -> str:
-    """Return the text of a message in English; empty for none."""
+    """Return the text of a message in English; empty for None."""
     return "" if message is None else str(message)
 
 
 def joined(messages: Iterable[Message | None]) -> Message | None:
-    """Join several messages to one, without those that are None; None where nothing is left."""
+    """Join several messages to one, without those that are None; None if nothing is left."""
     several = [each for each in messages if each is not None]
     if len(several) > 1:
         return Message.of("several", messages=several)
@@ -200,7 +200,7 @@ def joined(messages: Iterable[Message | None]) -> Message | None:
 
 
 def number(value: Decimal | str) -> Message:
-    """Return a decimal number; each language writes it with its own decimal sign."""
+    """Return a decimal number as a message; each language writes it with its own decimal sign."""
     return Message(NUMBER, {"value": str(value)})
 
 
@@ -215,7 +215,7 @@ def parameter_name(number: int) -> Message:
 
 
 def _with_name(number: ParamValue) -> Message:
-    """Return the name of a parameter, also for a number that is in no list, from another process."""
+    """Return the name of a parameter, even for an unknown number from another process."""
     if not isinstance(number, int) or (name := PARAMETER_NAMES.get(number)) is None:
         return Message.of("parameter_not_listed", number=number)
     return Message("parameter_named", {"name": term(name), "number": number})
@@ -227,7 +227,7 @@ def listed(items: Sequence[int | str | Message]) -> Message:
 
 
 def shown(value: ParamValue, catalog: Catalog) -> str:
-    """Return a param as it stands in the text of its message."""
+    """Return a param as it appears in the text of its message."""
     match value:
         case Message():
             return value.render(catalog)
@@ -245,8 +245,8 @@ def shown(value: ParamValue, catalog: Catalog) -> str:
 
 
 def _check_bounds(values: Iterable[object]) -> None:
-    """Check the bounds of a message. Raises ValueError for ``values`` of a message that hold more than
-    `DEEPEST` levels of others, or more than `LARGEST` together: the state of every unit keeps one."""
+    """Check the bounds of a message. Raise ValueError if its ``values`` hold more than `DEEPEST` levels of
+    messages, or more than `LARGEST` together: the state of every unit keeps one."""
     size, waiting = 0, [(values, 0)]
     while waiting:
         level, depth = waiting.pop()

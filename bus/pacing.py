@@ -1,4 +1,4 @@
-"""How often something may be done, and how soon to try again what ends soon after it begins. Pure."""
+"""Limits of how often something may be done, and pauses before a lost link is tried again. Pure."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ class Bucket:
         return self._level
 
     def has_room(self, now: Monotonic, amount: float = 1.0) -> bool:
-        """Return whether so much more fits."""
+        """Return whether ``amount`` more fits."""
         return self.level(now) + amount <= self.capacity
 
     def take(self, now: Monotonic, amount: float = 1.0) -> bool:
-        """Add all of it, where it fits."""
+        """Add ``amount`` if all of it fits; return whether it did."""
         if not self.has_room(now, amount):
             return False
         self._level += amount
         return True
 
     def pour(self, amount: float, now: Monotonic) -> float:
-        """Add ``amount`` (below 0: take out), beyond the capacity too; for how many seconds nothing more
-        should come (0.0: at once)."""
+        """Add ``amount`` (below 0: take out), even beyond the capacity; return for how many seconds nothing
+        more should come."""
         self._level = max(0.0, self.level(now) + amount)
         return max(0.0, self._level - self.capacity) / self.per_s
 
     def wait_s(self, now: Monotonic, amount: float = 1.0) -> float:
-        """Return in how many seconds ``amount`` more fits; 0.0: now."""
+        """Return in how many seconds ``amount`` more fits; 0.0 if it fits now."""
         return max(0.0, self.level(now) + amount - self.capacity) / self.per_s
 
     def fill(self, now: Monotonic) -> None:
@@ -48,30 +48,30 @@ class Bucket:
 
 
 STABLE_S = 10.0
-"""What lasts so long has worked."""
+"""How long a link must last, in seconds, to count as stable."""
 FIRST_PAUSE_S = 0.5
 MAX_PAUSE_S = 30.0
 MAX_USEFUL_PAUSE_S = 0.5
-"""While it is of use in between: a plug with a bad contact."""
+"""The longest pause if the link is useful in between: a plug with a bad contact."""
 JITTER = 0.25
 
 
 @dataclass(slots=True)
 class ReconnectDelay:
-    """The pause before something that ended is tried again.
+    """The pause before a lost link is tried again.
 
-    What worked for a while and then breaks, a cable that is pulled or an app that restarts, is tried again at
-    once. What begins and ends again and again, such as a device server that accepts and closes, is tried ever
-    more seldom, and only some of its ends are worth a line in the log. ``random`` gives numbers from 0 to 1;
-    many that lost the same server must not come back together.
+    A link that worked for a while and then breaks, by a pulled cable or a restarted app, is tried again at
+    once. One that begins and ends again and again, such as a device server that accepts and closes, is tried
+    less and less often, and only some of its ends are worth a line in the log. ``random`` returns numbers
+    from 0 to 1, so that many clients of one lost server do not come back together.
     """
 
     random: Callable[[], float]
     count: int = 0
-    """How often in a row it ended too soon."""
+    """How often in a row the link ended too soon."""
 
     def ended(self, lasted_s: float, *, useful: bool = False) -> float:
-        """Note an end after ``lasted_s``, ``useful`` where something came of it; return seconds to wait."""
+        """Note an end after ``lasted_s``, ``useful`` if data came; return the seconds to wait."""
         if lasted_s >= STABLE_S:
             self.count = 0
             return 0.0
@@ -86,6 +86,6 @@ class ReconnectDelay:
 
 
 def is_worth_logging(count: int) -> bool:
-    """Return whether to log what happens for this time: the first three, then each time that it has
-    doubled."""
+    """Return whether to log an event for the ``count``-th time: the first three times, then at each
+    doubling."""
     return count <= 3 or count & (count - 1) == 0

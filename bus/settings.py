@@ -27,7 +27,7 @@ from bus.validation import OneLine
 Baud = Literal[300, 600, 1200, 2400, 4800, 9600]
 BAUDS: tuple[Baud, ...] = (300, 600, 1200, 2400, 4800, 9600)
 BITS_PER_BYTE = 10
-"""8 data bits, no parity, 1 stop bit and the start bit (manual, 2.0.3)."""
+"""The bits of a byte: 8 data bits, no parity, 1 stop bit and the start bit (manual, 2.0.3)."""
 
 
 def wire_seconds(byte_count: int, baud: int) -> float:
@@ -35,7 +35,7 @@ def wire_seconds(byte_count: int, baud: int) -> float:
 
 
 class StrictModel(BaseModel):
-    """Immutable, and an unknown key is an error."""
+    """Base of settings: immutable, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -59,23 +59,23 @@ def _in_folder(value: Any, folder: Path) -> Any:
 
 
 class Dialect(StrictModel):
-    """The open points of the manual, decided for one bus. A real unit decides each of them."""
+    """The open points of the manual, decided for one bus. Real units show which is right."""
 
     checksum_10h: Literal["once", "twice"] = "once"
     """Whether a checksum byte of 10h is sent once or doubled like data."""
     parameter_reply_bytes: Literal[0, 1, 2, 4] = 0
     """Width of the 85h reply; 0 accepts 1, 2 and 4 bytes."""
     parameter_numbers: Literal["binary", "bcd"] = "binary"
-    """How PRM is written: sixteen as 10h or, in a unit that counts in BCD, as 16h."""
+    """How PRM is written: sixteen as 10h or, for a unit that counts in BCD, as 16h."""
     follower_speed: Literal["speed", "ratio"] = "speed"
-    """What CS and AS are while #8 makes the unit a follower."""
+    """The meaning of CS and AS while #8 makes the unit a follower."""
     estop_healthy: Literal[0, 1] = 1
     """The value of the e-stop input bit while no emergency stop is active."""
 
     @field_validator("parameter_reply_bytes", "estop_healthy", mode="before")
     @classmethod
     def _is_a_number(cls, value: object) -> object:
-        """Reject TOML's true, which Python takes for 1: its author may mean the opposite."""
+        """Reject TOML's true, which Python takes for 1 although its author may mean the opposite."""
         if type(value) is not int:
             raise ValueError(Message("setting_integer"))
         return value
@@ -96,7 +96,7 @@ class UnitLabels(StrictModel):
 
 
 def _check_band(value: object, check: ValidatorFunctionWrapHandler) -> tuple[Decimal, ...]:
-    """Return one message for each fault of it."""
+    """Return the band; raise one ValueError with a message for each of its faults."""
     try:
         band: tuple[Decimal, ...] = check(value)
     except ValidationError:
@@ -109,11 +109,11 @@ def _check_band(value: object, check: ValidatorFunctionWrapHandler) -> tuple[Dec
 DrawBand = Annotated[
     tuple[Annotated[Decimal, Field(ge=-100, le=1000, decimal_places=1)], ...], WrapValidator(_check_band)
 ]
-"""The least and the greatest draw of a section, in percent; empty: none is judged."""
+"""The least and the greatest draw of a section, in percent; empty if none is checked."""
 
 
 class Seam(NamedTuple):
-    """Where the web goes from one section to the next: the unit ``before``, and the band of the draw."""
+    """The transition from one section to the next: the unit ``before``, and the band of the draw."""
 
     before: int
     band: DrawBand
@@ -126,7 +126,7 @@ class UnitSettings(StrictModel):
     name: Annotated[OneLine, Field(min_length=1, max_length=60)]
     group: Label = ""
     draw_percent: DrawBand | None = None
-    """Band of the draw to the unit before; None: that of the bus."""
+    """Band of the draw to the unit before; None for that of the bus."""
     labels: UnitLabels = UnitLabels()
 
 
@@ -142,17 +142,17 @@ class BusSettings(Dialect):
     baud: Baud = 9600
     turnaround_ms: Annotated[float, Field(strict=True, ge=0, le=5000)] = 50
     max_scan_hz: Annotated[float, Field(strict=True, ge=0.1, le=100)] | None = None
-    """How many times a second all units are polled at most; None: as often as the wire carries."""
+    """The most times a second that all units are polled; None: as often as the wire allows."""
     worker: Literal["server", "remote"] = "server"
-    """Who runs its worker: the server on its machine, or ``lineside worker`` on the one with the port."""
+    """Where the worker runs: on the server, or as ``lineside worker`` on the machine with the port."""
     draw_percent: DrawBand = ()
-    """Band of each draw of its units that sets no other."""
+    """Band of the draw of each unit that sets none itself."""
     unit: tuple[UnitSettings, ...] = ()
 
     @model_validator(mode="before")
     @classmethod
     def _without_former_keys(cls, data: Any) -> Any:
-        """Ignore what an earlier version had, so that no line stops at an upgrade."""
+        """Ignore keys of an earlier version, so that no line stops at an upgrade."""
         if not isinstance(data, dict):
             return data
         return {key: value for key, value in data.items() if key not in FORMER_KEYS_OF_BUS}
@@ -190,12 +190,12 @@ class BusSettings(Dialect):
 
     @property
     def has_local_port(self) -> bool:
-        """Whether its port is a device of the server's machine."""
+        """Whether the port is a device of the server's machine."""
         return self.worker == "server" and "://" not in self.port
 
     @property
     def least_scan_s(self) -> float:
-        """The shortest time in seconds that a scan may take; 0: none is set."""
+        """The shortest time in seconds that a scan may take; 0 without a limit."""
         return 0.0 if self.max_scan_hz is None else 1 / self.max_scan_hz
 
     @property
@@ -211,7 +211,7 @@ PORT_EXAMPLE = "/dev/ttyUSB0"
 
 
 def check_port(port: str) -> str:
-    """Check the port itself. Raises ValueError for what is neither a path nor a URL that can be opened."""
+    """Check the text of a port. Raise ValueError if it is neither a path nor a URL that can be opened."""
     if not port or not port.isprintable() or port != port.strip():
         raise ValueError(Message("setting_device_path"))
     fault = _url_fault(port) if "://" in port else _path_fault(port)
@@ -224,13 +224,13 @@ def _url_fault(url: str) -> Message | None:
     if not url.startswith(("socket://", "rfc2217://")):
         return Message("setting_port_scheme")
     if "@" in url:
-        # No device server is signed in to, and a port is shown on pages.
+        # No device server requires sign-in, and a port is shown on pages.
         return Message("setting_url_with_password")
     return None if _names_host_and_port(url) else Message("setting_host_and_port")
 
 
 def _path_fault(path: str) -> Message | None:
-    """Return what keeps ``path`` from being that of one device of this machine."""
+    """Return why ``path`` cannot be that of one device of this machine, or None."""
     if _WINDOWS_PORT.fullmatch(path):
         return Message.of("setting_port_of_windows", example=PORT_EXAMPLE)
     if address := _ADDRESS.fullmatch(path):

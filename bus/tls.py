@@ -1,4 +1,4 @@
-"""The files of TLS, as server and worker read them, and when their certificates begin and end.
+"""The TLS files of server and worker, and the dates on which their certificates begin and end.
 
 The dates are read from the files (RFC 7468, RFC 5280), because the library that speaks TLS does not give
 those of a certificate that it does not trust.
@@ -21,16 +21,16 @@ from bus.messages import Message
 
 _PEM = re.compile(r"-----BEGIN CERTIFICATE-----\s(.*?)-----END CERTIFICATE-----", re.DOTALL)
 _VERSION, _UTC_TIME, _GENERALIZED_TIME = 0xA0, 0x17, 0x18
-"""Tags of DER: the version of a certificate, which may be left out, and the two forms of a time."""
+"""Tags of DER: the optional version of a certificate, and the two forms of a time."""
 _FORMATS = {_UTC_TIME: "%y%m%d%H%M%SZ", _GENERALIZED_TIME: "%Y%m%d%H%M%SZ"}
 _VALIDITY = 3
-"""Its place in a certificate, after serial number, algorithm and issuer."""
+"""The place of the validity in a certificate, after serial number, algorithm and issuer."""
 _FIRST_CENTURY_UNTIL = 2050
-"""A year of two digits is before it (RFC 5280, 4.1.2.5.1)."""
+"""The year before which one of two digits is (RFC 5280, 4.1.2.5.1)."""
 
 
 class MalformedCertificateError(ValueError):
-    """A file holds no certificate, or one that is cut off or malformed."""
+    """Raised for a file without a certificate, or with one that is cut off or malformed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +43,13 @@ class Certificate:
 
     @property
     def ends_on(self) -> str:
-        """The day on which it ends, in UTC, as ISO 8601 writes it."""
+        """The last day of the certificate in UTC, as ISO 8601 writes it."""
         return datetime.fromtimestamp(float(self.ends_at), UTC).date().isoformat()
 
 
 def certificates_in(pem: str) -> list[Certificate]:
-    """Return the certificates of a file, in its order; of a server's, its own comes first. Raises
-    MalformedCertificateError where one is cut off or malformed, or there is none."""
+    """Return the certificates of a file, in its order; a server's own comes first. Raise
+    MalformedCertificateError if one is cut off or malformed, or there is none."""
     bodies = _PEM.findall(pem)
     if not bodies or len(bodies) != pem.count("-----BEGIN CERTIFICATE-----"):
         raise MalformedCertificateError("no certificate, or a part of one")
@@ -69,7 +69,7 @@ def _certificate(body: str) -> Certificate:
 
 
 def _elements(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Return tag and content of each element of a DER sequence. Raises IndexError where it is cut off."""
+    """Yield tag and content of each element of a DER sequence. Raise IndexError if it is cut off."""
     at = 0
     while at < len(data):
         tag, length = data[at], data[at + 1]
@@ -92,17 +92,17 @@ def _time(tag: int, text: bytes) -> UnixTime:
 
 
 WORKER_ALPN = "lineside-worker"
-"""A worker offers this protocol beside that of HTTP (RFC 7301): the server then requests its certificate."""
+"""The protocol that a worker offers beside HTTP (RFC 7301), so that the server requests its certificate."""
 HTTP_ALPN = "http/1.1"
 FileStamp = tuple[int, int, int] | None
 
 
 class TlsFileError(CallerError):
-    """A file cannot be used; the text names it and its fault."""
+    """Raised for a file that cannot be used; the text names the file and its fault."""
 
 
 def load_pair(context: ssl.SSLContext, certificate: Path, key: Path) -> Certificate:
-    """Make the context show this certificate; return it. Raises TlsFileError."""
+    """Load this certificate into the context; return it. Raise TlsFileError."""
     found = read_certificate(certificate)
     _read_key(key)
     files = {"certificate": str(certificate), "key": str(key)}
@@ -122,7 +122,7 @@ def load_pair(context: ssl.SSLContext, certificate: Path, key: Path) -> Certific
 
 
 def load_authority(context: ssl.SSLContext, file: Path) -> None:
-    """Make the context trust the certificates of a file. Raises TlsFileError."""
+    """Make the context trust the certificates of a file. Raise TlsFileError."""
     read_certificate(file)
     try:
         context.load_verify_locations(file)
@@ -131,7 +131,7 @@ def load_authority(context: ssl.SSLContext, file: Path) -> None:
 
 
 def read_certificate(file: Path) -> Certificate:
-    """Return the first certificate of a file. Raises TlsFileError where any of it cannot be read."""
+    """Return the first certificate of a file. Raise TlsFileError if any of it cannot be read."""
     try:
         return certificates_in(_text_of(file))[0]
     except MalformedCertificateError as error:
@@ -139,14 +139,14 @@ def read_certificate(file: Path) -> Certificate:
 
 
 def date_fault(certificate: Certificate, file: Path, now: UnixTime) -> Message | None:
-    """Return why a certificate is not valid now."""
+    """Return why a certificate is not valid at ``now``, or None."""
     if certificate.ends_at <= now:
         return Message.of("tls_expired", file=str(file), day=certificate.ends_on)
     return None if certificate.begins_at <= now else Message.of("tls_not_yet_valid", file=str(file))
 
 
 def stamp_of(file: Path) -> FileStamp:
-    """Return what changes when a file does, or None where there is no file."""
+    """Return a stamp that changes when a file does, or None if there is no file."""
     try:
         status = file.stat()
     except OSError:

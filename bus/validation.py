@@ -1,4 +1,4 @@
-"""Text that people write (names, reasons, comments), and what is wrong with a field that they filled."""
+"""Text that people write (names, reasons, comments), and the message for a field filled in wrongly."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from pydantic import AfterValidator
 from bus.messages import Message
 
 _UNSEEN = frozenset(("Cc", "Cs", "Zl", "Zp"))
-"""Categories of Unicode: control characters, halves of a pair, separators of lines."""
+"""Categories of Unicode: control characters, surrogates, separators of lines."""
 _JOINING = frozenset("\xad\u061c\u200c\u200d\u200e\u200f")
-"""Format characters that scripts, emoji and hyphenation need between letters. The others hide, or turn the
+"""Format characters that scripts, emoji and hyphenation need between letters. All others hide, or turn the
 text so that it reads differently from its characters."""
 _BLANK = frozenset("\u115f\u1160\u2800\u3164\uffa0")
 """Letters and symbols without a shape."""
 _MARKS = frozenset(("Mn", "Me"))
 MAX_MARKS = 8
-"""Combining characters in a row; more of them stack over what is shown above and below."""
+"""The most combining characters in a row; more of them stack over the text above and below."""
 _BREAKS = frozenset("\t\n\r")
 _CREDENTIALS = re.compile(r"(://)\S+@")
 MASK = "…"
-"""In place of what is secret."""
+"""The text shown in place of a secret."""
 
 
 def without_credentials(text: str) -> str:
-    """Return the text with every URL in it without user and password."""
+    """Return the text with user and password removed from every URL."""
     return _CREDENTIALS.sub(rf"\1{MASK}@", text)
 
 
@@ -41,13 +41,13 @@ def composed(text: str) -> str:
 OneLine = Annotated[str, AfterValidator(lambda text: _seen(text, frozenset()))]
 """A name or a reason."""
 TypedText = Annotated[str, AfterValidator(composed)]
-"""What a person types to find a name."""
+"""A text that a person types to find a name."""
 Lines = Annotated[str, AfterValidator(lambda text: _seen(text, _BREAKS))]
 """A comment."""
 
 
 def _seen(text: str, allowed: frozenset[str]) -> str:
-    """Return the text, composed. Raises ValueError for an invisible character that is not allowed."""
+    """Return the text, composed. Raise ValueError for an invisible character that is not allowed."""
     base = marks = 0
     for place, sign in enumerate(text, 1):
         if sign not in allowed and _is_unseen(sign):
@@ -64,8 +64,8 @@ def _seen(text: str, allowed: frozenset[str]) -> str:
 
 
 def escaped(text: str) -> str:
-    """Return the text with a backslash escape in place of each character that a terminal obeys or does not
-    show; lines stay."""
+    """Return the text with a backslash escape for each character that a terminal obeys or does not show,
+    except line breaks."""
     return "".join(
         sign.encode("unicode_escape").decode() if sign not in _BREAKS and _is_unseen(sign) else sign
         for sign in text
@@ -119,12 +119,12 @@ _TIMES = ("date_", "datetime_", "time_", "timezone_")
 
 
 def fault_message(error: Any) -> Message:
-    """Return the message of one of a ValidationError's ``errors()``."""
+    """Return the message for one of a ValidationError's ``errors()``."""
     of: Mapping[str, Any] = error.get("ctx", {})
     if error["type"] in _NUMBERS and _DECIMAL_COMMA.fullmatch(str(error["input"])):
         return Message.of("fault_decimal_comma", right=str(error["input"]).strip().replace(",", "."))
     match error["type"]:
-        # Of a text that a validator of ours has seen before pydantic measures it.
+        # A validator of ours has seen the text before pydantic measures it.
         case "too_long" | "too_short" if isinstance(error["input"], str):
             return fault_message(error | {"type": f"string_{error['type']}"})
         case str(kind) if kind in _WITHOUT_BOUNDS:

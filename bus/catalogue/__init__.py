@@ -1,1 +1,1 @@
-"""What the words of the link mean: parameters, values, status bits. No bytes travel here."""
+"""The meaning of the values on the link: parameters, values, status bits. No bytes travel here."""

@@ -1,6 +1,6 @@
 """The 40 parameters of a DIGIMAX IV as a table, and their numbers by name (manual, section 4.0).
 
-Number, name, type and range are as printed: #31 alone ends at 1387Fh = 79999. What the list leaves out
+Number, name, type and range are as printed, except that #31 ends at 1387Fh = 79999. What the list leaves out
 carries its mark of evidence (A stated in the manual, B stated for the sibling DFS-1 and consistent, C
 inferred, U unknown); an undocumented choice is not named and is shown by its number.
 """
@@ -33,10 +33,9 @@ FREEZE_MODE = 14
 DISPLAY_RATE = 15
 SETUP_DURING_RUN = 16
 OWN_ADDRESS = 17
-"""Every unit has it and only its panel changes it (manual, 4.0), so its value is known beforehand. If it
-reads as another address, another unit responds there; the address in a response is no evidence, because it
-repeats that of the request.
-"""
+"""The number of a unit's own address. Only the unit's panel changes it (manual, 4.0), so its value is known
+beforehand. If it reads as another address, another unit responds there; the address in a response is no
+evidence, because it repeats that of the request."""
 BAUD_RATE = 18
 CONTROL_MODE = 19
 SPEED_SETPOINT = 20
@@ -61,7 +60,8 @@ MIN_RATIO = 38
 DEBOUNCE = 39
 AT_SPEED_SOURCE = 40
 SETPOINTS = (SPEED_SETPOINT, RATIO_SETPOINT)
-"""In these a unit keeps what a host or a panel commands; every other one changes by its set-up alone."""
+"""The parameters in which a unit keeps what a host or a panel commands; the others change by its set-up
+alone."""
 
 
 DataType = Literal["UCHR", "UINT", "ULNG"]
@@ -69,7 +69,7 @@ Evidence = Literal["A", "B", "C", "U"]
 
 
 class Scale(StrEnum):
-    """How the integer on the wire becomes the number that people use."""
+    """The conversion of the integer on the wire to the number that people use."""
 
     PLAIN = "plain"
     SPEED = "speed"
@@ -84,7 +84,7 @@ class Scale(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One row. Ranges are raw integers, both ends included."""
+    """One row of the table. Ranges are raw integers, both ends included."""
 
     number: int
     name: str
@@ -92,27 +92,27 @@ class Parameter:
     minimum: int
     maximum: int
     evidence: Evidence
-    """Of the meaning and the scale; number, name, type and range are always A."""
+    """The mark for meaning and scale; number, name, type and range are always A."""
     group: str
     meaning: str
     scale: Scale = Scale.PLAIN
     unit: str = ""
-    """Unit of the engineering value where it is the same for every drive."""
+    """Unit of the engineering value if it is the same for every drive."""
     choices: Mapping[int, str] = field(default_factory=dict, hash=False)
     allowed: frozenset[int] | None = None
-    """The only legal values where the range has holes."""
+    """The only legal values if the range has holes."""
     never_writable: bool = False
     dangerous: str = ""
-    """What a write can do to the link; empty where it is harmless to it."""
+    """What a write can do to the link; empty if it cannot harm the link."""
     harmless: frozenset[int] = frozenset()
     """Values of a dangerous parameter that cannot have the effect in ``dangerous``."""
     secret: bool = False
     not_while_running: bool = False
-    """The unit allows no change during RUN."""
+    """Whether the unit refuses a change during RUN."""
 
 
 class IllegalValue(CallerError):
-    """A value that a parameter cannot take; ``nearest`` is the closest that it can."""
+    """Raised for a value that a parameter cannot take; ``nearest`` is the closest value that it can."""
 
     def __init__(self, message: Message, nearest: int) -> None:
         super().__init__(message)
@@ -120,13 +120,13 @@ class IllegalValue(CallerError):
 
 
 def danger_of_writing(parameter: Parameter, raw: int) -> str:
-    """Return what writing ``raw`` can do to the link; empty where it is harmless to it."""
+    """Return what writing ``raw`` can do to the link; empty if it cannot harm the link."""
     return "" if raw in parameter.harmless else parameter.dangerous
 
 
 def check_writable_value(parameter: Parameter, raw: int) -> None:
-    """Check a value before it is written. Raises CallerError for a parameter that is never written,
-    IllegalValue for a value out of range."""
+    """Check a value before it is written. Raise CallerError for a parameter that is never written,
+    IllegalValue for a value that the parameter cannot take."""
     if parameter.never_writable:
         raise CallerError(Message.of("parameter_not_by_link", number=parameter.number, called=parameter.name))
     nearest = nearest_legal(parameter, raw)
@@ -137,7 +137,7 @@ def check_writable_value(parameter: Parameter, raw: int) -> None:
 def _refusal(parameter: Parameter, raw: int, nearest: int) -> Message:
     legal = _legal_values(parameter)
     if parameter.secret:
-        # The message goes into the log, and what was typed may be the secret but for one digit too many.
+        # The message is logged, and what was typed may be the secret with one digit too many.
         return Message.of("parameter_takes", number=parameter.number, called=parameter.name, values=legal)
     return Message.of(
         "parameter_cannot_be",
@@ -150,7 +150,7 @@ def _refusal(parameter: Parameter, raw: int, nearest: int) -> Message:
 
 
 def nearest_legal(parameter: Parameter, raw: int) -> int:
-    """Return the value closest to ``raw`` that the parameter takes; of two equally close the smaller."""
+    """Return the value closest to ``raw`` that the parameter takes, the smaller of two equally close ones."""
     if parameter.allowed is not None:
         return min(sorted(parameter.allowed), key=lambda legal: abs(legal - raw))
     return min(max(raw, parameter.minimum), parameter.maximum)
@@ -286,6 +286,6 @@ NEEDED_TO_SHOW = (
     *(ANALOG_IN_LOW, ANALOG_IN_HIGH),
     *(ANALOG_OUT_SOURCE, ANALOG_OUT_LOW, ANALOG_OUT_HIGH),
 )
-"""Without these a reading cannot be shown right."""
+"""The parameters without which a reading cannot be shown right."""
 NEEDED_TO_JUDGE = (MAX_RATIO, MIN_RATIO)
-"""Without these a ratio cannot be judged before it is sent: they are a follower's limits."""
+"""A follower's limits, without which a ratio cannot be checked before it is sent."""

@@ -19,14 +19,14 @@ OUTPUT_NUMBERS = range(1, 7)
 
 @dataclass(frozen=True, slots=True)
 class StatusBits:
-    """ST2 and ST1 as words. ``outputs[0]`` is auxiliary output 1."""
+    """The bits of ST2 and ST1 by name. ``outputs[0]`` is auxiliary output 1."""
 
     at_speed: bool
     remote: bool
     outputs: tuple[bool, bool, bool, bool, bool, bool]
     run: bool
     estop_active: bool
-    """An emergency stop is active, whichever level means that in this dialect."""
+    """Whether an emergency stop is active, whichever level means that in this dialect."""
     preset: bool
     reverse: bool
     up: bool
@@ -35,7 +35,7 @@ class StatusBits:
 
     @property
     def inputs(self) -> dict[str, bool]:
-        """The inputs of ST1 by the names that programs are given."""
+        """The inputs of ST1 by the names that the API gives them."""
         return {
             "run": self.run,
             "estop": self.estop_active,
@@ -69,9 +69,9 @@ def _bit(byte: int, position: int) -> bool:
 
 RATIO_DECIMALS = 4
 _FOLLOWER_MODES = (1, 2)
-"""#8 of a follower and of an inverse follower (manual, 4.0)."""
+"""The values of #8 of a follower and of an inverse follower (manual, 4.0)."""
 MAX_DECIMALS = 4
-"""Of #3 (manual, 4.0), and of a ratio."""
+"""The largest value of #3 (manual, 4.0), and the decimals of a ratio."""
 HIGHEST_ATD = 255
 HIGHEST_SPEED = 99_999
 _FULL_VOLTS = 10
@@ -80,8 +80,8 @@ _SCALE_UNITS = {Scale.TENTHS: "s", Scale.BAUD: "baud"}
 
 
 def plausible_speed(raw: int | None) -> int | None:
-    """Return a commanded or actual speed, or ratio, as sent, or None beyond the range of the manual (81h:
-    0-1869Fh)."""
+    """Return a speed, or ratio, as sent by 81h, or None if it is beyond the range of the manual
+    (0-1869Fh)."""
     return raw if raw is not None and raw <= HIGHEST_SPEED else None
 
 
@@ -92,14 +92,14 @@ def plausible_parameter(number: int, raw: int | None) -> int | None:
 
 
 def is_follower(mode: int | None) -> bool:
-    """Return whether #8 makes a unit follow a master by a ratio; False also where it is not known."""
+    """Return whether #8 (``mode``) makes a unit follow a master by a ratio; False if it is not known."""
     return mode in _FOLLOWER_MODES
 
 
 def speed_text(raw: int, decimals: int) -> str:
     """Return ``raw`` display units with ``decimals`` (#3) places: 12345 with 1 is "1234.5".
 
-    Marked as raw where a unit reports more than :data:`MAX_DECIMALS`.
+    The text is marked as raw if ``decimals`` exceeds :data:`MAX_DECIMALS`.
     """
     if decimals > MAX_DECIMALS:
         return str(bare(raw))
@@ -110,8 +110,8 @@ def speed_text(raw: int, decimals: int) -> str:
 def speed_raw(text: str, decimals: int) -> int:
     """Return the raw integer for a typed number; point and comma both separate decimals.
 
-    More places than ``decimals`` are refused even when they are zeros: in "1.000" for a display with
-    one decimal the point was most likely meant to group thousands. Raises CallerError.
+    More places than ``decimals`` are refused even if they are zeros: in "1.000" for a display with one
+    decimal the point was most likely meant to group thousands. Raise CallerError.
     """
     if decimals > MAX_DECIMALS:
         raise CallerError(Message("decimals_too_many"))
@@ -127,14 +127,14 @@ def speed_raw(text: str, decimals: int) -> int:
 
 
 def speed_message(raw: int, decimals: int | None) -> Message:
-    """Return ``raw`` display units for people, marked as raw while the decimals are not known (None)."""
+    """Return ``raw`` display units for people, marked as raw while the ``decimals`` are unknown (None)."""
     if decimals is None or decimals > MAX_DECIMALS:
         return bare(raw)
     return number(speed_text(raw, decimals))
 
 
 def bare(raw: int) -> Message:
-    """Return an integer of the wire, marked as one."""
+    """Return an integer of the wire as a message that marks it as raw."""
     return Message.of("raw_value", raw=raw)
 
 
@@ -144,7 +144,7 @@ def ratio_text(raw: int) -> str:
 
 
 def ratio_raw(text: str) -> int:
-    """Return the raw ratio for a typed number of up to four decimals. Raises CallerError."""
+    """Return the raw ratio for a typed number of up to four decimals. Raise CallerError for any other."""
     return speed_raw(text, RATIO_DECIMALS)
 
 
@@ -154,7 +154,7 @@ def analog_input_value(atd: int, low: int, high: int) -> float:
 
 
 def analog_output_volts(raw: int, low: int, high: int) -> float:
-    """Return the volts for the value of 88h; ``low`` is #29, ``high`` #30. Raises CallerError where these are
+    """Return the volts for the value of 88h; ``low`` is #29, ``high`` #30. Raise CallerError if they are
     equal."""
     if low == high:
         raise CallerError(Message("analog_limits_equal"))
@@ -162,7 +162,7 @@ def analog_output_volts(raw: int, low: int, high: int) -> float:
 
 
 def rpm(raw: int, max_rpm: int, max_display: int) -> float:
-    """Return the motor speed of a displayed one: ``max_rpm`` #1, ``max_display`` #2. Raises CallerError if #2
+    """Return the motor speed of a displayed one: ``max_rpm`` #1, ``max_display`` #2. Raise CallerError if #2
     is 0."""
     if max_display == 0:
         raise CallerError(Message("maximum_speed_zero"))
@@ -170,8 +170,8 @@ def rpm(raw: int, max_rpm: int, max_display: int) -> float:
 
 
 def parameter_unit(parameter: Parameter) -> str:
-    """Return the unit that follows ``parameter_text``: "s", "rpm", "baud", or "" where it is the drive's
-    own."""
+    """Return the unit to write after ``parameter_text``: "s", "rpm", "baud", or "" for the drive's own
+    unit."""
     return _SCALE_UNITS.get(parameter.scale, parameter.unit)
 
 
@@ -183,11 +183,12 @@ def parameter_text(parameter: Parameter, raw: int, decimals: int | None, *, foll
 def parameter_message(
     parameter: Parameter, raw: int, decimals: int | None, *, follower: bool = False
 ) -> Message:
-    """Return what people read: a choice by its name where that is known, else the number in its scale.
+    """Return the value of a parameter for people: the name of a choice if known, else the number in its
+    scale.
 
-    ``decimals`` is #3 of the unit, None while it is not known: a speed is then marked as raw.
-    ``follower``: #8 is 1 or 2, so presets and jumps are ratios. A secret is not shown, and what is outside of
-    the printed range is marked as that.
+    ``decimals`` is #3 of the unit, None while it is not known: a speed is then marked as raw. ``follower``:
+    #8 is 1 or 2, so presets and jumps are ratios. A secret is not shown, and a value outside of the printed
+    range is marked as such.
     """
     if parameter.secret:
         return Message("value_hidden")
@@ -203,15 +204,15 @@ def parameter_message(
 def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, follower: bool = False) -> int:
     """Return the raw integer for what a person typed, a number or the name of a choice.
 
-    Its range is not judged here. Raises CallerError for what is neither, and for a speed while the
-    unit's decimals (#3) are not known.
+    The range is not checked here. Raise CallerError for anything else, and for a speed while the unit's
+    decimals (#3) are not known.
     """
     for raw, name in parameter.choices.items():
         if text.strip().casefold() == name.casefold():
             return raw
     typed = text.strip()
     if parameter.secret and not (typed.isascii() and typed.isdecimal()):
-        # An ordinary refusal repeats what was typed.
+        # An ordinary refusal would repeat what was typed.
         raise CallerError(Message("not_a_number_plain"))
     places = parameter_decimals(parameter, decimals, follower)
     if places is None:
@@ -225,8 +226,8 @@ def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, foll
 
 
 def parameter_decimals(parameter: Parameter, decimals: int | None, follower: bool = False) -> int | None:
-    """Return the decimals of a raw value; None while those of a speed are not known. Arguments as for
-    `parameter_message`."""
+    """Return the decimals of a raw value, None while those of a speed are not known. The arguments are those
+    of `parameter_message`."""
     match parameter.scale:
         case Scale.RATIO:
             return RATIO_DECIMALS

@@ -1,4 +1,4 @@
-"""The messages between a bus worker and the app, and nothing else that the two share.
+"""The messages between a bus worker and the app, the only thing that the two share.
 
 The worker opens the WebSocket and sends first. The order is fixed: ``Hello`` → (app) ``Welcome`` →
 ``Snapshot`` → the backlog that the app does not have, as ``Batch`` with ``live=False`` → ``Batch`` after

@@ -1,10 +1,11 @@
-"""What the app can request of a bus, how long it takes, and the bounds of every field of the contract.
+"""The actions that the app can request of a bus, their durations, and the bounds of every field of the
+contract.
 
 A new action needs a class here, a case in ``bus.line.commands.catalogue`` for how it is carried out and
 verified, and a row in ``app.line.commands.catalogue`` for everything else.
 
-Bounds are checked where a message is decoded, on both sides: neither a worker nor an app is trusted to keep
-to them. NaN and the infinities are outside every range. The ranges are those of the wire (manual, the command
+Bounds are checked when a message is decoded, on both sides: neither a worker nor an app is trusted to keep to
+them. NaN and the infinities are outside every range. The ranges are those of the wire (manual, the command
 pages): speeds to 99999, four-byte values, one byte for each of the analog input, outputs, inputs and errors,
 40 parameters, addresses 1-255.
 """
@@ -21,7 +22,8 @@ from bus.settings import wire_seconds
 
 CONTRACT_VERSION = 6
 BUFFER_AGE_S = 7 * 86_400.0
-"""How old an update may be that a worker kept while the app was away. An older one is refused."""
+"""The largest age of an update that a worker kept while the app was away, in seconds; older ones are
+refused."""
 
 UnitLinkState = Literal["unknown", "online", "stale", "offline"]
 BusLinkState = Literal["open", "closed"]
@@ -36,13 +38,13 @@ class TaggedStruct(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=Tr
 
 MAX_UNITS = 255
 MAX_UPDATES = 500
-"""In a batch, so that no message takes the app's loop for long."""
+"""The most updates in a batch, so that no message takes the app's loop for long."""
 MAX_FRAMES = 2_000
 MAX_MEANINGS = 30
 MAX_REMARKS = 20
 MAX_TEXT = 4_000
 MAX_MEANING = 1_000
-"""Characters that are shown of what a frame means."""
+"""The most characters of the meaning of a frame."""
 MAX_WORDS = 300
 MAX_ID = 200
 MAX_FRAME = 1_024
@@ -53,50 +55,50 @@ FourBytes = Annotated[int, Meta(ge=0, le=0xFFFF_FFFF)]
 Byte = Annotated[int, Meta(ge=0, le=0xFF)]
 ParameterNumber = Annotated[int, Meta(ge=1, le=40)]
 UnitScale = Annotated[dict[ParameterNumber, FourBytes | None], Meta(max_length=40)]
-"""The parameters that a value was converted and bounded with: number → raw, None where the unit lacks it."""
+"""The parameters with which a value was converted: number → raw, None if the unit lacks it."""
 OutputNumber = Annotated[int, Meta(ge=1, le=6)]
 BaudRate = Annotated[int, Meta(ge=300, le=9600)]
 Total = Annotated[int, Meta(ge=0, le=2**53)]
 
 Stamp = Annotated[UnixTime, Meta(ge=0.0, le=32_503_680_000.0)]
-"""Seconds since the epoch, to the year 3000; whether it is near enough to now, the receiver judges."""
+"""Seconds since the epoch, to the year 3000; the receiver checks whether it is near enough to now."""
 DurationSeconds = Annotated[float, Meta(ge=0.0, le=1e7)]
 ClockDifference = Annotated[float, Meta(ge=-1e11, le=1e11)]
-"""Seconds between two clocks."""
+"""The difference of two clocks, in seconds."""
 Hertz = Annotated[float, Meta(ge=0.0, le=1e6)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 LongText = Annotated[str, Meta(max_length=MAX_TEXT)]
-"""A cause, a text, a diagnosis that names many units."""
+"""A cause, a text, or a diagnosis that names many units."""
 ShortText = Annotated[str, Meta(max_length=MAX_WORDS)]
 Id = Annotated[str, Meta(max_length=MAX_ID)]
 FrameBytes = Annotated[bytes, Meta(max_length=MAX_FRAME)]
-"""No frame is as long; of a longer piece of noise the beginning is kept."""
+"""The bytes of a frame; of a longer piece of noise only the beginning is kept."""
 
 
 class BusAction(TaggedStruct, frozen=True):
     """An action that addresses a bus."""
 
     writes: ClassVar[bool] = True
-    """Whether it can change anything in a unit."""
+    """Whether the action can change anything in a unit."""
     returns_values: ClassVar[bool] = False
-    """Whether its result has values of parameters, those of ``only_unit``."""
+    """Whether the result has values of parameters, those of ``only_unit``."""
     most_frames: ClassVar[int] = 300
-    """How many frames its result has at most."""
+    """The most frames of the result."""
 
     @property
     def units(self) -> tuple[int, ...]:
-        """The units that it names, ascending."""
+        """The units that the action names, ascending."""
         return ()
 
     @property
     def only_unit(self) -> int | None:
-        """The unit that it addresses alone."""
+        """The only unit that the action addresses, or None."""
         return None
 
     @property
     def stops(self) -> bool:
-        """Whether it can only bring units to a standstill."""
+        """Whether the action can only bring units to a standstill."""
         return False
 
 
@@ -115,7 +117,8 @@ class UnitAction(BusAction, frozen=True):
 
 
 class SetSpeed(UnitAction, frozen=True, tag="set_speed"):
-    """84h (``execute``) or 82h. ``raw``: 0-99999, display units, or a ratio times 10000 for a follower."""
+    """A speed by 84h (``execute``) or 82h. ``raw``: 0-99999, display units, or for a follower ratio x
+    10000."""
 
     raw: Speed
     execute: bool = True
@@ -126,15 +129,16 @@ class SetSpeed(UnitAction, frozen=True, tag="set_speed"):
 
 
 class ExecuteSpeed(UnitAction, frozen=True, tag="execute_speed"):
-    """83h to one unit."""
+    """83h to one unit, which takes over its staged speed."""
 
 
 class ExecuteAll(BusAction, frozen=True, tag="execute_all"):
-    """83h to UID 0, then the proof from every unit."""
+    """83h to unit 0, then a read-back of every unit."""
 
 
 class SetLine(BusAction, frozen=True, tag="set_line"):
-    """Stage each (82h), require every ACK, one 83h to UID 0, read each back. ``setpoints``: unit → raw."""
+    """A change of several units: 82h to each, one 83h to unit 0, then a read-back. ``setpoints``: unit →
+    raw."""
 
     setpoints: Annotated[dict[UnitId, Speed], Meta(max_length=MAX_UNITS)]
 
@@ -148,20 +152,20 @@ class SetLine(BusAction, frozen=True, tag="set_line"):
 
 
 class WriteOutput(UnitAction, frozen=True, tag="write_output"):
-    """87h: ``number`` 1-6."""
+    """A switched output by 87h; ``number``: 1-6."""
 
     number: OutputNumber
     on: bool
 
 
 class WriteAnalogOutput(UnitAction, frozen=True, tag="write_analog_output"):
-    """88h: acknowledged at best, there is nothing to read back."""
+    """An analog output by 88h: acknowledged at best, because it cannot be read back."""
 
     raw: FourBytes
 
 
 class ReadParameters(UnitAction, frozen=True, tag="read_parameters"):
-    """85h for each of ``numbers`` (all 40 when empty). Not ``urgent``: only in the gaps of the scan."""
+    """85h for each of ``numbers`` (all 40 if empty); if not ``urgent``, only in the gaps of the scan."""
 
     writes: ClassVar[bool] = False
     returns_values: ClassVar[bool] = True
@@ -170,14 +174,14 @@ class ReadParameters(UnitAction, frozen=True, tag="read_parameters"):
 
 
 class WriteParameter(UnitAction, frozen=True, tag="write_parameter"):
-    """86h, read back by 85h. The app has checked range, access and confirmation."""
+    """A parameter by 86h, read back by 85h. The app has checked range, access and confirmation."""
 
     number: ParameterNumber
     raw: FourBytes
 
 
 class ChangeBaud(BusAction, frozen=True, tag="change_baud"):
-    """Write #18 to every unit of the bus, follow, read all back; go back if one does not respond."""
+    """Write #18 to every unit, follow with the port, read all back; go back if a unit is lost."""
 
     baud: BaudRate
 
@@ -191,10 +195,9 @@ class ScanBus(BusAction, frozen=True, tag="scan_bus"):
 
 
 class ReadTrace(BusAction, frozen=True, tag="read_trace"):
-    """Return the kept frames (an hour at most) from ``since`` on, oldest first, as the result's ``frames``:
-    at most ``limit`` of them, so a longer span is requested in parts, from the last frame's time. Sends
-    nothing.
-    """
+    """A request for the kept frames (an hour at most) from ``since`` on, oldest first, as the result's
+    ``frames``: at most ``limit`` of them, so a longer span is requested in parts, from the last frame's time.
+    Nothing is sent."""
 
     writes: ClassVar[bool] = False
     most_frames: ClassVar[int] = MAX_FRAMES
@@ -218,33 +221,33 @@ Action = WireAction | ReadTrace
 
 
 POLL_BYTES = 7 + 18
-"""81h and its response."""
+"""The bytes of 81h and its response."""
 _STAGE_BYTES = 11
-"""82h with four data bytes."""
+"""The bytes of 82h with four data bytes."""
 _DOUBLED_BYTES = 4
-"""What it grows by when every data byte is 10h."""
+"""The bytes that 82h grows by if every data byte is 10h."""
 _ACK_BYTES = 7
 _EXECUTE_BYTES = 7
 _READ_BYTES = 8 + 8
-"""85h and a value of one byte."""
+"""The bytes of 85h and a response with a value of one byte."""
 _LONG_VALUE_BYTES = 7
-"""What its response grows by for four bytes of 10h."""
+"""The bytes that the response to 85h grows by for a value of four bytes 10h."""
 
 
 def stage_s(baud: int, reads: int = 0) -> float:
-    """Return the seconds that 82h to one unit of several and its acknowledgement take at best, after so many
-    ``reads``."""
+    """Return the least seconds that staging one of several units takes: ``reads`` of its parameters, 82h and
+    the acknowledgement."""
     return wire_seconds(_STAGE_BYTES + _ACK_BYTES + reads * _READ_BYTES, baud)
 
 
 def longest_stage_s(baud: int, turnaround_s: float, reads: int = 0) -> float:
-    """Return the seconds that a stage takes at worst, without a retry. ``turnaround_s``: what a unit may take
+    """Return the most seconds that a stage takes without a retry. ``turnaround_s``: how long a unit may take
     to begin its response."""
     stage = wire_seconds(_STAGE_BYTES + _DOUBLED_BYTES + _ACK_BYTES, baud) + turnaround_s
     return stage + reads * (wire_seconds(_READ_BYTES + _LONG_VALUE_BYTES, baud) + turnaround_s)
 
 
 def change_s(units: int, baud: int) -> float:
-    """Return the seconds that it takes at best to stage each of ``units``, broadcast once and read each
+    """Return the least seconds that it takes to stage each of ``units``, broadcast once and read each
     back."""
     return units * stage_s(baud) + wire_seconds(_EXECUTE_BYTES + units * POLL_BYTES, baud)

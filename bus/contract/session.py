@@ -27,7 +27,7 @@ from bus.instants import UnixTime
 
 
 class Hello(TaggedStruct, frozen=True, tag="hello"):
-    """First word of a worker. ``worker`` is new at every start, so sequence numbers belong to it."""
+    """First message of a worker. ``worker`` is new at every start, so sequence numbers belong to it."""
 
     version: int
     bus: ShortText
@@ -39,11 +39,9 @@ class Hello(TaggedStruct, frozen=True, tag="hello"):
 
 
 class Snapshot(TaggedStruct, frozen=True, tag="snapshot"):
-    """The complete present state; ``seq`` is the number of the last update it includes.
-
-    ``app_behind_s``: by how much the app's clock is behind the worker's at most, by the promptest message of
-    the app; None of a worker of an older release.
-    """
+    """The complete present state; ``seq`` is the number of the last update it includes. ``app_behind_s``: the
+    most that the app's clock can be behind the worker's, by the promptest message of the app; None from a
+    worker of an older release."""
 
     seq: Total
     sent_at: Stamp
@@ -54,7 +52,7 @@ class Snapshot(TaggedStruct, frozen=True, tag="snapshot"):
 
 
 class Batch(TaggedStruct, frozen=True, tag="batch"):
-    """Updates in order. ``live`` False: kept while the app was away; they belong to history only.
+    """Updates in order. ``live`` False: kept while the app was away, so they belong to history only.
     ``app_behind_s``: as in Snapshot."""
 
     seq: Total
@@ -68,13 +66,13 @@ WorkerMessage = Hello | Snapshot | Batch
 
 
 class Command(TaggedStruct, frozen=True, tag="command"):
-    """An action with an id and a deadline. ``deadline``: on the app's clock, the last instant at which a
-    frame that writes may leave (the worker knows that clock by ``Clock``). A worker carries out an id once; a
-    second request with it returns the same result.
+    """An action with an id and a deadline. ``deadline``: on the app's clock (which the worker knows by
+    ``ClockSync``), the last instant at which a frame that writes may leave. A worker carries out an id once;
+    a second request with it returns the same result.
 
-    ``scales``: by unit, what its value was converted and bounded with. It is read again with the read-back
-    and, where a person ``typed`` the value as the unit shows it, also before the write, which is then refused
-    where it differs.
+    ``scales``: by unit, the parameters with which its value was converted. They are read again with the
+    read-back and, if a person ``typed`` the value as the unit shows it, also before the write, which is
+    refused if they differ.
     """
 
     id: Id
@@ -85,18 +83,18 @@ class Command(TaggedStruct, frozen=True, tag="command"):
 
 
 class ReserveTurn(TaggedStruct, frozen=True, tag="reserve"):
-    """A write is about to be requested: keep the next turn of the wire free for it, for a moment."""
+    """A note that a write is about to be requested: keep the next turn of the wire free for a moment."""
 
 
 class Cancel(TaggedStruct, frozen=True, tag="cancel"):
-    """Give up a command at the next point where nothing is half done."""
+    """A request to end a command at the next point where nothing is half done."""
 
     id: Id
 
 
 class Welcome(TaggedStruct, frozen=True, tag="welcome"):
-    """The app's response to Hello. ``seq``: the last batch it has of this very worker (0: none).
-    ``refused``: why the app does not take this worker; empty where it does."""
+    """The app's response to Hello. ``seq``: the last batch it has of this very worker (0: none). ``refused``:
+    why the app refuses this worker; empty if it does not."""
 
     version: int
     seq: Total
@@ -105,14 +103,14 @@ class Welcome(TaggedStruct, frozen=True, tag="welcome"):
 
 
 class Delivered(TaggedStruct, frozen=True, tag="delivered"):
-    """Everything up to ``seq`` is safe with the app; the worker may forget it."""
+    """A note that the app has everything up to ``seq``; the worker may forget it."""
 
     seq: Total
 
 
 class ClockSync(TaggedStruct, frozen=True, tag="clock"):
-    """The app's time, about once a second: the worker keeps the least delay it has seen, so that a
-    command held up on the way is known to be late."""
+    """The app's time, about once a second: the worker keeps the least delay it has seen, so that it
+    recognizes a command that was held up on the way."""
 
     app_time: Stamp
 
@@ -125,7 +123,7 @@ class Watch(TaggedStruct, frozen=True, tag="watch"):
 
 
 class WantSnapshot(TaggedStruct, frozen=True, tag="want_snapshot"):
-    """A number was missing: request a complete snapshot."""
+    """A request for a complete snapshot, because a number was missing."""
 
 
 AppMessage = Welcome | Delivered | ClockSync | Watch | WantSnapshot | ReserveTurn | Command | Cancel
@@ -134,7 +132,7 @@ M = TypeVar("M")
 
 
 class MalformedMessageError(Exception):
-    """What came is no message of the other side. The text may quote what came: it is for a log only."""
+    """Raised for data that is no message of the other side. The text may quote the data: for a log only."""
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -148,12 +146,12 @@ def encode(message: WorkerMessage | AppMessage) -> bytes:
 
 
 def decode_from_worker(data: bytes) -> WorkerMessage:
-    """Decode a message. Raises MalformedMessageError when it is none of a worker, or outside the bounds."""
+    """Decode a message of a worker. Raise MalformedMessageError if it is none, or outside the bounds."""
     return _decoded(_worker_decoder, data)
 
 
 def decode_from_app(data: bytes) -> AppMessage:
-    """Decode a message. Raises MalformedMessageError when it is none of the app, or outside the bounds."""
+    """Decode a message of the app. Raise MalformedMessageError if it is none, or outside the bounds."""
     return _decoded(_app_decoder, data)
 
 
@@ -161,7 +159,7 @@ def _decoded(decoder: msgspec.msgpack.Decoder[M], data: bytes) -> M:
     try:
         return decoder.decode(data)
     except (msgspec.DecodeError, ValueError, RecursionError) as error:
-        # Text that is no UTF-8 is a ValueError; arrays within arrays without end a RecursionError.
+        # Text that is not UTF-8 raises ValueError, endlessly nested arrays RecursionError.
         raise MalformedMessageError(str(error)) from error
 
 
@@ -169,7 +167,7 @@ WINDOW_S = 10.0
 
 
 class ClockOffset:
-    """An estimate of what to add to the other machine's times, from messages that carry their time of
+    """An estimate of the offset to add to the other machine's times, from messages that carry their time of
     sending.
 
     A message arrives later than it was sent, never earlier, so the least difference between the two clocks is
@@ -185,7 +183,7 @@ class ClockOffset:
         self._least_before = inf
 
     def observe(self, sent_at: UnixTime, received_at: UnixTime) -> None:
-        """Take in one message. ``sent_at`` is of the other clock, ``received_at`` of this one."""
+        """Add the sample of one message. ``sent_at`` is of the other clock, ``received_at`` of this one."""
         if not 0 <= received_at - self._window_began <= WINDOW_S:
             self._window_began = received_at
             self._least_before, self._least = self._least, inf
@@ -193,10 +191,10 @@ class ClockOffset:
 
     @property
     def seconds(self) -> float | None:
-        """The estimate; None before the first message."""
+        """The estimate in seconds; None before the first message."""
         least = min(self._least, self._least_before)
         return None if least == inf else least
 
     def here(self, time: UnixTime) -> UnixTime:
-        """Return the moment ``time`` of the other clock on this one, the same before the first message."""
+        """Return the moment ``time`` of the other clock on this one; unchanged before the first message."""
         return time + (self.seconds or 0.0)

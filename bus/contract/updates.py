@@ -1,4 +1,4 @@
-"""Values, links and figures of the units, and what became of commands: from the worker to the app."""
+"""The updates of a worker to the app: values, links and figures of units, and results of commands."""
 
 from __future__ import annotations
 
@@ -35,9 +35,8 @@ from bus.messages import Message
 
 
 class Reading(TaggedStruct, frozen=True, tag="reading"):
-    """One response to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1, all as sent.
-
-    The app takes a speed beyond the manual's range for None; then ``implausible`` is what the unit sent."""
+    """One response to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1, all as sent. The app
+    sets a speed beyond the manual's range to None; ``implausible`` is then what the unit sent."""
 
     unit: UnitId
     at: Stamp
@@ -50,7 +49,7 @@ class Reading(TaggedStruct, frozen=True, tag="reading"):
 
     @property
     def deviation(self) -> int | None:
-        """Actual minus commanded speed; None while one of them is not known."""
+        """Actual minus commanded speed; None if one of them is not known."""
         return None if self.actual is None or self.commanded is None else self.actual - self.commanded
 
 
@@ -68,7 +67,7 @@ class ParameterValue(TaggedStruct, frozen=True, tag="parameter"):
 
 
 class UnitLink(TaggedStruct, frozen=True, tag="unit_link"):
-    """A unit responded, is overdue, was lost or was never seen."""
+    """A change of the link to a unit: it responded, is overdue, was lost or was never seen."""
 
     unit: UnitId
     at: Stamp
@@ -77,29 +76,26 @@ class UnitLink(TaggedStruct, frozen=True, tag="unit_link"):
 
 
 class BusLink(TaggedStruct, frozen=True, tag="bus_link"):
-    """The port was opened or closed ``at``; ``cause`` is the reason. Sent a second time, with the same
-    ``at``, when the baud rate changes.
-    """
+    """The opening or closing of the port ``at`` a time, with its ``cause``. It is sent again, with the same
+    ``at``, when the baud rate changes."""
 
     at: Stamp
     link: BusLinkState
     cause: Message | None = None
     baud: Annotated[int, Meta(ge=0, le=9600)] = 0
-    """The rate that the port goes at now, which a change of #18 may have moved; 0 from an older worker."""
+    """The present rate of the port, which a change of #18 may have moved; 0 from an older worker."""
 
     @property
     def refusal(self) -> Message:
-        """Why nothing is sent while it is closed."""
+        """The reason why nothing is sent while the port is closed."""
         if self.cause is None:
             return Message("bus_not_linked")
         return Message.of("bus_closed", reason=self.cause)
 
 
 class Staged(TaggedStruct, frozen=True, tag="staged"):
-    """The speed a unit has acknowledged by 82h and not yet executed; None once executed or withdrawn.
-
-    ``unknown``: it did not acknowledge 82h, or was away since: what it holds cannot be read back.
-    """
+    """The speed that a unit has acknowledged by 82h and not yet executed; None once executed or withdrawn.
+    ``unknown``: it did not acknowledge 82h, or was away since, and what it holds cannot be read back."""
 
     unit: UnitId
     at: Stamp
@@ -108,7 +104,7 @@ class Staged(TaggedStruct, frozen=True, tag="staged"):
 
 
 class UnitState(TaggedStruct, frozen=True, tag="unit_state"):
-    """All that the worker knows of one unit now."""
+    """The complete state of one unit that the worker knows."""
 
     unit: UnitId
     link: UnitLink
@@ -119,7 +115,7 @@ class UnitState(TaggedStruct, frozen=True, tag="unit_state"):
 
 
 class UnitCounts(Struct, omit_defaults=True):
-    """What became of every request to one unit since the worker started; the worker counts in it."""
+    """The counts of all requests to one unit since the worker started; the worker counts in it."""
 
     unit: UnitId
     polls: Total = 0
@@ -132,9 +128,9 @@ class UnitCounts(Struct, omit_defaults=True):
     naks: Annotated[dict[Byte, Total], Meta(max_length=256)] = field(default_factory=dict)
 
 
-# Frozen as sent, from a base that counts: msgspec allows that, the rule is for dataclasses.
+# The subclass is frozen although its base counts: msgspec allows that, the rule is for dataclasses.
 class UnitFigures(UnitCounts, TaggedStruct, frozen=True, tag="unit_figures"):  # type: ignore[misc]
-    """The counters of one unit, and its response times in seconds (first byte after request)."""
+    """The counters of one unit, and its response times in seconds (request to first byte)."""
 
     response_s_min: DurationSeconds | None = None
     response_s_median: DurationSeconds | None = None
@@ -143,7 +139,7 @@ class UnitFigures(UnitCounts, TaggedStruct, frozen=True, tag="unit_figures"):  #
 
 
 class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
-    """What the wire carries, about once a second. ``diagnosis`` is the likely cause of what is wrong."""
+    """The figures of the wire, about once a second. ``diagnosis``: the likely causes of faults."""
 
     at: Stamp
     scan_hz: Hertz
@@ -155,15 +151,14 @@ class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
     diagnosis: Annotated[list[Message], Meta(max_length=MAX_REMARKS)] = field(default_factory=list)
     units: Annotated[list[UnitFigures], Meta(max_length=MAX_UNITS)] = field(default_factory=list)
     updates_lost: Total = 0
-    """Readings and news dropped because the app was away longer than the worker can keep them."""
+    """Updates dropped because the app was away longer than the worker can keep them."""
     responds_for_all: Byte = 0
-    """The unit that seems to respond to every address beside the others, so that each of their responses is
-    duplicated and cannot be attributed; 0: none.
-    """
+    """The unit that seems to respond to every address, so that each response of the others is duplicated and
+    cannot be attributed; 0 if none does."""
     has_second_master: bool = False
-    """Units respond to what was not requested: another host is on the wire, and nothing is written."""
+    """Whether units respond to requests of another host on the wire; nothing is written then."""
     unrequested: Total = 0
-    """Responses that no request of this host explains, not even one of long ago."""
+    """Responses that no request of this host explains, not even an old one."""
 
 
 class Frame(TaggedStruct, frozen=True, tag="frame"):
@@ -181,13 +176,13 @@ class Frame(TaggedStruct, frozen=True, tag="frame"):
 
 
 class Frames(TaggedStruct, frozen=True, tag="frames"):
-    """Trace, sent only while someone follows it."""
+    """Frames of the trace, sent only while someone follows it."""
 
     frames: Annotated[list[Frame], Meta(max_length=MAX_FRAMES)]
 
 
 class Progress(TaggedStruct, frozen=True, tag="progress"):
-    """How far a command has come. ``done``/``of`` count rows or addresses where there are several."""
+    """The progress of a command. ``done``/``of`` count rows or addresses if there are several."""
 
     id: Id
     at: Stamp
@@ -212,9 +207,8 @@ class UnitOutcome(TaggedStruct, frozen=True, tag="unit_outcome"):
 
 
 class FoundUnit(TaggedStruct, frozen=True, tag="found_unit"):
-    """What a scan found at one address. ``kind``: digimax, garbled (two units?), foreign, or late where
-    responses come too late to be attributed.
-    """
+    """The device that a scan found at one address. ``kind``: digimax, garbled (two units?), foreign, or late
+    if responses come too late to be attributed."""
 
     unit: UnitId
     baud: BaudRate
@@ -224,9 +218,9 @@ class FoundUnit(TaggedStruct, frozen=True, tag="found_unit"):
 
 
 class Result(TaggedStruct, frozen=True, tag="result"):
-    """The one outcome of a command. ``values``: what ReadParameters read. ``skew_s``: upper bound of the time
-    between the first and the last unit's acting on one broadcast. ``frames``: the frames that carried it.
-    """
+    """The one outcome of a command. ``values``: the parameters that were read. ``skew_s``: upper bound of the
+    time between the first and the last unit's acting on one broadcast. ``frames``: the frames that carried
+    it."""
 
     id: Id
     at: Stamp

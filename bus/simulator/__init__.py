@@ -1,1 +1,1 @@
-"""Simulated DIGIMAX IV units behind a pseudo-terminal or a TCP port, true to the byte time."""
+"""Simulated DIGIMAX IV units behind a pseudo-terminal or a TCP port, with the timing of each byte."""

@@ -2,7 +2,7 @@
 
 One clock, passed in, drives everything: request bytes on their way, responses, physics, faults.
 ``bus.simulator.serve`` gives it a real clock and a port; a test gives it a virtual one, and the same seed
-gives the same bytes. Its record of what it received, did and sent is what tests judge a host by. A fault
+gives the same bytes. Tests judge a host by the record of what the line received, did and sent. A fault
 belongs to one unit (by its address) or, under address 0, to every unit of the line.
 """
 
@@ -25,29 +25,28 @@ from bus.wire.commands import TRAITS, Nak, reply_body
 from bus.wire.framing import ACK, DLE, FrameDecoder, ReceivedFrame, checksum, encode_frame
 
 MAX_RECORD = 200_000
-"""Entries kept; the oldest go first."""
+"""The most entries kept; the oldest go first."""
 
 
 class WireEventKind(StrEnum):
-    """The kinds of entry."""
+    """The kinds of entry in the record of a line."""
 
     CAME = "came"
     """Bytes that the host wrote, at the time it wrote them."""
     RECEIVED = "received"
-    """A complete request reached a unit; ``at`` is its last byte. Unit 0: no unit has its address."""
+    """A complete request reached a unit ``at`` its last byte. Unit 0: no unit has its address."""
     ACTED = "acted"
     """The unit carried out the write in ``data``."""
     RESPONDED = "responded"
     """The unit's response, before any fault."""
     SENT = "sent"
-    """Bytes put on the line to the host, faults and all; ``at`` is when the last of them is out."""
+    """Bytes put on the line to the host, faults included; ``at`` is when the last of them is out."""
 
 
 @dataclass(frozen=True, slots=True)
 class WireEvent:
-    """``number`` counts from 1; ``at`` is on the line's clock; ``data`` is a body for RECEIVED, ACTED and
-    RESPONDED (the bytes between STX and DLE ETX), else bytes as on the wire.
-    """
+    """An entry of the record. ``number`` counts from 1; ``at`` is on the line's clock; ``data`` is a body for
+    RECEIVED, ACTED and RESPONDED (the bytes between STX and DLE ETX), else bytes as on the wire."""
 
     number: int
     at: float
@@ -58,7 +57,7 @@ class WireEvent:
 
 @dataclass
 class WireRecord:
-    """Bounded, in the order of happening."""
+    """The record of a line, bounded, in the order of events."""
 
     _entries: deque[WireEvent] = field(default_factory=lambda: deque(maxlen=MAX_RECORD))
     count: int = 0
@@ -68,34 +67,34 @@ class WireRecord:
         self._entries.append(WireEvent(self.count, at, what, unit, data))
 
     def since(self, number: int = 0, *what: WireEventKind) -> Iterator[WireEvent]:
-        """Return the entries after ``number`` of the kinds ``what`` (default all); another thread may call
-        it."""
-        entries = tuple(self._entries)  # In one step for the interpreter.
+        """Return the entries after ``number`` of the kinds ``what`` (default all); other threads may call
+        this."""
+        entries = tuple(self._entries)  # The interpreter makes this copy in one step.
         known = number - entries[0].number + 1 if entries else 0
         return (entry for entry in entries[max(known, 0) :] if not what or entry.what in what)
 
 
 EVERY_UNIT = 0
 LATE_S = 0.4
-"""Beyond any timeout of a host with the default turnaround of 50 ms."""
+"""A delay in seconds beyond any timeout of a host with the default turnaround of 50 ms."""
 SLOW_S = 0.03
-"""Slower than usual, yet within that turnaround."""
+"""A delay in seconds that is longer than usual, yet within the default turnaround."""
 HUGE_BYTES = 10_000
 
 
 class FaultKind(StrEnum):
-    """The faults. Those above the line act when a request arrives, the others on the response."""
+    """The faults. DEAD to FLOOD act when a request arrives, the others on the response."""
 
     DEAD = "dead"
     """The request is not received: power off, or the drop cut."""
     NAK = "nak"
-    """The unit refuses, truly: it does not act."""
+    """The unit refuses and does not act."""
     ALL_ADDRESSES = "all_addresses"
     """The unit takes every address for its own."""
     ECHO = "echo"
     """Line only: the adapter returns the host's bytes to it."""
     FLOOD = "flood"
-    """Line only: bytes without end that never frame, as long as the rate is not 0."""
+    """Line only: endless bytes that never form a frame, as long as the rate is not 0."""
 
     LATE = "late"
     SLOW = "slow"
@@ -108,7 +107,7 @@ class FaultKind(StrEnum):
     NOISE = "noise"
     """Noise before or after the response."""
     WRONG_LENGTH = "wrong_length"
-    """A complete frame with a right checksum, and data that fits no command's response."""
+    """A complete frame with a right checksum whose data fits no command's response."""
     HUGE = "huge"
     """A frame of 10,000 bytes."""
 
@@ -122,12 +121,12 @@ class Piece(NamedTuple):
 
 @dataclass
 class Faults:
-    """The present rates. One instance serves an entire line; every draw comes from its seed."""
+    """The present rates of faults on one line; every draw comes from its ``seed``."""
 
     seed: int = 0
     late_s: float = LATE_S
     foreign_address: int = 0
-    """The address that FOREIGN responses carry; 0: that of the next unit."""
+    """The address that FOREIGN responses carry; 0 for that of the next unit."""
     _rates: dict[int, dict[FaultKind, float]] = field(default_factory=lambda: defaultdict(dict))
     _random: random.Random = field(init=False)
 
@@ -145,13 +144,13 @@ class Faults:
         self._rates.clear()
 
     def strikes(self, kind: FaultKind, unit: int = EVERY_UNIT) -> bool:
-        """Return whether ``kind`` happens now; draws nothing where its rate is 0, so that it disturbs no
+        """Return whether ``kind`` happens now. A rate of 0 draws no random number, so that it disturbs no
         seed."""
         rate = max(self._rates[EVERY_UNIT].get(kind, 0.0), self._rates[unit].get(kind, 0.0))
         return rate > 0 and self._random.random() < rate
 
     def refusal(self, command: int) -> int:
-        """Return the code of a NAK out of nowhere: one of those that the manual lists for ``command``."""
+        """Return the code of an unfounded NAK: one of those that the manual lists for ``command``."""
         listed = sorted(TRAITS[command].refusals) if command in TRAITS else []
         return self._random.choice([*listed, UnitErrorCode.ILLEGAL_COMMAND])
 
@@ -160,9 +159,8 @@ class Faults:
         return bytes(self._random.choice(_NO_DLE) for _ in range(count))
 
     def spoil(self, unit: int, frame: bytes, body: bytes) -> list[Piece]:
-        """Apply the first of the faults that strike to a response: ``frame`` as the unit wrote it, ``body``
-        its content.
-        """
+        """Apply the first fault that strikes to a response: ``frame`` as the unit wrote it, ``body`` its
+        content."""
         kind = next((kind for kind in _ON_RESPONSES if self.strikes(kind, unit)), None)
         match kind:
             case FaultKind.LATE:
@@ -205,11 +203,11 @@ _ON_RESPONSES = tuple(FaultKind)[tuple(FaultKind).index(FaultKind.LATE) :]
 
 
 IDLE_S = 1.5 * STEP_S
-"""How far the physics may lag while no request comes."""
+"""How far the physics may lag while no request comes, in seconds."""
 
 FLOOD_TALKER = -1
 ECHO_TALKER = -2
-"""Talkers on the reply pair that are no unit; units are numbered by their place in the plant."""
+"""Senders on the reply pair that are no unit; units are numbered by their place in the plant."""
 
 
 class _Arriving(NamedTuple):
@@ -223,11 +221,9 @@ class _Arriving(NamedTuple):
 
 @dataclass
 class SimulatedLine:
-    """Plant and cable. ``baud`` is the pace while the host's own speed cannot be known.
-
-    ``speedup`` shortens byte times and turnarounds, not the physics.
-    The power comes on with the first ``advance``.
-    """
+    """The simulated plant and its cable. ``baud`` is the pace while the host's own speed cannot be known.
+    ``speedup`` shortens byte times and turnarounds, not the physics. The power comes on with the first
+    ``advance``."""
 
     plant: Plant
     faults: Faults = field(default_factory=Faults)
@@ -244,7 +240,7 @@ class SimulatedLine:
         self._physics_at = math.inf
 
     def receive(self, now: float, data: bytes, host_baud: int | None = None) -> None:
-        """Take ``data`` that the host wrote at ``now``, its port set to ``host_baud`` (None: not known)."""
+        """Take ``data`` that the host wrote at ``now``, its port set to ``host_baud`` (None: unknown)."""
         self.record.add(now, WireEventKind.CAME, EVERY_UNIT, data)
         byte_s = self._byte_s(host_baud)
         for at, value in zip(self._requests.carry(now, len(data), byte_s), data, strict=True):
@@ -259,7 +255,7 @@ class SimulatedLine:
                     self._arriving.append(arriving)
 
     def advance(self, now: float) -> bytes:
-        """Let everything happen that is due by ``now``, and return the bytes that reach the host with it."""
+        """Let everything happen that is due by ``now``; return the bytes that reach the host by then."""
         if self._physics_at == math.inf:
             self._physics_at = now + STEP_S
         while self._arriving and self._arriving[0].at <= now:
@@ -284,7 +280,7 @@ class SimulatedLine:
         self._decoder = FrameDecoder(Dialect())
 
     def _receive_second_10h(self, at: float, value: int, byte_s: float) -> None:
-        """Give a unit that waits for a second 10h its frame when that follows at once."""
+        """Give a unit that waits for a second 10h its frame if that follows at once."""
         half, self._partial = self._partial, None
         if half is not None and value == DLE and at - half.at < 2 * byte_s:
             self._arriving.append(half._replace(at=at, checksum_10h="twice"))

@@ -1,4 +1,4 @@
-"""The machine behind the units: motors, encoders and web in floor order, and lines to look at. No clock.
+"""The machine behind the units: motors, encoders and web in floor order, and a demonstration line. No clock.
 
 The same seed gives the same speeds. The reference of a section moves by the ramps #6 and #7 (time for the
 full span, manual 4.0); its motor follows it with a short lag and a little jitter. A master's reference is its
@@ -21,7 +21,7 @@ from bus.wire.commands import LARGEST_VALUE
 RATIO_ONE = 10000
 """A ratio of 1.0000: four implied decimals (#4, #31, #37, #38)."""
 INVERSE_FOLLOWER = 2
-"""#8 of a unit that slows down as its master speeds up."""
+"""The value of #8 of a unit that slows down as its master speeds up."""
 
 MOTOR_LAG_S = 0.15
 COAST_LAG_S = 2.5
@@ -39,12 +39,12 @@ TENSION_PER_DRAW = 4000.0
 
 @dataclass
 class Section:
-    """A unit and its motor. Speeds here are parts of the unit's own full speed #1, signed by direction."""
+    """A unit and its motor. Speeds are signed parts of the unit's own full speed #1."""
 
     unit: Unit
     seed: int = 0
     unrest: bool = True
-    """Whether speed and tension move a little, as those of a real machine do."""
+    """Whether speed and tension fluctuate a little, as those of a real machine do."""
     speed: float = 0.0
     reference: float = 0.0
     _unrest: float = 0.0
@@ -61,11 +61,11 @@ class Section:
 
     @property
     def rpm(self) -> float:
-        """Motor speed, signed."""
+        """Motor speed in rpm, signed."""
         return self.speed * self.unit.memory[numbers.MAX_RPM]
 
     def step(self, dt: float, master_rpm: float, upstream: Section | None) -> None:
-        """Let ``dt`` seconds pass, with the master at ``master_rpm`` and the web coming from ``upstream``."""
+        """Simulate ``dt`` seconds, with the master at ``master_rpm`` and the web coming from ``upstream``."""
         self._ramp(dt, self._wanted(master_rpm))
         self._turn(dt)
         self._pull(dt, upstream)
@@ -112,7 +112,7 @@ class Section:
         self._unrest = self._unrest * fade + UNREST * math.sqrt(1 - fade * fade) * self._random.gauss(0, 1)
 
     def _pull(self, dt: float, upstream: Section | None) -> None:
-        """Return the web's tension, on the analog input: taut where this section runs faster than the one
+        """Update the web's tension, on the analog input: taut if this section runs faster than the one
         before."""
         draw = abs(self.speed) - abs(upstream.speed) if upstream else 0.0
         goal = TENSION_RUNNING if self.speed else TENSION_AT_REST
@@ -135,14 +135,14 @@ class Section:
 
 
 STEP_S = 0.05
-"""The physics' own step."""
+"""The step of the physics, in seconds."""
 
 Contact = Literal["run", "estop", "preset", "reverse", "up", "down"]
 
 
 @dataclass(frozen=True, slots=True)
 class Habit:
-    """How often a contact of some section is closed, and for how long, in seconds."""
+    """The average pause between closings of a contact of some section, and their length, in seconds."""
 
     contact: Contact
     value: bool
@@ -157,11 +157,11 @@ DEMO_HABITS: tuple[Habit, ...] = (
     Habit("run", False, every_s=420, hold_s=15),
     Habit("preset", True, every_s=540, hold_s=10),
 )
-"""Rare enough that the line is mostly well: an operator taps a jog, and now and then something happens."""
+"""Habits so rare that the line is mostly well: an operator taps a jog, and now and then something happens."""
 
 
 class Script:
-    """A script that works one contact of one section at a time for each habit; who and when comes from the
+    """A script that operates one contact of one section at a time for each habit; unit and time come from the
     seed."""
 
     def __init__(self, units: Sequence[Unit], habits: Sequence[Habit] = DEMO_HABITS, seed: int = 0) -> None:
@@ -207,7 +207,7 @@ class Plant:
         return [section.unit for section in self.sections]
 
     def unit(self, address: int) -> Unit:
-        """Return the first unit at ``address``. Raises KeyError where there is none."""
+        """Return the first unit at ``address``. Raise KeyError if there is none."""
         return {unit.address: unit for unit in reversed(self.units)}[address]
 
     def settle(self) -> None:
@@ -255,7 +255,7 @@ _MACHINES = (
 
 
 class DemoLine(NamedTuple):
-    """The configuration of the units, and the plant that it drives."""
+    """The configuration of the units of a demonstration, and the plant that they drive."""
 
     settings: tuple[UnitSettings, ...]
     plant: Plant
@@ -270,10 +270,10 @@ def demo_line(
     unrest: bool = True,
 ) -> DemoLine:
     """Make ``units`` (1-255) sections in floor order at addresses 1, 2, …; same seed, same line. ``unrest``:
-    speeds and tensions move a little, as on a machine.
+    whether speeds and tensions fluctuate a little, as on a machine.
 
-    The first eight are set in m/min. In a longer line the machines repeat, and from the second eight on
-    the last of each eight follows the master by ratio.
+    The first eight are set in m/min. In a longer line the machines repeat, and from the second eight on the
+    last of each eight follows the master by ratio.
     """
     addresses = range(1, units + 1)
     sections = [_section(address, units, seed, traits, unrest) for address in addresses]
@@ -292,7 +292,7 @@ def _settings(address: int) -> UnitSettings:
     bank = (address - 1) // len(_MACHINES)
     labels = UnitLabels(output=machine.outputs, analog="Web tension", analog_unit="N", unit="m/min")
     name = f"{machine.name} {chr(ord('A') + bank - 1)}" if bank else machine.name
-    # Where a web begins, there is no draw to the end of the one before.
+    # The section where a web begins has no draw to the end of the web before.
     band = () if bank and machine is _MACHINES[0] else None
     return UnitSettings(id=address, name=name, group=machine.group, draw_percent=band, labels=labels)
 

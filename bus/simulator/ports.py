@@ -1,4 +1,4 @@
-"""What the host opens (a pseudo-terminal, or a TCP port), and when each byte is on its wire.
+"""The port that the host opens (a pseudo-terminal, or a TCP port), and the time of each byte on its wire.
 
 A port can be pulled and plugged again, and nothing here waits. A byte takes ten bits. Every time counts from
 the end of the byte before, never from when a process woke up, so lateness does not add up.
@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 WAKE_S = 0.004
-"""Bytes inside a frame may wait for each other so long, as in an adapter's buffer; its first and last not."""
+"""How long bytes inside a frame may wait for each other, as in an adapter's buffer; its first and last do
+not."""
 
 
 @dataclass(slots=True)
@@ -35,7 +36,7 @@ class RequestLine:
 
 
 class Slot(NamedTuple):
-    """One byte on the reply pair, complete at ``due``; its position in what a talker sends."""
+    """One byte on the reply pair, complete at ``due``, and whether it begins or ends a transmission."""
 
     due: float
     value: int
@@ -44,7 +45,7 @@ class Slot(NamedTuple):
 
 
 class Wake(NamedTuple):
-    """When something is due. ``sharp``: the host waits for just that."""
+    """The moment when something is due. ``sharp``: whether the host waits for it."""
 
     at: float
     sharp: bool
@@ -52,14 +53,16 @@ class Wake(NamedTuple):
 
 @dataclass(slots=True)
 class ReplyLine:
-    """The pair from the units to the host. Each talker speaks in order; two at once garble each other."""
+    """The pair from the units to the host. Each sender's bytes stay in order; two at once garble each
+    other."""
 
     _slots: deque[Slot] = field(default_factory=deque)
     _free_at: dict[int, float] = field(default_factory=dict)
     _random: random.Random = field(default_factory=lambda: random.Random(0))
 
     def transmit(self, talker: int, at: float, data: bytes, byte_s: float) -> float:
-        """Put ``data`` on the line from ``at`` on, or once ``talker`` is done; when its last byte is out."""
+        """Put ``data`` on the line from ``at`` on, or once ``talker`` is done; return when its last byte is
+        out."""
         if not data:
             return at
         start = max(at, self._free_at.get(talker, 0.0))
@@ -76,7 +79,7 @@ class ReplyLine:
         return slots[-1].due
 
     def due(self, now: float) -> bytes:
-        """Return the bytes that the host has by ``now`` and had not before."""
+        """Return the bytes that have reached the host since the last call."""
         arrived = bytearray()
         while self._slots and self._slots[0].due <= now:
             arrived.append(self._slots.popleft().value)
@@ -95,11 +98,11 @@ class ReplyLine:
         return Wake(latest, sharp=False)
 
     def clear(self) -> None:
-        """Drop what is on the cable, which is gone."""
+        """Drop the bytes on a cable that was pulled."""
         self._slots.clear()
 
     def _collide(self, slots: list[Slot], byte_s: float) -> list[Slot]:
-        """Merge bytes of two talkers less than a byte time apart into one that is neither's."""
+        """Merge bytes of two senders less than a byte time apart into one that equals neither."""
         merged: list[Slot] = []
         for slot in sorted((*self._slots, *slots)):
             if merged and slot.due - merged[-1].due < byte_s * 0.999:
@@ -118,8 +121,8 @@ _SPEED_CODES = {baud: code for code, baud in _SPEEDS.items()}
 class PtyPort:
     """A pseudo-terminal. ``link`` is a stable path, like /dev/serial/by-id, that moves to each new device.
 
-    The slave side stays open here, so that the host may close and open it as it likes. With
-    ``follow_speed`` the host's termios speed counts; at first it is ``baud``, for hosts that set none.
+    The slave side stays open here, so that the host may close and open it as it likes. With ``follow_speed``
+    the host's termios speed counts; at first it is ``baud``, for hosts that set none.
     """
 
     def __init__(self, link: Path | None = None, baud: int = 9600, *, follow_speed: bool = True) -> None:
@@ -133,34 +136,34 @@ class PtyPort:
 
     @property
     def name(self) -> str:
-        """What the host opens: a device path or a pySerial URL."""
+        """The name that the host opens: a device path or a pySerial URL."""
         return str(self._link or self.device)
 
     def descriptors(self) -> list[int]:
-        """Return the file descriptors that become readable when the host did something."""
+        """Return the file descriptors that become readable when the host has acted."""
         return [self._master] if self._master >= 0 else []
 
     def read(self) -> bytes:
-        """Return what the host wrote, which may be nothing."""
+        """Return the bytes that the host wrote, possibly none."""
         try:
             return os.read(self._master, READ_BYTES)
         except OSError:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Hand bytes to the host; what it has no room for is lost, as in a UART."""
+        """Pass bytes to the host; bytes for which it has no room are lost, as in a UART."""
         if self._master >= 0:
             with suppress(OSError):
                 os.write(self._master, data)
 
     def host_baud(self) -> int | None:
-        """Return the speed to which the host has set the port, where that can be seen."""
+        """Return the speed to which the host has set the port, or None if that cannot be seen."""
         if not self._follow_speed or self._master < 0:
             return None
         return _SPEEDS.get(termios.tcgetattr(self._slave)[5], 0) or None
 
     def unplug(self) -> None:
-        """Pull the cable out of the host and leave nothing behind."""
+        """Pull the cable out of the host and remove device and link."""
         if self._master < 0:
             return
         if self._link is not None:
@@ -170,7 +173,8 @@ class PtyPort:
         self._master = self._slave = -1
 
     def plug(self) -> None:
-        """Put the cable back, under another device name than before: the old one is held back meanwhile."""
+        """Put the cable back, under another device name than before: the old name is kept occupied
+        meanwhile."""
         if self._master >= 0:
             return
         pairs = [os.openpty(), os.openpty()]

@@ -1,10 +1,10 @@
-"""A simulated line at a real port, in one thread that waits, and its remote control over TCP.
+"""A simulated line at a real port, served by one thread, and its remote control over TCP.
 
 The thread sleeps until shortly before the next byte is due and watches the clock for the rest, so the host
 never gets a byte before a UART would have given it, and hardly later.
 
 The remote control takes JSON lines: ``{"do": "mode", "unit": 3, "to": "local"}`` → ``{"ok": true}``, or
-``{"ok": false, "error": "…"}``. A unit is named by its address ``unit`` or, where two units have the same
+``{"ok": false, "error": "…"}``. A unit is named by its address ``unit`` or, if two units have the same
 address, by its ``place`` on the cable.
 """
 
@@ -32,14 +32,14 @@ from bus.simulator.unit import FACTORY, Memory, Mode, Traits, Unit
 T = TypeVar("T")
 
 WATCH_S = 150e-6
-"""How long before a frame's last byte is due the thread stops sleeping: what waking up may cost."""
+"""How long before a frame's last byte is due the thread stops sleeping: the time to wake up."""
 LISTEN_S = 500e-6
-"""How long after it the thread stays awake for the host's next request, to know when that came."""
+"""How long after a byte the thread stays awake for the host's next request, to know when it came."""
 _PR_SET_TIMERSLACK = 29
 
 
 class LineServer:
-    """A server of ``line`` at ``port`` while it is entered; afterwards its units are off and the port is
+    """A server of ``line`` at ``port`` while it is entered; on leaving, its units are off and the port is
     gone."""
 
     def __init__(self, line: SimulatedLine, port: Port) -> None:
@@ -64,7 +64,7 @@ class LineServer:
         os.close(self._waker)
 
     def call(self, change: Callable[[SimulatedLine], T]) -> T:
-        """Run ``change`` on the line between two bytes, in its own thread; give its result."""
+        """Run ``change`` on the line between two bytes, in its own thread; return its result."""
         future: Future[T] = Future()
 
         def run() -> None:
@@ -78,7 +78,7 @@ class LineServer:
         return future.result(timeout=10)
 
     def unplug(self) -> None:
-        """Pull the cable: the host's port is gone, and what was under way."""
+        """Pull the cable: the host's port is gone, with everything under way."""
 
         def pull(line: SimulatedLine) -> None:
             self.port.unplug()
@@ -130,7 +130,7 @@ ControlRequest = dict[str, Any]
 
 @contextmanager
 def control_port(server: LineServer, port: int = 0) -> Iterator[int]:
-    """Serve control requests for the line of ``server``; gives the TCP port."""
+    """Serve control requests for the line of ``server``; yield the TCP port."""
 
     class ControlHandler(socketserver.StreamRequestHandler):
         def handle(self) -> None:
@@ -178,7 +178,7 @@ def _change_line(line: SimulatedLine, request: ControlRequest) -> object:
             kinds = map(WireEventKind, request.get("kinds", []))
             return [_entry(each) for each in line.record.since(request.get("since", 0), *kinds)]
         case "spare":
-            # JSON has texts alone as keys.
+            # Keys in JSON are always texts.
             changed = {int(number): int(raw) for number, raw in request.get("parameters", {}).items()}
             traits = Traits(last_parameter=request.get("last_parameter", len(FACTORY)))
             line.plant.sections.append(Section(Unit(Memory(changed), traits)))

@@ -1,6 +1,6 @@
-"""One DIGIMAX IV as pure state, and what one request does to it: no clock, no I/O.
+"""One DIGIMAX IV as pure state, and the effect of a request on it: no clock, no I/O.
 
-What its motor does is in ``bus.simulator.plant``. The rules, with their places in the manual:
+Its motor is in ``bus.simulator.plant``. The rules, with their places in the manual:
 
 * reads get a response in every mode, writes only in REMOTE, else NAK 80h (1.0, and every write command);
 * nothing on the link leads out of LOCAL or KEYLOCK (4.0 ***), because that would be a write;
@@ -44,7 +44,7 @@ from bus.wire.commands import (
 
 
 class Mode(IntEnum):
-    """#19, in the order of its title."""
+    """The control mode #19, in the order of its title."""
 
     LOCAL = 0
     REMOTE = 1
@@ -79,15 +79,16 @@ FACTORY: Mapping[int, int] = {
     numbers.MIN_RATIO: 5000,
     numbers.DEBOUNCE: 20,
 }
-"""A unit out of its box: address 1 at 9600 baud; in REMOTE, so that a host can be tried on it."""
+"""The values of a new unit: address 1 at 9600 baud; in REMOTE, so that a host can be tried on it."""
 
 _WIDTHS = {"UCHR": 1, "UINT": 2, "ULNG": 4}
 
 
 class Memory(dict[int, int]):
-    """Forty numbers, as delivered but for ``changed``.
+    """The forty parameters of a unit, as delivered except for ``changed``.
 
-    A dict and not a wrapper around one: the physics of 255 units looks up a hundred thousand a second.
+    This is a dict and not a wrapper around one: the physics of 255 units looks up a hundred thousand a
+    second.
     """
 
     def __init__(self, changed: Mapping[int, int] | None = None) -> None:
@@ -107,17 +108,17 @@ class Memory(dict[int, int]):
 
 
 def width_by_type(number: int) -> int:
-    """Return bytes of the parameter's data type: UCHR 1, UINT 2, ULNG 4."""
+    """Return the bytes of the parameter's data type: UCHR 1, UINT 2, ULNG 4."""
     return _WIDTHS[PARAMETERS[number].type]
 
 
 @dataclass(frozen=True, slots=True)
 class Traits:
-    """What the manual leaves open, as this one unit decides it."""
+    """The points that the manual leaves open, as one unit decides them."""
 
     dialect: Dialect = field(default_factory=Dialect)
     last_parameter: int = 40
-    """An old firmware's list ended at 20."""
+    """20 for a unit with old firmware."""
     responds_with_written_value: bool = False
     baud_changes: Literal["at once", "at power-up"] = "at power-up"
     turnaround_s: float = 0.0
@@ -154,7 +155,7 @@ class Measured:
 
 @dataclass
 class Unit:
-    """The state behind one address. Only ``section`` changes it over time."""
+    """The state behind one address. Only its section changes it over time."""
 
     memory: Memory = field(default_factory=Memory)
     traits: Traits = ORDINARY
@@ -166,7 +167,7 @@ class Unit:
         self.power_up()
 
     def power_up(self) -> None:
-        """Switch it off and on again: parameters stay, the staged speed and the outputs do not, #18 takes
+        """Switch the unit off and on: parameters stay, staged speed and outputs are cleared, #18 takes
         effect."""
         self.baud = self.memory[numbers.BAUD_RATE] * 100
         self.outputs = [False] * 6
@@ -174,7 +175,7 @@ class Unit:
         self.entered = self.setpoint
 
     def has(self, number: int) -> bool:
-        """Return whether its firmware knows the parameter."""
+        """Return whether the unit's firmware knows the parameter."""
         return 1 <= number <= self.traits.last_parameter
 
     @property
@@ -187,7 +188,7 @@ class Unit:
 
     @property
     def follows(self) -> bool:
-        """Whether #8 makes it a slave or an inverse slave."""
+        """Whether #8 makes the unit a slave or an inverse slave."""
         return self.memory[numbers.FOLLOWER_MODE] != 0
 
     @property
@@ -201,7 +202,7 @@ class Unit:
 
     @property
     def commanded(self) -> int:
-        """Return the commanded speed (ratio in a follower): preset before jump before setpoint."""
+        """The commanded speed (ratio in a follower): preset before jump before setpoint."""
         if self.inputs.preset:
             return self.memory[numbers.PRESET_SPEED]
         if self.memory[numbers.JUMP_MODE] == 1:
@@ -222,17 +223,17 @@ class Unit:
 
     @property
     def running(self) -> bool:
-        """Whether the drive turns its motor."""
+        """Whether the drive turns the motor."""
         return self.inputs.run and not self.inputs.estop
 
     @property
     def at_speed(self) -> bool:
-        """Return whether the unit runs within #12 of its commanded speed."""
+        """Whether the unit runs within #12 of its commanded speed."""
         target = self.measured.following if self.follows else self.commanded
         return self.running and abs(self.measured.actual - target) <= self.memory[numbers.AT_SPEED_WINDOW]
 
     def turnaround(self) -> float:
-        """Return the seconds until the next response begins, drawn from this unit's seeded randomness."""
+        """Return the seconds until the next response begins, drawn from the unit's seeded randomness."""
         jitter = self.traits.turnaround_jitter
         return self.traits.turnaround_s * self.random.uniform(1 - jitter, 1 + jitter)
 
@@ -270,7 +271,7 @@ class Turn:
 
 
 def respond(unit: Unit, body: bytes) -> Turn:
-    """Carry out one request that reached ``unit``; ``body`` is what stood between STX and DLE ETX."""
+    """Carry out one request that reached ``unit``; ``body``: its bytes between STX and DLE ETX."""
     try:
         request = parse_request(body, unit.traits.dialect)
     except IllegalRequest as error:
@@ -293,7 +294,7 @@ def respond(unit: Unit, body: bytes) -> Turn:
 
 
 def _refuse_illegal(unit: Unit, error: IllegalRequest) -> Reply | None:
-    """Refuse what is no command, in every mode, and a malformed value where it could count."""
+    """Refuse a malformed request in every mode, and a malformed value if a write could count."""
     if error.unit == ALL_UNITS:
         return None
     if error.code == UnitErrorCode.ILLEGAL_OUTPUT_VALUE and unit.mode is not Mode.REMOTE:

@@ -1,1 +1,1 @@
-"""Bytes and their meaning: frames, commands, one exchange, words. No clock, no I/O."""
+"""The bytes of the wire and their meaning: frames, commands, one exchange, words. No clock, no I/O."""

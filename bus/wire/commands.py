@@ -28,40 +28,40 @@ class _UnitRequest(msgspec.Struct, frozen=True):
 
 
 class ReadStatusRequest(_UnitRequest, frozen=True):
-    """81h: commanded and actual speed, analog input, outputs and inputs."""
+    """81h, which reads both speeds, analog input, outputs and inputs."""
 
     COMMAND: ClassVar[int] = 0x81
 
 
 class StageSpeedRequest(_UnitRequest, frozen=True):
-    """82h: into the unit's memory only; takes effect with 83h. ``raw``: display units, or ratio x 10000."""
+    """82h, which stages a speed until 83h takes it over. ``raw``: display units, or ratio x 10000."""
 
     COMMAND: ClassVar[int] = 0x82
     raw: int
 
 
 class ExecuteSpeedRequest(_UnitRequest, frozen=True):
-    """83h: take over the staged speed. Unit 0 addresses every unit at once, and none of them responds."""
+    """83h, which takes over the staged speed. Unit 0 addresses every unit at once, and none responds."""
 
     COMMAND: ClassVar[int] = 0x83
 
 
 class SetAndExecuteSpeedRequest(_UnitRequest, frozen=True):
-    """84h: a new speed, effective now."""
+    """84h, which sets a speed that is effective at once."""
 
     COMMAND: ClassVar[int] = 0x84
     raw: int
 
 
 class ReadParameterRequest(_UnitRequest, frozen=True):
-    """85h."""
+    """85h, which reads a parameter."""
 
     COMMAND: ClassVar[int] = 0x85
     number: int
 
 
 class WriteParameterRequest(_UnitRequest, frozen=True):
-    """86h."""
+    """86h, which writes a parameter."""
 
     COMMAND: ClassVar[int] = 0x86
     number: int
@@ -69,7 +69,7 @@ class WriteParameterRequest(_UnitRequest, frozen=True):
 
 
 class WriteOutputRequest(_UnitRequest, frozen=True):
-    """87h: auxiliary output 1-6 on or off, whatever it was before."""
+    """87h, which switches auxiliary output 1-6 on or off."""
 
     COMMAND: ClassVar[int] = 0x87
     output: int
@@ -77,7 +77,7 @@ class WriteOutputRequest(_UnitRequest, frozen=True):
 
 
 class WriteAnalogOutputRequest(_UnitRequest, frozen=True):
-    """88h: needs #28 = 2 and #29 <= raw <= #30."""
+    """88h, which writes the analog output: needs #28 = 2 and #29 <= raw <= #30."""
 
     COMMAND: ClassVar[int] = 0x88
     raw: int
@@ -103,14 +103,14 @@ LAYOUTS: dict[int, dict[str, int]] = {
 
 
 class CommandTraits(NamedTuple):
-    """What the manual states of a command's bytes."""
+    """The properties of a command's bytes according to the manual."""
 
     name: str
-    """For programs; in words it is the message ``request_…``."""
+    """The name for programs; for people there is the message ``request_…``."""
     acknowledged: frozenset[int]
-    """How many data bytes an acknowledgement may have."""
+    """The numbers of data bytes that an acknowledgement may have."""
     refusals: frozenset[int]
-    """[ERR] of its NAK, without "illegal command"."""
+    """The error codes of its NAK, without "illegal command"."""
 
 
 _NOTHING = frozenset((0,))
@@ -124,7 +124,7 @@ TRAITS = {
     0x87: CommandTraits("write_output", _NOTHING, frozenset((0x80, 0x84, 0x85))),
     0x88: CommandTraits("write_analog_output", _NOTHING, frozenset((0x80, 0x87, 0x88))),
 }
-"""By command."""
+"""The traits by command."""
 
 
 class StatusReply(msgspec.Struct, frozen=True):
@@ -139,14 +139,14 @@ class StatusReply(msgspec.Struct, frozen=True):
 
 
 class Ack(msgspec.Struct, frozen=True):
-    """A write was acknowledged. ``data`` is empty, except for 86h, where a unit may return the value."""
+    """The acknowledgement of a write. ``data`` is empty, but a unit may return the value of 86h."""
 
     unit: int
     data: bytes = b""
 
 
 class Nak(msgspec.Struct, frozen=True):
-    """The unit refused; ``code`` is [ERR]."""
+    """A refusal by the unit; ``code`` is [ERR]."""
 
     unit: int
     code: int
@@ -176,7 +176,7 @@ def is_secret(request: Request) -> bool:
 
 
 _FRAME_OVERHEAD = 5
-"""10 02 before the body; 10 03 and the checksum after it."""
+"""The bytes around a body: 10 02 before it; 10 03 and the checksum after it."""
 
 
 def acknowledged_lengths(request: Request, dialect: Dialect) -> frozenset[int]:
@@ -214,7 +214,7 @@ def _reply_bytes(request: Request, dialect: Dialect, bytes_per_byte: int) -> int
 
 
 class IllegalRequest(LinesideError):
-    """A unit received a frame that is no request; ``code`` is the NAK the manual has for it."""
+    """Raised when a unit receives a frame that is no request; ``code`` is the NAK to return."""
 
     def __init__(self, unit: int, code: int, message: Message) -> None:
         super().__init__(message)
@@ -226,13 +226,13 @@ class IllegalRequest(LinesideError):
 
 
 def encode_request(request: Request, dialect: Dialect) -> bytes:
-    """Return the frame to send. Raises CallerError for an address, number or value outside the manual's
+    """Return the frame to send. Raise CallerError for an address, number or value outside the manual's
     ranges."""
     return encode_frame(request_body(request, dialect), dialect)
 
 
 def request_body(request: Request, dialect: Dialect) -> bytes:
-    """Return what the frame of ``request`` carries, unstuffed. Raises CallerError like ``encode_request``."""
+    """Return the unstuffed body of the frame of ``request``. Raise CallerError like ``encode_request``."""
     lowest = 0 if isinstance(request, ExecuteSpeedRequest) else 1
     _require(Message("field_unit_address"), request.unit, lowest, 255)
     body = bytes((request.unit, request.COMMAND))
@@ -273,9 +273,9 @@ def is_request(body: bytes) -> bool:
 def parse_request(body: bytes, dialect: Dialect) -> Request:
     """Parse a request to the unit body[0]; values are not checked.
 
-    Raises IllegalRequest, with the error code that a unit would return, for an unknown command, a wrong
-    length, a parameter number that is not BCD where the dialect uses BCD, or an output value other than 0 or
-    1.
+    Raise IllegalRequest, with the error code that a unit would return, for an unknown command, a wrong
+    length, a parameter number that is not BCD although the dialect uses BCD, or an output value other than 0
+    or 1.
     """
     unit, command = body[0], body[1]
     if not is_request(body):
@@ -307,12 +307,12 @@ def _decoded(unit: int, field: str, value: int, dialect: Dialect) -> int:
 
 
 def encode_reply(reply: Reply, dialect: Dialect) -> bytes:
-    """Return the unit's frame. Raises CallerError where a field does not fit its bytes."""
+    """Return the unit's frame. Raise CallerError if a field does not fit its bytes."""
     return encode_frame(reply_body(reply, dialect), dialect)
 
 
 def reply_body(reply: Reply, dialect: Dialect) -> bytes:
-    """Return what the frame of ``reply`` carries, unstuffed. Raises CallerError like ``encode_reply``."""
+    """Return the unstuffed body of the frame of ``reply``. Raise CallerError like ``encode_reply``."""
     mark = NAK if isinstance(reply, Nak) else ACK
     try:
         return bytes((reply.unit, mark)) + _reply_data(reply, dialect)

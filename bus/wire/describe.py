@@ -1,7 +1,7 @@
 """Frames as text for people and as fields for programs (``lineside decode``, the trace).
 
 Field names are those of the HTTP API (contract): ``raw`` is the integer on the wire. A response names neither
-its command nor its parameter; where the request is not known, the text states what is open.
+its command nor its parameter; if the request is not known, the text states what is open.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Json: TypeAlias = "bool | int | str | list[Json] | dict[str, Json] | None"
 
 _PARAMETER_VALUE_WIDTHS = (1, 2, 4)
 Detail: TypeAlias = "tuple[str, dict[str, Json], Message]"
-"""Kind, fields and meaning."""
+"""The kind, the fields and the meaning of a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Described:
     wire: bytes
     checksum_ok: bool = True
     request: Request | None = None
-    """The parsed request, where the frame is one."""
+    """The parsed request, if the frame is one."""
 
     def as_json(self) -> dict[str, Json]:
         """Return the object of ``lineside decode --json``."""
@@ -101,7 +101,7 @@ class Describer:
 
 
 def describe_bytes(data: bytes, dialect: Dialect | None = None) -> list[Described | DescribedNoise]:
-    """Describe whatever is in ``data``, in order."""
+    """Describe all frames and noise in ``data``, in order."""
     dialect = dialect or Dialect()
     decoder = FrameDecoder(dialect)
     return Describer(dialect).describe([*decoder.feed(data), *decoder.flush()])

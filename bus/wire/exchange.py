@@ -69,12 +69,12 @@ from bus.wire.commands import (
 from bus.wire.framing import ACK, NAK, DoubledChecksum, FrameDecoder, Noise, ReceivedFrame, encode_frame
 
 LONG_RUN = 3
-"""Equal reads in a row beyond this are as good as any number of them."""
+"""The number of equal reads in a row beyond which more of them make no difference."""
 MAX_OUTSTANDING = 32
-"""A response that is late by more requests to one unit than this is not expected."""
+"""The most outstanding requests to one unit; a response that is late by more is not expected."""
 
 MAX_FENCES_PLANNED = 4
-"""Ahead; each may double what is looked at."""
+"""How many fences ahead are planned; each may double the states to look at."""
 
 
 class Shape(NamedTuple):
@@ -124,7 +124,7 @@ class ShapedResponse(NamedTuple):
 
 
 class PendingResponses(msgspec.Struct, frozen=True):
-    """The responses that one unit may still send late or twice. A value: steps return the next one."""
+    """The responses that one unit may still send late or twice. Immutable: each step returns a new one."""
 
     unit: int
     dialect: Dialect
@@ -148,8 +148,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
 
     def received(self, body: bytes) -> PendingResponses:
         """Return the state after a frame of this unit, awaited or not (rule 1). A possible duplicate ends
-        nothing; but of two in a row one is no duplicate, because no response comes three times.
-        """
+        nothing; but of two in a row one is no duplicate, because no response comes three times."""
         shape = shape_of(body)
         if shape is None:
             return self
@@ -165,7 +164,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
 
     @property
     def may_hold_secret(self) -> bool:
-        """Return whether a late response may carry a value that must not be kept or shown (#21)."""
+        """Whether a late response may carry a value that must not be kept or shown (#21)."""
         last = () if self.last is None else (self.last.request,)
         return any(is_secret(request) for request in (*self.outstanding, *last))
 
@@ -190,7 +189,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return shape not in late | twice and (not late or shape in ordinary_shapes(request, self.dialect))
 
     def fence_before(self, request: Request) -> Request | None:
-        """Return the read to send before ``request``; None where it may follow at once (rule 4)."""
+        """Return the read to send before ``request``, or None if it may follow at once (rule 4)."""
         return self._first_of_fences(request) if self._may_mislead(request) else None
 
     def fence(self) -> Request:
@@ -202,7 +201,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return bool(shapes & ordinary_shapes(request, self.dialect))
 
     def _first_of_fences(self, request: Request) -> Request:
-        """Return the first of the fewest fences, each with a response, after which ``request`` may follow."""
+        """Return the first of the fewest answered fences after which ``request`` may follow."""
         best_first = sorted(self._fences(), key=self._left_pending_by)
         reached = {self._after(fence): fence for fence in best_first}
         for _ in range(MAX_FENCES_PLANNED):
@@ -238,7 +237,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return any(response is not None and response.shape == shape for response in (self.last, self.fading))
 
     def _may_come_twice(self, request: Request) -> set[Shape]:
-        """Return the shape of the last response, with the same exception."""
+        """Return the shape of the last response, unless the same read may take it."""
         if self.last is None:
             return set()
         written_since = any(is_write(sent) for sent in self.outstanding)
@@ -274,7 +273,7 @@ class PendingByUnit:
         return pending is not None and pending.may_hold_secret
 
     def after(self, pending: PendingResponses) -> None:
-        """Note what an exchange that is over left ``pending``."""
+        """Note that an exchange has ended and left ``pending``."""
         if pending.unit:
             self._units[pending.unit] = pending
             self._last_unit = pending.unit
@@ -285,7 +284,7 @@ def _reads_the_same(earlier: Request, later: Request) -> bool:
 
 
 class Responded(msgspec.Struct, frozen=True):
-    """The response to the request."""
+    """An event: the response to the request has come."""
 
     reply: Reply
     frame: ReceivedFrame
@@ -303,7 +302,7 @@ class Foreign(msgspec.Struct, frozen=True):
 
 
 class Echo(_WithFrame, frozen=True):
-    """Our own request came back."""
+    """An event: the request itself came back."""
 
 
 class Unexpected(_WithFrame, frozen=True):
@@ -315,17 +314,17 @@ class Late(_WithFrame, frozen=True):
 
 
 class Duplicate(_WithFrame, frozen=True):
-    """A duplicate of the response already taken."""
+    """An event: the response came a second time."""
 
 
 ExchangeEvent = Responded | Foreign | Echo | Unexpected | Late | Duplicate | Noise | DoubledChecksum
 
 
 class Exchange:
-    """A request and what comes back.
+    """One request and everything that comes back.
 
-    ``decoder`` is that of the previous exchange where its bytes may still arrive; the default is a new one.
-    ``pending`` holds the late responses that the unit may still send, by default none. Raises CallerError for
+    ``decoder`` is that of the previous exchange if its bytes may still arrive; the default is a new one.
+    ``pending`` holds the late responses that the unit may still send, by default none. Raise CallerError for
     a request that must not be sent.
     """
 
@@ -370,15 +369,13 @@ class Exchange:
         return events
 
     def response_began(self, ended: Monotonic, byte_s: float) -> Monotonic:
-        """Return when the response began that was complete at ``ended``; a byte takes ``byte_s`` seconds.
-
-        A first byte that an adapter held back came earlier than it was read.
-        """
+        """Return when the response that was complete at ``ended`` began; a byte takes ``byte_s`` seconds. A
+        first byte that an adapter held back came earlier than it was read."""
         begins = ended - len(self.frame) * byte_s
         return begins if self.first_byte_at is None else min(begins, self.first_byte_at - byte_s)
 
     def give_up(self) -> None:
-        """Take whatever comes from now on for late, because the deadline has passed."""
+        """Treat whatever comes from now on as late, because the deadline has passed."""
         self.awaiting = False
 
     def _classify(self, frame: ReceivedFrame) -> ExchangeEvent:

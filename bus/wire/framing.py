@@ -29,9 +29,9 @@ from bus.settings import Dialect
 
 DLE, STX, ETX, ACK, NAK = 0x10, 0x02, 0x03, 0x06, 0x15
 MIN_BODY = 2
-"""UID and a command or ACK."""
+"""The least bytes of a body: UID and a command or ACK."""
 MAX_BODY = 13
-"""UID, ACK and the eleven bytes of the response to 81h."""
+"""The most bytes of a body: UID, ACK and the eleven bytes of the response to 81h."""
 MAX_NOISE = 64
 """Noise is reported in pieces of at most this many bytes."""
 
@@ -40,7 +40,7 @@ _END = bytes((DLE, ETX))
 
 
 class Fault(StrEnum):
-    """Why bytes are not a frame."""
+    """The reason why bytes are not a frame."""
 
     OUTSIDE = "outside"
     RESTART = "restart"
@@ -79,7 +79,7 @@ Received = ReceivedFrame | Noise | DoubledChecksum
 
 
 class _CandidateEnd(NamedTuple):
-    """What a candidate turned out to be; ``end`` is one past the byte that decided."""
+    """The judgment of a candidate; ``end`` is one past the byte that decided."""
 
     end: int
     fault: Fault | None
@@ -87,14 +87,13 @@ class _CandidateEnd(NamedTuple):
 
 
 def checksum(body: bytes) -> int:
-    """Return the two's complement of the sum of the unstuffed bytes (manual, 2.0: its frame, not its
-    prose)."""
+    """Return the two's complement of the sum of the unstuffed bytes (manual, 2.0: by its example frame, which
+    its prose contradicts)."""
     return -sum(body) & 0xFF
 
 
 def encode_frame(body: bytes, dialect: Dialect) -> bytes:
-    """Return the frame of ``body`` ([UID][CMD or ACK/NAK][data]). Raises CallerError where none can carry
-    it."""
+    """Return the frame of ``body`` ([UID][CMD or ACK/NAK][data]). Raise CallerError if none can carry it."""
     if not MIN_BODY <= len(body) <= MAX_BODY:
         raise CallerError(
             Message.of("frame_length_illegal", lowest=MIN_BODY, highest=MAX_BODY, count=len(body))
@@ -106,7 +105,7 @@ def encode_frame(body: bytes, dialect: Dialect) -> bytes:
 
 
 class FrameDecoder:
-    """Bytes in, frames and noise out, by the rules above; receiving is the same in every dialect."""
+    """The decoder of received bytes into frames and noise, the same in every dialect."""
 
     def __init__(self, dialect: Dialect) -> None:
         self.dialect = dialect
@@ -119,12 +118,12 @@ class FrameDecoder:
         return len(self._buffer)
 
     def feed(self, data: bytes) -> list[Received]:
-        """Take ``data`` in any cut; give what is now certain."""
+        """Decode ``data``, cut anywhere; return the events that are now certain."""
         self._buffer += data
         return list(self._events())
 
     def flush(self) -> list[Received]:
-        """End the reception: return what is unfinished as noise or as a frame."""
+        """End the reception: return unfinished bytes as noise or as frames."""
         events = list(self._events())
         while self._buffer:
             events.append(self._abandon())
@@ -165,7 +164,8 @@ class FrameDecoder:
         return ReceivedFrame(ended.body, self._take(ended.end))
 
     def _give_up(self, end: int, fault: Fault, body: bytes) -> Noise:
-        """Keep (rule 3) all from the next possible start on, which may be a lone 10h at the end."""
+        """Give up a candidate but keep all from the next possible start on (rule 3), which may be a lone
+        10h."""
         next_start = self._buffer.find(_START, 1, end)
         if next_start < 0:
             next_start = end - 1 if self._buffer[end - 1] == DLE else end
@@ -187,7 +187,7 @@ class FrameDecoder:
 
 
 def _judge(buffer: bytearray) -> _CandidateEnd | None:
-    """Read the candidate at the head of ``buffer``; None while it may still become a frame."""
+    """Judge the candidate at the head of ``buffer``; None while it may still become a frame."""
     body = bytearray()
     at = len(_START)
     while True:
