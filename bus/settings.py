@@ -96,7 +96,7 @@ class UnitLabels(StrictModel):
 
 
 def _check_band(value: object, check: ValidatorFunctionWrapHandler) -> tuple[Decimal, ...]:
-    """Return the band; raise one ValueError with a message for each of its faults."""
+    """Return a band that is valid. Raise one ValueError, however many faults it has."""
     try:
         band: tuple[Decimal, ...] = check(value)
     except ValidationError:
