@@ -1,7 +1,7 @@
-"""Passes on what the worker of a bus reports, in order: to the live state, and with it browsers, ``/stream``,
-drift and alarms (:class:`app.line.live.bus_live.Audience`); then to history, then to events.
+"""The pipeline of a worker's reports, in order: to the live state, and with it browsers, ``/stream``, drift
+and alarms (:class:`app.line.live.bus_live.Audience`); then to history, then to events.
 
-All are called in the same turn of the event loop, and none holds up or stops the one before it.
+All are called in the same turn of the event loop, and none delays or stops the one before it.
 """
 
 from __future__ import annotations
@@ -38,17 +38,18 @@ class Pipeline:
         self._recorder = recorder
         self._changes = ChangeDetector(live.settings)
         self.since = UnixTime(0.0)
-        """From when on history believes the worker: what happened before was stored then, or is missing."""
+        """The time from which on history believes the worker: older reports are stored, or missing for
+        good."""
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Pass on the complete state of a worker. History had its readings, or gets them as backlog;
-        parameters and the states of links may be news to it."""
+        """Pass on the complete state of a worker. History has its readings, or gets them as backlog;
+        parameters and the states of links may be new to it."""
         updates = self._live.connect_worker(snapshot)
         self._append([update for update in updates if not isinstance(update, Reading)])
 
     def batch(self, updates: Sequence[Update], *, live: bool, stored: Sequence[Update] | None = None) -> None:
-        """Pass on updates in order. Those kept while the app was away (``live`` False) belong to history and
-        events only. ``stored``: those that history takes, if not all."""
+        """Pass on updates in order. Updates kept while the app was away (``live`` False) go to history and
+        events only. ``stored``: those for history, if not all."""
         if live:
             self._live.apply(updates)
         of_history = updates if stored is None else stored
@@ -69,8 +70,7 @@ class Pipeline:
         return self._live.link.link == "open"
 
     def worker_connected(self, hello: Hello, at: UnixTime, *, again: bool) -> None:
-        """Record that a worker connected; ``again``: the one that this app knew, else one that was
-        started."""
+        """Record that a worker connected; ``again``: the one that this app knew, else one newly started."""
         what = Message.of("event_worker_back" if again else "event_worker_started", port=hello.port)
         self._recorder.note(LineEvent("worker", None, at, what, "", term("connected")))
 
@@ -110,8 +110,8 @@ class Pipeline:
 
     def _believed(self, update: Update) -> Update | None:
         """Return what history keeps of an update; None for nothing. A link state from before `since` has its
-        place there already; a parameter scales readings only from then on, and not where the manual rules its
-        value out."""
+        place there already; a parameter scales readings only from `since` on, and only if the manual allows
+        its value."""
         match update:
             case UnitLink() | BusLink():
                 return update if update.at >= self.since else None

@@ -19,7 +19,8 @@ from bus.instants import UnixTime
 from bus.messages import TEXTS, Message, ParamValue, term
 
 SCAN_BUDGET = 1.5
-"""Multiple of the time in which every unit is polled once and takes its full turnaround."""
+"""The multiple of a full scan's time (every unit polled once, with its full turnaround) beyond which the wire
+is overloaded."""
 CONTROL_IDLE_S = 120.0
 
 
@@ -56,7 +57,7 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
         ("severe", "minutes"),
         holds=lambda bus: bus.worker_is_lost,
         means="no bus worker is connected, or it reports nothing",
-        # A worker that ends is started again and links within seconds, as at the start of the server.
+        # A worker that ends is restarted and linked within seconds, as at the start of the server.
         tuning=Tuning(on_delay_s=10),
         suppresses=("bus", "cable", "unit", "speed"),
         tiles=("worker_lost", "worker_silent"),
@@ -105,13 +106,13 @@ DAY_S = 86_400.0
 CERTIFICATE_S = 30 * DAY_S
 TOKEN_S = 14 * DAY_S
 TOKEN_SHARE = 0.1
-"""Share of the life of a token: one for a day is no alarm from the start."""
+"""The part of a token's life before its end that alarms: one for a day is no alarm from the start."""
 BACKUP_S = 26 * 3600.0
-"""A day, and time for a large backup."""
+"""A day in seconds, and time for a large backup."""
 PUBLISHER_S = 300.0
-"""Long enough that a restart of the database is no alarm."""
+"""Seconds, long enough that a restart of the database is no alarm."""
 IN_USE_S = 30 * DAY_S
-"""A token that no program has used for so long is no alarm."""
+"""A token that no program has used for so many seconds is no alarm."""
 
 
 def certificate_expires(ends_at: UnixTime, now: UnixTime) -> bool:
@@ -129,8 +130,8 @@ def token_expires(
 
 
 def backup_is_overdue(newest: UnixTime | None, now: UnixTime, after_s: float = BACKUP_S) -> bool:
-    """Return whether backups are missing; ``newest``: None where there are to be none. A time in the future
-    is of a clock that was wrong, and proves as little as one long past."""
+    """Return whether backups are missing; ``newest``: None if there are to be none. A time in the future
+    comes from a clock that was wrong, and proves as little as one long past."""
     return newest is not None and abs(now - newest) > after_s
 
 
@@ -187,7 +188,7 @@ BACKUP_OVERDUE: Condition[Callable[..., bool]] = Condition(
     holds=backup_is_overdue,
     means="the newest backup of `[backup]` is older than 26 hours, with `every` than an hour"
     " and two and a half of its periods, or there is none so long after the last change of the configuration",
-    tuning=Tuning(on_delay_s=600),  # of a start, which first makes up for a night that was missed
+    tuning=Tuning(on_delay_s=600),  # A server that starts first makes the backup of a night that was missed.
 )
 EVENTS_NOT_ARCHIVED: Condition[Callable[[object], bool]] = Condition(
     "events_not_archived",
@@ -235,7 +236,7 @@ UNIT_ALARMS, BUS_ALARMS, SERVER_ALARMS = (
 
 
 def tile_text(cause: str, **params: ParamValue) -> Message | None:
-    """Return what a tile names of a cause; None if that has no words in advance."""
+    """Return the text by which a tile names a cause; None if that has no words in advance."""
     message = Message.of(f"tile_{cause}", **params)
     return message if message.code in TEXTS else None
 

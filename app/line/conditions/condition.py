@@ -1,5 +1,5 @@
-"""What one row states about an abnormal condition, its priority, and the facts that predicates judge, such as
-the draw: by how many percent a section of a line is faster than the section before it. Pure.
+"""The row of an abnormal condition, its priority, and the facts that predicates judge, such as the draw: by
+how many percent a section of a line is faster than the section before it. Pure.
 
 A priority follows from the consequence and the time to respond (EEMUA 191, 4.4; ISA-18.2-2016, clause 9).
 """
@@ -23,13 +23,13 @@ DRAW_DECIMALS = 1
 MAX_TENTHS = 99_999
 """The largest draw in tenths of a percent: a section beside one that crawls would have millions."""
 _TENTHS = 1000
-"""Tenths of a percent in the whole."""
+"""The tenths of a percent in the whole."""
 
 
 class SectionSpeed(NamedTuple):
-    """A speed as a unit reports it. ``raw`` None: it is not of the present; ``decimals``: those of its
-    display (#3), None while not known; ``quantity``: the measure of its display, such as m/min; None for a
-    ratio to a master, which is no speed."""
+    """A speed as a unit reports it. ``raw`` None: it is out of date; ``decimals``: those of its display (#3),
+    None while not known; ``quantity``: the measure of its display, such as m/min; None for a ratio to a
+    master, which is no speed."""
 
     raw: int | None
     decimals: int | None
@@ -37,7 +37,7 @@ class SectionSpeed(NamedTuple):
 
 
 class Draw(NamedTuple):
-    """A draw. ``tenths``: of a percent, at most `MAX_TENTHS`; None if there is none or it is not known."""
+    """The draw of a section. ``tenths``: of a percent, at most `MAX_TENTHS`; None without a known draw."""
 
     state: DrawState
     tenths: int | None = None
@@ -93,7 +93,7 @@ MATRIX: dict[tuple[Consequence, TimeToRespond], AlarmPriority] = {
 
 
 class UnitFacts(NamedTuple):
-    """The facts about a unit by a reading. ``motion``: a MotionState; ``is_late``: a response is really
+    """The facts about a unit by a reading. ``motion``: a MotionState; ``is_late``: whether a response is
     overdue."""
 
     bits: StatusBits
@@ -114,8 +114,8 @@ class LinkFacts(NamedTuple):
 
 
 class BusFacts(NamedTuple):
-    """The facts about a bus. ``units``: how many it has; ``lost``: how many do not respond; ``unread``: how
-    many have not responded yet and still have time; ``scan_s``: of a scan, None while it is not measured;
+    """The facts about a bus. ``units``: their number; ``lost``: those that do not respond; ``unread``: those
+    that have not responded yet and still have time; ``scan_s``: seconds of a scan, None while not measured;
     ``longest_scan_s``: of one in which each unit takes its full turnaround."""
 
     worker_is_lost: bool
@@ -137,14 +137,14 @@ class BusFacts(NamedTuple):
 
 
 class MotionValue(Protocol):
-    """How a unit moves."""
+    """The motion of a unit."""
 
     @property
     def state(self) -> str: ...
 
 
 class UnitValues(Protocol):
-    """What predicates read of the live state of a unit, which is above them."""
+    """The part of a unit's live state that predicates read; the live state itself is in a higher layer."""
 
     @property
     def settings(self) -> UnitSettings: ...
@@ -160,7 +160,7 @@ class UnitValues(Protocol):
 
 
 class BusValues(Protocol):
-    """What predicates read of the live state of a bus, which is above them."""
+    """The part of a bus's live state that predicates read; the live state itself is in a higher layer."""
 
     @property
     def settings(self) -> BusSettings: ...
@@ -171,7 +171,7 @@ class BusValues(Protocol):
 
 
 LimitCheck = Callable[[int, int], bool]
-"""Takes a value and its full scale; returns whether the value passes the limits of the alarm."""
+"""A function of a value and its full scale that returns whether the value passes the alarm's limits."""
 StatusPredicate = Callable[[StatusBits], bool]
 ReadingPredicate = Callable[[UnitFacts], bool]
 ValuePredicate = Callable[[BusValues, UnitValues, Reading, LimitCheck], bool | None]
@@ -180,7 +180,7 @@ DrawPredicate = Callable[[Draw], bool | None]
 LinkPredicate = Callable[[LinkFacts], bool | None]
 BusPredicate = Callable[[BusFacts], bool | None]
 CountPredicate = Callable[[int, int], bool]
-"""Takes how many polls a minute had, and how many of them had a fault."""
+"""A function of the polls of a minute and how many of them had a fault."""
 StatePredicate = Callable[[str], bool]
 
 
@@ -200,11 +200,11 @@ Predicate = TypeVar("Predicate")
 Rung = Literal["e-stop", "run", "mode", "link", "ramp"]
 """A rung of the ladder: what a unit needs to be at speed, each of which needs the one before."""
 SuppressionGroup = Literal["bus", "cable", "unit", "speed"]
-"""What is hidden while a row that ``suppresses`` it holds; ``speed`` also by an e-stop of the unit and a line
-at rest."""
+"""The rows that are hidden while a row that ``suppresses`` their group holds; ``speed`` also by an e-stop of
+the unit and a line at rest."""
 
 AlarmGroup = Literal["drive", "communication", "parameters", "system", "own"]
-"""What an alarm is about. ``drive``: what the machine does; ``communication``: units, cable, port, worker;
+"""The subject of an alarm. ``drive``: what the machine does; ``communication``: units, cable, port, worker;
 ``parameters``: what units are set to; ``system``: the server; ``own``: those of the site."""
 GROUPS: tuple[AlarmGroup, ...] = get_args(AlarmGroup)
 
@@ -221,7 +221,7 @@ class Tuning:
 
     @property
     def fault(self) -> str:
-        """The code of what is wrong with the limits; empty if nothing is."""
+        """The code of a fault of the limits; empty without one."""
         above, below = self.above_percent, self.below_percent
         if above is None:
             return ""
@@ -245,12 +245,12 @@ class ConditionEvent:
 
 @dataclass(frozen=True, slots=True)
 class Condition(Generic[Predicate]):
-    """One row. Its texts are messages named after its code. ``rated``: how severe it is, and how soon a
-    person has to respond; ``means``: in the documentation, after *while*.
+    """The row of one condition. Its texts are messages named after its code. ``rated``: how severe it is, and
+    how soon a person has to respond; ``means``: its meaning in the documentation, after *while*.
 
     On the ladder, ``broken`` states when its rung is broken, if that is more than ``holds``; ``names``: what
     its text names; ``status``: the bit whose changes are known, also from the history; ``since``: the bits
-    that make it begin, its own by default. Raises ValueError for a row without a text.
+    that make it begin, its own by default. Raise ValueError for a row without a text.
     """
 
     code: str
@@ -261,14 +261,14 @@ class Condition(Generic[Predicate]):
     latching: bool = False
     group: SuppressionGroup | None = None
     about: AlarmGroup | None = None
-    """Set if it does not follow from the place of the condition."""
+    """Set if the group does not follow from the place of the condition."""
     suppresses: tuple[SuppressionGroup, ...] = ()
-    """What follows from it, on the complete bus."""
+    """The groups that follow from the condition, on the complete bus."""
     is_alarm: bool = True
-    """False: a person caused it, it ends within seconds, or another condition has the alarm."""
+    """False if a person caused it, it ends within seconds, or another condition has the alarm."""
     tiles: tuple[str, ...] = ()
     """The causes that tiles name while it holds, by their codes for programs. Two messages are named after
-    each: what the tile names and, unless only time or a decision helps, what to check."""
+    each: the text of the tile and, unless only time or a decision helps, what to check."""
     event: ConditionEvent | None = None
     rung: Rung | None = None
     broken: ReadingPredicate | None = None
@@ -283,7 +283,7 @@ class Condition(Generic[Predicate]):
 
     @property
     def priority(self) -> AlarmPriority:
-        """The priority by the matrix; the same on every surface."""
+        """The priority by the matrix, the same on every surface."""
         return MATRIX[self.rated]
 
     @property

@@ -1,4 +1,4 @@
-"""The conditions of a unit, by what they are judged by. Pure."""
+"""The conditions of a unit, grouped by the facts that decide them. Pure."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ from bus.contract import Reading
 from bus.messages import Message, joined, term
 
 DEGRADED_SHARE = 0.05
-"""Share of polls of a minute without a valid response. An operator cannot see it, and it only gets worse."""
+"""The share of a minute's polls without a valid response. No operator sees it, and it only gets worse."""
 MIN_FAULTS = 3
 SETTLED = frozenset(("at_speed", "off_speed"))
 RUNNING = SETTLED | {"ramping_up", "ramping_down"}
 ANALOG_TOP = 255
-"""The analog input in counts of 8 bits."""
+"""The highest count of the analog input, which has 8 bits."""
 
 
 def _ratio_out_of_limits(_: BusValues, unit: UnitValues) -> bool | None:
@@ -78,7 +78,7 @@ def _most_read_their_own_address(bus: BusValues) -> bool:
 
 
 def _deviation(bus: BusValues, unit: UnitValues, reading: Reading, passes: LimitCheck) -> bool | None:
-    """Judge the deviation, also while the unit reports AT SPEED; it is not known while #2 is not."""
+    """Judge the deviation, even while the unit reports AT SPEED; it is unknown while #2 is."""
     if unit.motion.state not in SETTLED or reads_ratio(bus, unit):
         return False
     full_scale, deviation = unit.parameter_raw(MAX_DISPLAY), reading.deviation
@@ -86,7 +86,7 @@ def _deviation(bus: BusValues, unit: UnitValues, reading: Reading, passes: Limit
 
 
 def implausible_of(unit: UnitValues) -> Message | None:
-    """Return what the unit sent that the manual rules out, as bytes and raw numbers; None for nothing."""
+    """Return the values of the unit that the manual rules out, as bytes and raw numbers; None without any."""
     found = [
         _implausible_parameter(PARAMETERS[number], value.raw)
         for number, value in unit.parameters.items()
@@ -234,7 +234,7 @@ VALUE_IMPLAUSIBLE: Condition[ParameterPredicate] = Condition(
     group="unit",
     tiles=("value_implausible",),
 )
-"""Judged by what a reading has of it as well."""
+"""Judged by the values of a reading as well."""
 
 BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
     VALUE_IMPLAUSIBLE,
@@ -302,7 +302,7 @@ PARAMETER_DRIFT: Condition[Callable[[object], bool]] = Condition(
     means="a parameter differs from the golden set",
     tiles=("drift",),
 )
-"""Judged by what in a unit differs."""
+"""Judged by the differences of a unit."""
 BLOCKED: Condition[Callable[[object], bool]] = Condition(
     "blocked",
     ("minor", "shift"),
@@ -310,7 +310,7 @@ BLOCKED: Condition[Callable[[object], bool]] = Condition(
     is_alarm=False,
     tiles=("blocked",),
 )
-"""Judged by why commands are blocked."""
+"""Judged by the reason for a block."""
 
 OF_UNIT: tuple[Condition[Any], ...] = (
     *BY_READING,

@@ -1,1 +1,1 @@
-"""The workers' side of the app: their WebSocket, their clocks, and the way down to each."""
+"""The workers' side of the app: their WebSocket, their clocks, and the commands sent to each."""

@@ -1,6 +1,6 @@
-"""Which worker has one bus, when another may take it, and how far it was followed.
+"""The worker of one bus, when another may replace it, and how far it was followed.
 
-Commands are verified by what a worker reports: a bus goes to another worker only once the former one is
+Commands are verified by what a worker reports, so a bus goes to another worker only once the former one is
 provably gone: it announced its end, or its connection ended and it did not return in time. A worker that
 merely stalls (suspended, starved, behind a cut network) keeps its bus for longer.
 """
@@ -28,20 +28,20 @@ from bus.messages import Message
 
 
 class Ending(Enum):
-    """How the connection of a worker ended. The value: seconds for which its bus is kept for it."""
+    """The end of a worker's connection. The value: seconds for which its bus is kept for it."""
 
     LEFT = 0.0
-    """It announced its end."""
+    """The worker announced its end."""
     LOST = 5.0
-    """The other side ended it: a worker that lives is back within 3 s."""
+    """The other side ended the connection: a worker that still runs is back within 3 s."""
     CUT = 60.0
-    """This side ended it, because nothing came: the worker may live, and resume."""
+    """This side ended the connection, because nothing came: the worker may still run, and resume."""
 
 
 @dataclass(frozen=True, slots=True)
 class Credential:
-    """By which token, for which bus, and from which address a worker connected. ``own``: it is the child of
-    this server."""
+    """The token, the bus and the address with which a worker connected. ``own``: it is the child of this
+    server."""
 
     token: str
     bus: str
@@ -70,20 +70,19 @@ class Holder:
         return self.worker == worker and self.credential.token == credential.token
 
     def yields_to(self, worker: str, credential: Credential, now: Monotonic) -> bool:
-        """Return whether the bus goes to this worker: to the same one always, to another when the holder
-        is gone."""
+        """Return whether the bus goes to this worker: to the same one always, to another if the holder is
+        gone."""
         if self.is_same(worker, credential) or now >= self.free_at:
             return True
         if credential.own:
-            # One process at most has the token of a child, and its next starts after its end.
+            # Only one process has the token of a child, and its next one starts after its end.
             return self.credential.own and self.free_at < Monotonic(inf)
-        # The child of a bus whose port is on another machine: the worker there must get it.
+        # It is the child of a bus whose port is on another machine: the worker there must get the bus.
         return self.credential.own and not self.port_seen
 
 
 def refusal(hello: Hello, credential: Credential, buses: Collection[str]) -> Message | None:
-    """Return why no bus is for this worker, or None where there is one. ``buses``: those of the
-    configuration."""
+    """Return why this worker gets no bus, or None if it gets one. ``buses``: those of the configuration."""
     if hello.version != CONTRACT_VERSION:
         versions = {"version": hello.version, "needed": CONTRACT_VERSION}
         return Message.of(OTHER_RELEASE, of_worker=hello.software, release=VERSION, **versions)
@@ -102,35 +101,35 @@ MALFORMED = Message("worker_malformed")
 REPLACED = "another worker connected for this bus"
 TICK_S = 1.0
 TIMEOUT_TICKS = 5
-"""A worker reports its figures every second; one that reports nothing for so long is gone or stuck. Ticks are
-counted, not seconds, so that a stall of the app does not count as a stall of the worker."""
+"""A worker reports its figures every second; after so many ticks without a report it is gone or stuck. Ticks
+are counted, not seconds, so that a stall of the app does not count as a stall of the worker."""
 
 
 class WorkerLeft(ConnectionError):
-    """The worker announced that it leaves."""
+    """Raised when the worker announced that it leaves."""
 
 
 class WorkerTimeout(ConnectionError):
-    """Nothing came from the worker for too long."""
+    """Raised when nothing came from the worker for too long."""
 
 
 class WorkerConnection(MessageSink, Protocol):
-    """A worker's WebSocket as this package sees it."""
+    """The WebSocket of a worker as this package uses it."""
 
     async def receive(self) -> bytes:
-        """Return the next message. Raises ConnectionError when there is none (WorkerLeft where that was
-        announced), MalformedMessageError for text."""
+        """Return the next message. Raise ConnectionError at the end (WorkerLeft if that was announced),
+        MalformedMessageError for text."""
 
     def admit(self) -> None:
-        """Take the large messages that follow Hello."""
+        """Accept the large messages that follow Hello."""
 
     async def close(self, reason: str) -> None:
-        """End it, with a reason in words. Raises nothing."""
+        """End the connection, with a reason in words. Raise nothing."""
 
 
 @dataclass(eq=False, repr=False)
 class BusFeed:
-    """The feed of one bus. ``monotonic`` measures how long a bus is kept for a worker that may reconnect."""
+    """The feed of one bus. ``monotonic`` measures how long a bus is kept for a worker that may return."""
 
     _channel: Channel
     _pipeline: Pipeline
@@ -147,12 +146,13 @@ class BusFeed:
         self._began = self.monotonic()
 
     async def load(self, newest: Awaitable[UnixTime | None]) -> None:
-        """Note up to when the last run of the server followed the bus: its newest stored reading."""
+        """Note until when the last run of the server followed the bus: the time of its newest stored
+        reading."""
         self.coverage.until = await newest
 
     @property
     def has_own_worker(self) -> bool:
-        """Whether a worker is linked, and is the child of this server."""
+        """Whether a worker is linked that is the child of this server."""
         return self._connection is not None and self._holder is not None and self._holder.credential.own
 
     def watch(self, units: list[int], trace: bool) -> None:
@@ -168,8 +168,8 @@ class BusFeed:
         credential: Credential,
         refused: Message | None = None,
     ) -> None:
-        """Serve a worker to its end, or send it away where it is ``refused`` or another has the bus. Raises
-        ConnectionError when it is gone before it was admitted."""
+        """Serve a worker to its end, or send it away if it is ``refused`` or another has the bus. Raise
+        ConnectionError if it is gone before it was admitted."""
         holder = self._holder
         if refused is None and holder is not None:
             is_free = holder.yields_to(hello.worker, credential, self.monotonic())
@@ -179,7 +179,7 @@ class BusFeed:
             self._pipeline.worker_refused(unix_now(), held_by, str(credential), refused)
             await send_away(connection, refused, unix_now())
             return
-        # Taken in the same turn of the loop: of two concurrent hellos the second meets the first.
+        # This happens in the same turn of the loop: of two concurrent hellos the second meets the first.
         former = self._take(hello, connection, credential)
         try:
             await self._serve_holder(hello, connection, former)
@@ -189,7 +189,7 @@ class BusFeed:
     def _take(
         self, hello: Hello, connection: WorkerConnection, credential: Credential
     ) -> WorkerConnection | None:
-        """Give the bus to this worker; the connection that it had until now, if it is still open."""
+        """Give the bus to this worker; return the connection that had it until now, if still open."""
         again = self._holder is not None and self._received.worker == hello.worker
         if not again:
             self._received = IngestPosition(hello.worker)
@@ -197,7 +197,7 @@ class BusFeed:
         former, self._connection = self._connection, connection
         if former is not None:
             self._channel.closed(former)
-        # After a restart of the server alone, the worker of another computer is linked again.
+        # After a restart of the server alone, the worker of another computer connects again.
         ran_before = not credential.own and hello.sent_at - hello.started_at > self.monotonic() - self._began
         self._pipeline.worker_connected(hello, unix_now(), again=again or ran_before)
         return former
@@ -257,7 +257,7 @@ class BusFeed:
         raise WorkerTimeout(str(TIMED_OUT))
 
     def _release(self, connection: WorkerConnection, cause: Message, ending: Ending) -> None:
-        """Note that this connection has ended, unless it was released already or another has its place."""
+        """Note that this connection has ended, unless it was released already or another has replaced it."""
         self._channel.closed(connection)
         if self._connection is connection and self._holder is not None:
             self._connection = None
@@ -266,6 +266,6 @@ class BusFeed:
 
 
 async def send_away(connection: WorkerConnection, reason: Message, now: UnixTime) -> None:
-    """Refuse a worker in English words, which one of another version can read too."""
+    """Refuse a worker in English words, which a worker of another version can read too."""
     await connection.send(Welcome(CONTRACT_VERSION, 0, now, str(reason)))
     await connection.close(str(reason))

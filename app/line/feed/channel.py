@@ -1,10 +1,10 @@
 """The commands of one bus on their way to the worker, by id, each with exactly one result.
 
-The worker carries out an id once and repeats its result when it gets the id again. A command in progress
-when the connection breaks is sent again to the *same* worker, and is unverified with any other.
+The worker carries out an id once and repeats its result when it gets the id again. A command in progress when
+the connection breaks is sent again to the *same* worker, and is unverified with any other.
 
-A worker reports its figures every second: one without a message past a command's deadline is stuck, and
-the command ends at once. The worker drops a late command by its own check of the deadline.
+A worker reports its figures every second: one without a message past a command's deadline is stuck, and the
+command ends at once. The worker drops a late command by its own check of the deadline.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from bus.instants import Monotonic, monotonic_now, unix_now
 from bus.messages import Message
 
 REASK_WITHIN_S = 10.0
-"""How long a command under way waits for its worker to come back."""
+"""The seconds for which a command under way waits for its worker to return."""
 PATIENCE_S = 15.0
-"""How long after its deadline, or its last sign of progress, a worker that lives is still waited for."""
+"""The seconds after its deadline, or its last progress, for which a command waits for a live worker."""
 LOOK_S = 0.25
 STUCK_AFTER_LOOKS = 8
-"""After so many checks without a message from a connected worker it is stuck: two seconds, twice its period.
+"""So many checks without a message mean that a connected worker is stuck: two seconds, twice its period.
 Checks are counted, not seconds, so that a stall of the app does not count as a stall of the worker."""
 AWAY_LOOKS = 20
-"""The same for one whose connection broke, which may need a moment to come back."""
+"""The same for a worker whose connection broke, which may need a moment to return."""
 
 
 class MessageSink(Protocol):
-    """What the channel needs of a worker's WebSocket."""
+    """The part of a worker's WebSocket that the channel uses."""
 
     async def send(self, message: AppMessage) -> None:
-        """Send one message. Raises ConnectionError when the worker is gone."""
+        """Send one message. Raise ConnectionError if the worker is gone."""
 
 
 @dataclass(slots=True)
@@ -44,10 +44,10 @@ class _OpenCommand:
     worker: str
     result: asyncio.Future[Result]
     due_at: Monotonic
-    """Its deadline, on the monotonic clock like ``give_up_at``."""
+    """The deadline, on the monotonic clock like ``give_up_at``."""
     give_up_at: Monotonic
     sent_to: MessageSink | None = None
-    """Only what this connection reports of it counts."""
+    """The only connection whose reports about the command count."""
 
 
 class Channel:
@@ -87,11 +87,11 @@ class Channel:
             open_command.give_up_at = min(open_command.give_up_at, monotonic_now() + self._reask_s)
 
     def on_message(self) -> None:
-        """Note that the worker lives, as any message shows."""
+        """Note that the worker is alive, as any message shows."""
         self._words += 1
 
     async def send(self, command: Command) -> Result:
-        """Send ``command`` and wait for its result. Never raises for a failure on the way."""
+        """Send ``command`` and wait for its result. A failure on the way is a result, never an exception."""
         if self._connection is None:
             return Result(id=command.id, at=unix_now(), outcome="bus_closed", message=NO_WORKER)
         result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
@@ -106,11 +106,11 @@ class Channel:
             del self._open[command.id]
 
     async def reserve(self) -> None:
-        """Announce a write: the wire waits a moment for it."""
+        """Announce a write, for which the wire is kept free for a moment."""
         await self._deliver(ReserveTurn())
 
     async def cancel(self, command_id: str) -> None:
-        """Request the worker to give a command up where nothing is half done; its result still arrives."""
+        """Ask the worker to end a command where nothing is half done; its result still arrives."""
         if command_id in self._open:
             await self._deliver(Cancel(id=command_id))
 
@@ -126,8 +126,8 @@ class Channel:
         return id in self._open and not self._open[id].result.done()
 
     def on_update(self, update: Result | Progress, connection: MessageSink) -> None:
-        """Take in the result or progress of a command. It counts only from the connection that the command
-        went to; an unknown id belongs to a command that has ended."""
+        """Take the result or progress of a command. It counts only from the connection that the command went
+        to; an unknown id belongs to a command that has ended."""
         open_command = self._open.get(update.id)
         if open_command is None or open_command.result.done() or open_command.sent_to is not connection:
             return
@@ -163,7 +163,7 @@ class Channel:
         return open_command.result.result()
 
     def _time_left(self, open_command: _OpenCommand, missed_looks: int) -> float:
-        """Return seconds for which the result is still awaited."""
+        """Return the seconds for which the result is still awaited."""
         stuck = missed_looks >= (STUCK_AFTER_LOOKS if self.connected else AWAY_LOOKS)
         return (
             min(open_command.due_at, open_command.give_up_at) if stuck else open_command.give_up_at

@@ -1,4 +1,4 @@
-"""The way of readings in and of commands out: what the worker of each bus opens."""
+"""The feed as a feature: readings come in from the worker of each bus, commands go out to it."""
 
 from __future__ import annotations
 

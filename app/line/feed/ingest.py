@@ -47,33 +47,33 @@ from bus.messages import Message
 from bus.pacing import Bucket
 
 PER_S = 2_000.0
-"""Updates of the live state, each of which goes to every open page."""
+"""Updates of the live state a second, each of which goes to every open page."""
 MAX_AT_ONCE = 10_000.0
 """A complete snapshot, or the backlog of a quarter of an hour."""
 LATE_COST = 0.25
-"""Of an update that goes to history only."""
+"""The cost of an update that goes to history only."""
 TEXT_COST = 40.0
-"""Of a state, which history keeps and whose cause is translated for each language, or a diagnosis."""
+"""The cost of a diagnosis, or of a state, which is stored and whose cause is translated."""
 MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE = 100_000.0, 16_000_000.0
-"""Of all messages; below 9 GB a day. A full buffer of a worker, with a complete snapshot, is 3 MB."""
+"""The bytes of all messages: below 9 GB a day. A worker's full buffer with a snapshot is 3 MB."""
 MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE = 100.0, 40_000.0
-"""Stored readings and parameters: twice what a worker polls at 9600 baud, and all that it keeps at once."""
+"""Stored readings and parameters: twice what a worker polls at 9600 baud, and its full buffer at once."""
 
 
 @dataclass(slots=True)
 class FeedQuota:
-    """What comes for one bus, over all connections of its workers."""
+    """The limits on messages for one bus, over all connections of its workers."""
 
     _updates: Bucket = field(default_factory=partial(Bucket, PER_S, MAX_AT_ONCE))
     _bytes: Bucket = field(default_factory=partial(Bucket, MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE))
     _values: Bucket = field(default_factory=partial(Bucket, MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE))
 
     def pause_s(self, message: WorkerMessage, size: int, now: Monotonic) -> float:
-        """Count a message of ``size`` bytes; for how many seconds nothing more is read."""
+        """Count a message of ``size`` bytes; return for how many seconds to read nothing more."""
         return max(self._updates.pour(cost_of(message), now), self._bytes.pour(size, now))
 
     def admits(self, update: Update, now: Monotonic) -> bool:
-        """Count an update to be stored; False where a wire cannot have carried it."""
+        """Count an update to be stored; return False if a wire cannot have carried it."""
         match update:
             case Reading() | ParameterValue():
                 return self._values.take(now)
@@ -83,7 +83,7 @@ class FeedQuota:
 
 
 def cost_of(message: WorkerMessage) -> float:
-    """Return what a message costs the app, in updates of the live state."""
+    """Return the cost of a message to the app, in updates of the live state."""
     match message:
         case Batch(updates=updates, live=True):
             return 1.0 + sum(map(_cost_of_update, updates))
@@ -106,13 +106,13 @@ def _cost_of_update(update: Update) -> float:
 
 
 SAME_CLOCK_S = 0.05
-"""Clocks this near are one clock: most workers run on the app's own machine."""
+"""Clocks no further apart than this, in seconds, are one clock: most workers run on the app's machine."""
 MAX_DELAY_S = 5.0
-"""A message that seems to be later than this shows another clock."""
+"""A message that seems to be later than this, in seconds, shows that the clocks differ."""
 STEP_S = 0.5
 SETTLED_S = 2.5
-"""How long after a step of the app's own clock a message may still have been on its way, or its worker not
-have the time since, which is sent once a second."""
+"""The seconds after a step of the app's own clock in which a message may still have been on its way, or its
+worker not have the new time, which is sent once a second."""
 
 M = TypeVar("M", bound=TaggedStruct)
 
@@ -120,7 +120,7 @@ _TIMES = ("at", "sent_at", "acknowledged_at", "proven_at")
 
 
 class WorkerClock:
-    """What to add to one worker's times, in seconds, from messages with their time of sending.
+    """The seconds to add to one worker's times, from messages with their time of sending.
 
     A message arrives late by as much as its way and a busy server take, and a clock judged by one direction
     alone is wrong by that much. So the worker states how prompt the app's messages were for it: the true
@@ -141,8 +141,8 @@ class WorkerClock:
         running: Monotonic,
         app_behind_s: float | None = None,
     ) -> float:
-        """Take in one message; gives by how much a *known* clock has stepped, mostly 0.0. ``running``: when
-        it was received by a clock that cannot be set. ``app_behind_s``: see Snapshot."""
+        """Add the sample of one message; return by how much a *known* clock has stepped, mostly 0.0.
+        ``running``: its arrival on a clock that cannot be set. ``app_behind_s``: see Snapshot."""
         if self._own_stepped(received_at, running):
             return 0.0
         first = self._difference.seconds is None
@@ -151,8 +151,8 @@ class WorkerClock:
         return self._settle(0.0 if _is_one_clock(difference, app_behind_s) else difference, first)
 
     def _own_stepped(self, received_at: UnixTime, running: Monotonic) -> bool:
-        """Return whether this is too soon after a step of the app's clock. A worker of another machine is
-        off by that step now; one of this machine has made it too."""
+        """Return whether this is too soon after a step of the app's clock. The clock of a worker on another
+        machine differs by that step now; a worker on this machine has made the step too."""
         self._own = self._own or ClockWatch(received_at, running)
         step = self._own.step(received_at, running)
         if step:
@@ -171,7 +171,7 @@ class WorkerClock:
 
 
 def _is_one_clock(difference: float, app_behind_s: float | None) -> bool:
-    """Return whether messages that were only late, in either direction, would differ as much."""
+    """Return whether the difference could come from late messages alone, in either direction."""
     if app_behind_s is None or app_behind_s <= -SAME_CLOCK_S:
         return abs(difference) < SAME_CLOCK_S
     return -SAME_CLOCK_S < difference < MAX_DELAY_S
@@ -195,7 +195,7 @@ def shifted(message: M, offset_s: float) -> M:
 
 @dataclass(slots=True)
 class IngestPosition:
-    """How far the app has followed one worker. ``seq``: its last batch that is safe here."""
+    """The position of the app in the messages of one worker. ``seq``: its last batch that is safe here."""
 
     worker: str
     seq: int = 0
@@ -203,7 +203,7 @@ class IngestPosition:
 
 @dataclass(eq=False, repr=False)
 class Ingest:
-    """One connection of one worker. ``quota`` and ``coverage`` are of the bus, over all its connections."""
+    """One connection of a worker. ``quota`` and ``coverage`` belong to the bus, over all its connections."""
 
     _hello: Hello
     _received: IngestPosition
@@ -217,10 +217,10 @@ class Ingest:
     _snapshot_seq: int | None = None
     _snapshot_wanted: bool = False
     missed_ticks: int = 0
-    """Ticks in a row in which nothing came, though more would have been read."""
+    """Consecutive ticks in which nothing came, though more would have been read."""
     _is_held_back: bool = False
     _late: LateReadings = field(default_factory=LateReadings)
-    """Since the last batch without any."""
+    """The late readings since the last batch without any."""
 
     def __post_init__(self) -> None:
         self._units: Collection[int] = self._pipeline.units
@@ -229,8 +229,8 @@ class Ingest:
         self._settled = self._delivered = self._received.seq
 
     async def receive(self, data: bytes) -> None:
-        """Take in one message, and return once the next may come. Raises MalformedMessageError; nothing of
-        such a message was applied."""
+        """Take one message, and return once the next may come. Raise MalformedMessageError for one of which
+        nothing was applied."""
         self.missed_ticks = 0
         self._channel.on_message()
         message = decode_from_worker(data)
@@ -245,16 +245,16 @@ class Ingest:
         await self._hold_back(self._quota.pause_s(message, size, monotonic_now()))
 
     def _is_requested(self, message: WorkerMessage) -> bool:
-        """Return whether it has a piece of the trace that the app has requested: an hour of it would use
-        up the quota, and what came after it would wait until the link is lost."""
+        """Return whether a message has a piece of the trace that the app has requested: an hour of it would
+        use up the quota, and later messages would wait until the link is lost."""
         return isinstance(message, Batch) and any(
             isinstance(update, Result) and update.frames and self._channel.awaits(update.id)
             for update in message.updates
         )
 
     async def tick(self) -> None:
-        """Send the app's time, about once a second, and confirm what arrived a tick ago, as it is on disk by
-        now. A server that crashes gets it again."""
+        """Send the app's time, about once a second, and confirm what arrived a tick ago, because it is on
+        disk by now. After a crash of the server the worker sends the rest again."""
         self.missed_ticks += not self._is_held_back
         await self._connection.send(ClockSync(app_time=self._now()))
         if self._delivered != self._settled:
@@ -263,7 +263,7 @@ class Ingest:
         self._settled = self._received.seq
 
     async def _hold_back(self, seconds: float) -> None:
-        """Pause, so that others have their turn between two messages even where the pause is 0."""
+        """Pause, so that others have their turn between two messages even if ``seconds`` is 0."""
         self._is_held_back = True
         await asyncio.sleep(seconds)
         self._is_held_back = False
@@ -301,7 +301,7 @@ class Ingest:
                 self._channel.on_update(update, self._connection)
         late: list[Update] = []
         if found.late:
-            # Late updates of a live batch were held up on their way: the app stood still.
+            # Late updates of a live batch were delayed on their way: the app stood still.
             until = now if batch.live else self._window.until
             late = self._within_quota(self._in_window(found.late, until, refused), refused)
             self._pipeline.batch(late, live=False)
@@ -310,7 +310,7 @@ class Ingest:
             self._pipeline.readings_came_late(now, self._late.count, self._late.since, self._late.until)
             self._late = LateReadings()
         if found.live:
-            # The present is shown, also where history takes no more.
+            # The present is shown even if history takes no more.
             unknown = [update for update in found.live if not self._window.is_known(update)]
             refused[KNOWN] += len(found.live) - len(unknown)
             stored = self._within_quota(unknown, refused)
@@ -320,14 +320,14 @@ class Ingest:
             self._pipeline.updates_refused(now, refused)
 
     def _in_window(self, late: Sequence[Update], until: UnixTime, refused: Counter[Message]) -> list[Update]:
-        """Return the updates of the time that was not followed, without repetitions after a crash."""
+        """Return the updates from the time that was not followed, without repetitions after a crash."""
         fresh = [update for update in late if not self._window.is_repeated(update)]
         taken = [update for update in fresh if self._window.admits(update, self._clock.offset_s, until)]
         refused[KNOWN] += len(fresh) - len(taken)
         return taken
 
     def _within_quota(self, updates: Sequence[Update], refused: Counter[Message]) -> list[Update]:
-        """Return the updates without those that no wire can have carried."""
+        """Return the updates except those that no wire can have carried."""
         now = monotonic_now()
         taken = [update for update in updates if self._quota.admits(update, now)]
         refused[OVER_QUOTA] += len(updates) - len(taken)

@@ -1,9 +1,9 @@
-"""Which updates of a worker are taken in, and what becomes of the others. Pure.
+"""The check of a worker's updates: which are accepted, and which refused. Pure.
 
 Times are Unix times of the app's clock, to which those of the worker were moved (``app.line.feed.ingest``). A
 value from the future, from longer ago than a worker keeps anything, or of a unit that is not configured is
-refused. The state of a port or a unit is not: whatever its time, it holds now. A result is not either: its
-outcome is waited for. Late updates are taken in for the time that the bus was not followed, each once.
+refused. The state of a port or a unit is accepted with any time, because it holds now, and so is a result,
+whose outcome is awaited. Late updates are accepted for the time in which the bus was not followed, each once.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from bus.contract.actions import MAX_UPDATES
 from bus.instants import UnixTime
 
 AHEAD_S = 5.0
-"""The offset of a clock is known to within the delay of a message."""
+"""How far ahead a time may be, in seconds: a clock's offset is known to within a message's delay."""
 LIVE_S = 60.0
-"""An older reading is no present state, whatever its mark."""
+"""The age in seconds from which a reading is no present state, whatever its mark."""
 
 
 @dataclass(slots=True)
 class Sorted:
-    """The updates of a batch: of now, of before, and how many were refused."""
+    """The updates of a batch: live ones, late ones, and the number refused."""
 
     live: list[Update] = field(default_factory=list)
     late: list[Update] = field(default_factory=list)
@@ -67,8 +67,8 @@ def sort_updates(updates: Iterable[Update], units: Collection[int], now: UnixTim
 
 
 def judge_snapshot(snapshot: Snapshot, units: Collection[int], now: UnixTime) -> Snapshot:
-    """Return the snapshot without values from the future and units that are not configured. What it holds may
-    be as old as the worker."""
+    """Return the snapshot without values from the future and units that are not configured. Its values may be
+    as old as the worker."""
     states = {state.unit: _judged_state(state, now) for state in snapshot.units if state.unit in units}
     figures = snapshot.figures
     return replace(
@@ -107,8 +107,8 @@ def _judged(update: Update, units: Collection[int], now: UnixTime) -> Update | N
 
 
 def believed_reading(reading: Reading) -> Reading:
-    """Return the reading with None for a speed that the manual rules out, and then with what the unit
-    sent."""
+    """Return the reading with None for a speed that the manual rules out; ``implausible`` then holds what the
+    unit sent."""
     commanded, actual = plausible_speed(reading.commanded), plausible_speed(reading.actual)
     if commanded == reading.commanded and actual == reading.actual:
         return reading
@@ -142,7 +142,7 @@ def _judged_state(state: UnitState, now: UnixTime) -> UnitState:
 
 
 def _judged_figures(figures: BusFigures, units: Collection[int], now: UnixTime) -> BusFigures:
-    """Take figures as present, whatever the worker's clock: they are never kept."""
+    """Take figures as present, whatever the worker's clock: they are never stored."""
     known = {each.unit: each for each in figures.units if each.unit in units}
     at = figures.at if now - LIVE_S <= figures.at <= now + AHEAD_S else now
     return replace(figures, at=at, units=list(known.values()))
@@ -177,30 +177,30 @@ def _judged_outcome(outcome: UnitOutcome, now: UnixTime) -> UnitOutcome:
 
 
 def _is_of_before(update: Update, now: UnixTime) -> bool:
-    """Return whether a value is too old to be shown as live. A state is not: its time is when it began."""
+    """Return whether a value is too old to be shown as live. A state is not: its time is its beginning."""
     return isinstance(update, Reading | ParameterValue | Staged) and update.at < now - LIVE_S
 
 
 FIRST_S = 900.0
-"""How far back a first worker is believed, of whose bus nothing is stored: what it keeps at 9600 baud."""
+"""How far back a first worker is believed if nothing of its bus is stored: what it keeps at 9600 baud."""
 REPEATED_S = 5.0
-"""What a worker sends again after the app crashed, as it was not confirmed: it is stored."""
+"""Updates this old are sent again after a crash of the app, unconfirmed but stored."""
 OFFSET_ERROR_S = 1.0
-"""By how much the offset of the worker's clock may be wrong when it connects."""
+"""The largest error in seconds of the worker's clock offset when it connects."""
 
 
 @dataclass(slots=True)
 class LateWindow:
-    """What one connection may report late: after ``since``, up to ``until``."""
+    """The span for which one connection may report late: after ``since``, up to ``until``."""
 
     since: UnixTime
     until: UnixTime
     _newest: dict[int, UnixTime] = field(default_factory=dict)
-    """By unit its newest reading, by the worker's clock."""
+    """The newest reading of each unit, by the worker's clock."""
 
     def admits(self, update: Update, offset_s: float, until: UnixTime) -> bool:
-        """Return whether a late update is of the time that was not followed, up to ``until``.
-        ``offset_s``: by which its time was moved."""
+        """Return whether a late update is from the time that was not followed, up to ``until``. ``offset_s``:
+        by how much its time was moved."""
         if not isinstance(update, KEPT):
             return True
         if not self.since < update.at <= until:
@@ -208,16 +208,16 @@ class LateWindow:
         return not isinstance(update, Reading) or self._is_next(update, offset_s)
 
     def is_repeated(self, update: Update) -> bool:
-        """Return whether it is sent again because the app ended before it was confirmed."""
+        """Return whether an update is sent again because the app ended before confirming it."""
         return isinstance(update, KEPT) and self.since - REPEATED_S < update.at <= self.since
 
     def is_known(self, update: Update) -> bool:
-        """Return whether a reading of a live batch is of the time before, though it is young enough to be
+        """Return whether a reading of a live batch is from the time before, though young enough to be
         live."""
         return isinstance(update, Reading) and self.since - LIVE_S < update.at <= self.since
 
     def _is_next(self, reading: Reading, offset_s: float) -> bool:
-        """Return whether it follows the last one of its unit, by the worker's clock, whose offset may
+        """Return whether a reading follows the last one of its unit, by the worker's clock, whose offset may
         change."""
         own_at = reading.at - offset_s
         if own_at <= self._newest.get(reading.unit, UnixTime(-inf)):
@@ -228,14 +228,14 @@ class LateWindow:
 
 @dataclass(slots=True)
 class LateReadings:
-    """How many readings came late, and of which span."""
+    """The number of readings that came late, and their span."""
 
     count: int = 0
     since: UnixTime = UnixTime(inf)
     until: UnixTime = UnixTime(-inf)
 
     def add(self, updates: Iterable[Update]) -> None:
-        """Count those among late updates that were taken in."""
+        """Count the readings among late updates that were accepted."""
         times = [update.at for update in updates if isinstance(update, Reading)]
         self.count += len(times)
         self.since, self.until = min((self.since, *times)), max((self.until, *times))
@@ -243,22 +243,22 @@ class LateReadings:
 
 @dataclass(slots=True)
 class Coverage:
-    """How far one bus was followed: up to ``until`` its readings are here, or missing for good. None: nothing
-    is known of it."""
+    """The coverage of one bus: up to ``until`` its readings are here, or missing for good. None: nothing is
+    known."""
 
     until: UnixTime | None = None
 
     def window(self, now: UnixTime) -> LateWindow:
-        """Return what a worker that connects now may report late."""
+        """Return the span for which a worker that connects now may report late."""
         if self.until is None:
             return LateWindow(now - FIRST_S, now + OFFSET_ERROR_S)
-        # A clock that was set back must not refuse all that follows.
+        # After a clock was set back, the readings that follow must not be refused.
         self.until = min(self.until, now)
         return LateWindow(self.until, now + OFFSET_ERROR_S)
 
     def advance(self, batch: Batch, taken: list[Update], now: UnixTime) -> None:
-        """Note what was taken in of a batch, its times by the app's clock. A live one that is not full holds
-        everything until it was sent."""
+        """Note the accepted updates of a batch, with times of the app's clock. A live batch that is not full
+        holds everything until it was sent."""
         reached = [update.at for update in taken if isinstance(update, Reading)]
         if batch.live and len(batch.updates) < MAX_UPDATES:
             reached.append(batch.sent_at)

@@ -1,4 +1,4 @@
-"""The WebSocket ``/feed`` of the bus workers, opened with a bearer token, which leads each to its bus."""
+"""The WebSocket ``/feed``, to which workers connect with a bearer token, and which leads each to its bus."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ HELLOS_PER_S, MAX_HELLOS_AT_ONCE = 0.5, 20.0
 
 
 class Workers:
-    """The feed up to the bus. ``feeds``: by bus; ``recorder``: of the site, for a worker whose bus is not
-    configured."""
+    """The connections of workers until each has its bus. ``feeds``: by bus; ``recorder``: that of the site,
+    for a worker whose bus is not configured."""
 
     def __init__(self, feeds: Mapping[str, BusFeed], recorder: ChangeRecorder) -> None:
         self._feeds = feeds
@@ -39,19 +39,19 @@ class Workers:
         self._hello_buckets: defaultdict[str, Bucket] = defaultdict(
             lambda: Bucket(HELLOS_PER_S, MAX_HELLOS_AT_ONCE)
         )
-        """By token, so that one cannot use up what another has."""
+        """The hellos by token, so that none uses up the share of another."""
         self._own_called: set[str] = set()
         """Buses whose own worker connected since `responds` was last called."""
 
     def responds(self, bus: str) -> bool:
-        """Return whether the child of this server for ``bus`` is linked, or connected since the last call:
-        one whose bus another worker has is refused, and tries again."""
+        """Return whether this server's child for ``bus`` is linked, or connected since the last call: a child
+        whose bus another worker has is refused, and tries again."""
         called = bus in self._own_called
         self._own_called.discard(bus)
         return called or self._feeds[bus].has_own_worker
 
     async def serve(self, socket: WorkerConnection, credential: Credential) -> None:
-        """Serve one connection from its hello to its end. Raises nothing that a worker could cause."""
+        """Serve one connection from its hello to its end. Raise nothing that a worker could cause."""
         if credential.own:
             self._own_called.add(credential.bus)
         try:
@@ -76,7 +76,7 @@ class Workers:
         feed = self._feeds.get(credential.bus)
         refused = refusal(hello, credential, self._feeds)
         if feed is None:
-            assert refused is not None  # the bus of the token is not configured
+            assert refused is not None  # the token's bus is not configured
             self._recorder.note(refusal_of_worker(unix_now(), "", str(credential), refused))
             await send_away(socket, refused, unix_now())
         else:
@@ -88,19 +88,19 @@ router = APIRouter()
 GOING_AWAY = 1001
 POLICY_VIOLATION = 1008
 SEND_WITHIN_S = 5.0
-"""Bounds a worker that does not read: it must delay neither commands nor the end of its connection."""
+"""Limits a worker that does not read: it must delay neither commands nor the end of its connection."""
 REASON_BYTES = 123
-"""What a close frame has room for (RFC 6455, 5.5)."""
+"""The bytes that a close frame has room for (RFC 6455, 5.5)."""
 
 
 class WorkerSocket:
-    """Starlette's WebSocket with the words of :class:`app.line.feed.bus_feed.WorkerConnection`."""
+    """An adapter of Starlette's WebSocket to :class:`app.line.feed.bus_feed.WorkerConnection`."""
 
     def __init__(self, websocket: WebSocket) -> None:
         self._websocket = websocket
 
     async def send(self, message: AppMessage) -> None:
-        """Send one message. Raises ConnectionError when the worker is gone, or does not read."""
+        """Send one message. Raise ConnectionError if the worker is gone, or does not read."""
         try:
             async with asyncio.timeout(SEND_WITHIN_S):
                 await self._websocket.send_bytes(encode(message))
@@ -108,8 +108,8 @@ class WorkerSocket:
             raise ConnectionError("the bus worker disconnected") from error
 
     async def receive(self) -> bytes:
-        """Return the next message. Raises ConnectionError at the end (WorkerLeft where the worker announced
-        it), MalformedMessageError for anything but bytes."""
+        """Return the next message. Raise ConnectionError at the end (WorkerLeft if the worker announced it),
+        MalformedMessageError for anything but bytes."""
         if self._websocket.application_state is not WebSocketState.CONNECTED:
             raise ConnectionError("the connection was closed")
         message = await self._websocket.receive()
@@ -125,11 +125,11 @@ class WorkerSocket:
         return data
 
     def admit(self) -> None:
-        """Take the large messages that follow Hello."""
+        """Accept the large messages that follow Hello."""
         client_connection(self._websocket.scope).trust()
 
     async def close(self, reason: str) -> None:
-        """End it, with as many words as a close frame holds; at its end already, nothing happens."""
+        """End the connection with as many words as a close frame holds; do nothing if it has ended."""
         if self._websocket.application_state is not WebSocketState.CONNECTED:
             return
         short = reason.encode()[:REASON_BYTES].decode(errors="ignore")
@@ -139,8 +139,8 @@ class WorkerSocket:
 
 
 def _check_certificate(websocket: WebSocket) -> None:
-    """Require a certificate. Raises Problem 403 without the certificate that ``client_ca`` demands of a
-    worker elsewhere."""
+    """Require a certificate. Raise Problem 403 for a worker elsewhere without the certificate that
+    ``client_ca`` demands."""
     tls = service_of(websocket, Settings).server.tls
     is_demanded = tls is not None and tls.client_ca is not None
     if is_demanded and not client_connection(websocket.scope).is_certified():
@@ -149,8 +149,8 @@ def _check_certificate(websocket: WebSocket) -> None:
 
 @router.websocket("/feed")
 async def feed(websocket: WebSocket, worker: Worker) -> None:
-    """Serve one worker from its hello to its end. Raises Problem 403 for a token without a bus,
-    and for a worker without the certificate that it needs."""
+    """Serve one worker from its hello to its end. Raise Problem 403 for a token without a bus, and for a
+    worker without the certificate that it needs."""
     if not worker.bus:
         raise Problem(
             403,

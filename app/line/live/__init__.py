@@ -1,2 +1,2 @@
-"""The live state: the newest reading of every unit with its age, and what pages and programs are sent of
-it."""
+"""The live state: the newest reading of every unit with its age, and its presentation to pages and
+programs."""

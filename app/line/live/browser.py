@@ -1,7 +1,7 @@
-"""One open page: it gets the newest values, never a queue.
+"""One open page, which gets the newest values and never a queue.
 
-What changes while its socket is busy goes together as one update. A slow browser is always shown the present,
-and costs a few references: all that missed the same share what it is made of.
+Changes while its socket is busy go together as one update. A slow browser is always shown the present, and
+costs a few references: all that missed the same updates share one merged update.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ MAX_FRAMES = 300
 """Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
 
 MAX_WAITING = 64
-"""Changes that wait for a slow browser before they are made one."""
+"""The most changes that wait for a slow browser before they are merged into one."""
 
 encode = msgspec.json.Encoder().encode
 
 
 @dataclass(eq=False)
 class Diff:
-    """What changed between the numbers ``before`` and ``after``: one object for all pages of a language."""
+    """The changes between numbers ``before`` and ``after``: one object for all pages of a language."""
 
     before: int
     after: int
@@ -44,8 +44,8 @@ class Diff:
         return encode(message).decode()
 
     def after_all(self, earlier: Sequence[Diff]) -> Diff:
-        """Return this diff and the ``earlier`` ones as one, made once for all browsers that missed the
-        same."""
+        """Return this diff and the ``earlier`` ones as one, made once for all browsers that missed the same
+        diffs."""
         if not earlier:
             return self
         before = earlier[0].before
@@ -69,8 +69,7 @@ class LinesUpdate:
 
 @dataclass(eq=False, slots=True)
 class Browser:
-    """What one open page wants and has not had yet. ``units``: the units it shows, for the worker's
-    schedule."""
+    """The messages that wait for one open page. ``units``: the units it shows, for the worker's schedule."""
 
     name: str
     role: str
@@ -86,7 +85,7 @@ class Browser:
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
 
     def send_diff(self, diff: Diff) -> None:
-        """Send a diff, together with what has not been sent yet."""
+        """Send a diff, merged with diffs that have not been sent yet."""
         if len(self._waiting) >= MAX_WAITING:
             self._waiting = [diff.after_all(self._waiting)]
         else:
@@ -106,13 +105,13 @@ class Browser:
         self._wake.set()
 
     def show_lines(self, update: LinesUpdate) -> None:
-        """Send what changed of the lines, together with what has not been sent yet."""
+        """Send changed fields of lines, merged with those that have not been sent yet."""
         held = self._lines
         self._lines = update if held is None else LinesUpdate(merge_groups({}, held.groups, update.groups))
         self._wake.set()
 
     async def next(self) -> list[str]:
-        """Wait for messages; return all, in order. A second call means that the first ones have been sent."""
+        """Wait for messages; return all, in order. A second call means that the first ones were sent."""
         await self._wake.wait()
         self._wake.clear()
         texts = [] if self._snapshot is None else [encode(self._snapshot).decode()]

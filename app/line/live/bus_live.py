@@ -63,7 +63,7 @@ from bus.messages import Message
 from bus.settings import BusSettings, Seam, UnitSettings, wire_seconds
 
 KEYLOCK = 2
-"""#19 of a unit whose keypad is locked (manual, 4.0)."""
+"""The value of #19 of a unit whose keypad is locked (manual, 4.0)."""
 _TURNING = frozenset(("turning",))
 
 
@@ -102,7 +102,7 @@ MotionState = Literal[
 """``stopped``, ``stopping``, ``turning``: not driven; standing still, slowing down, or neither."""
 
 PATIENCE_S = 3.0
-"""A unit that has come no nearer for this long, or for three scans, is not ramping any more."""
+"""How long, or for three scans, a ramping unit may come no nearer before it counts as off speed."""
 PATIENCE_SCANS = 3
 
 
@@ -116,7 +116,7 @@ class Motion:
     _nearer_at: UnixTime = UnixTime(0.0)
 
     def note(self, reading: Reading, bits: StatusBits, *, scan_s: float, ratio: bool = False) -> MotionState:
-        """Return the state after this reading. ``ratio``: its speeds are ratios to a master, which do not
+        """Return the state after this reading. ``ratio``: whether speeds are ratios to a master, which do not
         show whether the motor turns."""
         if reading.commanded is None or reading.actual is None:
             self.state, self._goal = "", None
@@ -152,28 +152,28 @@ def _not_driven(reading: Reading, gave_up: bool) -> MotionState:
 
 
 UNSEEN_S = 60.0
-"""A condition before and after a gap of at most this, such as a restart, counts as uninterrupted."""
+"""A condition before and after a gap of at most this many seconds, such as a restart, is uninterrupted."""
 _NOTHING: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
 class Onset:
-    """When something began. Not ``exact``: it was first seen then and may have begun earlier."""
+    """The beginning of a condition. Not ``exact``: first seen ``at`` that time, perhaps older."""
 
     at: UnixTime
     exact: bool = True
 
 
 WordSpan = tuple[UnixTime, UnixTime, int]
-"""From when until when the status bits of a unit were the same, and these bits as ST2 * 256 + ST1."""
+"""A span in which the status bits of a unit were the same: begin, end, and the bits as ST2 * 256 + ST1."""
 
 
 @dataclass(slots=True)
 class Onsets:
-    """The conditions of one unit that hold now, and since when."""
+    """The conditions of one unit that hold now, each with its beginning."""
 
     since: dict[str, Onset] = field(default_factory=dict)
-    """By the code of each condition that holds, its onset."""
+    """The onset of each condition that holds, by its code."""
     _held: frozenset[str] = _NOTHING
     _seen_at: UnixTime = UnixTime(-math.inf)
 
@@ -198,7 +198,7 @@ class Onsets:
 
 
 def later(*onsets: Onset | None) -> Onset | None:
-    """Return when all of several conditions first held together; None if one of them does not hold."""
+    """Return when several conditions first held together; None if one of them does not hold."""
     known = [onset for onset in onsets if onset is not None]
     return max(known, key=lambda onset: onset.at) if len(known) == len(onsets) else None
 
@@ -206,7 +206,7 @@ def later(*onsets: Onset | None) -> Onset | None:
 def onset_in(
     spans: Sequence[WordSpan], holds: Callable[[int], bool], seen: Onset, change_seen_s: float
 ) -> tuple[Onset, bool]:
-    """Return the onset of a condition that was first ``seen`` then, by the status bits before in order of
+    """Return the onset of a condition that was first ``seen`` then, by the earlier status bits in order of
     time, and whether these reach back to where it began."""
     began = seen.at
     for at, until, word in reversed([span for span in spans if span[0] < seen.at]):
@@ -222,14 +222,15 @@ def onset_in(
 log = structlog.get_logger()
 
 SHOWN_WITH = (MAX_DISPLAY, DECIMALS, FOLLOWER_MODE, ANALOG_IN_LOW, ANALOG_IN_HIGH)
-"""The parameters that a reading is shown with."""
+"""The parameters that are needed to show a reading."""
 NO_WORKER = Message("worker_not_connected")
 BusSubscriber = Callable[[Sequence[Update]], None]
 """Called with the updates of a bus after they were applied."""
 
 
 class Audience(IntEnum):
-    """Who is told of a report, in this order: people who look come before what compares and judges."""
+    """The receivers of a report in their order: people who look come before features that compare and
+    judge."""
 
     BROWSERS = 0
     STREAM = 1
@@ -250,8 +251,8 @@ class UnitLive:
     """Whether it is unknown what the unit holds: it did not acknowledge 82h, or was away with a staged
     speed."""
     may_differ_since: UnixTime | None = None
-    """When a parameter was found changed, or the unit was back after it was offline. Whoever changed one at
-    the keypad may have changed others, so what was read before counts as old until it is read again."""
+    """When a parameter was found changed, or the unit was back after it was offline. A person who changed one
+    at the keypad may have changed others, so earlier values count as old until they are read again."""
     motion: Motion = field(default_factory=Motion)
     onsets: Onsets = field(default_factory=Onsets)
     draw: Draw = NO_DRAW
@@ -261,7 +262,7 @@ class UnitLive:
 
     @property
     def names(self) -> list[str]:
-        """What people call the unit: its name, its address, its group and what is wired to it."""
+        """The names by which people search for the unit: its name, address, group and wiring."""
         settings = self.settings
         wired = (*settings.labels.input.values(), *settings.labels.output.values(), settings.labels.analog)
         return [settings.name, str(settings.id), settings.group, *wired]
@@ -279,7 +280,7 @@ class UnitLive:
 
     @property
     def scale_is_old(self) -> bool:
-        """Whether the scale of the unit was not read yet, or may have changed since it was read."""
+        """Whether the scale of the unit has not been read yet, or may have changed since then."""
         if DECIMALS not in self.parameters:
             return self.reading is not None
         return self.may_differ_since is not None and not all(
@@ -312,11 +313,11 @@ class BusLive:
     link_onset: Onset
     """When the present ``link`` began."""
     worker_lost: Onset | None
-    """Since when no worker is connected; None while one is connected."""
+    """When the last worker was lost; None while one is connected."""
     figures: BusFigures | None = None
     units: dict[int, UnitLive] = field(default_factory=dict)
     read_at: UnixTime | None = None
-    """When the newest reading of any unit was made."""
+    """The time of the newest reading of any unit."""
     silence: Silence | None = None
     """The last silence of the bus."""
     seams: dict[int, Seam] = field(init=False, compare=False)
@@ -333,21 +334,21 @@ class BusLive:
 
     @property
     def baud(self) -> int:
-        """The rate that the worker reports, as #18 may have changed it; before a report, the configured
+        """The baud rate that the worker reports, which #18 may have changed; before a report, the configured
         one."""
         return self.link.baud or self.settings.baud
 
     def subscribe(self, audience: Audience, subscriber: BusSubscriber) -> Callable[[], None]:
-        """Call ``subscriber`` with the updates after each change, in the order of audiences. Return what ends
-        the subscription."""
+        """Call ``subscriber`` with the updates after each change, in the order of audiences. Return a
+        function that ends the subscription."""
         entry = (audience, subscriber)
         self._subscribers.append(entry)
         self._subscribers.sort(key=itemgetter(0))
         return lambda: self._subscribers.remove(entry)
 
     def apply(self, updates: Sequence[Update]) -> None:
-        """Apply what the worker reported, in order, then call every subscriber, even where one fails. Updates
-        of units that are not configured change nothing."""
+        """Apply a worker's updates in order, then call every subscriber, even if one fails. Updates of units
+        that are not configured change nothing."""
         for update in updates:
             self._apply_one(update, self.units.get(getattr(update, "unit", 0)))
         for _, subscriber in tuple(self._subscribers):
@@ -360,7 +361,7 @@ class BusLive:
         """Apply the complete state of a worker that has connected; return it as updates."""
         if not self.worker_connected:
             self.worker_lost = None
-            # The worker reports the state of its port, not since when.
+            # The worker reports the state of its port, but not its beginning.
             self.link, self.link_onset = snapshot.bus, Onset(snapshot.bus.at, exact=False)
         updates = updates_of(snapshot)
         self.apply(updates)
@@ -397,7 +398,7 @@ class BusLive:
         self.link = link
 
     def note_reading(self, unit: UnitLive, reading: Reading) -> None:
-        """Note a reading, and what follows from it: motion, conditions and draw of the unit."""
+        """Note a reading, and derive motion, conditions and draw of the unit from it."""
         unit.reading = reading
         bits, scan_s = bits_of(self, reading), scan_s_of(self)
         if self.read_at is not None and reading.at - self.read_at > silence_after_s(scan_s):
@@ -454,24 +455,24 @@ OFFLINE_SCANS = 5
 
 
 def stale_after_s(scan_s: float) -> float:
-    """Return the age from which a response is overdue: two seconds, or two scans where those take longer."""
+    """Return the age in seconds from which a response is overdue: two seconds, or two scans if longer."""
     return max(2.0, 2 * scan_s)
 
 
 def offline_after_s(scan_s: float) -> float:
-    """Return after how long without a response a unit counts as lost."""
+    """Return the seconds without a response after which a unit counts as lost."""
     return max(10.0, OFFLINE_SCANS * scan_s)
 
 
 def silence_after_s(scan_s: float) -> float:
-    """Return after how long without a response of any unit the bus counts as silent. It is shorter than
-    `offline_after_s` by more than a scan, so that a gap which loses a unit always counts as silence."""
+    """Return the seconds without a response of any unit after which the bus counts as silent. They are fewer
+    than `offline_after_s` by more than a scan, so that a gap which loses a unit always counts as silence."""
     return offline_after_s(scan_s) / 2
 
 
 def scan_s_of(bus: BusValues) -> float:
-    """Return how long one scan of all units takes: as the worker measured it, else what the wire and the
-    configuration allow."""
+    """Return the seconds that one scan of all units takes: as the worker measured them, else as the wire and
+    the configuration allow."""
     if bus.figures is not None and bus.figures.scan_s > 0:
         return bus.figures.scan_s
     return scan_s_at_best(bus.settings)
@@ -484,7 +485,7 @@ def scan_s_at_best(settings: BusSettings) -> float:
 
 
 WORKER_TIMEOUT_S = 2.0
-"""A worker reports its figures every second, beside the readings of its units."""
+"""The silence in seconds of a worker that hangs; it reports figures every second, beside readings."""
 
 
 def unit_link_now(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnitLinkState:
@@ -518,7 +519,7 @@ def lost_at(bus: BusLive, unit: UnitLive, now: UnixTime, patience_s: float) -> U
 
 
 def worker_timed_out(bus: BusLive, now: UnixTime) -> bool:
-    """Return whether a connected worker has stopped sending: its process hangs, or its network is cut."""
+    """Return whether a connected worker no longer sends: its process hangs, or its network is cut."""
     if not bus.worker_connected or bus.figures is None:
         return False
     since = now - WORKER_TIMEOUT_S
@@ -526,7 +527,7 @@ def worker_timed_out(bus: BusLive, now: UnixTime) -> bool:
 
 
 def figures_now(bus: BusLive, now: UnixTime) -> BusFigures | None:
-    """Return the figures of a bus; None if they are not of the present."""
+    """Return the figures of a bus; None if they are out of date."""
     return None if bus.link.link == "closed" or worker_timed_out(bus, now) else bus.figures
 
 
@@ -547,7 +548,7 @@ def draw_of(bus: BusLive, unit: UnitLive, now: UnixTime) -> Draw:
 
 
 def quantity_of(bus: BusLive, unit: UnitLive) -> str | None:
-    """Return what the speeds of a unit are measured in, by its label; None if they are ratios."""
+    """Return the measure of a unit's speeds, by its label; None if they are ratios."""
     return None if reads_ratio(bus, unit) else unit.settings.labels.unit
 
 
@@ -563,9 +564,9 @@ def ramp_parameter(old: int | None, new: int) -> int:
 
 
 def ramp_seconds(unit: UnitLive, old: int | None, new: int) -> float | None:
-    """Return how long a unit ramps from one raw speed to another, by #6 or #7, which are tenths of a second
-    for the full span #2. None for a follower, which follows its master, and while a parameter is not
-    known."""
+    """Return the seconds in which a unit ramps from one raw speed to another, by #6 or #7, which are tenths
+    of a second for the full span #2. None for a follower, which follows its master, and while a parameter is
+    not known."""
     span, tenths = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(ramp_parameter(old, new))
     if old is None or tenths is None or follower(unit):
         return None

@@ -1,8 +1,8 @@
 """The changes of a line that become events, recorded in order and within a budget; and the lookup in the
 history since when a condition holds that was there at the start.
 
-`ChangeDetector` and `EventBudget` are pure. `ChangeRecorder` never holds up who reports a change: what cannot
-be written now waits.
+`ChangeDetector` and `EventBudget` are pure. `ChangeRecorder` never delays the caller that reports a change: a
+change that cannot be written now waits.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from bus.pacing import Bucket
 from bus.settings import BusSettings
 
 PORT_REMARKS = frozenset(("diagnosis_port_changed", "diagnosis_port_changed_by", "diagnosis_port_shared"))
-"""Remarks of the diagnosis of a bus that become events."""
+"""Remarks of a bus's diagnosis that become events."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class LineEvent:
     series: str = ""
     """Separates events of one unit and kind that must not crowd out each other."""
     count: int = 0
-    """How many occurrences it stands for, if they are summed up from the first on; becomes `new`."""
+    """How many occurrences the event sums up, from the first on; it becomes `new`."""
 
 
 @dataclass(slots=True)
@@ -69,7 +69,7 @@ class ChangeDetector:
     _remarks: list[Message] = field(default_factory=list)
 
     def detect(self, update: Update) -> list[LineEvent]:
-        """Return what this update changes."""
+        """Return the changes that this update makes."""
         match update:
             case Reading():
                 return self._compare_reading(update)
@@ -102,7 +102,7 @@ class ChangeDetector:
         return [_event(UNIT_OFFLINE, update.unit, update.at, update.link == "offline", update.cause)]
 
     def _compare_remarks(self, figures: BusFigures) -> list[LineEvent]:
-        """Return that another program uses the port or changed its settings."""
+        """Return an event for each new remark that another program uses the port or changed its settings."""
         before = self._remarks
         self._remarks = [each for each in figures.diagnosis if each.code in PORT_REMARKS]
         new = [each for each in self._remarks if each not in before]
@@ -128,24 +128,24 @@ def _event(
 
 RETRY_AFTER_S = 1.0
 BURST = 20
-"""Changes of one series that are recorded one by one."""
+"""Changes of one series that are recorded individually."""
 FEW = 6
-"""How often a port or a worker comes and goes before its changes are summed up."""
+"""How often a port or a worker may come and go before its changes are summed up."""
 FORGIVEN_EVERY_S = 60.0
-"""How long until a series may have one more event of its own."""
+"""The seconds until a series may have one more event of its own."""
 QUIET_S = 60.0
 FIRST_PAUSE_S, MAX_PAUSE_S = 60.0, 3600.0
 MAX_WAITING = 10_000
-"""Changes kept in memory while the log cannot be written; beyond it, the oldest are left out and counted."""
+"""The most changes kept in memory while the log cannot be written; beyond it the oldest are left out."""
 DUE_EVERY_S = 1.0
-"""How often the recorder looks for summaries that are due."""
+"""How often the recorder looks for due summaries, in seconds."""
 
 log = structlog.get_logger()
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The last of ``count`` events of a series, which came within ``seconds``."""
+    """The last of ``count`` events of a series that came within ``seconds``."""
 
     last: LineEvent
     count: int
@@ -175,7 +175,7 @@ class EventBudget:
     def admits(
         self, key: Hashable, event: LineEvent, now: Monotonic, *, burst: int = BURST, count: int = 1
     ) -> bool:
-        """Return whether to record this event of a series now, of which ``burst`` are recorded one by one.
+        """Return whether to record this event of a series now, of which ``burst`` are recorded individually.
         Else keep it for a summary, as ``count`` events."""
         series = self._series.setdefault(key, _Series(Bucket(1 / FORGIVEN_EVERY_S, burst)))
         series.last_at = now
@@ -212,7 +212,7 @@ class EventBudget:
 
 
 class ChangeRecorder:
-    """The recorder of one bus, or of the site without ``bus``."""
+    """The recorder of the changes of one bus, or of the site without ``bus``."""
 
     def __init__(self, events: EventLog, bus: str | None = None) -> None:
         self._events = events
@@ -248,7 +248,7 @@ class ChangeRecorder:
             self._note_left_out(change.at)
 
     async def recorded(self) -> None:
-        """Wait until everything that was noted is in the events, summaries included."""
+        """Wait until all noted changes are in the events, summaries included."""
         self._note_due(everything=True)
         await self._queue.join()
 
@@ -299,14 +299,14 @@ def _summed_up(summary: Summary) -> LineEvent:
 
 LOOK_EVERY_S = 1.0
 LOOK_AFTER_S = (1.0, 10.0, 60.0)
-"""How long after it was first seen: once the history has stored it, and again when a worker may have
-delivered what it buffered meanwhile."""
+"""The seconds after which an onset is looked up: once the history has stored it, and again when a worker may
+have delivered what it buffered meanwhile."""
 HOUR_S, DAY_S = 3600.0, 86_400.0
 BACK_S = (HOUR_S, DAY_S, 7 * DAY_S, 31 * DAY_S, 366 * DAY_S)
-"""How far to look back, step by step until the beginning is found."""
+"""How far to look back, in seconds, step by step until the beginning is found."""
 
 StatusWords = Callable[[str, int, UnixTime, UnixTime], Awaitable[Sequence[WordSpan]]]
-"""The stored status bits of a unit of a bus from one time to another, in order of time. Raises StoreError."""
+"""A function that returns the stored status bits of a unit in a span, in order. It may raise StoreError."""
 OnsetKey = tuple[str, int, str, Onset]
 
 
@@ -322,7 +322,7 @@ class OnsetLookup:
     _looked: dict[OnsetKey, int] = field(default_factory=dict)
     """How often each open onset was looked up."""
     _requested: set[tuple[str, int]] = field(default_factory=set)
-    """The units whose last response before this start was looked up."""
+    """The units whose last response before this start has been looked up."""
 
     async def follow(self) -> None:
         """Look up open conditions, as long as the server runs."""

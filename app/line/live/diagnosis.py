@@ -1,5 +1,5 @@
-"""Judges a line: the facts about units and buses, the causes of what is abnormal, and what a unit is shown
-with. Pure.
+"""The judgment of a line: the facts about units and buses, the causes of abnormal conditions, and the
+presentation of a unit. Pure.
 
 The cause of a unit is the first broken rung of e-stop → run → mode → link → ramp: what a unit needs to be at
 speed, each rung of which needs the one before.
@@ -106,7 +106,7 @@ Level = AlarmPriority | Literal[""]
 
 
 def _motion(bus: BusLive, unit: UnitLive, reading: Reading) -> dict[str, str]:
-    """Return how a unit moves that a broken rung holds back; nothing if that is not known or as commanded."""
+    """Return how a unit moves despite a broken rung; nothing if that is unknown or as commanded."""
     state = unit.motion.state
     if is_driven(bits_of(bus, reading)):
         off_speed = "stopped" if reading.actual == 0 else "off_speed"
@@ -125,7 +125,7 @@ _NAMED = {"motion": _motion, "mode": _mode}
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """One cause. ``params``: the parameters of its text; ``why`` among them is itself a text."""
+    """A cause. ``params``: the parameters of its text; ``why`` among them is itself a text."""
 
     code: str
     level: Level
@@ -134,7 +134,7 @@ class Cause:
 
 
 def abnormal(code: str, onset: Onset | None = None, params: Mapping[str, Any] | None = None) -> Cause:
-    """Return a cause with the priority of its condition. Raises KeyError for a code without one."""
+    """Return a cause with the priority of its condition. Raise KeyError for a code without one."""
     return Cause(code, TILES[code].priority, onset, params or {})
 
 
@@ -162,7 +162,7 @@ def unit_cause(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
 
 
 def _broken(index: int, facts: UnitFacts, bus: BusLive, unit: UnitLive, reading: Reading) -> Cause:
-    """Return the rung of a row of the ladder, with the highest priority of what holds from there on."""
+    """Return the rung of a row of the ladder, with the highest priority of all that hold from there on."""
     row = BY_READING[index]
     held = [each.priority for each in BY_READING[index:] if each.holds(facts)] if row.holds(facts) else []
     params = {key: text for name in row.names for key, text in _NAMED[name](bus, unit, reading).items()}
@@ -173,7 +173,7 @@ def _broken(index: int, facts: UnitFacts, bus: BusLive, unit: UnitLive, reading:
 
 def broken_rung(cause: Cause | None) -> str:
     """Return the broken rung of a ``unit_cause`` with its priority, ``run high``; the rung alone if another
-    condition has the priority; empty if no rung is broken. What cannot be read breaks the rung link."""
+    condition has the priority; empty if no rung is broken. An unreadable unit breaks the rung link."""
     if cause is None or cause.code == "ramping":
         return ""
     return f"{TILES[cause.code].rung or 'link'} {cause.level}".rstrip()
@@ -196,8 +196,8 @@ def _ramp(bus: BusLive, unit: UnitLive, reading: Reading) -> Cause:
 
 
 def _never_read(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause:
-    """Return the cause of a unit that has not responded since the start: once its time is over, it counts as
-    lost."""
+    """Return the cause of a unit that has not responded since the start; it counts as lost once its time is
+    over."""
     is_overdue = now - bus.link_onset.at >= offline_after_s(scan_s_of(bus))
     if UNIT_UNKNOWN.holds(is_overdue):
         return abnormal("unit_unknown")
@@ -225,7 +225,7 @@ _BEFORE_ALL = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class UnitView:
-    """The presentation of a unit. ``cause``: what its first line names; ``blocked``: why commands are
+    """The presentation of a unit. ``cause``: that of its first line; ``blocked``: why commands are
     blocked."""
 
     unit: UnitLive
@@ -245,7 +245,7 @@ _COUNTED_AS = {
 
 
 def state_counts(views: Iterable[UnitView]) -> Counter[str]:
-    """Return how many units are in which state, and ``online``. A unit that does not respond is in no
+    """Return how many units are in each state, and ``online``. A unit that does not respond is in no
     state."""
     states = Counter([view.unit.motion.state for view in views if view.link == "online"])
     counts = Counter({"online": states.total()})
@@ -263,11 +263,9 @@ def shown_cause(
     blocked: Message | None,
     drifted: str,
 ) -> Cause | None:
-    """Return what the first line of a unit names: the first broken rung, else what else is abnormal about it.
-
+    """Return the cause for the first line of a unit: the first broken rung, else another abnormal condition.
     ``cause``: its ``unit_cause``; ``blocked``: why commands are blocked, None if they are not; ``drifted``:
-    in what it departs from its golden set, empty if in nothing.
-    """
+    in what it departs from its golden set, empty if in nothing."""
     if cause is not None and cause.code in _BEFORE_ALL:
         return cause
     suspected = suspicion(bus, unit)
@@ -276,7 +274,7 @@ def shown_cause(
 
 
 def _draw(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
-    """Return that the draw of a unit is out of its band, once it has been for as long as its alarm waits."""
+    """Return a draw out of its band as a cause, once it has lasted for the delay of its alarm."""
     onset = unit.onsets.since.get(DRAW_OUT_OF_BAND.code)
     if onset is None or now - onset.at < DRAW_OUT_OF_BAND.tuning.on_delay_s:
         return None
@@ -308,7 +306,7 @@ def _others(
 
 
 def all_offline(bus: BusLive, now: UnixTime) -> Cause | None:
-    """Return that no unit of a bus responds: one cause for all of them, since the last of them was lost."""
+    """Return one cause for all units of a bus if none responds, since the last of them was lost."""
     if any_responds(bus, now):
         return None
     facts = bus_facts(bus, now)

@@ -1,4 +1,4 @@
-"""The live state as a feature: the present state of every unit, the record of its changes, what sends them to
+"""The live state as a feature: the present state of every unit, the record of its changes, the hub of
 browsers, and the search for units, inputs and outputs."""
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ async def find_wiring(live: LiveState, search: Search) -> Iterable[FoundPlace]:
         labels |= unit.settings.labels.output.items()
         for place, standard in places.items():
             names = [each for each in (labels.get(place), standard) if each]
-            # A unit by its name alone is found among the units.
+            # A unit that matches by its name alone is found among the units.
             if len(missing(words, names)) < len(words):
                 shown = FoundPlace(f"{name} · {names[0]}", href, is_name=True)
                 for best in matched(search, shown, *names, name, str(unit.settings.id)):
@@ -79,7 +79,7 @@ def _units(live: LiveState) -> Iterator[tuple[BusLive, UnitLive, str]]:
 
 
 def _state(search: Search, bus: BusLive, unit: UnitLive, place: str | int) -> str:
-    """Return the word for the state of an input, by its name, or of an output, by its number."""
+    """Return the word for the state of an input (by name) or of an output (by number)."""
     if unit.reading is None or unit_link_now(bus, unit, unix_now()) != "online":
         return UNKNOWN
     bits = bits_of(bus, unit.reading)
@@ -103,7 +103,7 @@ def make(services: Services) -> None:
 
 
 def _make_recorder(services: Services, owner: Registry, bus: str | None) -> ChangeRecorder:
-    """Make the recorder of the site, or of one bus, which is its ``owner``."""
+    """Make the recorder of the site, or of one bus, and add it to its ``owner``."""
     recorder = owner.add(ChangeRecorder(services[EventLog], bus))
     name = f"changes of {bus or 'the site'}"
     services.lifespan.add(name, recorder.follow, finish=recorder.recorded)
@@ -111,7 +111,7 @@ def _make_recorder(services: Services, owner: Registry, bus: str | None) -> Chan
 
 
 def _sources_of_records(services: Services) -> Sources:
-    """Return the sources that know what is wrong with the records; later features add theirs."""
+    """Return the sources of notices about the records; later features add theirs."""
     history, anchoring, reserve = services[History], services[Anchoring], services[Reserve]
     notices: list[Notice] = [
         lambda formats, now: store_notice(history.status, formats, now),
@@ -122,7 +122,7 @@ def _sources_of_records(services: Services) -> Sources:
 
 
 def _make_screens(services: Services, live: LiveState, sources: Sources) -> None:
-    """Make what sends browsers and programs the changes."""
+    """Make the services that send changes to browsers and programs."""
     templates, lifespan = services[Templates], services.lifespan
     english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
     view = services.add(LineView(services.settings.site.name, live, sources, english))

@@ -58,7 +58,7 @@ STATE_WORDS: dict[MotionState, str] = {
     "turning": "turning without run",
 }
 TURNING = "turning"
-"""The word for a unit that turns without run, beside a cause that names the run input."""
+"""The word for a unit that turns without run, used beside a cause that names the run input."""
 STOPPED_WITH_RUN = "stopped with run input on"
 MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEYLOCK"}
 STAGE_WORDS: dict[Stage, str] = {
@@ -71,13 +71,13 @@ STAGE_WORDS: dict[Stage, str] = {
 
 
 Fields = dict[str, Any]
-"""By name, a text, or a list that a script of the page reads: ``setpoint`` is [raw, decimals]."""
+"""The fields of a group: a text, or a list for a script of the page (``setpoint``: [raw, decimals])."""
 Groups = dict[str, Fields]
 K = TypeVar("K")
 
 
 def put_fields(shown: dict[K, Fields], group: K, fields: Fields) -> dict[K, Fields]:
-    """Put ``fields`` into ``group`` of what is shown; return those that differ, and no group if none does."""
+    """Put ``fields`` into ``group`` of ``shown``; return those that differ, and no group if none does."""
     before = shown.setdefault(group, {})
     changed = {name: value for name, value in fields.items() if before.get(name) != value}
     before.update(changed)
@@ -93,10 +93,10 @@ def merge_groups(groups: Groups, *later: Groups) -> Groups:
 
 
 MEASURED = frozenset({"actual", "analog", "at", "deviation", "draw", "fill", "off"})
-"""The fields of a unit that each reading may change, however well all is."""
+"""The fields of a unit that each reading may change even if all is well."""
 
 DEVIATION_WINDOWS = 3
-"""Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
+"""Half the width of a deviation bar in at-speed windows, which makes the band its middle third."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,11 +110,12 @@ class Translator:
         return self.language.t(text, **values)
 
     def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
-        """Return the text for a count: ``one`` for exactly one, else ``many``; ``{n}`` in it is the count."""
+        """Return the text for a count: ``one`` for exactly one, else ``many``, with ``{n}`` in it
+        replaced."""
         return self.language.tn(one, many, n, **values)
 
     def isolated(self, text: str) -> str:
-        """Return a name as it is put beside other text of this language."""
+        """Return a name so that it can stand beside other text of this language."""
         return self.language.isolated(text)
 
 
@@ -123,13 +124,13 @@ def unit_key(bus: str, unit: int) -> str:
 
 
 def name_on_site(bus: str, name: str, buses: Collection[str]) -> str:
-    """Return the name of a unit on the pages of a site. With several buses the bus comes first, as two may
-    have a unit of that name."""
+    """Return the name of a unit on the pages of a site. With several buses the bus comes first, because two
+    of them may have a unit of that name."""
     return f"{bus} · {name}" if len(buses) > 1 else name
 
 
 def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, translator: Translator) -> Fields:
-    """Return what a page shows of one unit by its reading."""
+    """Return the fields of one unit, by its reading."""
     state = unit.motion.state
     fields = {"link": link, "staged": _staged(unit, translator), "ratio": _ratio(bus, unit, translator)}
     reading = unit.reading
@@ -167,7 +168,7 @@ def draw_text(tenths: int, translator: Translator) -> str:
 
 
 def bus_fields(bus: BusLive, translator: Translator, now: UnixTime) -> Fields:
-    """Return the figures of one bus, and for how long the readings of its units count as fresh."""
+    """Return the figures of one bus, and how long the readings of its units count as fresh."""
     scan_s = scan_s_of(bus)
     cause = translator.t(bus.link.cause) if bus.link.cause is not None and bus.link.link == "closed" else ""
     fields = {
@@ -208,7 +209,7 @@ def scan_text(translator: Translator, scan_s: float) -> str:
 
 
 def health_fields(figures: UnitFigures, translator: Translator) -> Fields:
-    """Return how one unit responds, for its open page."""
+    """Return the counters and response times of one unit, for its open page."""
     naks = [f"{count} x {translator.t(unit_error(code))}" for code, count in sorted(figures.naks.items())]
     median, most = figures.response_s_median, figures.response_s_max
     times = ""
@@ -259,7 +260,7 @@ def _speed(raw: int | None, decimals: int | None, translator: Translator) -> str
 
 
 def _state_text(unit: UnitLive, translator: Translator) -> str:
-    """Return how a unit moves, and that its numbers may be in another scale by now."""
+    """Return how a unit moves, and whether its numbers may be in another scale by now."""
     state = translator.t(STATE_WORDS[unit.motion.state])
     return f"{state} · {translator.t(Message('scale_being_read'))}" if unit.scale_is_old else state
 
@@ -271,8 +272,7 @@ def _staged(unit: UnitLive, translator: Translator) -> str:
 
 
 def _ratio(bus: BusLive, unit: UnitLive, translator: Translator) -> str:
-    """Return the ratio of a follower to its master: where its commanded speed is a speed, #37 as last
-    read."""
+    """Return the ratio of a follower to its master; if its commanded speed is a speed, #37 as last read."""
     if not follower(unit):
         return ""
     if bus.settings.follower_speed == "speed":
@@ -283,7 +283,7 @@ def _ratio(bus: BusLive, unit: UnitLive, translator: Translator) -> str:
 
 
 def _signed(raw: int, decimals: int | None, translator: Translator) -> str:
-    """Return a number with its sign, ``±`` for 0, so that all are of one width in any typeface."""
+    """Return a number with its sign, ``±`` for 0, so that all have the same width in any typeface."""
     sign = "+" if raw > 0 else MINUS if raw < 0 else "±"
     return sign + translator.formats.fixed(abs(raw), decimals)
 
@@ -341,8 +341,8 @@ MINUTE_S, LONG_RAMP_S = 60, 120
 
 
 class CauseTexts(NamedTuple):
-    """The texts of a cause: the condition, ``since`` when (empty if not known), both in one ``line``, and in
-    ``brief`` what is so, as short as a tile needs it."""
+    """The texts of a cause: the condition, ``since`` when (empty if unknown), both in one ``line``, and a
+    ``brief`` text for a tile."""
 
     text: str
     since: str
@@ -363,7 +363,7 @@ def cause_texts(cause: Cause, translator: Translator, now: UnixTime) -> CauseTex
 
 
 def _since(cause: Cause, translator: Translator, now: UnixTime) -> str:
-    """Return since when a cause holds; nothing for a ramp, which shows the time left."""
+    """Return since when a cause holds; empty for a ramp, which shows the time left."""
     onset = cause.onset
     if onset is None or cause.code == "ramping":
         return ""
@@ -372,13 +372,13 @@ def _since(cause: Cause, translator: Translator, now: UnixTime) -> str:
 
 
 def check_text(cause: Cause | None, translator: Translator) -> str:
-    """Return what to check; empty if nothing is to be done."""
+    """Return what to check for a cause; empty if nothing is to be done."""
     check = None if cause is None else tile_check(cause.code)
     return "" if check is None else translator.t(check)
 
 
 def joined(*parts: str) -> str:
-    """Return parts that explain each other as one text with a capital at its head, without empty ones."""
+    """Join parts that explain each other with colons, without empty ones; capitalize the text."""
     text = ": ".join(part for part in parts if part)
     return text[:1].upper() + text[1:]
 

@@ -2,12 +2,12 @@
 and the WebSocket ``/live`` of a page.
 
 A change is rendered once for each language in use, and all pages of a language get the same bytes in the same
-turn. What units at speed are measured again, and in a flood of changes or with very many pages every change,
-is held back for a moment and goes together. Age, which no worker reports, is checked once a second; the same
-tick is the heartbeat that every page draws.
+turn. New measurements of units at speed, and in a flood of changes or with very many pages every change, are
+held back for a moment and go together. Age, which no worker reports, is checked once a second; the same tick
+is the heartbeat that every page draws.
 
-A page may request a snapshot over its socket, but never a command: one that was clicked while a socket was
-down must never be sent later.
+A page may request a snapshot over its socket, but never a command: a command that was clicked while a socket
+was down must never be sent later.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ from bus.pacing import Bucket
 
 FLOOD = 60
 WINDOW_S = 0.25
-"""More changed units than this within a window, which is more than six full wires bring, are a flood: updates
-go out once per window until it is quieter, as pages could not draw them all."""
+"""The changed units within a window that make a flood, more than six full wires bring. In a flood updates go
+out once per window, because pages could not draw them all."""
 
 FEW_PAGES = 40
 MAX_SENDS_S = 2000
@@ -64,8 +64,8 @@ MAX_SENDS_S = 2000
 second each, 40 and fewer one for each response."""
 
 STEADY_S = 0.2
-"""Between two updates of units that are at speed and only measured again: drawing each by itself takes a
-browser twice the CPU."""
+"""The seconds between two updates of units that are at speed and only measured again: drawing each by itself
+takes a browser twice the CPU."""
 
 
 @dataclass(slots=True)
@@ -85,7 +85,7 @@ class Flow:
         self._gap_s = pages / MAX_SENDS_S if pages > FEW_PAGES else 0.0
 
     def came(self, units: int = 1) -> None:
-        """Note that something of so many units has changed."""
+        """Note that so many units have changed."""
         now = self.clock()
         if now - self._began >= WINDOW_S:
             self._flooded = self._count > FLOOD and now - self._began < 2 * WINDOW_S
@@ -93,8 +93,8 @@ class Flow:
         self._count += units
 
     def pause_s(self, *, is_steady: bool = False) -> float:
-        """Return the seconds to wait before pages are sent the next update. It is 0 unless all changed units
-        are steady, changes come in a flood, or very many pages are open."""
+        """Return the seconds to wait before pages are sent the next update: 0 unless all changed units are
+        steady, changes come in a flood, or very many pages are open."""
         flooded = self._flooded or self._count > FLOOD
         gap_s = max(self._gap_s, WINDOW_S if flooded else 0.0, STEADY_S if is_steady else 0.0)
         return max(0.0, self._sent_at + gap_s - self.clock())
@@ -108,8 +108,8 @@ ShownUnits = frozenset[tuple[str, int]]
 
 
 class Watched:
-    """Which units and traces the open pages show. They are counted as pages come, go and turn, so a page
-    costs by what it shows, not by how many pages there are. ``units``: the configured ones, by bus."""
+    """The units and traces that the open pages show. They are counted as pages come, go and turn, so a page
+    costs by what it shows, not by the number of pages. ``units``: the configured ones, by bus."""
 
     def __init__(self, units: Mapping[str, Collection[int]]) -> None:
         self._by_key = {unit_key(bus, unit): (bus, unit) for bus, of_bus in units.items() for unit in of_bus}
@@ -140,11 +140,11 @@ class Watched:
 
 @dataclass(eq=False, slots=True)
 class Broadcast:
-    """The open pages of one language, and what was sent to them. ``clock`` returns Unix time in seconds;
+    """The open pages of one language, and the fields sent to them. ``clock`` returns Unix time in seconds;
     ``page_digest`` identifies what a page is rendered with now.
 
     ``number`` is that of the last message. A page that opens while changes are held back gets a snapshot of
-    that number, which is newer than it: the next message repeats some fields.
+    that number with newer content: the next message repeats some fields.
     """
 
     screen: Screen
@@ -152,7 +152,7 @@ class Broadcast:
     page_digest: str = ""
     flow: Flow = field(default_factory=Flow)
     browsers: deque[Browser] = field(default_factory=deque)
-    """The open pages. They take turns in being first, as writing to all takes a while."""
+    """The open pages. They take turns in being first, because writing to all takes a while."""
     number: int = 0
     _held: Groups = field(default_factory=dict)
     _due: asyncio.TimerHandle | None = None
@@ -163,7 +163,7 @@ class Broadcast:
         self.send_snapshot(browser)
 
     def leave(self, browser: Browser) -> None:
-        """Remove a browser; drop changes that no page waits for."""
+        """Remove a browser; drop held changes if no page is left."""
         self.browsers.remove(browser)
         if not self.browsers:
             self._held = {}
@@ -184,7 +184,7 @@ class Broadcast:
         )
 
     def publish(self, groups: Groups, *, always: bool = False) -> None:
-        """Send changed fields, at once or with the next message. ``always``: even when nothing changed."""
+        """Send changed fields, at once or with the next message. ``always``: even if nothing changed."""
         if not self.browsers or not (groups or always):
             return
         self.flow.came(len(groups) or 1)
@@ -215,10 +215,10 @@ log = structlog.get_logger()
 
 HEARTBEAT_S = 1.0
 ALARM_PAUSE_S = 0.05
-"""Delay from an alarm to the pages, which bounds the cost of a flood of alarms."""
+"""The seconds from an alarm to the pages, which bound the cost of a flood of alarms."""
 WATCH_UPDATES_A_SECOND = 5.0
 MAX_WATCH_BURST = 50
-"""How often a worker is told which of its units are watched."""
+"""The rate at which a worker is told which of its units are watched."""
 Watcher = Callable[[list[int], bool], None]
 """Called with the units of a bus that someone has open, and whether someone follows its trace."""
 
@@ -237,12 +237,12 @@ class Hub:
         self._sources = sources
         self._templates = templates
         self.watchers: dict[str, Watcher] = {}
-        """By bus, who is told which of its units the open pages show."""
+        """The function of each bus that is told which of its units the open pages show."""
         self._lines: LineFields | None = None
         self._clock = clock
         self._monotonic = monotonic_now
         self._broadcasts: dict[str, Broadcast] = {}
-        """The broadcast of every language requested so far; most are empty now."""
+        """The broadcast of every language requested so far; most have no page now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
         self.admission = Admission()
         self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
@@ -271,7 +271,7 @@ class Hub:
         return {name: roles[name] for name in sorted(roles)}
 
     def screen(self, language: str) -> Screen:
-        """Return the screen of a language, up to date."""
+        """Return the up-to-date screen of a language."""
         broadcast = self._broadcasts.get(language)
         if broadcast is None:
             broadcast = self._broadcasts[language] = Broadcast(
@@ -330,11 +330,11 @@ class Hub:
         self._notify_watchers()
 
     def refresh_unit(self, bus: str, unit: int) -> None:
-        """Show what no worker reports about a unit and has changed, for example a block."""
+        """Show a change of a unit that no worker reports, for example a block."""
         self._render(bus, [unit], include_bus=False)
 
     def show_alarm(self, bus: str | None, unit: int | None) -> None:
-        """Show that an alarm has changed; those that change together, or in a flood, are shown together."""
+        """Show that an alarm has changed; alarms that change together, or in a flood, go together."""
         if bus is not None and unit is not None:
             self._alarmed_units.add((bus, unit))
         if self._alarms_due is None:
@@ -358,8 +358,8 @@ class Hub:
             broadcast.publish(self._control(broadcast.screen))
 
     def _control(self, screen: Screen) -> Groups:
-        """Put who controls each bus, until when, and who requests it. ``control`` is another text whenever
-        the head of a page is."""
+        """Put who controls each bus, until when, and who requests it. ``control`` changes whenever the head
+        of a page does."""
         controls = [self._sources.guards[bus].bus_control() for bus in self.live.buses]
         held_by = {each.bus: each.holder for each in controls}
         keys = "\n\n".join(each.key for each in controls)
@@ -376,7 +376,7 @@ class Hub:
             self.tick()
 
     def tick(self) -> None:
-        """Send one heartbeat: the time of the server, and what has aged."""
+        """Send one heartbeat: the time of the server, and values that have aged."""
         now = self._clock()
         if self._watched_is_due:
             self._notify_watchers()
@@ -388,7 +388,7 @@ class Hub:
             self._show_lines(broadcast)
 
     def show_lines(self, lines: LineFields) -> None:
-        """Show these lines, from now on, on the pages that follow all lines."""
+        """Show these lines from now on, on the pages that follow all lines."""
         self._lines = lines
 
     def _show_lines(self, broadcast: Broadcast) -> None:
@@ -475,7 +475,7 @@ class Hub:
 
     def _notify_watchers(self) -> None:
         """Tell the workers which units are watched, at once, but not as often as pages can turn; the next
-        tick makes up for it."""
+        tick sends what was held back."""
         self._watched_is_due = not self._watch_limit.take(self._monotonic())
         if self._watched_is_due:
             return
@@ -513,8 +513,7 @@ _decoder = msgspec.json.Decoder(PageMessage)
 
 @router.websocket("/live")
 async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None:
-    """Serve one page from its opening to its end. ``language``: that of the page, so that both are the
-    same."""
+    """Serve one page from its opening to its end. ``language``: that of the page, so that both agree."""
     hub, address = service_of(websocket, Hub), source_of(websocket.client.host if websocket.client else "")
     if not hub.admission.enter(person.account, address):
         problem = Problem(429, "too_many", Message("too_many_pages"))
@@ -568,13 +567,13 @@ async def _write(websocket: WebSocket, browser: Browser) -> None:
 
 
 async def _send(websocket: WebSocket, texts: list[str]) -> None:
-    """Send texts, and keep none while the page waits for its next: a snapshot is up to 250 KiB."""
+    """Send texts without keeping them while the page waits for its next: a snapshot is up to 250 KiB."""
     for text in texts:
         await websocket.send_text(text)
 
 
 async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
-    """Read what a page sends, more slowly if it sends more than its share."""
+    """Read the messages of a page, more slowly if it sends more than its share."""
     messages = Bucket(MESSAGES_A_SECOND, MAX_MESSAGES_AT_ONCE)
     snapshots = Bucket(SNAPSHOTS_A_SECOND, MAX_SNAPSHOTS_AT_ONCE)
     while True:
@@ -591,7 +590,7 @@ async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
 
 
 def _follow(hub: Hub, browser: Browser, text: str) -> bool:
-    """Apply a message of a page; return whether it requests a snapshot too. Raises msgspec.DecodeError."""
+    """Apply a message of a page; return whether it wants a snapshot too. Raise msgspec.DecodeError."""
     message = _decoder.decode(text)
     may_trace = Role(browser.role).includes(Role.ENGINEER)
     hub.follow(browser, message.units, message.trace if may_trace else "", lines=message.lines)

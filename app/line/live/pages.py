@@ -29,7 +29,7 @@ FirstStep = Literal["worker", "port", "scan"]
 
 
 def next_step(bus: BusLive) -> FirstStep | None:
-    """Return the first missing part of a bus; None once a unit responds, or if one has responded before."""
+    """Return the first missing part of a bus; None once a unit responds or has responded before."""
     if any(unit.reading or unit.last_response for unit in bus.units.values()):
         return None
     if not bus.worker_connected:
@@ -41,7 +41,7 @@ router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 View = Literal["tiles", "rows", "matrix"]
 FORMER_VIEWS = {"board": "matrix"}
-"""Former name of a view → its name; a stored home page or cookie may have it."""
+"""The present name of each former view; a stored home page or cookie may have it."""
 ViewSize = Annotated[
     Literal["auto", "tiles", "rows", "matrix"],
     BeforeValidator(lambda view: FORMER_VIEWS.get(view, view)),
@@ -53,7 +53,7 @@ YEAR_S = 365 * 24 * 3600
 
 @dataclass(frozen=True, slots=True)
 class UnitOnLine:
-    """What does not change of a unit while a page is open. ``pad``: places that align the decimals;
+    """The fixed properties of a unit while a page is open. ``pad``: places that align the decimals;
     ``window``: its at-speed window in the unit of its speed, empty if that is not known."""
 
     key: str
@@ -116,7 +116,7 @@ async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Res
 
 @router.get("/bus/{bus}/first-steps")
 async def first_steps(request: Request, _: Engineer, bus: str) -> Response:
-    """Show what to do until the first unit of a bus responds; then the line."""
+    """Show what to do until the first unit of a bus responds, and then the line."""
     guide = _first_steps(bus_or_404(service_of(request, Hub).live, bus))
     if guide["step"] is None:
         return Response(headers={"HX-Redirect": "/"})
@@ -128,12 +128,12 @@ def _first_steps(bus: BusLive) -> dict[str, Any]:
 
 
 def view_for(units: int) -> View:
-    """Return the view that is as generous as the number of units allows."""
+    """Return the view that shows as much as the number of units allows."""
     return "tiles" if units <= MAX_TILES else "matrix"
 
 
 def unit_on_line(bus: str, unit: UnitLive, most_decimals: int = 0) -> UnitOnLine:
-    """Return a unit as the templates show it."""
+    """Return a unit in the form that the templates take."""
     settings = unit.settings
     decimals, window = unit.parameter_raw(DECIMALS) or 0, unit.parameter_raw(AT_SPEED_WINDOW)
     return UnitOnLine(

@@ -1,4 +1,4 @@
-"""What requests about the line share: the named bus or unit, the number of open pages, the ids of
+"""Parts that requests about the line share: the named bus or unit, the number of open pages, the ids of
 commands."""
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from app.line.live.bus_live import BusLive, LiveState, UnitLive
 
 
 def bus_or_404(live: LiveState, bus: str) -> BusLive:
-    """Return a configured bus. Raises Problem 404."""
+    """Return a configured bus. Raise Problem 404 for any other."""
     found = live.buses.get(bus)
     if found is None:
         raise unknown_bus(bus, live.buses)
@@ -19,12 +19,12 @@ def bus_or_404(live: LiveState, bus: str) -> BusLive:
 
 
 def unit_or_404(live: LiveState, bus: str, unit: int) -> UnitLive:
-    """Return a configured unit. Raises Problem 404."""
+    """Return a configured unit. Raise Problem 404 for any other."""
     return unit_of_bus_or_404(bus_or_404(live, bus), unit)
 
 
 def unit_of_bus_or_404(bus: BusLive, unit: int) -> UnitLive:
-    """Return a configured unit of this bus. Raises Problem 404."""
+    """Return a configured unit of this bus. Raise Problem 404 for any other."""
     found = bus.units.get(unit)
     if found is None:
         raise unknown_unit(bus.settings.name, unit)
@@ -32,16 +32,16 @@ def unit_of_bus_or_404(bus: BusLive, unit: int) -> UnitLive:
 
 
 MAX_OF_ACCOUNT = 256
-"""Above the 255 WebSockets that a browser opens to one server."""
+"""More than the 255 WebSockets that a browser opens to one server."""
 MAX_OF_ADDRESS = 512
-"""Higher, as the browsers of a plant may share one address."""
+"""More than for an account, because the browsers of a plant may share one address."""
 
 
 class Admission:
     """The number of pages, or streams, that one account and one address have open.
 
-    Beyond the limit the newest is refused. To close an older one in its place would make two browsers that
-    reconnect by themselves push each other out without end.
+    Beyond the limit the newest is refused. If an older one were closed in its place, two browsers that
+    reconnect by themselves would push each other out without end.
     """
 
     def __init__(self, of_account: int = MAX_OF_ACCOUNT, of_address: int = MAX_OF_ADDRESS) -> None:
@@ -71,7 +71,7 @@ _MARK = "#"
 
 
 def new_command_id(key: str | None = None) -> str:
-    """Return an id that no other command has or will have; ``key``: what its sender calls it.
+    """Return an id that no other command has or will have; ``key``: the name that its sender gives it.
 
     A worker carries out an id once and repeats its result when it gets the id again. The key alone is no id:
     another sender, or a later day, may use it again. By the key a page finds the progress of its command.
@@ -81,6 +81,6 @@ def new_command_id(key: str | None = None) -> str:
 
 
 def key_of(command_id: str) -> str:
-    """Return what the sender of a command calls it; its id if the sender gave it no key."""
+    """Return the key that the sender gave a command; its id if there is none."""
     key, _, unique = command_id.rpartition(_MARK)
     return key or unique

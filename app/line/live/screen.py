@@ -1,8 +1,9 @@
-"""What the pages in one language show: the fields of each unit, of each bus and of the line, and their
+"""The screen of one language: the fields of each unit, of each bus and of the line on its pages, and their
 changes.
 
 It stands between the live state and the sockets and does no I/O; the time is passed in. `Screen.render` is
-for what a worker reported, `Screen.render_aged` once a second for what only time changes."""
+for what a worker reported, `Screen.render_aged` once a second for what only time changes.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +61,7 @@ from bus.messages import NUMBER, Message, listed, term
 LEVELS: tuple[Level, ...] = (*PRIORITIES, "")
 NO_ALARM = term("no alarm: an input stopped it")
 MAX_NAMES = 3
-"""Units that an input stopped and that are named beside the verdict; of more there is a number."""
+"""The most units that an input stopped and that are named beside the verdict; beyond it a number."""
 NO_BREAK = "\u00a0"
 Views = Mapping[str, UnitView]
 """The presentation of each unit, by the group of its fields."""
@@ -80,7 +81,7 @@ class NamedCause(NamedTuple):
 
 
 def abnormal_of(buses: Mapping[str, BusLive], views: Views, now: UnixTime) -> list[NamedCause]:
-    """Return everything abnormal, the worst first, in floor order; one cause is named once."""
+    """Return everything abnormal, the worst first, in floor order; each cause is named once."""
     found: list[NamedCause] = []
     for name, bus in buses.items():
         cause = bus_cause(bus, now) or all_offline(bus, now)
@@ -96,8 +97,8 @@ def abnormal_of(buses: Mapping[str, BusLive], views: Views, now: UnixTime) -> li
 
 
 def verdict_of(found: Sequence[NamedCause]) -> NamedCause | None:
-    """Return what the verdict names: the worst. A condition of low priority is no verdict on a line, which
-    runs as well as without it."""
+    """Return the worst cause as the verdict, or None. A condition of low priority is no verdict on a line,
+    which runs as well with it."""
     return found[0] if found and found[0].cause.level != "low" else None
 
 
@@ -109,8 +110,8 @@ def line_fields(
     now: UnixTime,
 ) -> Fields:
     """Return the fields of the line. ``found``: everything abnormal, the worst first. The verdict is the
-    worst cause (``cause``) after the name of its unit (``name``), which may give way; ``untimed`` is the
-    cause without its time, which the pages of units and alarms state where they show the condition."""
+    worst cause (``cause``) after the name of its unit (``name``), which a narrow page may drop; ``untimed``
+    is the cause without its time, which the pages of units and alarms state beside the condition."""
     counts = state_counts(views.values())
     worst = verdict_of(found)
     if worst is not None:
@@ -135,7 +136,7 @@ def line_fields(
 
 
 def verdict_line(cause: Cause, translator: Translator, now: UnixTime) -> str:
-    """Return a cause with its time as the verdict names it: with the reason where it is no alarm."""
+    """Return a cause with its time as the verdict names it; with the reason if it is no alarm."""
     line = cause_texts(cause, translator, now).line
     return f"{line} · {translator.t(NO_ALARM)}" if cause.code == "run_off" else line
 
@@ -155,7 +156,7 @@ def running_at(bus: BusLive) -> Message | None:
 
 
 def _running_at(buses: Mapping[str, BusLive]) -> Message | None:
-    """Return the speed of the only line; None of several, which may have different speeds."""
+    """Return the speed of the only line; None for several, which may have different speeds."""
     return running_at(next(iter(buses.values()))) if len(buses) == 1 else None
 
 
@@ -196,8 +197,8 @@ def holders(held_by: Mapping[str, str], translator: Translator) -> str:
 def _named(
     found: Sequence[NamedCause], worst: str, views: Views, translator: Translator, now: UnixTime
 ) -> str:
-    """Return what stands beside the verdict: each abnormal bus, what is abnormal and no alarm, each block.
-    ``worst``: the key of what the verdict names."""
+    """Return the texts beside the verdict: each abnormal bus, abnormal conditions without an alarm, each
+    block. ``worst``: the key of the unit or bus that the verdict names."""
     buses = [
         f"{translator.isolated(name)}: {cause_texts(cause, translator, now).line}"
         for key, name, cause in found
@@ -212,7 +213,7 @@ def _named(
 
 
 def _stopped_by_input(found: Sequence[NamedCause], worst: str, translator: Translator) -> list[str]:
-    """Return why units that an input stopped are in no list of alarms; without a name where the verdict names
+    """Return why units that an input stopped are in no list of alarms; without a name if the verdict names
     the only one."""
     stopped = [each for each in found if each.cause.code == "run_off"]
     if not stopped:
@@ -242,11 +243,11 @@ ALARM_GROUP = "alarms_present"
 _DECIDES = {"link", "state", "level", "cause", "staged"}
 """Fields of a unit whose change may change the verdict and the totals of the line."""
 MAX_DEPARTED = 3
-"""Units that differ from a recipe and are named; of more there is a number, and the page of recipes."""
+"""The most units that differ from a recipe and are named; beyond it a number, and the page of recipes."""
 
 
 def _says_since(alarm: Fields, cause: Cause | None, bus: str, unit: int) -> bool:
-    """Return whether the alarm shown of a unit is that of its cause and active: its words have the time."""
+    """Return whether the alarm of a unit is that of its cause and active: its text then has the time."""
     if cause is None or "cleared" in str(alarm.get("alarm", "")):
         return False
     return str(alarm.get("alarm_at", "")).startswith(f"/alarms/{bus}.{unit}.{cause.code}.")
@@ -262,9 +263,9 @@ class Screen:
     shown: Groups = field(default_factory=dict)
     _views: dict[str, UnitView] = field(default_factory=dict)
     _briefs: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """What a tile says of its unit, and since when, by unit."""
+    """The brief text of each unit's tile, and since when, by unit."""
     _worst: str = ""
-    """The unit of the verdict, which says since when; its tile does not."""
+    """The unit of the verdict, which states since when; its tile does not."""
 
     def render(self, bus_name: str, units: Iterable[int], now: UnixTime, *, include_bus: bool) -> Groups:
         """Render the units of a report; return the changed fields."""

@@ -1,4 +1,5 @@
-"""What pages and the API show of a line beside what its workers report: who knows it adds it here."""
+"""The sources of what pages and the API show of a line beside its workers' reports: features add theirs
+here."""
 
 from __future__ import annotations
 
@@ -14,8 +15,9 @@ from bus.messages import Message
 
 
 class Drifted(NamedTuple):
-    """In which parameters a unit departs from its golden set and who did that: ``words`` for the line, and a
-    ``key`` that changes whenever the list on the unit's page does. Both are empty without a departure."""
+    """The parameters in which a unit departs from its golden set and who changed them: ``words`` for the
+    line, and a ``key`` that changes whenever the list on the unit's page does. Both are empty without a
+    departure."""
 
     words: str = ""
     key: str = ""
@@ -32,9 +34,9 @@ class HeldControl(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BusControl:
-    """Control of a bus as every page shows it. ``holder``: an account, empty where control is free.
-    ``since``, ``lapses_at`` and ``request_until``: Unix time in seconds. ``request``: the state of the
-    request of ``requester``, empty without one."""
+    """Control of a bus as every page shows it. ``holder``: an account, empty if control is free. ``since``,
+    ``lapses_at`` and ``request_until``: Unix time in seconds. ``request``: the state of the request of
+    ``requester``, empty without one."""
 
     bus: str
     holder: str = ""
@@ -46,25 +48,25 @@ class BusControl:
 
     @property
     def holder_shown(self) -> str | Message:
-        """Return the holder, in the reader's language where it is a program."""
+        """Return the holder, in the reader's language if it is a program."""
         return account_shown(self.holder)
 
     @property
     def requester_shown(self) -> str | Message:
-        """Return who requests control, in the reader's language where it is a program."""
+        """Return who requests control, in the reader's language if it is a program."""
         return account_shown(self.requester)
 
     @property
     def key(self) -> str:
-        """Return a text that changes with what a page shows; the time left is no part of it."""
+        """Return a text that changes with what a page shows; the time left is not in it."""
         return "\n".join((self.bus, self.holder, f"{self.since:.3f}", self.requester, self.request))
 
 
 class UnitGuards(Protocol):
-    """Which units of a bus are blocked, and who controls it."""
+    """The blocked units of a bus, and the holder of its control."""
 
     def block_reason(self, unit: int) -> Message | None:
-        """Return why commands to a unit are blocked and by whom; None when they are not."""
+        """Return why commands to a unit are blocked and by whom; None if they are not."""
 
     def holding(self) -> HeldControl | None:
         """Return who holds control of the bus; None if it is free."""
@@ -74,13 +76,13 @@ class UnitGuards(Protocol):
 
 
 class GoldenDrift(Protocol):
-    """How the units of a bus differ from their golden sets."""
+    """The differences of the units of a bus from their golden sets."""
 
     def differing(self, unit: int) -> Sequence[object]:
         """Return the parameters of a unit that differ."""
 
     def golden_values(self, unit: int) -> Mapping[int, Message]:
-        """Return what the golden set has for each parameter that differs from it, by number."""
+        """Return the value in the golden set for each parameter that differs, by number."""
 
     def summary(self, unit: int, translator: Translator, now: UnixTime) -> Drifted:
         """Return the differences of a unit in the reader's language. ``now``: Unix time in seconds."""
@@ -96,26 +98,26 @@ class LineFields(Protocol):
         """Return the fields that differ from the last call for this language."""
 
     def forget(self, tag: str) -> None:
-        """Forget what pages in a language have, as none follows the lines in it."""
+        """Forget the fields that pages in a language have, because none follows the lines in it."""
 
 
 AlarmBanner = Callable[[Translator], Fields]
-"""Returns the mark of the first alarm and the counts of all, in the reader's language."""
+"""A function that returns the mark of the first alarm and the counts of all in the reader's language."""
 UnitAlarm = Callable[[str, int, Translator, UnixTime], Fields]
-"""Returns the first alarm of a unit of a bus in the reader's language, all empty without one: ``alarm``, its
-priority, whether it has cleared and whether it waits for an acknowledgement; ``alarm_text``, its name;
-``alarm_state``, its state with the time that matters; ``alarm_more``, how many more there are; ``alarm_at``,
-its page."""
+"""A function that returns the first alarm of a unit in the reader's language, all empty without one:
+``alarm``, its priority, whether it has cleared and whether it waits for an acknowledgement; ``alarm_text``,
+its name; ``alarm_state``, its state with the time that matters; ``alarm_more``, how many more there are;
+``alarm_at``, its page."""
 LoadedRecipe = Callable[[], tuple[str, list[str | Message]] | None]
-"""Returns the recipe a bus loaded last and the names of the units that differ from it since; None without."""
+"""A function that returns the recipe a bus loaded last and the units that differ from it since, if any."""
 Notice = Callable[[Formats, UnixTime], Message | None]
-"""Returns what is wrong with a record that the server keeps, at a Unix time; None while nothing is."""
+"""A function that returns the fault of a record that the server keeps, at a Unix time; None without one."""
 
 
 @dataclass(slots=True)
 class Sources:
-    """Whoever knows what is shown: by bus, and of the site. ``history_fault``: why no history is stored, None
-    while it is."""
+    """The sources by bus, and those of the site. ``history_fault``: why no history is stored, None while it
+    is."""
 
     guards: dict[str, UnitGuards] = field(default_factory=dict)
     drift: dict[str, GoldenDrift] = field(default_factory=dict)
@@ -126,10 +128,10 @@ class Sources:
     history_fault: Callable[[], Message | None] = lambda: None
 
     def show_alarms(self, banner: AlarmBanner, unit_alarm: UnitAlarm) -> None:
-        """Show the alarms that these return, from now on."""
+        """Show the alarms that these functions return, from now on."""
         self.banner, self.unit_alarm = banner, unit_alarm
 
     def notice(self, translator: Translator, now: UnixTime) -> str:
-        """Return what is wrong with the records of the server, in the reader's language; mostly nothing."""
+        """Return the faults of the server's records in the reader's language; mostly empty."""
         found = (notice(translator.formats, now) for notice in self.notices)
         return " ".join(translator.t(each) for each in found if each is not None)

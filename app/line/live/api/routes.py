@@ -5,7 +5,7 @@ The stream sends changes of the line as they are reported, the same for every pr
 Server-Sent Event (WHATWG HTML, 9.2), numbered without a gap. It is found once, by comparing what the API
 shows of a unit with what it showed before; nothing is compared while no one reads. A program that reads too
 slowly, or was away for too long, gets a snapshot in place of what it missed: no queue grows for it. The
-sockets ``/live`` and ``/feed`` are not described, as they are between the parts of one release.
+sockets ``/live`` and ``/feed`` are not described, because they connect parts of one release.
 """
 
 from __future__ import annotations
@@ -58,21 +58,20 @@ from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_n
 from bus.messages import Message
 
 PIECE_BYTES = 64 * 1024
-"""Bytes that a program is given at a time."""
+"""The most bytes that a program is sent at a time."""
 
 _encode = msgspec.json.Encoder().encode
 
 
 class StreamEvent(NamedTuple):
-    """An event as it is sent. ``bus``: None for the site."""
+    """An event in the text that is sent. ``bus``: None for the site."""
 
     bus: str | None
     text: bytes
 
 
 class RecentEvents:
-    """The newest events. ``run``: distinguishes the numbers of this server from those before it was
-    started."""
+    """The newest events. ``run``: distinguishes the numbers of this server from those before its start."""
 
     def __init__(self, run: str, most_bytes: int) -> None:
         self._run = run
@@ -92,7 +91,7 @@ class RecentEvents:
             self._size -= len(oldest.text)
 
     def interrupt(self) -> None:
-        """Drop all events, as none were noted for a while: no client can resume before this."""
+        """Drop all events after a pause in which none were noted: no client can resume before this."""
         self._events.clear()
         self._size = 0
         self.newest += 1
@@ -127,17 +126,17 @@ class RecentEvents:
 
 TICK_S = 0.1
 TICKS_OF_ALL = 10
-"""Ticks in which every unit is compared once: a long line at once would hold up everything else for tens of
-milliseconds."""
+"""The ticks in which every unit is compared once: comparing a long line at once would delay everything else
+for tens of milliseconds."""
 HEARTBEAT_TICKS = 50
 AWAY_S = 60.0
-"""How long events are noted for the return of the last program that has left."""
+"""How long events are noted after the last program has left, for its return, in seconds."""
 PAUSE_S = 0.05
-"""Pause between two pieces for one program: what comes in between goes together."""
+"""The pause between two pieces for one program, in seconds; events in between go together."""
 SNAPSHOT_S = 1.0
-"""Age at which a snapshot still serves another program: what changed since then follows it."""
+"""The age in seconds up to which a snapshot serves another program; later changes follow it."""
 MAX_BYTES = 4 * 1024 * 1024
-"""Bytes of events that are kept: some ten seconds of the longest line at four readings a second."""
+"""The bytes of events kept: some ten seconds of the longest line at four readings a second."""
 MAX_OF_ACCOUNT, MAX_OF_ADDRESS = 16, 64
 RETRY = b"retry: 2000\n"
 """Sent first: the milliseconds after which a client connects again."""
@@ -155,7 +154,8 @@ class LineStream:
         self.admission = Admission(MAX_OF_ACCOUNT, MAX_OF_ADDRESS)
         self._recent = RecentEvents(token_hex(4), MAX_BYTES)
         self._shown: dict[tuple[str, int | None], Json] = {}
-        """By bus and unit (None: the bus itself), as last compared; empty while no one reads."""
+        """The state of each bus and unit (None: the bus itself) as last compared; empty while no one
+        reads."""
         self._is_noting = False
         self._keys: list[tuple[str, int | None]] = []
         self._turns: Iterator[tuple[str, int | None]] = iter(())
@@ -205,7 +205,7 @@ class LineStream:
             await asyncio.sleep(PAUSE_S)
 
     def end(self) -> None:
-        """End every response, as the server ends."""
+        """End every response, because the server ends."""
         self._is_ending = True
         self._has_more.set()
 
@@ -229,7 +229,7 @@ class LineStream:
             self.tick(with_heartbeat=ticks % HEARTBEAT_TICKS == 0)
 
     def tick(self, *, with_heartbeat: bool) -> None:
-        """Note what has changed without a report: an overdue response, a block."""
+        """Note changes that no report brings: an overdue response, a block."""
         if self._is_noting and not self._readers and self.monotonic() - self._left_at > AWAY_S:
             self._is_noting, self._shown, self._snapshots = False, {}, {}
             self._recent.interrupt()
@@ -273,7 +273,7 @@ class LineStream:
         if unit is None:
             return bus_fields(self._view.live.buses[bus_name])
         fields = self._view.unit(bus_name, unit, self.clock())
-        # The age grows without a change; ``read_at`` is there too.
+        # The age grows without a change; ``read_at`` is in the reading too.
         del fields["age_ms"]
         return fields
 
@@ -283,14 +283,14 @@ document_router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 @dataclass(frozen=True, slots=True)
 class AlarmType:
-    """``shown``: the type of the data of an ``alarm``. The feature of alarms adds it, as the live state knows
+    """The schema of the data of an ``alarm``. The feature of alarms adds it, because the live state has
     none."""
 
     shown: type
 
 
 class Heartbeat(TypedDict):
-    """The server's time. Where none comes for 10 s, no value counts as fresh."""
+    """The server's time. If none comes for 10 s, no value counts as fresh."""
 
     time: Time
 
@@ -301,7 +301,7 @@ MEANINGS = {
     "alarm": "An alarm that has changed, as in GET /alarms.",
     "heartbeat": "Every 5 s.",
 }
-"""What an event means, by its name."""
+"""The meaning of each event, by its name."""
 EXAMPLES: dict[str, Any] = {
     "change": {"bus": "dry-end", "unit": 1, "actual_raw": 12001, "actual": "1200.1"},
     "heartbeat": {"time": "2026-11-21T03:12:00.125+00:00"},
@@ -400,7 +400,7 @@ def _schemas(*kinds: type) -> dict[str, Any]:
 
 
 def _part_of(schema: dict[str, Any], unit: dict[str, Any], leave_out: tuple[str, ...]) -> dict[str, Any]:
-    """Return a schema of some members of an object, with the bus and unit they belong to."""
+    """Return a schema of some members of an object, with the bus and unit to which they belong."""
     members = {name: each for name, each in schema["properties"].items() if name not in leave_out}
     place = {"bus": {"type": "string"}, "unit": unit}
     return {"type": "object", "required": ["bus", "unit"], "properties": members | place}
@@ -457,12 +457,12 @@ SECONDS: dict[str, Any] = {
         }
     ]
 }
-"""Required only in the document, as a generated call would otherwise never return."""
+"""Required only in the document, because a generated call would otherwise never return."""
 Stream = Annotated[LineStream, service(LineStream)]
 
 
 async def _admitted(connection: HTTPConnection, person: Viewer, stream: Stream) -> AsyncIterator[None]:
-    """Count a reader until its response has ended. Raises Problem 429."""
+    """Count a reader until its response has ended. Raise Problem 429 for one too many."""
     address = source_of(connection.client.host if connection.client else "")
     if not stream.admission.enter(person.account, address):
         raise Problem(429, "too_many", Message("too_many_streams")).with_headers(Retry_After="10")
@@ -494,7 +494,7 @@ async def get_stream(
     slowly, gets a ``snapshot`` in place of what it missed. ``bus``: only of this bus and of the site."""
     if bus is not None:
         bus_or_404(live, bus)
-    # A proxy would collect a response before it passes it on.
+    # A proxy would otherwise collect a response before it passes it on.
     headers = {"X-Accel-Buffering": "no"}
     return StreamingResponse(
         stream.pieces(bus, last_event_id, seconds), headers=headers, media_type=EVENT_STREAM

@@ -215,7 +215,7 @@ def parameter_json(unit: UnitLive, number: int) -> Json:
 
 
 def setpoint_text(unit: UnitLive, raw: int) -> str | None:
-    """Return a setpoint as the unit takes it, for a follower a ratio; None while decimals are not known."""
+    """Return a setpoint as the unit takes it, for a follower a ratio; None while decimals are unknown."""
     return _speed_text(raw, setpoint_decimals(unit))
 
 
@@ -296,7 +296,7 @@ class InputsShown(TypedDict):
 
 
 class Labels(TypedDict):
-    """Names of the wiring of a unit, from lineside.toml; empty or left out where none is given."""
+    """Names of the wiring of a unit, from lineside.toml; empty or left out if none is given."""
 
     output: Annotated[dict[int, str], Field(description="By number of the auxiliary output, 1 to 6.")]
     input: Annotated[dict[str, str], Field(description="By name of the input.")]
@@ -391,7 +391,7 @@ class UnitShown(TypedDict):
 
 
 class WireShown(TypedDict):
-    """What the wire of a bus carries; null while no worker measures it."""
+    """The measurements of the wire of a bus; null while no worker measures it."""
 
     scan_hz: Annotated[float | None, Field(description="Scans per second.")]
     scan_s: Annotated[
@@ -434,7 +434,7 @@ ResponseSeconds = Annotated[float | None, Field(description="Seconds; null: no r
 
 
 class NakCount(TypedDict):
-    """How often a unit refused with one error."""
+    """The number of refusals of a unit with one error."""
 
     unit_error: Annotated[int, Field(description="Error code of the NAK, 128 to 137.")]
     unit_error_name: str
